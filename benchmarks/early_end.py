@@ -21,8 +21,8 @@ from pytest_dura import Orchestrator, Requirement, RoleSpec, Simulator, Terminat
 from pytest_dura.domains import DOMAINS
 from pytest_dura.library.cases import Case, expand_cases
 from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.early_end import RequirementJudge
-from pytest_dura.requirements.verdicts.episodes import judge_episode
+from pytest_dura.requirements.checks import RequirementJudge
+from pytest_dura.requirements.episode_verdicts import judge_episode
 
 PLANNERS = DOMAINS["driving"].short_names["generator"]
 ASKED = (

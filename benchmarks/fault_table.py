@@ -20,7 +20,7 @@ from machine import machine, table
 from reads import can_reach, channels_read
 
 from pytest_dura import Runner
-from pytest_dura.campaign.causal_chains import CausalChain
+from pytest_dura.campaign.fault_tracing import CausalChain
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import DOMAINS
 from pytest_dura.library.cases import expand_cases

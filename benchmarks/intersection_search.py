@@ -50,18 +50,18 @@ def simulations(job: Job) -> int | None:
     if method == SEARCH:
         limits = Limits(budget, shrink=0, baselines=False)
         (outcome,) = falsify(bench, case, [asked], limits=limits, faults=FAULTS).outcomes
-        return outcome.simulations if outcome.word == "falsified" else None
+        return outcome.simulations if outcome.status == "falsified" else None
     lasting = float(bench.searched(case).time[-1])
-    space = SearchSpace.of(case, FAULTS, lasting=lasting)
+    space = SearchSpace.of(case, FAULTS, begin_within=lasting)
     trials = Trials(bench, space, [asked])
     trivial = dict(trivial_searchers(space.layout, seed))
     (first,) = run_alone(trials, trivial.get(method), budget).first
     if first is None:
         return None
     if method == RANDOM:
-        _, repeats = trials.repeated(case, asked, first.world)
+        _, repeats = trials.replay(case, asked, first.world)
     else:
-        _, repeats = trials.repeated(trials.case(first.point.tolist(), first.world), asked)
+        _, repeats = trials.replay(trials.case(first.point.tolist(), first.world), asked)
     return first.number if repeats.confirmed else None
 
 

@@ -34,7 +34,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import DOMAINS
 from pytest_dura.library.cases import Case, expand_cases
 from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.statistics.comparison import mcnemar
+from pytest_dura.requirements.comparison import mcnemar
 
 Key = tuple[str, bool, str, int]
 """Scenario, with its own faults, policy, run."""

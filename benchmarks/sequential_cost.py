@@ -17,8 +17,8 @@ import numpy as np
 from machine import machine, table
 from scipy.stats import binom
 
-from pytest_dura.requirements.statistics.rate_tests import EProcess, FixedN, Sprt, runs_needed
-from pytest_dura.requirements.statistics.sequential import (
+from pytest_dura.requirements.rate_tests import EProcess, FixedN, Sprt, runs_needed
+from pytest_dura.requirements.sequential import (
     Boundaries,
     Characteristics,
     Decision,

@@ -26,8 +26,8 @@ from pytest_dura.core.seeding import derive_seed, stream
 from pytest_dura.driving.scenario import concrete_world
 from pytest_dura.library.cases import Case, SearchedCase, expand_cases
 from pytest_dura.library.loading import load_library
-from pytest_dura.search.differences import changes_of, count_parameters
 from pytest_dura.search.shrinking import shrink
+from pytest_dura.search.simplification import changes_of, count_parameters
 from pytest_dura.search.space import SearchSpace
 
 PLANNERS = ("reactive", "aggressive")
@@ -64,7 +64,7 @@ def first_collision(case: Case, job: Job) -> SearchedCase | None:
     for trial in range(tries):
         values = space.values(draws.random(space.layout.size))
         try:
-            searched = space.made(values, derive_seed(number, name, trial))
+            searched = space.case_with(values, derive_seed(number, name, trial))
             if collides(searched, planner):
                 return searched
         except ConfigurationError:
@@ -90,12 +90,12 @@ def run(job: Job) -> Result | None:
     shrunk = shrink(case, found, lambda one: collides(one, planner), budget=budget)
     return Result(
         count_parameters(changes_of(case, found)),
-        (shrunk.before, shrunk.after),
+        (shrunk.shrinking.before, shrunk.shrinking.after),
         (users(found), users(shrunk.case)),
         (len(found.faults), len(shrunk.case.faults)),
         sum(change.value is None for change in shrunk.changes),
-        shrunk.simulations,
-        shrunk.finished,
+        shrunk.shrinking.simulations,
+        shrunk.shrinking.finished,
     )
 
 

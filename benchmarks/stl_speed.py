@@ -25,10 +25,9 @@ from typing import Any
 import numpy as np
 from machine import machine, table
 
-from pytest_dura.requirements.stl.evaluation import evaluate
+from pytest_dura.requirements.stl.evaluation import evaluate, robustness, robustness_batch
 from pytest_dura.requirements.stl.online import OnlineFormula
 from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.requirements.stl.robustness import robustness, robustness_batch
 
 STEP = 0.1
 SAMPLES = 200

@@ -47,13 +47,13 @@ from .core.state import (
 )
 from .core.trust import factory
 from .faults.model import Fault, Moment
-from .faults.parameters import FaultPart
+from .faults.parts import FaultPart
 from .library.cases import Case, SearchedCase
+from .requirements.campaign_verdicts import CampaignVerdict
 from .requirements.checks import CheckResult
+from .requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, SearchedEpisode
 from .requirements.model import Paired, Requirement
 from .requirements.monitoring.stl_monitor import StlSafetyMonitor
-from .requirements.verdicts.campaigns import CampaignVerdict
-from .requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, SearchedEpisode
 from .runner import Runner
 from .search.falsify import Falsified
 

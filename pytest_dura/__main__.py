@@ -13,18 +13,18 @@ from pytest_dura import __version__
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import one_line, visible
 
-USAGE_ERROR = 2
-NOT_RENDERED = 3
-LONGEST = 2000
-"""Characters of what is told; it quotes what a damaged record holds."""
+_USAGE_ERROR = 2
+_NOT_RENDERED = 3
+_MAX_LENGTH = 2000
+"""Characters of a printed line, which may quote a damaged record."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The exit code.
+    """Run a command, and return the exit code.
 
-    0 if a bundle is intact, or the gate of merged ones passed; 1 if anything differs, or it did
-    not; 2 for a wrong call, and for bundles that cannot be merged; 3 if nothing differs that could
-    be compared, and the formats were not rendered again. 0 as well if a directory was pruned.
+    0 if it succeeded: a bundle is intact, the gate of merged bundles passed; 1 if something
+    differs, or the gate failed; 2 for a wrong call, and for bundles that cannot be merged; 3 if all
+    that could be compared is equal, but the formats could not be rendered again.
     """
     parser = argparse.ArgumentParser(prog="python -m pytest_dura", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -75,16 +75,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "train-detector", help="train a learned detector of faults on episodes without any"
         )
     )
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        return _COMMANDS[given.command](given)
-    except BrokenPipeError:  # whoever reads, such as `head`, has enough
-        # Or what is still to be written would raise it again at the end.
+        return _COMMANDS[options.command](options)
+    except BrokenPipeError:  # the reader, such as `head`, has ended
+        # Flushing at exit would raise it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except ConfigurationError as error:
-        print(visible(str(error), LONGEST), file=sys.stderr)
-        return USAGE_ERROR
+        print(visible(str(error), _MAX_LENGTH), file=sys.stderr)
+        return _USAGE_ERROR
 
 
 def _add_training(parser: argparse.ArgumentParser) -> None:
@@ -123,104 +123,103 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
         )
 
 
-def _train(given: argparse.Namespace) -> int:
+def _train(options: argparse.Namespace) -> int:
     from pytest_dura.campaign.detector_training import Training, describe_training, train
 
     training = Training(
-        scenarios=given.scenario,
-        generators=given.generator,
-        runs=given.runs,
-        held_out=given.held_out,
-        seed=given.seed,
-        draws=given.draws,
-        false_alarms=given.false_alarms,
-        paths=given.path,
+        scenarios=options.scenario,
+        generators=options.generator,
+        runs=options.runs,
+        held_out=options.held_out,
+        seed=options.seed,
+        draws=options.draws,
+        false_alarms=options.false_alarms,
+        paths=options.path,
     )
-    model = train(given.detector, training)
+    model = train(options.detector, training)
     try:
-        digest = model.write(given.output)
+        digest = model.write(options.output)
     except OSError as error:
         raise ConfigurationError(
             f"the model cannot be written: {error.strerror}",
-            file=str(given.output),
+            file=str(options.output),
             key="--output",
             remedy="name a file that can be written",
         ) from None
-    for line in describe_training(model, given.output, digest):
-        print(one_line(line, LONGEST))
+    for line in describe_training(model, options.output, digest):
+        print(one_line(line, _MAX_LENGTH))
     return 0
 
 
-def _list_cassette(given: argparse.Namespace) -> int:
+def _list_cassette(options: argparse.Namespace) -> int:
     from pytest_dura.llm.cassette import cassette_lines
 
-    for line in cassette_lines(given.file):
+    for line in cassette_lines(options.file):
         print(line)
     return 0
 
 
-def _merge(given: argparse.Namespace) -> int:
-    fail_worse, baseline = given.baseline_worse == "fail", given.baseline
-    bundles, output = given.bundles, given.output
+def _merge(options: argparse.Namespace) -> int:
     from pytest_dura.evidence.baseline import Baseline
     from pytest_dura.evidence.merge import MergeComparison, merge_bundles
 
-    if fail_worse and baseline is None:
+    fail_worse, path = options.baseline_worse == "fail", options.baseline
+    if fail_worse and path is None:
         raise ConfigurationError(
             "--baseline-worse is about a baseline, and there is none",
             key="--baseline-worse",
             found="fail",
             remedy="add --baseline=evidence.json",
         )
-    found = None if baseline is None else Baseline.read(baseline, Path.cwd())
-    merged = merge_bundles(bundles, output, MergeComparison(found, fail_worse))
-    _let_names_be_any_bytes()
+    baseline = None if path is None else Baseline.read(path, Path.cwd())
+    merged = merge_bundles(options.bundles, options.output, MergeComparison(baseline, fail_worse))
+    _print_any_file_name()
     for reason in merged.reasons:
-        print(one_line(reason, LONGEST))
+        print(one_line(reason, _MAX_LENGTH))
     totals = merged.totals
     verdicts = sum(totals[name] for name in ("supported", "violated", "undecided"))
     print(
         f"{merged.shards} shards, {totals['cases']} cases, {totals['episodes']} episodes, "
         f"{verdicts} verdicts; gate of the whole: {totals['gate']}"
     )
-    print(f"evidence: {one_line(str(output / 'report.html'), LONGEST)}")
+    print(f"evidence: {one_line(str(options.output / 'report.html'), _MAX_LENGTH)}")
     return 0 if merged.passed else 1
 
 
-def _prune(given: argparse.Namespace) -> int:
+def _prune(options: argparse.Namespace) -> int:
     from pytest_dura.execution.cache import prune, read_age, read_size
 
-    directory, older_than, at_most = given.directory, given.older_than, given.at_most
+    older_than, at_most = options.older_than, options.at_most
     if older_than is None and at_most is None:
         raise ConfigurationError(
             "it is not said what is to be removed",
             expected="--older-than, --at-most, or both",
             remedy="for example --older-than=30d",
         )
-    found = prune(
-        directory,
+    result = prune(
+        options.directory,
         older_than=None if older_than is None else read_age(older_than),
         at_most=None if at_most is None else read_size(at_most),
     )
     print(
-        f"removed: {found.removed} episodes, {found.removed_bytes / 1e6:.1f} MB; "
-        f"left: {found.kept} episodes, {found.kept_bytes / 1e6:.1f} MB"
+        f"removed: {result.removed} episodes, {result.removed_bytes / 1e6:.1f} MB; "
+        f"left: {result.kept} episodes, {result.kept_bytes / 1e6:.1f} MB"
     )
     return 0
 
 
-def _let_names_be_any_bytes() -> None:
+def _print_any_file_name() -> None:
     if isinstance(sys.stdout, TextIOWrapper):  # a file's name need not be text
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def _verify(given: argparse.Namespace) -> int:
+def _verify(options: argparse.Namespace) -> int:
     from pytest_dura.evidence.verify import verify_bundle
 
-    bundle = verify_bundle(given.directory, given.junit_xml)
-    _let_names_be_any_bytes()
+    bundle = verify_bundle(options.directory, options.junit_xml)
+    _print_any_file_name()
     for problem in bundle.problems:
-        print(one_line(problem, LONGEST))
+        print(one_line(problem, _MAX_LENGTH))
     if bundle.counts is not None:
         counts = bundle.counts
         print(
@@ -231,12 +230,12 @@ def _verify(given: argparse.Namespace) -> int:
         )
     if bundle.intact and bundle.not_rendered is not None:
         print(
-            f"not re-rendered: pytest-dura {one_line(bundle.not_rendered, LONGEST)} wrote this "
+            f"not re-rendered: pytest-dura {one_line(bundle.not_rendered, _MAX_LENGTH)} wrote this "
             f"bundle, and this is {__version__}; of its pages, counts and references alone agree"
         )
-        return NOT_RENDERED
-    several = "" if len(bundle.problems) == 1 else "s"
-    print("intact" if bundle.intact else f"NOT INTACT: {len(bundle.problems)} difference{several}")
+        return _NOT_RENDERED
+    plural = "" if len(bundle.problems) == 1 else "s"
+    print("intact" if bundle.intact else f"NOT INTACT: {len(bundle.problems)} difference{plural}")
     return 0 if bundle.intact else 1
 
 

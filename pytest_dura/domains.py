@@ -1,36 +1,41 @@
-"""The domains that scenarios name by an alias: their simulator, default roles and short names."""
+"""Domains: the kinds of system that a scenario names by an alias, such as ``driving``.
+
+A domain says which simulator runs it, which roles a case has by default, and what they are called.
+"""
 
 from __future__ import annotations
 
+import difflib
+import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
-from pytest_dura.core.error_messages import did_you_mean
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES
 
 
 @dataclass(frozen=True)
 class Domain:
-    """Import paths only, so that naming a domain imports nothing of it.
+    """A kind of system, as import paths ``package.module:name``: naming it imports nothing of it.
 
     Args:
-        simulator: Of the simulator's class.
-        roles: Of the default roles, by role name.
-        short_names: Of what has a short name, by role name. A role may be known by short names
-            alone and be in no scenario by default.
-        parameters: Of what has a short name, by that name: what it needs to know of the domain. A
-            scenario's own come before them.
-        world: Of the pydantic model of ``world``, for editors and for messages.
-        signals: Of the names of the ground-truth signals.
-        percept_signals: Of the names of the percept signals, without the prefix ``percept.``.
-        proposal_signals: Of the names of what components' accounts come to, without the prefix
-            ``proposal.``.
-        channels: Of what the channels hold, by name; see ``pytest_dura.faults.model``.
-        fault_targets: Of where a fault acts that names no target, by what its type can act on.
-        concrete: Of a function of world, duration and seed that gives an equal world in which
-            nothing is left to the seed. It gives a world of that kind back as it is.
+        simulator: The simulator's class.
+        roles: The default roles, by role name.
+        short_names: Classes with a short name: role name to short name to import path. A role may
+            be known by short names alone and be in no scenario by default.
+        parameters: Parameters that a class with a short name needs to know of the domain, by that
+            name. A scenario's own parameters come before them.
+        world: The pydantic model of ``world``, for editors and for messages.
+        signals: The names of the ground-truth signals.
+        percept_signals: The names of the percept signals, without the prefix ``percept.``.
+        proposal_signals: The names of the signals that proposals and their explanations give,
+            without the prefix ``proposal.``.
+        channels: What each sensor channel holds, by name; see ``pytest_dura.faults.model``.
+        fault_targets: The default target of faults, by what their type acts on.
+        concrete: A function of world, duration in seconds and seed that returns an equal world in
+            which nothing is left to the seed, and returns such a world as it is.
     """
 
     simulator: str
@@ -44,6 +49,49 @@ class Domain:
     channels: str | None = None
     fault_targets: str | None = None
     concrete: str | None = None
+
+    def world_model(self) -> Any:
+        """Import the pydantic model of ``world``; ``None`` for a domain without one."""
+        return _import_attribute(self.world)
+
+    def signal_names(self) -> tuple[str, ...] | None:
+        """Import the names of the ground-truth signals; ``None`` if only the simulator has them."""
+        return _import_names(self.signals)
+
+    def percept_signal_names(self) -> tuple[str, ...] | None:
+        """Import the names of the percept signals, without prefix; ``None`` if not declared."""
+        return _import_names(self.percept_signals)
+
+    def proposal_signal_names(self) -> tuple[str, ...] | None:
+        """Import the names of the proposal signals, without prefix; ``None`` if not declared."""
+        return _import_names(self.proposal_signals)
+
+    def channel_kinds(self) -> Mapping[str, Any] | None:
+        """Import what the channels hold; ``None`` if only a running episode shows that."""
+        kinds: Mapping[str, Any] | None = _import_attribute(self.channels)
+        return kinds
+
+    def default_targets(self) -> Mapping[str, str]:
+        """Import the default targets of faults, by what their type acts on."""
+        return _import_attribute(self.fault_targets) or {}
+
+    def concrete_world(
+        self, world: Mapping[str, Any], duration: float, seed: int
+    ) -> dict[str, Any]:
+        """Write out what the seed draws in a world, where the domain can; else copy the world."""
+        function = _import_attribute(self.concrete)
+        return dict(world if function is None else function(world, duration, seed))
+
+
+def _import_attribute(path: str | None) -> Any:
+    if path is None:
+        return None
+    module, _, name = path.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _import_names(path: str | None) -> tuple[str, ...] | None:
+    return None if path is None else tuple(_import_attribute(path))
 
 
 _PLANNERS = "pytest_dura.driving.roles.planners"
@@ -98,14 +146,14 @@ DOMAINS: dict[str, Domain] = {
 
 
 def domain_of(simulator: str) -> Domain | None:
-    """The domain of an alias or of a domain's own simulator; ``None`` for any other simulator."""
+    """Find the domain by its alias or its simulator's path; ``None`` for any other simulator."""
     if simulator in DOMAINS:
         return DOMAINS[simulator]
     return next((domain for domain in DOMAINS.values() if domain.simulator == simulator), None)
 
 
 def simulator_spec(path: str, params: Mapping[str, object]) -> RoleSpec:
-    """How to build the simulator that a scenario names.
+    """Make the RoleSpec of the simulator that a scenario names.
 
     Raises:
         ConfigurationError: For a name that is neither an alias nor an import path.
@@ -124,7 +172,7 @@ def simulator_spec(path: str, params: Mapping[str, object]) -> RoleSpec:
 
 
 def role_spec(role: str, spec: RoleSpec, domain: Domain | None) -> RoleSpec:
-    """The spec with a short name, such as ``rule_based``, replaced by its import path.
+    """Replace a short name, such as ``rule_based``, by its import path and parameters.
 
     Raises:
         ConfigurationError: For a name that is neither known nor an import path.
@@ -147,10 +195,9 @@ def role_spec(role: str, spec: RoleSpec, domain: Domain | None) -> RoleSpec:
 
 
 def check_role_name(role: str, *, switched_off: bool) -> None:
-    """Refuse a role's name that is a standard one misspelt.
+    """Refuse a role name that is a misspelt standard name.
 
-    A name of the user's own is welcome, unless it differs from a standard name by a letter or two,
-    or is to be switched off: only what exists can be.
+    Any other name is the user's own role. Only standard roles can be switched off.
 
     Raises:
         ConfigurationError: With the name that was probably meant.
@@ -167,8 +214,6 @@ def check_role_name(role: str, *, switched_off: bool) -> None:
 
 
 def _misspelt(role: str) -> bool:
-    import difflib
-
     # `safety_monitor_2` is a second monitor; `safty_monitor` is a slip.
     if any(role.startswith(name) for name in STANDARD_ROLES):
         return False

@@ -1,4 +1,4 @@
-"""Say what a result rests on: files, code and its digests, packages, platform, commit."""
+"""Provenance of a result: files, code and its digests, packages, platform, commit."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from typing import Any
 
 
 def recorded_path(file: Path, root: Path, known: Mapping[Path, str] | None = None) -> str:
-    """The name of a file in the record, with ``/`` between its parts.
+    """Name a file for the record, with ``/`` between its parts.
 
-    Within an installed package it is ``package/...``, below the project's root it is relative to
-    that, and anywhere else the file's name with its folder's.
+    Within an installed package it is ``package/...``, below the project's root the path from
+    there, and anywhere else the file's name with its folder's.
 
     Args:
         file: The file.
@@ -42,20 +42,20 @@ def recorded_path(file: Path, root: Path, known: Mapping[Path, str] | None = Non
 
 
 def is_installed(file: Path) -> bool:
-    """Whether a file belongs to an installed package, and so is not the user's to change."""
+    """Whether a file belongs to an installed package, or to Python itself."""
     return any(_resolved(file).is_relative_to(folder) for folder in installed_folders())
 
 
 @cache
 def installed_folders() -> tuple[Path, ...]:
-    """The folders of installed packages and of Python's own modules, the innermost first."""
+    """List the folders of installed packages and of Python's modules, the innermost first."""
     names = ("purelib", "platlib", "stdlib", "platstdlib")
     folders = {_resolved(Path(path)) for name in names if (path := sysconfig.get_path(name))}
     return tuple(sorted(folders, key=lambda folder: (-len(folder.parts), folder)))
 
 
 def _absolute(path: Path) -> Path:
-    # Links keep their names here: what the user calls a file is what a reader looks for.
+    # Links keep their names, which are those that the user knows.
     return Path(os.path.abspath(path))  # noqa: PTH100 - Path.absolute() would leave `..` in it
 
 
@@ -67,15 +67,15 @@ def _resolved(path: Path) -> Path:
 
 
 MAX_LISTED_FILES = 50
-"""Files that are listed by name; with more of them, the defining one is."""
+"""Number of files up to which all are listed; of more, the defining one is."""
 _MAX_COMPONENT_FILES = 1000
-"""Files that are read; with more of them, the defining one is."""
+"""Number of files up to which all are read; of more, the defining one is."""
 _NO_SOURCES = {"__pycache__", "node_modules", "site-packages"}
 
 
 @dataclass(frozen=True)
 class Sources:
-    """What a component is made of.
+    """Source files of a component.
 
     Args:
         digest: Of all files, see :func:`digest_of`.
@@ -93,16 +93,16 @@ class Sources:
 def sources_of(
     file: Path, module: str, root: Path, *, most: int = _MAX_COMPONENT_FILES
 ) -> Sources | None:
-    """All Python files of the top-level package that defines something; ``None`` without a file.
+    """Read all Python files of the top-level package that defines a component.
 
-    A component changes as well with a function in the next file. What it imports from other
-    packages is not part of it, nor are data files.
+    What it imports from other packages is not part of it, nor are data files. ``None`` if a file
+    cannot be read.
 
     Args:
         file: The file that defines it.
         module: The dotted name of that file's module.
         root: The project's root, to which names are relative.
-        most: Of how many files at most; see :data:`MOST`.
+        most: Number of files up to which all are read.
     """
     package = _top_package(file, module)
     files = sorted(_python_files(package, most)) if package is not None else []
@@ -113,27 +113,27 @@ def sources_of(
         base = package.parent
     else:
         base = package
-    told, named = [], {}
+    hashed, named = [], {}
     try:
-        for item in files:
-            sha256 = hashlib.sha256(item.read_bytes()).hexdigest()
+        for path in files:
+            sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
             # Names within the package: it is the same component wherever it is installed.
-            named[item.relative_to(base).as_posix()] = sha256
-            told.append((item, sha256))
+            named[path.relative_to(base).as_posix()] = sha256
+            hashed.append((path, sha256))
     except OSError:  # gone, or not for us to read
         return None
-    listed = told if len(told) <= MAX_LISTED_FILES and not is_installed(file) else []
-    listed = listed or [item for item in told if item[0] == file]
+    listed = hashed if len(hashed) <= MAX_LISTED_FILES and not is_installed(file) else []
+    listed = listed or [entry for entry in hashed if entry[0] == file]
     return Sources(
         digest=digest_of(named),
         named=named,
-        files=[{"path": recorded_path(item, root), "sha256": sha256} for item, sha256 in listed],
-        read=tuple(item for item, _ in listed),
+        files=[{"path": recorded_path(path, root), "sha256": sha256} for path, sha256 in listed],
+        read=tuple(path for path, _ in listed),
     )
 
 
 def digest_of(named: Mapping[str, str]) -> str:
-    """SHA-256 of the names and the SHA-256 of files, in order of their names."""
+    """Hash the names and SHA-256 of files, in order of their names."""
     state = hashlib.sha256()
     for name in sorted(named):
         state.update(f"{name}\0{named[name]}\n".encode("utf-8", "surrogatepass"))
@@ -141,7 +141,7 @@ def digest_of(named: Mapping[str, str]) -> str:
 
 
 def _top_package(file: Path, module: str) -> Path | None:
-    """The folder of the top-level package, if the file lies where its module's name says."""
+    """Folder of the top-level package, if the path of the file fits its module's name."""
     parts = module.split(".")
     if file.name != "__init__.py":
         parts = parts[:-1]
@@ -152,15 +152,15 @@ def _top_package(file: Path, module: str) -> Path | None:
 
 
 def _python_files(package: Path, most: int) -> Iterator[Path]:
-    """The files below a package, one more than ``most`` at most."""
-    found = 0
+    """Yield the files below a package, at most one more than ``most``."""
+    count = 0
     for folder, inner, names in os.walk(package):
-        inner[:] = [item for item in inner if not item.startswith(".") and item not in _NO_SOURCES]
+        inner[:] = [sub for sub in inner if not sub.startswith(".") and sub not in _NO_SOURCES]
         for name in names:
             if name.endswith(".py"):
                 yield Path(folder, name)
-                found += 1
-                if found > most:
+                count += 1
+                if count > most:
                     return
 
 
@@ -170,11 +170,11 @@ _READ = re.compile(
     re.VERBOSE,
 )
 _EXCLUDED = re.compile(r"PYTEST_|.*(?:KEY|TOKEN|SECRET|PASSW|CREDENTIAL)", re.IGNORECASE)
-"""Names of what is another one in each process or for each user, and no episode should rest on."""
+"""Variables that differ by process or user, and that no episode should depend on."""
 
 
 def _variables_in(text: str) -> set[str]:
-    """The names of the variables that a text of Python reads; computed names are not found.
+    """Find the variables that Python code reads by a literal name.
 
     Secrets are left out, and what pytest sets for each of its processes and tests.
     """
@@ -182,7 +182,7 @@ def _variables_in(text: str) -> set[str]:
 
 
 def describe_variable(name: str) -> str:
-    """SHA-256 of its value, or that it is not set."""
+    """Hash the value of an environment variable, or state that it is not set."""
     value = os.environ.get(name)
     if value is None:
         return "not set"
@@ -190,7 +190,7 @@ def describe_variable(name: str) -> str:
 
 
 _MAX_PACKAGE_FILES = 5000
-"""Files that are read of one package; nothing is known of one that has more."""
+"""Files that are read of a package; a larger one has no digest."""
 _OURS = "pytest_dura"
 _IMPORT = re.compile(
     r"""\b(?:
@@ -206,7 +206,7 @@ _CONTINUED = re.compile(r"\\\r?\n")
 
 @dataclass(frozen=True)
 class UserCode:
-    """The user's own code that something rests on.
+    """The user's own code that a component depends on.
 
     Args:
         digest: SHA-256 over names and digests of all files.
@@ -220,35 +220,35 @@ class UserCode:
 
 
 def user_code(file: Path, module: str) -> UserCode | None:
-    """The code that something rests on, or ``None`` if it cannot be told.
+    """Collect the code that a component depends on; ``None`` if it cannot be read.
 
     That is the top-level package that defines it, and in turn the packages and modules that any of
     their files imports by name, as far as they are not installed: the versions of installed
-    packages are told elsewhere. Imports are looked for in the text, so that also those within a
-    function count. What is imported by a computed name is not found, nor are data files.
+    packages are recorded elsewhere. Imports are searched in the text, so that those within a
+    function count too. Imports by a computed name are not found, nor are data files.
 
     Args:
         file: The file that defines it.
         module: The dotted name of that file's module.
     """
-    found = _FileCollector()
+    collector = _FileCollector()
     try:
-        found.add(file, module)
+        collector.add(file, module)
     except OSError:  # gone, or not for us to read
         return None
-    return found.told()
+    return collector.user_code()
 
 
 class _FileCollector:
-    """Files, and the names that they have on any machine."""
+    """Collects files, and names for them that are equal on all machines."""
 
     def __init__(self) -> None:
         self._files: dict[Path, tuple[str, str]] = {}
         self._looked_for: set[str] = set()
         self._variables: set[str] = set()
 
-    def told(self) -> UserCode | None:
-        """What was found; ``None`` if there are too many files."""
+    def user_code(self) -> UserCode | None:
+        """Return the result; ``None`` if there are too many files."""
         if len(self._files) > _MAX_PACKAGE_FILES:
             return None
         state = hashlib.sha256()
@@ -257,7 +257,7 @@ class _FileCollector:
         return UserCode(state.hexdigest(), tuple(sorted(self._files)), frozenset(self._variables))
 
     def add(self, file: Path, module: str) -> None:
-        """A file with the rest of its package, and whatever they import.
+        """Add a file with the rest of its package, and all that they import.
 
         Raises:
             OSError: If one of them cannot be read.
@@ -267,8 +267,8 @@ class _FileCollector:
         files = [] if package is None else list(_python_files(package, _MAX_PACKAGE_FILES))
         if package is None or file not in files:
             self._read(file, file.parent)
-        for item in files:
-            self._read(item, (package or item).parent)
+        for path in files:
+            self._read(path, (package or path).parent)
 
     def _read(self, file: Path, base: Path) -> None:
         if file in self._files or len(self._files) > _MAX_PACKAGE_FILES:
@@ -290,7 +290,7 @@ class _FileCollector:
 
 
 def _imported(text: str) -> Iterator[str]:
-    """The first parts of the names that a file imports; those of its own package apart."""
+    """Yield the top-level names that a file imports by absolute imports."""
     for match in _IMPORT.finditer(text):
         for names in match.groups(""):
             for name in names.split(","):
@@ -300,15 +300,15 @@ def _imported(text: str) -> Iterator[str]:
 
 
 def _origins(top: str, beside: Path) -> Iterator[Path]:
-    """The files that define a top-level module; every file of a package without an own one."""
+    """Yield the files that define a top-level module; all files of a namespace package."""
     try:
         spec = importlib.util.find_spec(top)
     except (ImportError, ValueError, AttributeError):  # a module that was made by hand
         spec = None
     if spec is None:
         # Some ways to import tests leave their folder out of the path.
-        found = [beside / f"{top}.py", beside / top / "__init__.py"]
-        yield from (item for item in found if item.is_file())
+        candidates = [beside / f"{top}.py", beside / top / "__init__.py"]
+        yield from (candidate for candidate in candidates if candidate.is_file())
     elif spec.origin is not None and Path(spec.origin).is_file():
         yield Path(spec.origin).absolute()
     else:
@@ -317,27 +317,27 @@ def _origins(top: str, beside: Path) -> Iterator[Path]:
 
 
 _MAX_OWN_FILES = 5000
-"""Files of our own, all of which count."""
+"""Greatest number of pytest-dura's own files."""
 
 
 @cache
 def describe_tool() -> dict[str, Any]:
-    """Name, version, and the digest of all our own Python files as they are when first asked.
+    """Describe pytest-dura: name, version, and the digest of its files at the first call.
 
-    Development checkouts and installations that were changed have the version of a release; the
-    digest tells them apart. It takes some 15 ms, once a process.
+    Checkouts and changed installations have the version of a release and another digest. It takes
+    some 15 ms, once a process.
 
     Returns:
         ``name``, ``version``, ``code``: the SHA-256 of :func:`sources_of`, the same wherever it is
         installed, or ``None`` where the files cannot be read, as in a zip file.
     """
-    # Our own name is loaded in any case; to import it by statement would reach for all of us.
+    # The package is loaded already; an import by statement would look like a circle.
     package = import_module(_OURS)
     return {"name": "pytest-dura", "version": package.__version__, "code": _digest()}
 
 
 def tool_code() -> str:
-    """What tells our code from another, for addresses: its digest, else the version."""
+    """Identify the code of pytest-dura, for addresses: by its digest, else by its version."""
     tool = describe_tool()
     return tool["code"] or f"version {tool['version']}"
 
@@ -356,7 +356,7 @@ _PACKAGES = (
 
 
 def describe_environment(root: Path, evidence: Path) -> dict[str, Any]:
-    """Versions and platform, and the state of the git repository at ``root``, if it is one.
+    """Describe versions, platform, and the git repository at ``root``, if it is one.
 
     Args:
         root: The project's root.
@@ -374,25 +374,25 @@ def describe_environment(root: Path, evidence: Path) -> dict[str, Any]:
 
 
 def describe_arithmetic() -> dict[str, Any]:
-    """What the last bit of a sum depends on, and with it every digest.
+    """Describe what the last bit of a sum depends on, and with it every digest.
 
     ``cpu_features`` are the instruction sets that NumPy uses on this machine, ``blas`` is the
-    library that multiplies its matrices; ``None`` where NumPy does not tell.
+    library that multiplies its matrices; ``None`` where NumPy does not say.
     """
     import numpy as np
 
-    show_config: Any = np.show_config(mode="dicts")
-    simd = show_config.get("SIMD Extensions")
-    blas = show_config.get("Build Dependencies", {}).get("blas")
+    configuration: Any = np.show_config(mode="dicts")
+    simd = configuration.get("SIMD Extensions")
+    blas = configuration.get("Build Dependencies", {}).get("blas")
     features = None if simd is None else [*simd.get("baseline", []), *simd.get("found", [])]
-    strip = None if not blas else f"{blas.get('name', '')} {blas.get('version', '')}".strip()
-    return {"cpu_features": features, "blas": strip}
+    library = None if not blas else f"{blas.get('name', '')} {blas.get('version', '')}".strip()
+    return {"cpu_features": features, "blas": library}
 
 
 def describe_hypothesis() -> dict[str, Any] | None:
-    """The profile of Hypothesis that is loaded, and what of it says which cases were tried.
+    """Describe the loaded profile of Hypothesis as far as it determines the examples.
 
-    Tests may have settings of their own. ``None`` where nothing has imported Hypothesis.
+    Tests may have settings of their own. ``None`` if Hypothesis is not imported.
     """
     if "hypothesis" not in sys.modules:
         return None
@@ -408,30 +408,30 @@ def describe_hypothesis() -> dict[str, Any] | None:
 
 
 _NUMERIC = ("numpy", "scipy", "highway-env", "gymnasium")
-"""Packages whose versions are told one by one, since most episodes rest on them."""
+"""Packages whose versions are listed, since most episodes depend on them."""
 _TOOLS = ("pytest", "hypothesis", "allure", "execnet", "ruff", "mypy", "pip", "setuptools", "dask",
           "distributed")  # fmt: skip
-"""How the names of packages begin that run, distribute or check, and compute no episode."""
+"""Prefixes of packages that run, distribute or check, and do not affect episodes."""
 
 
 def describe_packages() -> dict[str, str]:
-    """The versions of what is installed here and may change an episode.
+    """Describe the versions of installed packages that may change an episode.
 
-    Components may rest on any package; the names of the metadata folders on the path say which are
-    there, in what versions, without reading them.
+    Components may depend on any package; the names of the metadata folders on the path give all
+    versions without reading them.
     """
-    found: set[str] = set()
+    folders: set[str] = set()
     for place in sys.path:
         try:
             names = [path.name for path in Path(place or ".").iterdir()]
         except OSError:  # no folder, or not for us to read
             continue
-        found.update(
+        folders.update(
             Path(name).stem for name in names if name.endswith((".dist-info", ".egg-info"))
         )
-    rest = sorted(name for name in found if not name.lower().startswith((*_TOOLS, "pytest_dura")))
-    told = {name: version for name in _NUMERIC if (version := _version(name))}
-    return {**told, "other packages": hashlib.sha256("\n".join(rest).encode()).hexdigest()}
+    rest = sorted(name for name in folders if not name.lower().startswith((*_TOOLS, "pytest_dura")))
+    versions = {name: version for name in _NUMERIC if (version := _version(name))}
+    return {**versions, "other packages": hashlib.sha256("\n".join(rest).encode()).hexdigest()}
 
 
 def describe_component(
@@ -441,9 +441,9 @@ def describe_component(
     file: Path | None = None,
     root: Path | None = None,
 ) -> dict[str, Any]:
-    """Import path, distribution and version, a digest of the sources, and that of each of them.
+    """Describe a component: import path, distribution, version, and digests of its sources.
 
-    See :func:`pytest_dura.provenance.sources_of` for what belongs to a component.
+    See :func:`sources_of` for what belongs to a component.
 
     Args:
         path: The component's import path.
@@ -482,17 +482,17 @@ def _defining_file(factory: Callable[..., Any]) -> Path | None:
 
 
 def _packages() -> list[str]:
-    """What may change results, and whatever else our own distribution requires."""
+    """List packages that may change results, and all that pytest-dura requires."""
     try:
         required = metadata.requires(_DISTRIBUTION) or []
     except metadata.PackageNotFoundError:  # run from its sources
         required = []
-    found = {name.lower(): name for name in _PACKAGES}
-    for item in required:
-        name = re.split(r"[^A-Za-z0-9._-]", item, maxsplit=1)[0]
-        if "extra ==" not in item:
-            found.setdefault(name.lower(), name)
-    return list(found.values())
+    names = {name.lower(): name for name in _PACKAGES}
+    for requirement in required:
+        name = re.split(r"[^A-Za-z0-9._-]", requirement, maxsplit=1)[0]
+        if "extra ==" not in requirement:
+            names.setdefault(name.lower(), name)
+    return list(names.values())
 
 
 def _version(distribution: str) -> str | None:
@@ -503,12 +503,12 @@ def _version(distribution: str) -> str | None:
 
 
 def _distribution_of(top: str, file: Path | None) -> str | None:
-    """The distribution that a top-level module belongs to, if it is installed from one."""
+    """Find the distribution that a top-level module is installed from."""
     within = file is not None and is_installed(file)
     try:
         likely = metadata.distribution(top.replace("_", "-"))
     except (metadata.PackageNotFoundError, ValueError):
-        # All distributions are looked through only where one of them has the file.
+        # Slow: all distributions are read, so only if one of them has the file.
         return _owners().get(top, [None])[0] if within else None
     # A module of the user's own may be called like a distribution that has nothing to do with it.
     editable = likely.read_text("direct_url.json") is not None
@@ -522,7 +522,7 @@ def _owners() -> Mapping[str, list[str]]:
 
 
 def _git(root: Path, evidence: Path) -> dict[str, Any]:
-    """Commit and whether files differ from it; both ``None`` outside a repository."""
+    """Describe the commit and whether files differ from it; ``None`` outside a repository."""
     commit = _ask_git(root, "rev-parse", "HEAD")
     if commit is None:
         return {"commit": None, "dirty": None}
@@ -535,9 +535,9 @@ def _git(root: Path, evidence: Path) -> dict[str, Any]:
 
 def _ask_git(root: Path, *command: str) -> str | None:
     try:
-        found = subprocess.run(
+        completed = subprocess.run(
             ["git", *command], cwd=root, capture_output=True, text=True, timeout=10, check=False
         )
     except (OSError, subprocess.TimeoutExpired):  # no git here
         return None
-    return found.stdout.strip() if found.returncode == 0 else None
+    return completed.stdout.strip() if completed.returncode == 0 else None

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 from pytest_dura.campaign.campaign import Campaign
-from pytest_dura.campaign.causal_chains import CausalChain
-from pytest_dura.campaign.fault_tracing import FaultTracer
-from pytest_dura.campaign.runner import EpisodeRunner
+from pytest_dura.campaign.fault_tracing import CausalChain, FaultTracer
+from pytest_dura.campaign.runner import EpisodeRunner, ignore_event
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case, SearchedCase
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
 from pytest_dura.search.counterexamples import CounterexampleStore
 from pytest_dura.search.falsify import falsify_campaign
 
@@ -23,19 +23,22 @@ class Runner(EpisodeRunner):
     """Runs cases by name, makes campaigns of them, and searches them.
 
     Args:
-        keep: Keeps a counterexample that a search confirmed; ``None`` keeps it nowhere. All other
-            arguments are those of :class:`EpisodeRunner`.
+        on_chains: Called with the causal chain of each fault of an episode that a verdict rests on.
+        counterexamples: Stores the counterexamples that searches confirm; ``None`` stores none.
+            All other arguments are those of :class:`EpisodeRunner`.
     """
 
-    keep: CounterexampleStore | None = None
+    on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = ignore_event
+    counterexamples: CounterexampleStore | None = None
+    keep = renamed("keep", "counterexamples")
     _tracer: FaultTracer = field(init=False)
 
     def __post_init__(self) -> None:
         """Trace faults with this runner."""
-        self._tracer = FaultTracer(self)
+        self._tracer = FaultTracer(self, self.on_chains)
 
     def follow(self, case: Case, runs: Sequence[int]) -> None:
-        """Report what came of each fault of episodes that were run before, unless reported.
+        """Report the causal chains of episodes that were run before, each once.
 
         Args:
             case: The case.
@@ -72,23 +75,23 @@ class Runner(EpisodeRunner):
         Raises:
             ConfigurationError: For an unknown name, and a case that a search chose.
         """
-        found = self.case(case) if isinstance(case, str) else case
-        if isinstance(found, SearchedCase):
+        chosen = self.case(case) if isinstance(case, str) else case
+        if isinstance(chosen, SearchedCase):
             raise ConfigurationError(
-                f"the case {found.id!r} was chosen by a search, and no rate can be made of it",
-                found=found.id,
+                f"the case {chosen.id!r} was chosen by a search, and no rate can be made of it",
+                found=chosen.id,
                 expected="a case of a scenario",
                 remedy="run it as such, orchestrator.episode(case), or keep it as a scenario file",
             )
-        planned = self.runs or runs or found.scenario.planned
+        planned = self.runs or runs or chosen.scenario.planned
         if until_decided is None:
-            until_decided = found.scenario.until_decided and runs is None
+            until_decided = chosen.scenario.until_decided and runs is None
         return Campaign(
             self,
-            found,
+            chosen,
             planned,
             requirement,
             until_decided,
             tracer=self._tracer,
-            search=partial(falsify_campaign, keep=self.keep),
+            search=partial(falsify_campaign, store=self.counterexamples),
         )

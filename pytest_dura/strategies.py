@@ -1,21 +1,21 @@
 """Hypothesis strategies for cases: what a scenario varies, and faults of the catalogue.
 
-``@given(case=strategies.cases("intersection/congested"))`` with the session-scoped fixture
-``run_episode`` is all that a property test needs. Names are looked up when values are first drawn,
-among the scenarios of the pytest session, else among the built-in ones.
+A property test needs ``@given(case=strategies.cases("intersection/congested"))`` and the
+session-scoped fixture ``run_episode``. Names are looked up when values are first drawn, among the
+scenarios of the pytest session, else among the built-in ones.
 
-**How examples shrink.** Hypothesis takes of two sequences of choices the shorter one, and of two
-that are as long the one that comes first, choice by choice. What is drawn here for a case are whole
-numbers and truth values whose simplest value is 0, always equally many for the same case: what has
-no meaning, such as the parameters of a fault that is not there, is drawn from 0 to 0. So no choice
-moves another one, and the order of the choices is the order of simplicity:
+**How examples shrink.** Hypothesis prefers the shorter of two sequences of choices, and of two that
+are as long the first in the order of choices. For a case, whole numbers whose simplest value is 0
+are drawn, always equally many for the same scenario: a number without a meaning, such as a
+parameter of a fault that is not there, is drawn from 0 to 0. So no choice moves another one, and
+the order of the choices is the order of simplicity:
 
 1. which faults there are: fewer; then which parts of the case are left out, its own faults and
    entries of its world such as vehicles: more; and which types the faults are of: earlier ones;
 2. when each fault begins: later; how long it lasts: shorter;
 3. the magnitudes of the faults: nearer to where they change nothing, on a coarse grid;
 4. what the scenario varies: nearer to the scenario's own value, on a coarse grid;
-5. all of these numbers again: fewer digits (see :mod:`pytest_dura.campaign.search.drawing.scales`);
+5. all of these numbers again: fewer digits (see :class:`pytest_dura.search.drawing.NumberScale`);
 6. the seed of the episode.
 
 Importing this module loads the profile ``dura``; see :func:`load_profile`.
@@ -54,7 +54,7 @@ def cases(
     at_most: int = 1,
     leave_out: bool = True,
 ) -> st.SearchStrategy[SearchedCase]:
-    """Cases in which everything is fixed, a seed for the episode included.
+    """Draw cases in which everything is fixed, a seed for the episode included.
 
     Args:
         name: A scenario, a case such as ``intersection/nominal+ghost-obstacle``, or a glob.
@@ -69,20 +69,19 @@ def cases(
             nothing can differ.
     """
 
-    def made(library: Library) -> list[CaseDrawing]:
+    def drawings(library: Library) -> list[CaseDrawing]:
         from pytest_dura.search.drawing import CaseDrawing
 
-        named = _named(library, name)
-        entries = _entries(faults)
         return [
-            CaseDrawing.of(item, entries, at_most=at_most, leave_out=leave_out) for item in named
+            CaseDrawing.of(case, _entries(faults), at_most=at_most, leave_out=leave_out)
+            for case in _named(library, name)
         ]
 
-    return _drawn_case(_at_hand(made))
+    return _drawn_case(_once_per_library(drawings))
 
 
 def scenarios(name: str = "*", *, leave_out: bool = True) -> st.SearchStrategy[Scenario]:
-    """Scenarios in which nothing varies any more, each with a seed; no faults are added.
+    """Draw scenarios without variation, each with a seed; no faults are added.
 
     Args:
         name: A scenario or a glob.
@@ -95,18 +94,18 @@ def scenarios(name: str = "*", *, leave_out: bool = True) -> st.SearchStrategy[S
 
 
 def faults(*types: FaultCampaign, scenario: str) -> st.SearchStrategy[dict[str, Any]]:
-    """Faults as plain data, such as stand in a scenario file.
+    """Draw faults as plain data, as in a scenario file.
 
     Args:
         types: Names and globs of the catalogue, and faults as data; by default all of the
             catalogue that fit.
-        scenario: Whose domain and duration they belong to.
+        scenario: Gives the domain and the duration.
 
     Raises:
         ConfigurationError: When a value is drawn, for a name that is not known.
     """
-    several = fault_campaigns(scenario, types or ("catalogue",), at_least=1, at_most=1)
-    return several.map(lambda found: found[0])
+    campaigns = fault_campaigns(scenario, types or ("catalogue",), at_least=1, at_most=1)
+    return campaigns.map(lambda campaign: campaign[0])
 
 
 def fault_campaigns(
@@ -116,30 +115,30 @@ def fault_campaigns(
     at_least: int = 0,
     at_most: int = 2,
 ) -> st.SearchStrategy[list[dict[str, Any]]]:
-    """Faults that act together, each as plain data.
+    """Draw faults that act together, each as plain data.
 
     Args:
-        scenario: Whose domain and duration they belong to.
+        scenario: Gives the domain and the duration.
         types: Which faults; see :func:`faults`.
-        at_least: Fewest faults.
-        at_most: Most faults.
+        at_least: Least number of faults.
+        at_most: Greatest number of faults.
 
     Raises:
         ConfigurationError: When a value is drawn, for a name that is not known.
     """
 
-    def made(library: Library) -> list[CaseDrawing]:
+    def drawings(library: Library) -> list[CaseDrawing]:
         from pytest_dura.search.drawing import CaseDrawing
 
         case = _named(library, scenario)[0].without_faults()
         numbers = {"at_least": at_least, "at_most": at_most}
         return [CaseDrawing.of(case, _entries(types), **numbers, leave_out=False)]
 
-    return _drawn_case(_at_hand(made)).map(_planned)
+    return _drawn_case(_once_per_library(drawings)).map(_planned)
 
 
 def _planned(case: SearchedCase) -> list[dict[str, Any]]:
-    """The case's faults as a scenario file may have them, each with its id."""
+    """Return the case's faults as in a scenario file, each with its id."""
     from pytest_dura.faults.catalogue import BY_CHANCE
 
     return [{key: fault[key] for key in fault if key != BY_CHANCE} for fault in case.faults]
@@ -147,33 +146,34 @@ def _planned(case: SearchedCase) -> list[dict[str, Any]]:
 
 @st.composite
 def _drawn_case(draw: st.DrawFn, drawings: Callable[[], list[CaseDrawing]]) -> SearchedCase:
-    """A case of one of these drawings; choices that contradict each other are made anew."""
-    known = drawings()
+    """Draw a case from one of the drawings; contradictory values are rejected."""
 
     def pick(count: int) -> int:
         return draw(st.integers(0, count - 1))
 
-    library = known[pick(len(known))]
+    choices = drawings()
+    drawing = choices[pick(len(choices))]
     try:
-        return library.draw(pick)
+        return drawing.draw(pick)
     except ConfigurationError as error:
         event(f"values that contradict each other: {error.problem}")
         reject()
 
 
-def _at_hand(made: Callable[[Library], T]) -> Callable[[], T]:
-    """What is made of the library that is at hand, once for each."""
-    known: list[tuple[Library, T]] = []
+def _once_per_library(function: Callable[[Library], T]) -> Callable[[], T]:
+    """Call the function with the library in use, again only once that is another one."""
+    last: tuple[Library, T] | None = None
 
-    def get() -> T:
+    def result() -> T:
         from pytest_dura.library.loading import current_library
 
+        nonlocal last
         library = current_library()
-        if not known or known[0][0] is not library:
-            known[:] = [(library, made(library))]
-        return known[0][1]
+        if last is None or last[0] is not library:
+            last = library, function(library)
+        return last[1]
 
-    return get
+    return result
 
 
 def _named(library: Library, name: str) -> list[Case]:
@@ -187,15 +187,15 @@ def _entries(faults: FaultCampaign | Sequence[FaultCampaign]) -> Sequence[FaultC
 
 
 def load_profile() -> None:
-    """Register the Hypothesis profile ``dura``, and load it in the place of Hypothesis' own.
+    """Register the Hypothesis profile ``dura``, and load it in place of Hypothesis' own.
 
-    It is derived from the profile that is loaded, ``default`` or ``ci``: no deadline, since an
-    episode takes as long as it takes; no ``explain`` phase, which traces every line of a simulation
-    and runs further ones; the blob that repeats a failure is printed; and drawing may be slow, as
-    the first draw reads the scenarios. All else stays, such as the ``derandomize`` of ``ci``.
+    It is derived from the loaded profile, ``default`` or ``ci``: no deadline, since an episode may
+    take long; no ``explain`` phase, which traces every line of a simulation and runs more of them;
+    the blob that repeats a failure is printed; and drawing may be slow, as the first draw reads the
+    scenarios. Other settings stay, such as the ``derandomize`` of ``ci``.
 
-    A profile of one's own stays loaded, as do settings within which this module is imported. One
-    can be derived from ``settings.get_profile("dura")``.
+    A profile of the user's own stays loaded, as do settings within which this module is imported.
+    Such a profile can be derived from ``settings.get_profile("dura")``.
     """
     name = settings.get_current_profile_name()
     own = settings.get_profile(name)
@@ -203,7 +203,7 @@ def load_profile() -> None:
         return
     try:
         settings.get_profile(PROFILE)
-    except InvalidArgument:  # nobody has registered one of this name
+    except InvalidArgument:  # no profile of this name is registered
         derived = settings(
             own,
             deadline=None,

@@ -1,1 +1,1 @@
-"""Adapters: other people's simulators as ours. Each imports its library at first use."""
+"""Adapters: simulators of other libraries. Each imports its library at first use."""

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 def _to_action(space: gymnasium.Space[Any], action: Any) -> Any:
-    """The action as an element of the space.
+    """Return the action as an element of the space.
 
     Raises:
-        ActionError: If it is none, with what is expected.
+        ActionError: If it is not one, with the expected form.
     """
     from gymnasium.spaces import Box, Discrete
 
@@ -42,9 +42,10 @@ def _to_action(space: gymnasium.Space[Any], action: Any) -> Any:
 
 
 def _default_action(space: gymnasium.Space[Any]) -> Any:
-    """The first choice of a discrete space, the zero of a box (or what is nearest to it).
+    """Return the first choice of a discrete space, or the point of a box next to zero.
 
-    ``None``, which is no action, for any other space.
+    Returns:
+        ``None``, which is no action, for any other space.
     """
     from gymnasium.spaces import Box, Discrete
 
@@ -56,7 +57,7 @@ def _default_action(space: gymnasium.Space[Any]) -> Any:
 
 
 def _action_text(action: Any) -> str:
-    """The action's numbers, the same text in every process."""
+    """Format the action's numbers, the same text in every process."""
     if isinstance(action, np.ndarray):
         return "[" + ", ".join(f"{value:.6g}" for value in action.ravel().tolist()) + "]"
     return str(action)
@@ -103,7 +104,7 @@ _TERMINATED = "the environment has terminated"
 
 
 class GymnasiumSimulator(Simulator):
-    """Wraps a Gymnasium environment; says what is ground truth and what the sensors report.
+    """Simulates by a Gymnasium environment; callables give ground truth and sensor channels.
 
     Every callable may be given as an import path ``package.module:name``, so that a RoleSpec
     holds plain data. ``scenario["world"]`` goes to the environment's ``reset`` as ``options``. The
@@ -116,14 +117,14 @@ class GymnasiumSimulator(Simulator):
         signals: ``(observation, info, reward)`` to the ground-truth signals: the same names at
             every tick, finite numbers.
         sensors: ``(observation, info)`` to the sensor channels. Arrays, lists and dictionaries
-            in them are handed out as read-only copies.
+            in them become read-only copies.
         goal: ``(observation, info, reward)`` to whether the task is done; never by default.
         critical: ``(observation, info, reward)`` to why the episode cannot go on, or ``None``. An
             environment that terminates without having reached the goal is critical anyway.
         scene: ``(ticks, percepts)`` to the scene that the report's player shows; none by default.
             ``tick.truth`` has the signals, a percept the sensor channels.
-        fallback: The action when nobody commands; by default the first of a discrete space, the
-            zero of a box.
+        fallback: The action where no role proposes a valid one; by default the first of a discrete
+            space, the point of a box next to zero.
         time_step_attribute: Attribute of the unwrapped environment that holds its time step
             (``tau`` of CartPole). Without it no other time step can be chosen.
 
@@ -171,10 +172,10 @@ class GymnasiumSimulator(Simulator):
         return self._env
 
     def set_time_step(self, seconds: float) -> None:
-        """Choose the time step, where the environment lets it be chosen.
+        """Set the time step, if ``time_step_attribute`` allows another one.
 
         Raises:
-            ConfigurationError: If it does not, or for what is not a positive number.
+            ConfigurationError: If it does not, and for a number that is not positive.
         """
         if self._fixed_step is not None and 0.0 < seconds != self._fixed_step:
             raise ConfigurationError(
@@ -190,11 +191,13 @@ class GymnasiumSimulator(Simulator):
         """Reset the environment with this seed and ``scenario["world"]`` as its options."""
         if self._time_step_attribute is not None:
             self._set_attribute(self._time_step_attribute)
-        self.fallback_action()  # refuses a wrong one before anything has moved
+        self.fallback_action()  # refuses an invalid one before the first step
         self._index = 0
         options = dict(scenario.get("world") or {})
         observation, info = self.env.reset(seed=seed, options=options or None)
-        own = getattr(self.env.unwrapped, "_np_random", None)  # its property would make one
+        own = getattr(
+            self.env.unwrapped, "_np_random", None
+        )  # its property would create a generator
         if own is not None:
             from gymnasium.utils.seeding import np_random
 
@@ -202,7 +205,7 @@ class GymnasiumSimulator(Simulator):
         return self._tick(observation, info, 0.0, terminated=False, truncated=False)
 
     def step(self, action: Any) -> Tick:
-        """One step of the environment."""
+        """Step the environment."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._index += 1
         return self._tick(
@@ -210,62 +213,62 @@ class GymnasiumSimulator(Simulator):
         )
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
-        """What the ``signals`` callable said at each tick."""
+        """Return the ground-truth signals at each tick."""
         return {
             name: np.array([tick.truth[name] for tick in ticks], dtype=np.float64)
             for name in ticks[0].truth
         }
 
     def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
-        """Every channel that is a plain number, by its name; NaN where a fault took it away."""
+        """Return the channels that are plain numbers; NaN where a fault removed the value."""
         names = [name for name in percepts[0] if isinstance(percepts[0][name], Real)]
         return {
             name: np.array([_number(percept.get(name)) for percept in percepts]) for name in names
         }
 
     def scene(self, ticks: Sequence[Tick], percepts: Sequence[Percept]) -> Scene | None:
-        """What the ``scene`` callable makes of them."""
+        """Return the result of the ``scene`` callable."""
         return None if self._scene is None else self._scene(ticks, percepts)
 
     def check_action(self, action: Any) -> Any:
-        """An element of the action space; arrays come back as read-only copies.
+        """Return the action as an element of the action space; arrays become read-only copies.
 
         Raises:
-            ActionError: For anything else, with what is expected.
+            ActionError: If it is not one, with the expected form.
         """
         return _to_action(self.env.action_space, action)
 
     def fallback_action(self) -> Any:
-        """The configured fallback.
+        """Return the configured fallback, or the default one.
 
         Raises:
-            ConfigurationError: If it is none of the environment's actions.
+            ConfigurationError: If the environment does not accept it.
         """
         space = self.env.action_space
-        wanted = _default_action(space) if self._fallback is None else self._fallback
+        fallback = _default_action(space) if self._fallback is None else self._fallback
         try:
-            return _to_action(space, wanted)
+            return _to_action(space, fallback)
         except ActionError as error:
             raise ConfigurationError(
                 f"{self._env_name} cannot fall back to that: {error}",
                 key="fallback",
-                found=wanted,
+                found=fallback,
                 expected=f"an element of {space}",
                 remedy="configure a fallback action",
             ) from None
 
     def describe_action(self, action: Any) -> str:
-        """The action's numbers."""
+        """Format the action's numbers."""
         return _action_text(action)
 
     def render(self) -> NDArray[np.uint8]:
-        """What the environment renders, if its render mode is ``rgb_array``."""
+        """Render the environment, if its render mode is ``rgb_array``."""
         if self.env.render_mode != "rgb_array":
             raise NotImplementedError("pass params={'render_mode': 'rgb_array'} to render")
         return np.asarray(self.env.render(), dtype=np.uint8)
 
     def snapshot(self) -> object:
-        """A deep copy of the environment, without what pygame drew on."""
+        """Copy the environment deeply, without the objects of pygame."""
         return _copy_of(self.env), self._index
 
     def restore(self, snapshot: object) -> None:
@@ -310,18 +313,18 @@ class GymnasiumSimulator(Simulator):
 
 
 def read_only(value: Any) -> Any:
-    """A copy of plain data and arrays that nobody can write to; other values as they are."""
+    """Copy plain data and arrays to read-only ones; return other values as they are."""
     if isinstance(value, np.ndarray):
         return sealed(value)
     if isinstance(value, Mapping):
-        return MappingProxyType({key: read_only(item) for key, item in value.items()})
+        return MappingProxyType({key: read_only(inner) for key, inner in value.items()})
     if type(value) in (list, tuple):
-        return tuple(read_only(item) for item in value)
+        return tuple(map(read_only, value))
     return value
 
 
 def _copy_of(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:
-    # Clocks and windows cannot be copied. Environments make them anew where there are none.
+    # Clocks and windows cannot be copied; environments create missing ones.
     memo: dict[int, Any] = {
         id(part): None
         for part in vars(env.unwrapped).values()

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pytest_dura.campaign.falsification import BUDGET, SHRINK_BUDGET, Falsifier
 from pytest_dura.campaign.pairs import PairedCampaign
-from pytest_dura.campaign.reasons import ComponentFailures
+from pytest_dura.campaign.reporting import ComponentFailures
 from pytest_dura.campaign.runs import CampaignRuns
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
+from pytest_dura.requirements.episode_verdicts import judge_episode
 from pytest_dura.requirements.model import Method, Requirement
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import (
-    judge_episode,
-)
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.falsification import Falsification
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
 
 
 ObjectiveLike: TypeAlias = "str | Requirement | Check"
-"""What a search tries to violate: id of a requirement, a requirement, or a check."""
+"""Objective of a search: id of a requirement, a requirement, or a check."""
 
 
 @dataclass(repr=False)
@@ -32,7 +30,7 @@ class Campaign(CampaignRuns):
     """All episodes of a case that a verdict rests on.
 
     Args:
-        runner: What runs the episodes.
+        runner: Runs the episodes.
         case: The case.
         planned: Episodes that are planned, or may be run at most.
         requirement: What :meth:`require` decides.
@@ -57,7 +55,7 @@ class Campaign(CampaignRuns):
         judge, situations = self.judge_of(requirement, check), self.situations()
         self.failures = ComponentFailures()
         faulty = []
-        for episode in self.enough_for(judge):
+        for episode in self.in_order([self.case], judge):
             verdict = judge_episode(requirement, episode, check)
             judge.add(self.with_crash(verdict, episode, check or requirement.check))
             situations.add(episode)
@@ -65,7 +63,7 @@ class Campaign(CampaignRuns):
             self.failures.add(episode)
             if episode.faults:
                 faulty.append(episode.spec.run)
-        # Once all have run: twins come between no two episodes of a component that remembers them.
+        # Once all have run, so that a component that remembers episodes meets no twin between them.
         self.follow(faulty)
         return judge.verdict()
 
@@ -82,8 +80,8 @@ class Campaign(CampaignRuns):
         """Search this campaign's case for violations; what comes of it enters no rate.
 
         What the scenario declares under ``variation`` is searched, and faults that may be added,
-        both in one space. A violation that is found is replayed, made simpler, and kept as a
-        scenario file, where the session has a place for it.
+        both in one space. A violation that is found is replayed, made simpler, and stored as
+        a scenario file, if the session has a place for it.
 
         Args:
             requirement: Id of a requirement, a formula, a function of the episode or its import
@@ -96,10 +94,10 @@ class Campaign(CampaignRuns):
             seed: From which its draws follow; by default from the session's seed and the case.
 
         Returns:
-            What came of it, if nothing was found.
+            The search, if no violation was found.
 
         Raises:
-            Falsified: If a violation was found, or too many simulations said nothing.
+            Falsified: If a violation was found, or too many simulations were inconclusive.
             ConfigurationError: For what cannot be judged or searched.
         """
         __tracebackhide__ = True
@@ -166,11 +164,13 @@ class Campaign(CampaignRuns):
             given |= {"check": check_name(check)}
         try:
             own = self._own_requirement() if check is None else self.requirement
-            requirement = self.asked(own or Requirement(id=check_name(check or "")), given)
+            requirement = self.requirement_of_call(
+                own or Requirement(id=check_name(check or "")), given
+            )
             verdict = self.judge(requirement, check)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
-        return self.decided(verdict, requirement)
+        return self.report_verdict(verdict, requirement)
 
     def _own_requirement(self) -> Requirement:
         own = self.requirement

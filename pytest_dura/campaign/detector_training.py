@@ -27,8 +27,7 @@ from pytest_dura.core.anomaly_monitor import (
     average_depth,
     rounded_numbers,
 )
-from pytest_dura.core.error_messages import did_you_mean
-from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Role
@@ -44,7 +43,7 @@ ROWS_PER_TREE = 256
 """As the paper on isolation forests suggests; more rows hide anomalies behind each other."""
 _WINDOWS = {"isolation_forest": 1.0, "one_class_svm": 0.0}
 """s over which scores are averaged, by kind. A forest scores whatever is beyond all that it has
-seen like its strangest normal row, however far beyond: what lasts tells the two apart."""
+seen like its strangest normal row, however far beyond: an anomaly lasts longer."""
 BORDER = 0.001
 """Nu of the one-class SVM: the share of rows that may lie beyond the border it learns."""
 _SVM_ROWS = 20_000
@@ -56,7 +55,7 @@ _PACKAGES = ("scikit-learn", "numpy")
 
 @dataclass(frozen=True)
 class Training:
-    """What a detector is trained on.
+    """Episodes that a detector is trained on.
 
     Args:
         scenarios: Globs of scenario names; their faults are left out.
@@ -142,10 +141,10 @@ def train(detector: str, training: Training) -> AnomalyModel:
     plain = (monitor.kind, source.names, tuple(centre), tuple(scale), parameters)
     unset = AnomalyModel(*plain, threshold=1.0, window=1, time_step=time_step)
     window = max(1, round(_WINDOWS[monitor.kind] / time_step))
-    scores = np.concatenate([_averaged(unset.scores(item), window) for item in others])
+    scores = np.concatenate([_averaged(unset.scores(ticks), window) for ticks in others])
     hours = sum(map(len, others)) * time_step / 3600.0
     threshold = _threshold(scores, hours, training.false_alarms)
-    told = {
+    record = {
         "tool": f"pytest-dura {describe_tool()['version']}",
         "packages": {name: version(name) for name in _PACKAGES},
         "scenarios": sorted({tape.scenario for tape in tapes}),
@@ -161,7 +160,7 @@ def train(detector: str, training: Training) -> AnomalyModel:
         "false_alarms_per_hour": training.false_alarms,
         "data": _digest(rows, *others),
     }
-    return AnomalyModel(*plain, threshold, window, time_step, told)
+    return AnomalyModel(*plain, threshold, window, time_step, record)
 
 
 def detector_class(name: str) -> type[AnomalyMonitor]:
@@ -173,7 +172,7 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
     short: dict[str, str] = {}
     for domain in DOMAINS.values():
         for known in domain.short_names.values():
-            short |= {item: path for item, path in known.items() if item in KINDS}
+            short |= {kind: path for kind, path in known.items() if kind in KINDS}
     if ":" not in name and name not in short:
         raise ConfigurationError(
             f"there is no learned detector {name!r}",
@@ -182,8 +181,10 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
             expected=", ".join(sorted(short)) + ", or an import path package.module:Class",
             remedy=did_you_mean(name, short),
         )
-    found = RoleSpec(short.get(name, name)).resolve()
-    if not (inspect.isclass(found) and issubclass(found, AnomalyMonitor) and found.kind in FITS):
+    detector = RoleSpec(short.get(name, name)).resolve()
+    if not (
+        inspect.isclass(detector) and issubclass(detector, AnomalyMonitor) and detector.kind in FITS
+    ):
         raise ConfigurationError(
             f"{name} is no learned detector",
             key="--detector",
@@ -192,12 +193,12 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
             + ", ".join(FITS),
             remedy=f"for example {min(short)}",
         )
-    return found
+    return detector
 
 
 @dataclass(frozen=True)
 class _Tape:
-    """What was observed in an episode."""
+    """Observations of an episode."""
 
     scenario: str
     name: str

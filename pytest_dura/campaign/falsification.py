@@ -1,4 +1,4 @@
-"""Falsification: what a search may use, and what it came to, as plain data."""
+"""Falsification: limits and results of a search for violations, as plain data."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.errors import ConfigurationError
 
 BUDGET = 200
@@ -14,7 +15,7 @@ SHRINK_BUDGET = 150
 
 @dataclass(frozen=True)
 class Limits:
-    """What a search may use.
+    """Limits of a search.
 
     Args:
         budget: Simulations of the search.
@@ -30,7 +31,7 @@ class Limits:
     baselines: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense.
+        """Refuse limits that make no sense.
 
         Raises:
             ConfigurationError: For a budget that is no whole number, or too small.
@@ -52,7 +53,7 @@ SearchStatus = Literal["falsified", "not repeatable", "undecided", "nothing foun
 
 @dataclass(frozen=True, slots=True)
 class ReplayCount:
-    """What came of replaying a violation.
+    """Result of replaying a violation.
 
     Args:
         runs: Replays.
@@ -106,7 +107,7 @@ class Shrinking:
 
 @dataclass(frozen=True, slots=True)
 class FoundCounterexample:
-    """A violation that a search found, and what confirms it.
+    """A violation that a search found, with its replays.
 
     Args:
         case: Id of the searched case.
@@ -139,14 +140,14 @@ class FoundCounterexample:
 
 @dataclass(frozen=True, slots=True)
 class SearchOutcome:
-    """What a search came to for one requirement.
+    """Result of a search for one requirement.
 
     Args:
         requirement: Its id.
         check: Its formula or function.
-        word: ``falsified`` for a violation that was confirmed, ``not repeatable`` for one whose
-            replays differ, ``undecided`` where more than a fifth of the simulations said nothing,
-            ``nothing found`` otherwise: never that it holds.
+        status: ``falsified`` for a violation that was confirmed, ``not repeatable`` for one whose
+            replays differ, ``undecided`` where more than a fifth of the simulations are
+            inconclusive, ``nothing found`` otherwise: never that it holds.
         simulations: Up to the first violation; all of them where there was none.
         searcher: Who proposed the violation; ``None`` for none.
         best: Least robustness of all simulations; ``None`` where none was measured.
@@ -155,16 +156,18 @@ class SearchOutcome:
 
     requirement: str
     check: str
-    word: SearchStatus
+    status: SearchStatus
     simulations: int
     searcher: str | None
     best: float | None
     counterexample: FoundCounterexample | None = None
 
+    word = renamed("word", "status")
+
 
 @dataclass(frozen=True, slots=True)
 class SearcherReport:
-    """What one searcher, or one baseline, did.
+    """Simulations of one searcher, or of one baseline.
 
     Args:
         name: Its name.
@@ -197,7 +200,7 @@ class SpaceCoverage:
 
 @dataclass(frozen=True)
 class Falsification:
-    """What a search for violations of some requirements on a case came to.
+    """Result of a search for violations of some requirements on a case.
 
     Its episodes were chosen where violations were expected: it holds no rate, and none can be made
     of it.
@@ -209,9 +212,9 @@ class Falsification:
         budget: Simulations that it was allowed.
         simulations: Those that it took.
         refused: Points whose values contradict each other; none of them was simulated.
-        unknown: Simulations that said nothing of some requirement.
-        idle: Simulations in which an added fault never came to act; they say what the case does
-            without it.
+        unknown: Simulations that were inconclusive on some requirement.
+        not_manifested: Simulations in which an added fault never came to act; they say what the
+            case does without it.
         rule: How the budget is shared over the searchers.
         parameters: What it could change: ``{path, low, high}``, ``{path, choice}`` or
             ``{path, faults}`` by name.
@@ -229,7 +232,7 @@ class Falsification:
     simulations: int
     refused: int
     unknown: int
-    idle: int
+    not_manifested: int
     rule: str
     parameters: tuple[Data, ...]
     searchers: tuple[SearcherReport, ...]
@@ -237,14 +240,26 @@ class Falsification:
     coverage: SpaceCoverage
     outcomes: tuple[SearchOutcome, ...]
 
+    idle = renamed("idle", "not_manifested")
+    found = renamed("found", "violations")
+
     @property
-    def found(self) -> tuple[SearchOutcome, ...]:
+    def violations(self) -> tuple[SearchOutcome, ...]:
         """The outcomes with a violation, confirmed or not."""
         return tuple(outcome for outcome in self.outcomes if outcome.counterexample is not None)
 
     def to_json(self) -> Data:
-        """Plain data."""
-        return asdict(self)
+        """Plain data, with ``idle`` for ``not_manifested`` and ``word`` for an outcome's status."""
+        data = _with_old_key(asdict(self), "not_manifested", "idle")
+        data["outcomes"] = tuple(
+            _with_old_key(outcome, "status", "word") for outcome in data["outcomes"]
+        )
+        return data
+
+
+def _with_old_key(data: Data, name: str, key: str) -> Data:
+    """The data with a field under the key that the record has for it, in its place."""
+    return {key if field == name else field: value for field, value in data.items()}
 
 
 Falsifier = Callable[..., Falsification]

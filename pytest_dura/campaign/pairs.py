@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.campaign.reasons import ComponentFailures
+from pytest_dura.campaign.reporting import ComponentFailures
 from pytest_dura.campaign.runs import CampaignRuns, finite_number
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
 from pytest_dura.requirements.monitoring.quality import (
     MonitorQuality,
@@ -29,8 +31,6 @@ from pytest_dura.requirements.pairs import (
     measured,
     pair_verdict,
 )
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 if TYPE_CHECKING:
     from pytest_dura.execution.task import EpisodeTask
@@ -47,35 +47,37 @@ def _monitor_qualities(
         requirements: Of any kind; those on safety that a single episode can violate are used.
 
     Returns:
-        Nothing if something was done on a monitor's word in any of the episodes (under ``halt`` and
+        Nothing if an alarm changed an action in any of the episodes (under ``halt`` and
         ``refine``): a violation that was averted would make its true alarm a false one. Nor if
-        one ended once all was decided: its false alarms were still to come.
+        an episode ended once all was decided: its false alarms were still to come.
     """
-    seen = []
+    timelines = []
     for episode in episodes():
         if episode.termination == "decided":
             return []
-        seen.append(monitor_timeline(episode))
-    if any(item.intervention is not None for item in seen):
+        timelines.append(monitor_timeline(episode))
+    if any(timeline.intervention is not None for timeline in timelines):
         return []
-    monitors = sorted({name for item in seen for name in item.alarms})
-    asked = [
+    monitors = sorted({name for timeline in timelines for name in timeline.alarms})
+    judged = [
         requirement
         for requirement in requirements
         if requirement.kind == "safety" and not requirement.paired and requirement.check
     ]
-    verdicts: list[list[EpisodeVerdict]] = [[] for _ in asked]
-    for episode in episodes() if asked and monitors else ():
-        for verdict, requirement in zip(verdicts, asked, strict=True):
+    verdicts: list[list[EpisodeVerdict]] = [[] for _ in judged]
+    for episode in episodes() if judged and monitors else ():
+        for verdict, requirement in zip(verdicts, judged, strict=True):
             verdict.append(judge_episode(requirement, episode))
-    found = [
-        judge_monitor(monitor, list(zip(verdict, seen, strict=True)))
+    qualities = [
+        judge_monitor(monitor, list(zip(verdict, timelines, strict=True)))
         for verdict in verdicts
         for monitor in monitors
     ]
-    if any(item.manifested_at is not None and item.alerts is not None for item in seen):
-        found.append(judge_alerts(seen))
-    return found
+    if any(
+        timeline.manifested_at is not None and timeline.alerts is not None for timeline in timelines
+    ):
+        qualities.append(judge_alerts(timelines))
+    return qualities
 
 
 _RECOVERY = "recovery_planner"
@@ -95,7 +97,7 @@ class PairedCampaign:
     def __init__(self, campaign: CampaignRuns, without: str) -> None:
         self.campaign, self.without = campaign, without
         self.case = _twin_case(campaign.case, without)
-        # Told before anything runs, where the role is not there to be switched off.
+        # Raises before anything runs if there is no such role to switch off.
         self.case.roles(campaign.runner.roles)
 
     def __repr__(self) -> str:
@@ -111,7 +113,7 @@ class PairedCampaign:
 
         Args:
             episode: One of the campaign's.
-            ahead: What will be wanted next.
+            ahead: Tasks that come next.
         """
         return self.campaign.runner.episode(
             self.case, episode.spec.run, planned=self.campaign.planned, ahead=ahead
@@ -120,7 +122,7 @@ class PairedCampaign:
     def _with_twins(
         self, episodes: Iterable[JudgedEpisode], cases: Sequence[Case]
     ) -> Iterator[tuple[JudgedEpisode, JudgedEpisode]]:
-        """Each with its twin; where another process is at that, this one is at the next ones."""
+        """Each episode with its twin; a process that waits for one simulates the next ones."""
         ahead = self.campaign.upcoming(cases)
         for episode in episodes:
             ahead.reach(episode.spec.run)
@@ -137,8 +139,8 @@ class PairedCampaign:
         judge, situations = campaign.judge_of(requirement, check), campaign.situations()
         campaign.failures, compared = ComponentFailures(), _PairResults(requirement, check)
         runs, faulty = [], []
-        episodes = campaign.enough_for(judge, [self.case])
-        for episode, twin in self._with_twins(episodes, [campaign.case, self.case]):
+        cases = [campaign.case, self.case]
+        for episode, twin in self._with_twins(campaign.in_order(cases, judge), cases):
             verdict = compared.add(episode, twin)
             judge.add(campaign.with_crash(verdict, episode, check or requirement.check))
             situations.add(episode)
@@ -150,16 +152,16 @@ class PairedCampaign:
             if episode.faults:
                 faulty.append(episode.spec.run)
         campaign.follow(faulty)
-        self._tell_of_monitors(runs)
-        found = judge.verdict()
+        self._report_monitors(runs)
+        campaign_verdict = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
         doubt = self._doubt(compared)
-        if doubt is not None and found.verdict == "supported":
-            return replace(found, verdict="undecided", reason=doubt, pairs=table)
-        return replace(found, pairs=table)
+        if doubt is not None and campaign_verdict.verdict == "supported":
+            return replace(campaign_verdict, verdict="undecided", reason=doubt, pairs=table)
+        return replace(campaign_verdict, pairs=table)
 
     def monitors(self) -> list[MonitorQuality]:
-        """How good the monitors are on all planned runs without recovery, where they cannot act.
+        """Quality of the monitors on all planned runs without recovery, where they cannot act.
 
         Raises:
             ConfigurationError: If it is not the recovery that the twins lack.
@@ -176,11 +178,11 @@ class PairedCampaign:
 
     def _monitors(self, runs: Sequence[int]) -> list[MonitorQuality]:
         def twins() -> Iterator[JudgedEpisode]:
-            return (self.campaign.runner.again(self.case, run) for run in runs)
+            return (self.campaign.runner.fetch(self.case, run) for run in runs)
 
         return _monitor_qualities(twins, self._requirements())
 
-    def _tell_of_monitors(self, runs: Sequence[int]) -> None:
+    def _report_monitors(self, runs: Sequence[int]) -> None:
         if self.without == _RECOVERY:
             self.campaign.runner.on_monitors(self.case, self._monitors(runs))
 
@@ -189,7 +191,7 @@ class PairedCampaign:
         return [known[name] for name in self.case.requirements]
 
     def _doubt(self, compared: _PairResults) -> str | None:
-        """Why the pairs cannot be trusted: runs of equal seeds differ though nothing acted."""
+        """Reason for distrust: runs of equal seeds differ although recovery never acted."""
         counts = compared.counts
         if self.without != _RECOVERY or counts is None or not counts.unexplained:
             return None
@@ -238,11 +240,11 @@ class PairedCampaign:
             paired = Paired(self.without, measure, change_at_most)
             if own.paired is not None and paired == Paired(self.without):
                 paired = replace(own.paired, without=self.without)
-            requirement = self.campaign.asked(own, given | {"paired": paired})
+            requirement = self.campaign.requirement_of_call(own, given | {"paired": paired})
             verdict = self.judge(requirement, check or None)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
-        return self.campaign.decided(verdict, requirement)
+        return self.campaign.report_verdict(verdict, requirement)
 
     def counts(self, check: Check) -> PairCounts:
         """How many of all planned pairs violate a check in both runs, one of them, or neither."""
@@ -266,8 +268,8 @@ class PairedCampaign:
         __tracebackhide__ = True
         try:
             values = {
-                item.id: (_measured_value(measure, item), _measured_value(measure, twin))
-                for item, twin in self
+                episode.id: (_measured_value(measure, episode), _measured_value(measure, twin))
+                for episode, twin in self
             }
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
@@ -275,7 +277,7 @@ class PairedCampaign:
 
 
 class _PairResults:
-    """The verdicts on pairs, and what they come to."""
+    """The verdicts on pairs, their counts and their changes."""
 
     def __init__(self, requirement: Requirement, check: Check | None) -> None:
         assert requirement.paired is not None
@@ -301,14 +303,14 @@ class _PairResults:
         return None if self.measure else judge_pairs(self._pairs)
 
     def table(self) -> dict[str, Any]:
-        """Plain data of what the pairs come to."""
+        """Plain data of the counts or the changes."""
         if self.counts is not None:
             return self.counts.to_json()
         return {"change": Change.between(self.measure, self._values).to_json()}
 
 
 def _measured_value(measure: str | Callable[[Episode], float], episode: Episode) -> float | None:
-    """The measure of a run; ``None`` of one that is invalid or missing, or not a whole one."""
+    """The measure of a run; ``None`` of a run that is invalid, missing or ended early."""
     whole = episode.validity == "valid" and episode.termination != "decided"
     return measured(measure, episode) if whole else None
 

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.requirements.episode_verdicts import judge_episode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import judge_episode
 
 Run = Callable[[EpisodeSpec], Episode]
 FaultSet = tuple[str, ...]
@@ -31,7 +31,7 @@ class BudgetUsedUp(Exception):  # noqa: N818 - an ending, not an error
 
 @dataclass(frozen=True)
 class Reduction:
-    """What came of it.
+    """Result of a reduction.
 
     Args:
         faults: Ids of the smallest set that was found, in declared order; empty if the requirement
@@ -43,7 +43,7 @@ class Reduction:
         runs: Episodes that were run.
         episode: A violating run of that set; ``None`` if it was not reproduced.
         violated: The requirements that it violates.
-        missing: Runs that failed and so said nothing; with any, no set is known to be the smallest.
+        missing: Runs that failed; with any, no set is known to be the smallest.
     """
 
     faults: FaultSet
@@ -71,7 +71,7 @@ def reduce_faults(
         requirements: Those that it violated.
         run: Runs an episode.
         budget: Episodes that may be run.
-        on_run: Told of each run: its faults, and the requirements that it violated.
+        on_run: Called with each run's faults, and the requirements that it violated.
     """
     trials = _Trials(spec, requirements, run, budget, on_run)
     whole = trials.connected(tuple(fault["id"] for fault in spec.faults))
@@ -89,9 +89,10 @@ def reduce_faults(
         smallest = True
     except BudgetUsedUp:
         # A set whose runs the budget cut short may have violated once by chance.
-        confirmed = (item for item, violates in trials.known.items() if violates)
+        confirmed = (faults for faults, violates in trials.known.items() if violates)
         best = min(confirmed, key=len)
-        one_minimal = one_minimal or all(_without(best, item) in trials.known for item in best)
+        one_less = itertools.combinations(best, len(best) - 1)
+        one_minimal = one_minimal or all(faults in trials.known for faults in one_less)
     episode, violated = trials.violating[best]
     if trials.missing:
         one_minimal = smallest = False
@@ -131,13 +132,15 @@ class _Trials:
     def connected(self, faults: FaultSet) -> FaultSet:
         """The set without faults that wait for one that is not in it: they never become active."""
         planned = self._spec.faults
-        waits = {
-            item["id"]: (item["activation"].get("after") or {}).get("fault") for item in planned
+        awaited = {
+            fault["id"]: (fault["activation"].get("after") or {}).get("fault") for fault in planned
         }
-        kept = [item["id"] for item in planned if item["id"] in faults]
-        while orphans := [item for item in kept if waits[item] and waits[item] not in kept]:
-            kept = [item for item in kept if item not in orphans]
-        return tuple(kept)
+        connected = [fault["id"] for fault in planned if fault["id"] in faults]
+        while orphans := [
+            fault for fault in connected if awaited[fault] and awaited[fault] not in connected
+        ]:
+            connected = [fault for fault in connected if fault not in orphans]
+        return tuple(connected)
 
     def _confirmed(self, faults: FaultSet) -> bool:
         spec = with_faults(self._spec, faults)
@@ -170,12 +173,12 @@ class _Trials:
 
 def with_faults(spec: EpisodeSpec, faults: FaultSet) -> EpisodeSpec:
     """The spec with these of its faults only: all else, their draws included, stays as it was."""
-    kept = tuple(fault for fault in spec.faults if fault["id"] in faults)
-    if kept == spec.faults:
+    remaining = tuple(fault for fault in spec.faults if fault["id"] in faults)
+    if remaining == spec.faults:
         return replace(spec, timeouts=None)
     scenario = spec.case.partition("+")[0].partition("~")[0]
     case = "+".join([scenario, *(faults or ("none",))])
-    return replace(spec, case=case, faults=kept, timeouts=None)
+    return replace(spec, case=case, faults=remaining, timeouts=None)
 
 
 def _shrinking(whole: FaultSet, trials: _Trials) -> Iterator[FaultSet]:
@@ -183,7 +186,7 @@ def _shrinking(whole: FaultSet, trials: _Trials) -> Iterator[FaultSet]:
     current, parts = whole, 2
     while len(current) > 1:
         chunks = _chunks(current, min(parts, len(current)))
-        complements = [tuple(item for item in current if item not in chunk) for chunk in chunks]
+        complements = [tuple(fault for fault in current if fault not in chunk) for chunk in chunks]
         smaller = next((chunk for chunk in [*chunks, *complements] if trials.violates(chunk)), None)
         if smaller is not None:
             parts = 2 if smaller in chunks else max(parts - 1, 2)
@@ -195,10 +198,10 @@ def _shrinking(whole: FaultSet, trials: _Trials) -> Iterator[FaultSet]:
             parts = min(2 * parts, len(current))
 
 
-def _chunks(items: FaultSet, parts: int) -> list[FaultSet]:
-    size, rest = divmod(len(items), parts)
+def _chunks(faults: FaultSet, parts: int) -> list[FaultSet]:
+    size, rest = divmod(len(faults), parts)
     ends = list(itertools.accumulate(size + (i < rest) for i in range(parts)))
-    return [items[start:end] for start, end in zip([0, *ends], ends, strict=False)]
+    return [faults[start:end] for start, end in zip([0, *ends], ends, strict=False)]
 
 
 def _smallest(whole: FaultSet, best: FaultSet, trials: _Trials) -> FaultSet:
@@ -208,7 +211,3 @@ def _smallest(whole: FaultSet, best: FaultSet, trials: _Trials) -> FaultSet:
             if trials.connected(faults) == faults and trials.violates(faults):
                 return faults
     return best
-
-
-def _without(faults: FaultSet, item: str) -> FaultSet:
-    return tuple(fault for fault in faults if fault != item)

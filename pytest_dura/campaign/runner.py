@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from pytest_dura.campaign.causal_chains import CausalChain
 from pytest_dura.campaign.falsification import Falsification
-from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.campaign.reporting import RunningCampaign
 from pytest_dura.core.boundary import ROLE_TIMEOUT
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
@@ -27,19 +27,19 @@ from pytest_dura.library.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.library.loading import Library
 from pytest_dura.library.roles import ParameterResolver
 from pytest_dura.library.scenario import Scenario
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, SearchedEpisode
 
 
-def _ignore_event(*_: object) -> None:
-    """What a runner tells when nobody asked."""
+def ignore_event(*_: object) -> None:
+    """The listener of a runner that has none."""
 
 
 @dataclass(repr=False)
 class EpisodeRunner:
-    """Runs single episodes; the base of :class:`pytest_dura.Runner`.
+    """Runs single episodes; base of :class:`pytest_dura.Runner`.
 
     Args:
         library: All scenarios and requirements, read at the first call.
@@ -51,14 +51,13 @@ class EpisodeRunner:
         time_budget: Replaces the seconds that scenarios give the component for one proposal.
         end_when_decided: Replaces what scenarios say of whether episodes end once all is decided.
         metrics: User-defined metrics by name.
-        on_episode: Told of every use of an episode: the case, the episode, and how many were
+        on_episode: Called at every use of an episode: the case, the episode, and how many were
             planned of this case; 0 if the episode's seed was chosen by hand.
-        on_progress: Told before each run of a campaign how far it is, and when it ends.
-        on_verdict: Told of every verdict of :meth:`Campaign.require`, and what it decides.
-        on_monitors: Told how good the monitors of a case are, wherever that was measured.
-        on_chains: Told what came of each fault of an episode that a verdict rests on.
-        on_search: Told what a search came to.
-        on_searched: Told of every use of an episode of a case that a strategy chose.
+        on_progress: Called before each run of a campaign, and when it ends.
+        on_verdict: Called with every verdict of :meth:`Campaign.require` and its requirement.
+        on_monitors: Called with the quality of a case's monitors, where it was measured.
+        on_search: Called with each search that has ended.
+        on_searched: Called at every use of an episode of a case that a strategy chose.
         resolver: Resolves the parameters of roles, each class once.
         twins: Whether fault-free twins are run, to see which faults reached the proposals.
         recorded: Whether episodes keep what a viewer shows of them.
@@ -75,13 +74,12 @@ class EpisodeRunner:
     time_budget: float | None = None
     end_when_decided: bool | None = None
     metrics: Metrics = NOTHING
-    on_episode: Callable[[Case, JudgedEpisode, int], None] = _ignore_event
-    on_progress: Callable[[RunningCampaign], None] = _ignore_event
-    on_verdict: Callable[[CampaignVerdict, Requirement], None] = _ignore_event
-    on_monitors: Callable[[Case, list[MonitorQuality]], None] = _ignore_event
-    on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = _ignore_event
-    on_search: Callable[[Case, Falsification], None] = _ignore_event
-    on_searched: Callable[[SearchedCase, SearchedEpisode], None] = _ignore_event
+    on_episode: Callable[[Case, JudgedEpisode, int], None] = ignore_event
+    on_progress: Callable[[RunningCampaign], None] = ignore_event
+    on_verdict: Callable[[CampaignVerdict, Requirement], None] = ignore_event
+    on_monitors: Callable[[Case, list[MonitorQuality]], None] = ignore_event
+    on_search: Callable[[Case, Falsification], None] = ignore_event
+    on_searched: Callable[[SearchedCase, SearchedEpisode], None] = ignore_event
     twins: bool = True
     recorded: bool = False
     store: EpisodeStore = field(default_factory=EpisodeStore)
@@ -90,7 +88,7 @@ class EpisodeRunner:
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
 
     def __repr__(self) -> str:
-        return f"Bench(base_seed={self.base_seed})"
+        return f"Runner(base_seed={self.base_seed})"
 
     def run(
         self,
@@ -138,11 +136,11 @@ class EpisodeRunner:
         return case
 
     def _planned(self, scenario: Scenario, name: str) -> Case | None:
-        """The case of this id among those that are planned, which may hold faults of a grid."""
+        """The planned case of this id, which may hold faults of a grid."""
         if scenario.name not in self._cases:
             given = [] if self.faults is None else expand_cases([scenario], self.faults)
             planned = expand_cases([scenario], read=self.library().faults)
-            planned += given  # what is given comes before
+            planned += given  # given campaigns override
             self._cases[scenario.name] = {case.id: case for case in planned}
         return self._cases[scenario.name].get(name)
 
@@ -161,7 +159,7 @@ class EpisodeRunner:
             run: Number of the run.
             seed: Seed of the episode; by default that of the run within the case.
             planned: How many runs of this case are planned.
-            ahead: What will be wanted next.
+            ahead: Tasks that come next.
 
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
@@ -172,22 +170,24 @@ class EpisodeRunner:
             self.on_searched(case, searched)
             return searched
         try:
-            episode = self.again(case, run, seed, ahead)
+            episode = self.fetch(case, run, seed, ahead)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
         self.on_episode(case, episode, planned if seed is None else 0)
         return episode
 
-    def again(
+    again = renamed("again", "fetch")
+
+    def fetch(
         self, case: Case, run: int = 0, seed: int | None = None, ahead: Iterable[EpisodeTask] = ()
     ) -> JudgedEpisode:
-        """Like :meth:`episode`, for whoever shows it: nobody is told that it was used.
+        """One run of a case, as :meth:`episode`, without a call of ``on_episode``.
 
         Args:
             case: The case.
             run: Number of the run.
             seed: Seed of the episode; by default that of the run within the case.
-            ahead: What will be wanted next.
+            ahead: Tasks that come next.
 
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
@@ -197,13 +197,13 @@ class EpisodeRunner:
     def searched(
         self, case: Case, run: int = 0, *, again: int = 0, ahead: Iterable[EpisodeTask] = ()
     ) -> SearchedEpisode:
-        """One run of a case that a search chose: it is part of no campaign, and of no rate.
+        """One run of a case that a search chose, which is part of no campaign and no rate.
 
         Args:
             case: The case.
             run: Number of the run.
             again: Number of the repetition; another one is another simulation.
-            ahead: What will be wanted next.
+            ahead: Tasks that come next.
 
         Raises:
             ConfigurationError: If a role or the simulator cannot be built.
@@ -214,11 +214,11 @@ class EpisodeRunner:
         return SearchedEpisode.of(episode)
 
     def search_task(self, case: Case, run: int = 0, again: int = 0) -> EpisodeTask:
-        """What :meth:`searched` has an episode by. Nothing is kept of it for viewers."""
+        """The task of :meth:`searched`, without a recording for viewers."""
         return replace(self.task(case, run), recorded=False, again=again)
 
     def task(self, case: Case, run: int = 0, seed: int | None = None) -> EpisodeTask:
-        """What a run of a case is had by.
+        """The task that simulates a run of a case.
 
         Args:
             case: The case.
@@ -256,5 +256,5 @@ class EpisodeRunner:
         return [self.library().requirements[name] for name in case.requirements]
 
     def key(self, episode: Episode) -> EpisodeKey:
-        """What tells an episode of this runner apart from others."""
+        """The key of an episode of this runner, by which stores and reports know it."""
         return key_of(EpisodeTask(episode.spec, metrics=self.metrics))

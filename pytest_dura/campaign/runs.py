@@ -1,4 +1,4 @@
-"""CampaignRuns: the episodes of a campaign in order, and what decides on them."""
+"""CampaignRuns: the episodes of a campaign in order, and the requirement that decides on them."""
 
 from __future__ import annotations
 
@@ -9,22 +9,21 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from pytest_dura.campaign.fault_tracing import FaultTracer
-from pytest_dura.campaign.progress import RunningCampaign
-from pytest_dura.campaign.reasons import ComponentFailures, explain_verdict
+from pytest_dura.campaign.reporting import ComponentFailures, RunningCampaign, explain_verdict
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
+from pytest_dura.requirements.campaign_judge import CampaignJudge
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situations, varies
 from pytest_dura.requirements.checks import Check
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict, Situations, varies
-from pytest_dura.requirements.verdicts.episodes import (
+from pytest_dura.requirements.episode_verdicts import (
     EpisodeVerdict,
     JudgedEpisode,
     is_unseen_crash,
 )
-from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.model import Requirement
 
 _NUMERIC_FIELDS = ("at_most", "confidence", "p0")
 
@@ -32,7 +31,7 @@ _NUMERIC_FIELDS = ("at_most", "confidence", "p0")
 def _requirement_of_call(
     own: Requirement, known: Mapping[str, Requirement], given: Mapping[str, Any]
 ) -> Requirement:
-    """The requirement with what a call gives in addition.
+    """The requirement with the fields that a call gives in addition.
 
     Args:
         own: The requirement in the test's marker, or one made for the call.
@@ -43,7 +42,10 @@ def _requirement_of_call(
     Raises:
         ConfigurationError: For a value that is not the file's, and a number that is none.
     """
-    values = {key: _numeric_value(key, value) for key, value in given.items()}
+    values: dict[str, Any] = {
+        key: finite_number(key, value) if key in _NUMERIC_FIELDS else value
+        for key, value in given.items()
+    }
     if known.get(own.id) != own:
         return replace(own, **values)
     # Without a check in its file, it is test code that says what is checked, and on what.
@@ -74,10 +76,6 @@ def _for_message(value: Any) -> Any:
     return asdict(value) if hasattr(value, "__dataclass_fields__") else value
 
 
-def _numeric_value(key: str, value: Any) -> Any:
-    return finite_number(key, value) if key in _NUMERIC_FIELDS else value
-
-
 def finite_number(key: str, value: Any) -> float:
     """A number as Python's own, since the record is JSON.
 
@@ -85,14 +83,14 @@ def finite_number(key: str, value: Any) -> float:
         ConfigurationError: For what is no finite number.
     """
     try:
-        found = float(value)
+        number = float(value)
     except (TypeError, ValueError):
-        found = math.nan
-    if not math.isfinite(found):
+        number = math.nan
+    if not math.isfinite(number):
         raise ConfigurationError(
             f"{key} is a finite number", key=key, found=value, remedy=f"correct {key}"
         )
-    return found
+    return number
 
 
 _MAX_EXTRA_SHARE = 0.2
@@ -109,7 +107,7 @@ class RequirementViolated(DuraError):  # noqa: N818 - it is an outcome, not an e
 
 @dataclass(repr=False)
 class CampaignRuns:
-    """The episodes of a campaign in order, and what decides on them.
+    """The episodes of a campaign in order; base of :class:`Campaign`.
 
     Args:
         runner: Runs the episodes.
@@ -130,7 +128,7 @@ class CampaignRuns:
     """Of the component itself, in the episodes that the last verdict rests on."""
 
     def __post_init__(self) -> None:
-        """Trace faults for itself where nothing else does."""
+        """Make a tracer, unless one is given."""
         self._tracer = self.tracer or FaultTracer(self.runner)
 
     def follow(self, runs: Sequence[int]) -> None:
@@ -159,12 +157,13 @@ class CampaignRuns:
         """The planned runs, and a further run for each invalid one as far as the budget goes.
 
         Args:
-            cases: This campaign's, and those whose runs are looked at along with it.
-            judge: Judges them, if something does.
+            cases: This campaign's, and those whose runs are judged along with it.
+            judge: Ends the runs once it is decided. A sequential one has no further runs.
         """
-        budget = 0 if self.until_decided else math.ceil(_MAX_EXTRA_SHARE * self.planned)
+        sequential = self.until_decided if judge is None else judge.sequential
+        budget = 0 if sequential else math.ceil(_MAX_EXTRA_SHARE * self.planned)
         run, end = 0, self.planned
-        with self._under_way(cases, judge) as (running, ahead):
+        with self._reporting_progress(cases, judge) as (running, ahead):
             while run < end and not (judge is not None and judge.decided):
                 ahead.reach(run)
                 episode = self._run(run, end, running, ahead)
@@ -174,16 +173,16 @@ class CampaignRuns:
                     end += 1
 
     @contextmanager
-    def _under_way(
+    def _reporting_progress(
         self, cases: Sequence[Case], judge: CampaignJudge | None
     ) -> Iterator[tuple[RunningCampaign, UpcomingTasks]]:
-        """What tells how far it is, and the planned runs as tasks.
+        """The progress of this campaign, and its planned runs as tasks.
 
-        At the end, what was begun of them is given up.
+        On exit, tasks that were begun ahead are cancelled.
         """
         runner, own = self.runner, self.requirement
-        asked_for = own if judge is None else judge.requirement
-        subject = "" if asked_for is None else asked_for.id
+        decided = own if judge is None else judge.requirement
+        subject = "" if decided is None else decided.id
         running = RunningCampaign(self.case.id, subject, self.planned, judge)
         ahead = self.upcoming(cases)
         try:
@@ -201,7 +200,7 @@ class CampaignRuns:
     def _run(
         self, run: int, end: int, running: RunningCampaign, ahead: Iterable[EpisodeTask]
     ) -> JudgedEpisode:
-        """The run of this number, of so many that are to come for all that is known."""
+        """The run of this number; ``end`` is how many are planned by now."""
         self.runner.on_progress(running.reach(run, end, self.runner.store.simulated))
         return self.runner.episode(self.case, run, planned=self.planned, ahead=ahead)
 
@@ -221,12 +220,12 @@ class CampaignRuns:
         return replace(verdict, unseen_crash=True)
 
     def judge_of(self, requirement: Requirement, check: Check | None) -> CampaignJudge:
-        """What takes in the verdicts on this campaign's episodes.
+        """The judge of this campaign's episodes.
 
         Raises:
-            ConfigurationError: Before anything is run, for what cannot be judged.
+            ConfigurationError: Before anything is run, for a requirement that cannot be judged.
         """
-        if self.runner.simulator is None:  # another simulator than the scenario's tells by running
+        if self.runner.simulator is None:  # signals of another simulator are known once it runs
             check_formula(self.case.scenario, requirement.check if check is None else check)
         return CampaignJudge(
             requirement,
@@ -237,41 +236,21 @@ class CampaignRuns:
         )
 
     def situations(self) -> Situations:
-        """What takes in this campaign's episodes and says whether they are all equal."""
+        """The collector that says whether this campaign's episodes are all equal."""
         faults = {fault["id"] for fault in self.case.faults}
         return Situations(varies=varies(self.case.scenario.variation, faults))
 
-    def enough_for(
-        self, judge: CampaignJudge, beside: Sequence[Case] = ()
-    ) -> Iterator[JudgedEpisode]:
-        """Episodes until the judge needs no more of them, or the plan or budget is used up.
-
-        Args:
-            judge: Says whether it needs more.
-            beside: Cases of which the same runs are looked at.
-        """
-        cases = [self.case, *beside]
-        if not judge.sequential:
-            yield from self.in_order(cases, judge)
-            return
-        run = 0
-        with self._under_way(cases, judge) as (running, ahead):
-            while run < self.planned and not judge.decided:
-                ahead.reach(run)
-                yield self._run(run, self.planned, running, ahead)
-                run += 1
-
-    def asked(self, own: Requirement, given: Mapping[str, Any]) -> Requirement:
-        """The requirement with what a call gives, ``None`` apart; see :func:`asked`.
+    def requirement_of_call(self, own: Requirement, given: Mapping[str, Any]) -> Requirement:
+        """The requirement with the fields that a call gives, apart from ``None``.
 
         Raises:
             ConfigurationError: For what is not as the requirement's file says.
         """
-        told = {key: value for key, value in given.items() if value is not None}
-        return _requirement_of_call(own, self.runner.library().requirements, told)
+        values = {key: value for key, value in given.items() if value is not None}
+        return _requirement_of_call(own, self.runner.library().requirements, values)
 
-    def decided(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
-        """Tell of a verdict, and return it if it is "supported".
+    def report_verdict(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
+        """Report a verdict, and return it if it is "supported".
 
         Raises:
             RequirementViolated: If it is not.

@@ -9,10 +9,10 @@ mean 0 as long as all is well, the drift k and the threshold h, ::
 and an alarm as soon as one of the two reaches h. Both start at 0, and again after each alarm. Half
 the smallest shift worth an alarm is the usual k; h is set by the false alarms that are acceptable.
 
-An :class:`AnomalyModel` is what a detector has learned, as plain numbers in a file with a digest.
-scikit-learn fits (see ``pytest_dura.campaign.detector_training``); what it fitted is kept as JSON
-and evaluated here with NumPy, so that a monitor needs no scikit-learn, and a file from a stranger
-can do no more than score badly: nothing in it is called. Two kinds:
+An :class:`AnomalyModel` holds the learned numbers of a detector, in a file with a digest.
+scikit-learn fits it (see ``pytest_dura.campaign.detector_training``); the fit is kept as JSON and
+evaluated here with NumPy, so that a monitor needs no scikit-learn, and a file from a stranger can
+do no more than score badly: nothing in it is called. Two kinds:
 
 ``isolation_forest``
     How few random splits isolate a row. F. T. Liu, K. M. Ting, Z.-H. Zhou, "Isolation Forest",
@@ -22,7 +22,7 @@ can do no more than score badly: nothing in it is called. Two kinds:
 
     from 0 to 1; the greater, the more anomalous.
 ``one_class_svm``
-    How unlike a row is to those at the border of what was seen. B. Schoelkopf and others,
+    How unlike a row is to those at the border of the training data. B. Schoelkopf and others,
     "Estimating the support of a high-dimensional distribution", Neural Computation 13 (2001),
     pp. 1443-1471: with the support vectors x_i and their weights a_i, which sum to 1, ::
 
@@ -56,19 +56,19 @@ from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment, Se
 from pytest_dura.core.state import Alert, RoleView
 
 _ROUNDING = 1.0 - 1e-9
-"""Sums of equal shifts that reach the threshold exactly must not fail to by their rounding."""
+"""Tolerance, so that sums that reach the threshold exactly do not miss it by rounding."""
 
 
 class Cusum:
-    """One two-sided test.
+    """Two-sided CUSUM test.
 
     Args:
-        drift: k: what each sample may be off for free; in the residual's unit, at least 0.
+        drift: k: the deviation of a sample that does not count; in the residual's unit, at least 0.
         threshold: h: the sum at which it alarms; in the residual's unit, above 0.
 
     Attributes:
-        upper: Sum of what the samples were too great by.
-        lower: The same for too small.
+        upper: Sum of the deviations upwards.
+        lower: Sum of the deviations downwards.
 
     Raises:
         ValueError: For a drift or threshold out of range.
@@ -88,11 +88,11 @@ class Cusum:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Set both sums to 0."""
         self.upper = self.lower = 0.0
 
     def update(self, residual: float) -> bool:
-        """Take in one sample; whether it alarms. A residual that is not finite always does."""
+        """Add one sample; returns whether it alarms. A residual that is not finite does."""
         if not math.isfinite(residual):
             self.reset()
             return True
@@ -105,42 +105,42 @@ class Cusum:
 
     @property
     def level(self) -> float:
-        """How near it is to an alarm: 0 for not at all, 1 for an alarm."""
+        """Greater sum as a share of the threshold: 0 is no deviation, 1 an alarm."""
         return max(self.upper, self.lower) / self.threshold
 
 
 Floats = NDArray[np.float64]
 Scorer = Callable[[Floats], Floats]
-"""From standardised rows, ``(n, features)``, to a score each, ``(n,)``."""
+"""Maps standardised rows, ``(n, features)``, to their scores, ``(n,)``."""
 
 FORMAT = "pytest-dura anomaly model"
 VERSION = 1
 LARGEST = 8_000_000
-"""Bytes of a file that is read; a forest of 64 trees takes some 100,000."""
+"""Greatest size of a file, in bytes; a forest of 64 trees takes some 100,000."""
 LONGEST = 1000
 """Scores that are averaged at most."""
-_MOST_STANDARD = 1e6
-"""Scaled values are cut off here, so that squares of absurd ones stay finite."""
+_STANDARDISED_LIMIT = 1e6
+"""Standardised values are clipped here, so that their squares stay finite."""
 _DIGITS = 7
 """Significant digits that are kept of a fitted number."""
-_AT_ONCE = 4096
+_BATCH = 4096
 """Rows that are scored at once, which bounds the memory."""
 
 
 @dataclass(frozen=True)
 class AnomalyModel:
-    """A fitted detector: rows of features in, scores out, and the score from which it alarms.
+    """Fitted detector: scores rows of features, and has a threshold for alarms.
 
     Args:
         kind: A key of :data:`KINDS`.
         features: Names of the columns, in order.
         centre: Mean of each feature in training, in its unit; shape ``(features,)``.
-        scale: What is usual off the mean, above 0, in its unit; shape ``(features,)``.
-        parameters: Plain data, as the kind reads them.
+        scale: Usual deviation from the mean, above 0, in its unit; shape ``(features,)``.
+        parameters: Plain data of the kind.
         threshold: Scores above it are alarms; above 0.
-        window: So many scores in a row are averaged before they are held against the threshold.
+        window: Number of consecutive scores whose mean is compared with the threshold.
         time_step: Seconds between two rows; features of changes depend on it.
-        training: Plain data that say where it comes from: scenarios, seeds, versions, rates.
+        training: Plain data on its origin: scenarios, seeds, versions, rates.
 
     Raises:
         ValueError: If the numbers do not fit together.
@@ -180,26 +180,25 @@ class AnomalyModel:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that it holds, in hexadecimal digits."""
+        """SHA-256 of :meth:`to_json`, in hexadecimal digits."""
         return _digest(self.to_json())
 
     def standardised(self, rows: Floats) -> Floats:
-        """Rows in scales from the mean; what is no number is as far as can be."""
-        off = (rows - self._centre) / self._scale
-        off = np.nan_to_num(off, nan=_MOST_STANDARD, posinf=_MOST_STANDARD, neginf=-_MOST_STANDARD)
-        clipped: Floats = off.clip(-_MOST_STANDARD, _MOST_STANDARD)
-        return clipped
+        """Standardise rows: in scales from the mean; NaN becomes the greatest value."""
+        limit = _STANDARDISED_LIMIT
+        clipped: Floats = ((rows - self._centre) / self._scale).clip(-limit, limit)
+        return np.nan_to_num(clipped, nan=limit)
 
     def scores(self, rows: Floats) -> Floats:
-        """The score of each row of features, ``(n, features)``; the greater, the stranger."""
+        """Score each row of ``(n, features)``; the greater, the more anomalous."""
         off = self.standardised(rows)
-        if len(off) <= _AT_ONCE:
+        if len(off) <= _BATCH:
             return self._scorer(off)
-        parts = [self._scorer(off[at : at + _AT_ONCE]) for at in range(0, len(off), _AT_ONCE)]
+        parts = [self._scorer(off[at : at + _BATCH]) for at in range(0, len(off), _BATCH)]
         return np.concatenate(parts)
 
-    def strangest(self, row: Floats) -> str:
-        """The name of the feature that is farthest from its mean, in scales."""
+    def farthest_feature(self, row: Floats) -> str:
+        """Name of the feature that is farthest from its mean, in scales."""
         return self.features[int(np.abs(self.standardised(row)).argmax())]
 
     def to_json(self) -> dict[str, Any]:
@@ -217,7 +216,7 @@ class AnomalyModel:
         }
 
     def write(self, file: Path) -> str:
-        """Write the model, atomically; its digest.
+        """Write the model atomically; returns its digest.
 
         Raises:
             OSError: If it cannot be written.
@@ -231,14 +230,14 @@ class AnomalyModel:
 
     @classmethod
     def read(cls, file: Path, digest: str | None = None) -> AnomalyModel:
-        """The model in a file, read once as long as the file stays as it is.
+        """Read the model in a file; a file that has not changed is parsed once.
 
         Args:
-            file: What :meth:`write` wrote.
-            digest: That of the one model that is meant; ``None`` takes any.
+            file: A file of :meth:`write`.
+            digest: Digest of the expected model; ``None`` accepts any.
 
         Raises:
-            ConfigurationError: If there is none, it was changed, or it is another one.
+            ConfigurationError: If the file has no model, was changed, or has another model.
         """
         try:
             stat = file.stat()
@@ -335,9 +334,9 @@ def _digest(plain: Any) -> str:
 
 
 def rounded_numbers(values: Any) -> Any:
-    """Fitted numbers as they are kept, as (nested) lists: with seven significant digits.
+    """Round fitted numbers to seven significant digits, as (nested) lists.
 
-    More would say nothing, and less depends on the order in which a library adds.
+    So the file does not depend on the order in which a library adds.
     """
     if isinstance(values, (list, tuple, np.ndarray)):
         return [rounded_numbers(value) for value in values]
@@ -352,7 +351,7 @@ def _numbers(values: Any, shape: tuple[int, ...]) -> Floats:
 
 
 def average_depth(rows: float) -> float:
-    """Mean depth at which an unsuccessful search in a random tree of so many rows ends: c(n)."""
+    """Mean depth of an unsuccessful search in a random tree of so many rows: c(n)."""
     if rows <= 1:
         return 0.0
     if rows == 2:
@@ -422,7 +421,7 @@ def _isolation_forest(parameters: Mapping[str, Any], width: int) -> Scorer:
 
 
 def _links(features: Sequence[int], width: int, first: int) -> tuple[list[tuple[int, int]], int]:
-    """The two nodes below each of a tree in preorder, and the depth of the deepest leaf."""
+    """Children of each node of a tree in preorder, and the depth of the deepest leaf."""
     links: list[tuple[int, int]] = []
     waiting: list[tuple[int, int]] = [(-1, 0)]  # (the split whose side is to come, its depth)
     deepest = 0
@@ -449,55 +448,55 @@ KINDS: Mapping[str, Callable[[Mapping[str, Any], int], Scorer]] = {
     "isolation_forest": _isolation_forest,
     "one_class_svm": _one_class_svm,
 }
-"""From parameters and the number of features to what scores."""
+"""Makes a scorer from parameters and the number of features, by kind."""
 
 
 class FeatureSource(ABC):
-    """Turns what a role sees into one row of numbers per tick, in training as in use.
+    """Source of one row of features per tick from the view of a role, in training as in use.
 
-    A feature's name begins with the channel that it is about: ``odometry.speed``.
+    A feature's name begins with its channel: ``odometry.speed``.
     """
 
     names: ClassVar[tuple[str, ...]]
-    """Of the features, in order."""
+    """Names of the features, in order."""
     resolutions: ClassVar[tuple[float, ...]]
-    """By so much must a feature differ to mean anything, in its unit; above 0."""
+    """Smallest significant difference of each feature, in its unit; above 0."""
     noise: ClassVar[Mapping[str, float]]
-    """Standard deviations of the sensor noise of :meth:`disturbed`, by what they are of."""
+    """Standard deviations of the sensor noise of :meth:`disturbed`, by quantity."""
 
     @abstractmethod
     def observe(self, view: RoleView) -> Any:
-        """All that is read of a tick, which :meth:`update` takes."""
+        """Read the sample of a tick, which :meth:`update` takes."""
 
     @abstractmethod
     def disturbed(self, sample: Any, random: np.random.Generator) -> Any:
-        """The same observation from sensors with noise."""
+        """Return the sample as sensors with noise give it."""
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget what was seen."""
+        """Forget all samples."""
 
     @abstractmethod
     def update(self, sample: Any) -> Floats | None:
-        """Take in a tick's observation; its features, ``(names,)``, or ``None`` if there are none.
+        """Add a tick's sample; returns its features, ``(names,)``, or ``None`` if there are none.
 
-        There are none at the first tick, where changes are features.
+        There are none at the first tick if features are changes.
         """
 
 
 class AnomalyMonitor(SecurityAssessor):
-    """Alarms at a tick whose features score above the threshold of a model.
+    """Monitor that alarms at a tick whose features score above the threshold of a model.
 
     An alarm is an alert with the pattern ``anomaly:<feature>``, of the feature that is farthest
-    from what it was in training, and that feature's channel as its subject. It is alerted when it
-    begins, and again after a quiet time. An alert is a warning, and stops nobody.
+    from its mean in training, and that feature's channel as its subject. It is alerted when it
+    begins, and again after a quiet time. An alert is a warning, and stops no action.
 
     Derive a class for a domain: ``kind``, :meth:`source`, and ``shipped`` if a model comes with it.
 
     Args:
         model: A file that ``python -m pytest_dura train-detector`` wrote, relative to where the
             session was started; the shipped model if there is none.
-        digest: SHA-256 that the model states. It is filled in before an episode runs, so that
+        digest: SHA-256 of the model. It is filled in before an episode runs, so that
             specs, the evidence and the addresses of kept episodes depend on the model; a file that
             has changed since is refused.
         quiet: Seconds without an alarm after which the next one is alerted anew.
@@ -506,10 +505,10 @@ class AnomalyMonitor(SecurityAssessor):
         ConfigurationError: If the model cannot be read, was changed, or is of another kind or of
             other features.
 
-    A model that averages scores over a window says nothing until that is full.
+    A model that averages scores over a window gives no alarm until that is full.
 
-    The score is how far below the threshold the model's score is, as a part of the threshold: above
-    0 for no alarm, below 0 for one.
+    The assessment's score is the distance of the model's score below the threshold, as a part of
+    the threshold: above 0 for no alarm, below 0 for one.
     """
 
     reassess = False
@@ -526,11 +525,11 @@ class AnomalyMonitor(SecurityAssessor):
     @classmethod
     @abstractmethod
     def source(cls) -> FeatureSource:
-        """A fresh source of the features that models of this class score."""
+        """Make a fresh source of the features that models of this class score."""
 
     @classmethod
     def model_of(cls, model: str | None = None, digest: str | None = None) -> AnomalyModel:
-        """The model in a file, or the shipped one.
+        """Read the model in a file, or the shipped one.
 
         Raises:
             ConfigurationError: See the class.
@@ -543,22 +542,22 @@ class AnomalyMonitor(SecurityAssessor):
                 expected="the file of a model",
                 remedy="train one with: python -m pytest_dura train-detector",
             )
-        found = AnomalyModel.read(file, digest)
+        trained = AnomalyModel.read(file, digest)
         names = cls.source().names
-        for key, own, meant in (
-            ("kind", found.kind, cls.kind),
-            ("features", found.features, names),
+        for key, own, expected in (
+            ("kind", trained.kind, cls.kind),
+            ("features", trained.features, names),
         ):
-            if own != meant:
+            if own != expected:
                 raise ConfigurationError(
                     f"{cls.__name__} cannot use this model: its {key} are others",
                     file=str(file),
                     key="model",
                     found=own,
-                    expected=str(meant),
+                    expected=str(expected),
                     remedy="train one for it with: python -m pytest_dura train-detector",
                 )
-        return found
+        return trained
 
     @classmethod
     def check_params(cls, params: Mapping[str, Any], time_step: float) -> None:
@@ -566,19 +565,19 @@ class AnomalyMonitor(SecurityAssessor):
         _check_time_step(cls.model_of(params.get("model"), params.get("digest")), time_step)
 
     @classmethod
-    def settled(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The parameters with the model's digest."""
+    def resolve_parameters(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Add the digest of the model."""
         return {**params, "digest": cls.model_of(params.get("model"), params.get("digest")).digest}
 
     def reset(self, context: RoleContext) -> None:
-        """Forget what was seen."""
+        """Forget the scores of the previous episode."""
         _check_time_step(self.model, context.dt)
         self._source.reset()
         self._scores: deque[float] = deque(maxlen=self.model.window)
-        self._seen = -math.inf
+        self._last_alarm = -math.inf
 
     def run(self, view: RoleView) -> SecurityAssessment:
-        """The alarm of this tick; none while there are no features."""
+        """Score this tick; no alarm while there are no features."""
         features = self._source.update(self._source.observe(view))
         if features is None:
             return _QUIET
@@ -590,12 +589,12 @@ class AnomalyMonitor(SecurityAssessor):
         margin = 1.0 - score / model.threshold
         if score <= model.threshold:
             return SecurityAssessment(score=margin)
-        name = model.strangest(features)
+        name = model.farthest_feature(features)
         alerts: tuple[Alert, ...] = ()
-        if view.time - self._seen > self.quiet:
+        if view.time - self._last_alarm > self.quiet:
             detail = f"{self.kind} scores {score:.3g}, above {model.threshold:.3g}"
             alerts = (Alert(f"anomaly:{name}", name.partition(".")[0], detail),)
-        self._seen = view.time
+        self._last_alarm = view.time
         reasons = (f"anomaly:{name} ({self.kind})",)
         return SecurityAssessment(Assessed.WARNING, margin, reasons, alerts=alerts)
 

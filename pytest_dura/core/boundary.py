@@ -1,16 +1,15 @@
 """The boundary between the loop and code that is not ours: roles, simulators, checks, metrics.
 
-Whatever such code raises says something about it, and about nobody else. Two kinds of exceptions
-come out of a call without being raised by its code: those of signal handlers (the user's Ctrl-C,
-the time limit of another plugin), and our own :class:`CallEnded`. While a :class:`Boundary` is
-open, handlers of signals are wrapped, so that the first kind can be told from an exception of the
-same type that the code has raised itself.
+What such code raises counts as its own failure. Two kinds of exceptions come out of a call without
+being raised by its code: those of signal handlers (the user's Ctrl-C, the time limit of another
+plugin), and our own :class:`CallEnded`. While a :class:`Boundary` is open, handlers of signals are
+wrapped, which tells the first kind from an exception of the same type that the code itself raises.
 
 Called code does not end the process either: ``os._exit`` and ``os.exec*`` are refused where it
 runs, and a copy of the process that it makes by ``os.fork`` ends where the call would return.
 
 Every call has a wall-clock limit, so that nothing blocks for ever: the component its time budget
-(:func:`call_within`), everything else the limit of a :class:`Watch`. Both share one alarm.
+(:func:`call_within`), everything else the limit of a :class:`CallTimer`. Both share one alarm.
 """
 
 from __future__ import annotations
@@ -41,16 +40,16 @@ _INTERRUPTING = {
     for name in ("SIGINT", "SIGTERM", "SIGBREAK", "SIGALRM")
     if hasattr(signal, name)
 }
-"""Signals whose handlers raise exceptions, of pytest, a plugin or a user; and whether they are
-meant for the session, so that no call goes on after one of them."""
+"""Signals whose handlers raise exceptions, of pytest, a plugin or a user, and whether they end the
+session: then no call goes on after one of them."""
 _STARTS_PROGRAMS = ("multiprocessing", "subprocess", "concurrent")
-"""Packages whose copies of a process never return from the call that made them."""
+"""Packages that copy the process for a program of its own: such a copy never returns here."""
 
 _end: Callable[[int], NoReturn] = os._exit
 
 
 class CallEnded(BaseException):
-    """Raised by the loop in a call that takes too long. Nobody else handles it."""
+    """Raised by the loop in a call that takes too long; only the loop handles it."""
 
 
 class ExitRefusedError(BaseException):
@@ -60,21 +59,22 @@ class ExitRefusedError(BaseException):
 class Boundary:
     """Context in which code that is not ours is called.
 
-    ``noted`` is ``True`` once there is something that a call cannot hide by catching exceptions:
-    an exception of a signal handler, or what it did to the process (``misdeed``).
+    ``pending`` is ``True`` once there is something that a call cannot hide by catching exceptions:
+    an exception of a signal handler, or an attempt to end or fork the process (``misuse``).
     """
 
     __slots__ = (
-        "_handlers", "_hears_keys", "_passing", "_signalled", "_token", "misdeed", "noted", "pid",
+        "_handlers", "_interruptible", "_passing", "_signalled", "_token", "misuse", "pending",
+        "pid",
     )  # fmt: skip
 
     def __init__(self) -> None:
         self.pid = os.getpid()
-        self.noted = False
-        self.misdeed: str | None = None
+        self.pending = False
+        self.misuse: str | None = None
         self._signalled: BaseException | None = None
         self._passing: BaseException | None = None
-        self._hears_keys = False
+        self._interruptible = False
         self._handlers: dict[int, tuple[Any, Any]] = {}
         self._token: Token[Boundary | None] | None = None
 
@@ -85,11 +85,11 @@ class Boundary:
         if threading.current_thread() is threading.main_thread():
             for number, lasting in _INTERRUPTING.items():
                 self._wrap(number, lasting=lasting)
-            self._hears_keys = signal.getsignal(signal.SIGINT) is not None
+            self._interruptible = signal.getsignal(signal.SIGINT) is not None
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Put back what was there, as far as nobody has put something else there meanwhile."""
+        """Restore the handlers, but for those that were replaced meanwhile."""
         self.end_copy()
         for number, (own, before) in self._handlers.items():
             if signal.getsignal(number) is own:
@@ -99,41 +99,41 @@ class Boundary:
         _uninstall()
 
     def let_pass(self, error: BaseException) -> None:
-        """Raise what was not raised by the code that was called.
+        """Raise an exception again unless the called code raised it.
 
-        A ``KeyboardInterrupt`` that cannot be told from the user's, as in another thread than the
-        main one, is taken for the user's.
+        A ``KeyboardInterrupt`` that might be the user's, as in another thread than the main one,
+        is taken for the user's.
 
         Args:
-            error: What came out of a call.
+            error: The exception that came out of a call.
         """
         if self._signalled is not None:
             raise self._signalled
         if error is self._passing:
             raise error
-        if isinstance(error, KeyboardInterrupt) and not self._hears_keys:
+        if isinstance(error, KeyboardInterrupt) and not self._interruptible:
             raise error
 
     def raise_signalled(self) -> None:
-        """Raise what a signal handler raised in a call that went on all the same."""
+        """Raise the exception of a signal handler that a call has caught."""
         if self._signalled is not None:
             raise self._signalled
 
-    def take_misdeed(self) -> str | None:
-        """What the call that is over did to the process, in words, if anything.
+    def take_misuse(self) -> str | None:
+        """Return, and forget, how the last call misused the process, if it did.
 
         Raises:
-            BaseException: What a signal handler raised meanwhile, if it did.
+            BaseException: The exception of a signal handler in that call, if there was one.
         """
         self.raise_signalled()
-        self.noted = False
-        misdeed, self.misdeed = self.misdeed, None
-        return misdeed
+        self.pending = False
+        misuse, self.misuse = self.misuse, None
+        return misuse
 
-    def note(self, misdeed: str) -> None:
-        """Note what the call under way does to the process; the first such thing is kept."""
-        self.misdeed = self.misdeed or misdeed
-        self.noted = True
+    def note_misuse(self, misuse: str) -> None:
+        """Note how the current call misuses the process; the first misuse of a call is kept."""
+        self.misuse = self.misuse or misuse
+        self.pending = True
 
     def end_copy(self) -> None:
         """End the process at once if it is a copy of the one that began the episode."""
@@ -155,7 +155,7 @@ class Boundary:
             handler(number, frame)
         except BaseException as error:
             if lasting:
-                self._signalled, self.noted = error, True
+                self._signalled, self.pending = error, True
             else:
                 self._passing = error
             raise
@@ -165,9 +165,9 @@ _CURRENT: ContextVar[Boundary | None] = ContextVar("dura_boundary", default=None
 
 
 def let_pass(error: BaseException) -> None:
-    """Raise what the code that was called has not raised itself, see :meth:`Boundary.let_pass`.
+    """Raise an exception again unless the called code raised it, see :meth:`Boundary.let_pass`.
 
-    Where no boundary is open, that is any ``KeyboardInterrupt``.
+    Where no boundary is open, only a ``KeyboardInterrupt`` is raised.
     """
     boundary = _CURRENT.get()
     if boundary is not None:
@@ -177,16 +177,15 @@ def let_pass(error: BaseException) -> None:
 
 
 def end_process(code: int) -> NoReturn:
-    """End this process at once; nothing refuses that."""
+    """End this process at once, past the guard."""
     _end(code)
 
 
 @contextmanager
 def lasting_guard() -> Iterator[None]:
-    """Context in which the process does not end itself with a success between episodes either.
+    """Context in which ``os._exit(0)`` ends the process with :data:`EXIT_CODE`, at any time.
 
-    What a component leaves behind, such as a thread or a finalizer, may call ``os._exit`` at any
-    time: then the exit code is :data:`EXIT_CODE` in place of 0.
+    A thread or a finalizer that a component leaves behind may call it between episodes.
     """
     _install()
     try:
@@ -200,7 +199,7 @@ def _exit(status: int) -> NoReturn:
     boundary = _CURRENT.get()
     if boundary is not None and boundary.pid == os.getpid():
         _refuse(boundary, f"os._exit({status})" if type(status) is int else "os._exit")
-    lasts = boundary is None and _GUARD.wanted > 0 and os.getpid() == _GUARD.pid
+    lasts = boundary is None and _GUARD.users > 0 and os.getpid() == _GUARD.pid
     if lasts and status == 0:
         text = f"dura: os._exit(0) was called while a session ran: exit code {EXIT_CODE}\n"
         os.write(2, text.encode())
@@ -217,17 +216,20 @@ def _execute(name: str, real: Callable[..., NoReturn], *args: Any) -> NoReturn:
 
 
 def _refuse(boundary: Boundary, what: str) -> NoReturn:
-    tried = f"tried to end the process by {what}"
-    boundary.note(tried)
-    raise ExitRefusedError(tried)
+    misuse = f"tried to end the process by {what}"
+    boundary.note_misuse(misuse)
+    raise ExitRefusedError(misuse)
 
 
 class _Guard:
-    """What stands in for functions of ``os``, as long as anybody wants it."""
+    """Stand-ins for functions of ``os``, installed as long as there are users.
+
+    It is one per process, as those functions are.
+    """
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
-        self.wanted = self.pid = 0
+        self.users = self.pid = 0
         modules = [os, *filter(None, [sys.modules.get(os.name)])]
         stand_ins: dict[str, Callable[..., Any]] = {"_exit": _exit}
         for name in ("execv", "execve"):
@@ -245,8 +247,8 @@ _GUARD = _Guard()
 
 def _install() -> None:
     with _GUARD.lock:
-        _GUARD.wanted += 1
-        if _GUARD.wanted == 1:
+        _GUARD.users += 1
+        if _GUARD.users == 1:
             _GUARD.pid = os.getpid()
             for module, name, _, stand_in in _GUARD.places:
                 setattr(module, name, stand_in)
@@ -254,8 +256,8 @@ def _install() -> None:
 
 def _uninstall() -> None:
     with _GUARD.lock:
-        _GUARD.wanted -= 1
-        if _GUARD.wanted == 0:
+        _GUARD.users -= 1
+        if _GUARD.users == 0:
             for module, name, real, stand_in in _GUARD.places:
                 if getattr(module, name) is stand_in:
                     setattr(module, name, real)
@@ -267,7 +269,7 @@ def _after_fork() -> None:
         return
     caller = sys._getframe(1).f_globals.get("__name__")  # noqa: SLF001 - who has called os.fork
     if str(caller).partition(".")[0] not in _STARTS_PROGRAMS:
-        boundary.note("forked the process")
+        boundary.note_misuse("forked the process")
 
 
 if hasattr(os, "register_at_fork"):
@@ -276,19 +278,19 @@ if hasattr(os, "register_at_fork"):
 
 ROLE_TIMEOUT = 60.0
 """Seconds of wall-clock time that a role or the simulator has for one call."""
-_STROKES = 4
-"""How often the timer strikes within the limit."""
+_CHECKS_PER_LIMIT = 4
+"""How often the timer fires within the limit."""
 
 
 class CallBlocked(CallEnded):
-    """Raised inside a call that has not come back in time. The callee must not swallow it."""
+    """Raised inside a call that has not returned in time. The callee must not swallow it."""
 
 
 class CallTimer:
-    """Ends a call that takes too long. It costs a call two attributes, and no timer of its own.
+    """Time limit of calls. It costs a call two attributes, and no timer of its own.
 
-    A timer strikes again and again; a call that is seen to be under way for longer than the limit
-    is ended, after at most one and a half times that.
+    A timer fires periodically and ends a call that has been under way for longer than the limit,
+    after at most one and a half times that.
 
     Args:
         limit: Seconds of wall-clock time for one call; ``None`` waits for ever.
@@ -297,36 +299,36 @@ class CallTimer:
     def __init__(self, limit: float | None) -> None:
         self.limit = limit
         self.calls = 0
-        """Calls that have begun."""
+        """Number of calls that have begun."""
         self.role: str | None = None
-        """Who is called at this moment, if anybody is."""
+        """Role of the current call."""
         self.overran: str | None = None
-        """Who took too long, also if it went on and came back in the end."""
-        self._seen = -1
+        """Role of a call that took too long, also if it returned in the end."""
+        self._checked_call = -1
         self._since = 0.0
 
     @property
     def period(self) -> float:
-        """Seconds from stroke to stroke; 0 without a limit."""
-        return 0.0 if self.limit is None else self.limit / _STROKES
+        """Seconds between two checks; 0 without a limit."""
+        return 0.0 if self.limit is None else self.limit / _CHECKS_PER_LIMIT
 
-    def strike(self) -> None:
-        """What the timer does.
+    def check(self) -> None:
+        """Check the current call; the timer calls this.
 
         Raises:
             CallBlocked: In the middle of a call that takes too long, and again if it goes on.
         """
         if self.role is None or self.limit is None:
-            self._seen = -1
-        elif self.calls != self._seen:
-            self._seen, self._since = self.calls, monotonic()
+            self._checked_call = -1
+        elif self.calls != self._checked_call:
+            self._checked_call, self._since = self.calls, monotonic()
         elif monotonic() - self._since >= self.limit:
             self.overran = self.role
             raise CallBlocked(self.cause)
 
     @contextmanager
     def calling(self, role: str) -> Iterator[None]:
-        """Watch what is done meanwhile as one call."""
+        """Context that counts as one call of a role."""
         self.calls += 1
         self.role = role
         try:
@@ -336,22 +338,20 @@ class CallTimer:
 
     @property
     def cause(self) -> str:
-        """What happened, in words that are the same whenever it happens."""
+        """Description of an overrun, the same text for each."""
         return f"it did not come back within {self.limit:g} s of wall-clock time"
 
 
 T = TypeVar("T")
 
 GRACE = 0.2
-"""Seconds within which a call that is told to stop should have stopped."""
-
-
-_TICK = 2e-6
-"""Seconds to which timers are told."""
+"""Seconds that a call has to stop once it was interrupted."""
+_TIMER_RESOLUTION = 2e-6
+"""Seconds."""
 
 
 class TimeBudgetExceeded(CallEnded):
-    """Raised inside a call that overran. Not an ``Exception``: the callee must not swallow it."""
+    """Raised inside a call that overran its budget; no ``Exception``, which callees swallow."""
 
 
 class CallNotStopped(TimeBudgetExceeded):
@@ -362,7 +362,7 @@ def call_within(seconds: float | None, function: Callable[..., T], *args: Any) -
     """Call ``function`` and end it after ``seconds`` of wall-clock time.
 
     In the main thread an alarm interrupts whatever runs Python bytecode, sleeps or waits. Where
-    there is no alarm to be had (in other threads, inside another limit, on Windows), the function
+    no alarm is available (in other threads, inside another limit, on Windows), the function
     runs in a thread of its own, which is left behind if it sleeps on. A call that stays inside C
     code is ended when it comes back. A call that catches the interruption and returns has overrun
     all the same.
@@ -383,44 +383,46 @@ def call_within(seconds: float | None, function: Callable[..., T], *args: Any) -
 
 
 class _Alarm:
-    """The handler of SIGALRM: ends the call that is under way, and nothing between two calls.
+    """Handler of SIGALRM: ends the call that is under way, and nothing between two calls.
+
+    It is one per process, as the signal is.
 
     Args:
-        watch: Looks after the calls that have no limit of their own, between those that have one.
+        timer: For the calls that have no limit of their own, between those that have one.
     """
 
     installed: ClassVar[_Alarm | None] = None
 
-    def __init__(self, watch: CallTimer) -> None:
-        self.watch = watch
+    def __init__(self, timer: CallTimer) -> None:
+        self.timer = timer
         self.armed = self.expired = False
         self.due = 0.0
 
     def rest(self) -> None:
-        """Let the timer strike for the watch alone, or not at all."""
-        signal.setitimer(signal.ITIMER_REAL, self.watch.period, self.watch.period)
+        """Let the alarm fire for the timer alone, or not at all."""
+        signal.setitimer(signal.ITIMER_REAL, self.timer.period, self.timer.period)
 
     def __call__(self, _signum: int, _frame: object) -> None:
         if not self.armed:
-            self.watch.strike()
-        elif monotonic() >= self.due:  # earlier, it is a stroke of the watch that comes late
+            self.timer.check()
+        elif monotonic() >= self.due:  # earlier, it is a late alarm of the timer
             self.expired = True
             raise TimeBudgetExceeded
 
 
 @contextmanager
-def alarms(watch: CallTimer | None = None) -> Iterator[None]:
+def alarms(timer: CallTimer | None = None) -> Iterator[None]:
     """Install the alarm's handler once for many calls, which saves them most of their cost.
 
-    Does nothing where there is no alarm to be had, and then nothing is watched either.
+    Does nothing where no alarm is available; then the timer has no effect either.
 
     Args:
-        watch: Looks after all other calls meanwhile.
+        timer: For all calls that have no limit of their own.
     """
     if _Alarm.installed is not None or not _alarm_is_free():
         yield
         return
-    alarm = _Alarm(watch or CallTimer(None))
+    alarm = _Alarm(timer or CallTimer(None))
     previous = signal.signal(signal.SIGALRM, alarm)
     _Alarm.installed = alarm
     try:
@@ -440,9 +442,9 @@ def _alarm_is_free() -> bool:
     alarm = _Alarm.installed
     if left == 0.0 or alarm is None or alarm.armed:
         return left == 0.0
-    # The timer of the watch gives way, and nobody else's: it is told by its period.
-    own = alarm.watch.period
-    return own > 0.0 and isclose(period, own, abs_tol=_TICK)
+    # An alarm of our own timer gives way, which its period tells from any other alarm.
+    own = alarm.timer.period
+    return own > 0.0 and isclose(period, own, abs_tol=_TIMER_RESOLUTION)
 
 
 def _call_with_alarm(alarm: _Alarm, seconds: float, function: Callable[..., T], *args: Any) -> T:

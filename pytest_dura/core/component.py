@@ -1,8 +1,8 @@
 """Component under test as the loop calls it: within its time budget, by copies of plain data.
 
-What a component hands over may be of classes whose methods do anything: raise, block, answer
+The values of a proposal may be of classes whose methods do anything: raise, block, answer
 differently each time. So the loop works with copies whose types are Python's and NumPy's own. They
-are made by the methods of those types, without calling what a subclass overrides.
+are made by the methods of those types, past what a subclass overrides.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, GeneratorView, Proposal, StateManager
 
 DEEPEST = 32
-"""Containers within each other in a value that is copied to exact types."""
+"""Levels of nested containers in a value that is copied to exact types."""
 
 _EXACT = frozenset({type(None), bool, int, float, complex, str, bytes})
 """Types of values that hold nothing else, and cannot be changed."""
@@ -48,24 +48,24 @@ _dtype_of: Any = vars(np.ndarray)["dtype"].__get__
 
 
 def plain_copy(value: Any) -> Any:
-    """A copy of plain data, down to the last container."""
+    """Deep copy of plain data."""
     if isinstance(value, Mapping):
-        return {key: plain_copy(item) for key, item in value.items()}
+        return {key: plain_copy(part) for key, part in value.items()}
     if isinstance(value, list):
-        return [plain_copy(item) for item in value]
-    return tuple(plain_copy(item) for item in value) if isinstance(value, tuple) else value
+        return [plain_copy(part) for part in value]
+    return tuple(plain_copy(part) for part in value) if isinstance(value, tuple) else value
 
 
 def exact_copy(value: Any) -> tuple[Any, bool]:
-    """A copy of exact types, and whether it is plain throughout.
+    """Copy to exact types, and whether the copy is plain throughout.
 
     Numbers, texts, lists, dictionaries and NumPy arrays of numbers become ``int``, ``float``,
     ``str``, ``list``, ``dict`` and ``ndarray``, whatever subclass they are of; so does the value of
     an enumeration of texts or numbers. An object of any other class, such as a named tuple or a
-    dataclass, is handed on as it is: then the copy is not plain.
+    dataclass, is passed on as it is: then the copy is not plain.
 
     Raises:
-        ValueError: For containers that are nested too deeply, or in themselves.
+        ValueError: For containers that are nested beyond :data:`DEEPEST`, or in themselves.
     """
     if type(value) in _EXACT:
         return value, True
@@ -77,7 +77,7 @@ def exact_copy(value: Any) -> tuple[Any, bool]:
 
 
 class _Copier:
-    """Copies one value, and notes what it left as it is."""
+    """Copier of one value; ``is_plain`` says whether it left an object as it is."""
 
     __slots__ = ("is_plain",)
 
@@ -92,12 +92,12 @@ class _Copier:
             raise ValueError(f"it holds more than {DEEPEST} containers within each other")
         base = _base_of(kind)
         if base is dict:
-            items = value.items() if kind is MappingProxyType else dict.items(value)
-            return {self.copy(key, above + 1): self.copy(item, above + 1) for key, item in items}
+            pairs = value.items() if kind is MappingProxyType else dict.items(value)
+            return {self.copy(key, above + 1): self.copy(part, above + 1) for key, part in pairs}
         if base is list:
-            return [self.copy(item, above + 1) for item in list.__iter__(value)]
+            return [self.copy(part, above + 1) for part in list.__iter__(value)]
         if base is tuple:
-            return tuple([self.copy(item, above + 1) for item in value])
+            return tuple([self.copy(part, above + 1) for part in value])
         if base is np.ndarray and not _dtype_of(value).hasobject:
             return np.array(value, copy=True, subok=False)
         if base is not None and base is not np.ndarray:
@@ -116,37 +116,31 @@ _EXACTLY: dict[Any, Any] = {
 
 
 def _base_of(kind: type[Any]) -> type[Any] | None:
-    """The class as whose instance a value is copied; ``None`` where it is left as it is."""
-    known = _KNOWN.get(id(kind))
-    if known is None:
-        found = next((base for base in _BASES if issubclass(kind, base)), None)
-        if kind is tuple or kind is MappingProxyType:
-            found = tuple if kind is tuple else dict
-        # By identity: to look up a class is to call its metaclass, which may be anybody's.
-        known = _KNOWN[id(kind)] = kind, found
-    return known[1]
+    """Class as whose instance a value is copied; ``None`` where it is left as it is."""
+    if kind is tuple or kind is MappingProxyType:
+        return tuple if kind is tuple else dict
+    return next((base for base in _BASES if issubclass(kind, base)), None)
 
 
 _BASES: tuple[type[Any], ...] = (dict, list, np.ndarray, *_EXACTLY)
-_KNOWN: dict[int, tuple[type[Any], type[Any] | None]] = {}
 
 
 class Messages:
-    """The way of a component's own messages, such as prompts to a language model.
+    """Transport of the component's own messages, such as prompts to a language model.
 
     The component calls :meth:`transmit` from within its proposal. A failure of the injector there
-    says nothing about the component, whatever it makes of the error.
+    is an environment error, never the component's.
 
     Args:
-        injector: Whose faults act on the messages; ``None`` without any.
-        state: Where the faults that changed a message are noted.
+        injector: Applies the faults of messages; ``None`` without any.
+        state: Records the faults that changed a message.
     """
 
     def __init__(self, injector: FaultInjector | None, state: StateManager) -> None:
         self._injector, self._state = injector, state
 
     def transmit(self, channel: str, message: Any) -> Any:
-        """The message as it arrives."""
+        """Return the message as it arrives."""
         if self._injector is None:
             return message
         try:
@@ -170,15 +164,15 @@ ABANDON_AFTER = 3
 """A component that overran its wall-clock budget this often is not called again in the episode."""
 
 _IN_RESET = -1
-"""The number of ``reset`` among a component's calls; proposals are counted from 0."""
+"""Number of ``reset`` among a component's calls; proposals are counted from 0."""
 
 
 class Answer(NamedTuple):
-    """What the component answered, as exact types.
+    """Answer of the component, as exact types.
 
     Args:
-        proposal: The proposal, whose action is still unchecked; ``None`` if something is wrong.
-        problem: What is wrong.
+        proposal: The proposal, whose action is still unchecked; ``None`` with a problem.
+        problem: What is wrong with the answer.
         is_plain: Whether the action holds no object of a class that may be the component's own.
     """
 
@@ -188,10 +182,7 @@ class Answer(NamedTuple):
 
 
 def _read_proposal(answer: Any) -> Answer:
-    """A proposal of exact types, whatever the simulator; or what is wrong with it.
-
-    Reading it may call the component's code, whose exceptions are raised.
-    """
+    """Read a proposal as exact types; this may call the component's code, and raise its errors."""
     if type(answer) is Proposal:
         action, explanation, latency = answer.action, answer.explanation, answer.latency
         failure, account = answer.failure, answer.account
@@ -219,7 +210,7 @@ def _read_proposal(answer: Any) -> Answer:
 
 
 class _UnusableError(Exception):
-    """Says what is wrong with a part of a proposal."""
+    """Problem of a part of a proposal."""
 
 
 def _text(name: str, value: Any) -> str:
@@ -255,12 +246,12 @@ _PARTS = [vars(Proposal)[field.name].__get__ for field in fields(Proposal)]
 
 
 def check_proposal(proposal: Any) -> str | None:
-    """What is wrong with a proposal, whatever the simulator; ``None`` if nothing is."""
+    """Problem of a proposal with any simulator; ``None`` if there is none."""
     return _read_proposal(proposal).problem
 
 
 def _seconds(value: Any) -> float | None:
-    """A finite number of seconds; ``None`` for what is none."""
+    """Finite number of seconds; ``None`` for anything else."""
     if type(value) is not float:
         if not isinstance(value, Real):
             return None
@@ -272,11 +263,6 @@ def _seconds(value: Any) -> float | None:
 
 
 def _time_limit(value: Any) -> float | None:
-    """The time limit that a component has named.
-
-    Raises:
-        ValueError: If it is no duration.
-    """
     seconds = None if isinstance(value, bool) else _seconds(value)
     if value is None or (seconds is not None and seconds > 0.0):
         return seconds
@@ -284,11 +270,11 @@ def _time_limit(value: Any) -> float | None:
 
 
 class Component:
-    """Calls the Generator and turns every way in which it can fail into words.
+    """Caller of the Generator, which turns each of its failures into a problem text.
 
     Args:
         generator: The role that wraps the component.
-        spec: Holds the time budget, and the recorded timeouts of an episode that is replayed.
+        spec: Gives the time budget, and the recorded timeouts of an episode that is replayed.
         timeouts: Filled with the numbers of the calls that overran.
         boundary: The open boundary of the episode.
     """
@@ -303,21 +289,21 @@ class Component:
         self._not_called = ""
 
     def reset(self, context: RoleContext) -> str | None:
-        """Begin an episode; returns what went wrong, if anything. It is not called after that."""
-        answer = self._whole(self._read(self._ask_for_limit, None))
+        """Begin an episode; returns the problem, if any, after which it is not called again."""
+        answer = self._with_misuse(self._caught(self._read_limit, None))
         if answer.problem is None:
-            answer = self._judged(_IN_RESET, self._reset, context)
+            answer = self._limited(_IN_RESET, self._reset, context)
         if answer.problem is None:
             return None
         self._not_called = "not called: its reset failed"
         return f"reset {answer.problem}"
 
-    def ask(self, view: GeneratorView) -> Answer:
-        """A proposal whose action is still unchecked, or what is wrong with the answer."""
+    def propose(self, view: GeneratorView) -> Answer:
+        """Ask for a proposal; its action is still unchecked."""
         number, self._calls = self._calls, self._calls + 1
         if self._not_called:
             return Answer(None, self._not_called)
-        answer = self._judged(number, self._propose, view)
+        answer = self._limited(number, self._propose, view)
         latency = None if answer.proposal is None else answer.proposal.latency
         budget = self.spec.time_budget
         if latency is not None and budget is not None and latency > budget:
@@ -325,9 +311,9 @@ class Component:
         return answer
 
     def check_action(self, simulator: Simulator, action: Any) -> tuple[Any, str | None]:
-        """An action that is not plain as the simulator takes it, or what is wrong with it.
+        """Check an action that is not plain: as the simulator takes it, and its problem.
 
-        To look at it is to call the component's code, so that whatever is raised is its failure.
+        The check calls the component's code, so that what it raises is the component's failure.
         """
         try:
             checked, problem = accepted_action(simulator, action)
@@ -336,11 +322,11 @@ class Component:
         except BaseException as error:
             self._boundary.let_pass(error)
             checked, problem = None, f"no valid action: to check it raised {describe_error(error)}"
-        if self._boundary.noted:
-            problem = self._boundary.take_misdeed() or problem
+        if self._boundary.pending:
+            problem = self._boundary.take_misuse() or problem
         return checked, problem
 
-    def _ask_for_limit(self, _: None) -> Answer:
+    def _read_limit(self, _: None) -> Answer:
         self._limit = _time_limit(self.generator.time_limit(self.spec.time_budget))
         return _DONE
 
@@ -351,21 +337,21 @@ class Component:
     def _propose(self, view: GeneratorView) -> Answer:
         return _read_proposal(self.generator.propose(view))
 
-    def _judged(self, number: int, call: Callable[[Any], Answer], argument: Any) -> Answer:
-        """What a call comes to, which goes on within the component's budget until it is read."""
+    def _limited(self, number: int, call: Callable[[Any], Answer], argument: Any) -> Answer:
+        """Call within the component's budget, of which reading the answer is a part."""
         try:
-            answer = self._timed_call(number, self._read, call, argument)
+            answer = self._timed_call(number, self._caught, call, argument)
         except TimeBudgetExceeded:
             answer = Answer(None, "overran its wall-clock time budget")
-        return self._whole(answer)
+        return self._with_misuse(answer)
 
-    def _whole(self, answer: Answer) -> Answer:
-        """The answer, or what the component did to the process beside it."""
+    def _with_misuse(self, answer: Answer) -> Answer:
+        """Replace an answer whose call misused the process."""
         self._boundary.end_copy()
-        misdeed = self._boundary.take_misdeed() if self._boundary.noted else None
-        return answer if misdeed is None else Answer(None, misdeed)
+        misuse = self._boundary.take_misuse() if self._boundary.pending else None
+        return answer if misuse is None else Answer(None, misuse)
 
-    def _read(self, call: Callable[[Any], Answer], argument: Any) -> Answer:
+    def _caught(self, call: Callable[[Any], Answer], argument: Any) -> Answer:
         try:
             return call(argument)
         except TimeBudgetExceeded:
@@ -375,7 +361,7 @@ class Component:
             return Answer(None, f"raised {describe_error(error)}")
 
     def _timed_call(self, number: int, call: Callable[..., Answer], *arguments: Any) -> Answer:
-        """Call the component within its budget: by the clock, or as it was recorded."""
+        """Call the component within its budget, of the clock or as recorded."""
         recorded = self.spec.timeouts
         if recorded is not None:
             if number in recorded:

@@ -1,4 +1,4 @@
-"""Conformance of roles to the contract of their base class, and what both kits share."""
+"""Conformance of roles to the contract of their base class, and helpers of both kits."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ from pytest_dura.core.state import (
 
 @dataclass(frozen=True)
 class ConformanceReport:
-    """The outcome of a conformance kit that found no breach.
+    """Outcome of a conformance kit without a breach.
 
     Args:
-        subject: What was checked.
-        checked: The properties that hold, in words.
-        not_supported: Optional parts of the contract that the subject says it does not have.
+        subject: Name of the checked simulator or role.
+        checked: Descriptions of the properties that hold.
+        not_supported: Optional parts of the contract that the subject does not have.
     """
 
     subject: str
@@ -57,7 +57,7 @@ class ConformanceReport:
 
 
 class Findings:
-    """Collects breaches, so that one run of a kit tells all of them."""
+    """Collection of breaches, so that one run of a kit reports all of them."""
 
     def __init__(self, subject: str) -> None:
         self.subject = subject
@@ -66,15 +66,15 @@ class Findings:
         self.not_supported: list[str] = []
 
     def breach(self, problem: str, remedy: str) -> None:
-        """Something is wrong. The same finding counts once."""
+        """Add a breach; equal ones count once."""
         if (problem, remedy) not in self.breaches:
             self.breaches.append((problem, remedy))
 
     @contextmanager
     def checking(self, what: str) -> Iterator[None]:
-        """One property; an error that nothing else explains is a breach of it.
+        """Context of the check of one property; an error in it is a breach.
 
-        ``NotImplementedError`` says that an optional part is not supported.
+        ``NotImplementedError`` means that an optional part is not supported.
         """
         try:
             yield
@@ -87,7 +87,7 @@ class Findings:
                 self.checked.append(what)
 
     def report(self) -> ConformanceReport:
-        """The report.
+        """Make the report.
 
         Raises:
             ConformanceError: If there are breaches.
@@ -98,7 +98,7 @@ class Findings:
 
 
 def named_builder(factory: RoleSpec | Callable[[], Any]) -> tuple[str, Callable[[], Any]]:
-    """The name of a factory, and how to build a fresh object with it."""
+    """Name of a factory, and a function that builds a fresh object with it."""
     if isinstance(factory, RoleSpec):
         return factory.path, factory.create
     return getattr(factory, "__qualname__", type(factory).__qualname__), factory
@@ -110,51 +110,51 @@ _bytes_of = struct.Struct("d").pack
 
 
 def leaves(value: Any) -> dict[str, Any]:
-    """Path to leaf, for every leaf of a value; leaves are immutable, so this is a copy as well.
+    """Map the path of every leaf of a value to the leaf; leaves are immutable copies.
 
     Floats and arrays are kept as bytes: NaN equals NaN, and 0.0 differs from -0.0. Lazy values
-    stay unmade. What has neither items nor attributes counts by its type alone.
+    are not made. A value without items and attributes counts by its type alone.
     """
-    found: dict[str, Any] = {}
-    _gather_leaves(value, "", (), found)
-    return found
+    gathered: dict[str, Any] = {}
+    _gather_leaves(value, "", (), gathered)
+    return gathered
 
 
-def first_difference(item: Mapping[str, Any], other: Mapping[str, Any]) -> str | None:
-    """The first path at which two results of :func:`leaves` differ, or ``None``."""
-    for path in [*item, *(path for path in other if path not in item)]:
-        if path not in item or path not in other or item[path] != other[path]:
+def first_difference(left: Mapping[str, Any], right: Mapping[str, Any]) -> str | None:
+    """First path at which two results of :func:`leaves` differ, or ``None``."""
+    for path in [*left, *(path for path in right if path not in left)]:
+        if path not in left or path not in right or left[path] != right[path]:
             return path or "the value"
     return None
 
 
 def mutable_parts(value: Any) -> list[str]:
-    """Where a value could be changed in place, each as ``path (what it is)``."""
+    """List the parts of a value that can be changed in place, as ``path (kind)``."""
     return [f"{path or 'the value'} ({kind})" for path, kind in _mutable(value, "", ())]
 
 
-def _gather_leaves(value: Any, path: str, above: tuple[int, ...], found: dict[str, Any]) -> None:
-    # Most leaves are plain; the order of all other questions matters.
+def _gather_leaves(value: Any, path: str, above: tuple[int, ...], gathered: dict[str, Any]) -> None:
+    # Most leaves are plain; the order of the other cases matters.
     kind = type(value)
     if kind is float or (isinstance(value, float) and not isinstance(value, Enum)):
-        found[path] = _bytes_of(value)
+        gathered[path] = _bytes_of(value)
     elif kind is bool:
-        found[path] = (kind.__name__, value)  # False would equal 0
+        gathered[path] = (kind.__name__, value)  # False would equal 0
     elif kind in _PLAIN:
-        found[path] = value
+        gathered[path] = value
     elif isinstance(value, Enum):
-        found[path] = (kind.__name__, value.name)
+        gathered[path] = (kind.__name__, value.name)
     elif isinstance(value, (np.ndarray, np.generic)) and value.dtype != object:
-        found[path] = (value.dtype.str, value.shape, value.tobytes())
+        gathered[path] = (value.dtype.str, value.shape, value.tobytes())
     elif isinstance(value, _PLAIN):
-        found[path] = value
+        gathered[path] = value
     elif isinstance(value, Lazy) or id(value) in above:
-        found[path] = kind.__name__
+        gathered[path] = kind.__name__
     else:
-        found[f"{path}<type>"] = kind.__qualname__
+        gathered[f"{path}<type>"] = kind.__qualname__
         above = (*above, id(value))
         for name, part in _parts(value):
-            _gather_leaves(part, path + name, above, found)
+            _gather_leaves(part, path + name, above, gathered)
 
 
 def _mutable(value: Any, path: str, above: tuple[int, ...]) -> Iterator[tuple[str, str]]:
@@ -172,25 +172,25 @@ def _mutable(value: Any, path: str, above: tuple[int, ...]) -> Iterator[tuple[st
 
 
 def _parts(value: Any) -> Iterator[tuple[str, Any]]:
-    """The named parts of a container or object."""
+    """Named parts of a container or object."""
     if isinstance(value, Mapping):
         # Reading a lazy channel through a percept would make it.
-        items = getattr(value, "_channels", value)
-        return ((f"[{key!r}]", items[key]) for key in sorted(value, key=repr))
+        channels = getattr(value, "_channels", value)
+        return ((f"[{key!r}]", channels[key]) for key in sorted(value, key=repr))
     if isinstance(value, tuple) and hasattr(value, "_fields"):
         return ((f".{name}", getattr(value, name)) for name in value._fields)
     if isinstance(value, (list, tuple)):
-        return ((f"[{index}]", item) for index, item in enumerate(value))
+        return ((f"[{index}]", part) for index, part in enumerate(value))
     if isinstance(value, np.ndarray):
-        return ((f"[{index}]", item) for index, item in enumerate(value.ravel().tolist()))
+        return ((f"[{index}]", number) for index, number in enumerate(value.ravel().tolist()))
     if isinstance(value, (set, frozenset)):
-        return ((f"{{{index}}}", item) for index, item in enumerate(sorted(value, key=repr)))
+        return ((f"{{{index}}}", part) for index, part in enumerate(sorted(value, key=repr)))
     names = [] if callable(value) else _attributes(value)
     return ((f".{name}", getattr(value, name)) for name in names)
 
 
 def _is_hidden(name: str) -> bool:
-    """Whether an attribute is no part of a value: what it has made of itself, to give it again."""
+    """Whether an attribute is no part of a value, such as a memo of what was derived from it."""
     return name in _HIDDEN or name.startswith("_made")
 
 
@@ -217,20 +217,20 @@ def check_role(
     context: RoleContext | None = None,
     ticks: int = 20,
 ) -> ConformanceReport:
-    """Put a role through its contract, on given views or in a closed loop with a simulator.
+    """Check that a role keeps its contract, on given views or in a closed loop with a simulator.
 
     Args:
         factory: Builds a fresh role at each call.
-        views: What the role is shown, in order: ``GeneratorView`` for a Generator, ``RoleView``
-            for any other role.
-        simulator: Where no views are given: the world in which they arise. A Generator and a
+        views: The views that the role gets, in order: ``GeneratorView`` for a Generator,
+            ``RoleView`` for any other role.
+        simulator: The simulator of the closed loop, if no views are given. A Generator and a
             RecoveryPlanner drive it, other roles see its fallback action as the proposal.
         scenario: The scenario to reset the simulator with.
-        context: What the role's ``reset`` gets; seed 0 and the simulator's time step by default.
+        context: Context for the role's ``reset``; default: seed 0 and the simulator's time step.
         ticks: Length of the closed loop.
 
     Raises:
-        ConformanceError: With every breach that was found and how to mend it.
+        ConformanceError: With every breach and how to mend it.
         ConfigurationError: If there are neither views nor a simulator.
     """
     if not views and simulator is None:
@@ -309,11 +309,11 @@ class _RoleKit:
                 )
 
     def _outputs(self, role: Role, context: RoleContext) -> list[Any]:
-        """What the role says at each view, after a reset."""
+        """Outputs of the role at each view, after a reset."""
         role.reset(context)
         if self.world is not None:
             return self._closed_loop(role, self.world)
-        return [self._ask(role, view) for view in self.views]
+        return [self._output(role, view) for view in self.views]
 
     def _closed_loop(self, role: Role, world: Simulator) -> list[Any]:
         outputs = []
@@ -326,11 +326,11 @@ class _RoleKit:
             state.update(tick, Percept(tick.channels))
             action = world.fallback_action()
             if isinstance(role, Generator):
-                output = self._ask(role, state.generator_view())
+                output = self._output(role, state.generator_view())
                 proposed = output.action if isinstance(output, Proposal) else None
             else:
                 state.proposal = Proposal(action)
-                output = self._ask(role, state.role_view(("checked for conformance",)))
+                output = self._output(role, state.role_view(("checked for conformance",)))
                 proposed = output.action if isinstance(output, Recovery) else action
                 state.put(role.name, output)
             outputs.append(output)
@@ -341,16 +341,16 @@ class _RoleKit:
             tick = world.step(action)
         return outputs
 
-    def _ask(self, role: Role, view: View) -> Any:
-        """One output, checked; an error stands in for an output that there is not."""
+    def _output(self, role: Role, view: View) -> Any:
+        """Checked output at one view; the text of the error where the role raises one."""
         before = leaves(view.percept)
-        owed = GeneratorView if isinstance(role, Generator) else RoleView
-        if not isinstance(view, owed):
+        required = GeneratorView if isinstance(role, Generator) else RoleView
+        if not isinstance(view, required):
             raise ConfigurationError(
                 f"{type(role).__name__} takes another kind of view",
                 key="views",
                 found=type(view).__name__,
-                expected=owed.__name__,
+                expected=required.__name__,
             )
         output: Any
         try:
@@ -414,18 +414,18 @@ class _RoleKit:
             )
             return otherwise
 
-    def _compare(self, item: list[Any], other: list[Any], who: str, remedy: str) -> None:
-        for index, (left, right) in enumerate(zip(item, other, strict=False)):
+    def _compare(self, first: list[Any], other: list[Any], who: str, remedy: str) -> None:
+        for index, (left, right) in enumerate(zip(first, other, strict=False)):
             path = first_difference(leaves(_deterministic(left)), leaves(_deterministic(right)))
             if path is not None:
                 self.findings.breach(f"{who} gives another output at view {index}: {path}", remedy)
                 return
-        if len(item) != len(other):
+        if len(first) != len(other):
             self.findings.breach(f"{who} drives the world to another end", remedy)
 
 
 def _deterministic(output: Any) -> Any:
-    """An output without what depends on the machine's speed."""
+    """Copy of an output without the values that depend on the machine's speed."""
     if not isinstance(output, PerformanceAssessment):
         return output
     fails = tuple(name for name in output.performance_fail if name not in output.wall_clock)

@@ -1,4 +1,8 @@
-"""EpisodeSpec: all that determines an episode, as plain data. Episode: what came of it."""
+"""EpisodeSpec: all that determines an episode, as plain data. Episode: its result.
+
+A fault propagates if the proposals of an episode differ from those of its fault-free twin, the
+episode of the same seed without any fault; see :class:`Divergence`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,8 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -46,7 +51,7 @@ def _no_policy(found: object) -> ConfigurationError:
 
 @dataclass(frozen=True)
 class Policy:
-    """What follows a refused proposal; ``refine`` asks again at most ``attempts`` times."""
+    """Policy for a refused proposal; ``refine`` asks for another at most ``attempts`` times."""
 
     name: str = "recover"
     attempts: int = 0
@@ -57,7 +62,7 @@ class Policy:
 
     @classmethod
     def parse(cls, text: str) -> Policy:
-        """From ``recover``, ``halt``, ``log_only`` or ``refine(k)``.
+        """Read ``recover``, ``halt``, ``log_only`` or ``refine(k)``.
 
         Raises:
             ConfigurationError: For anything else.
@@ -75,7 +80,7 @@ class Policy:
 
 @dataclass(frozen=True)
 class Termination:
-    """When an episode ends, besides a critical failure.
+    """Conditions that end an episode, besides a critical failure.
 
     Args:
         time_limit: Simulated seconds; the first tick at or past it is the last one.
@@ -126,8 +131,8 @@ class EpisodeSpec:
         scenario: The scenario as the simulator and the roles read it.
         faults: The planned faults; each has at least ``id`` and ``target``. ``activation`` may
             hold the planned time ``at``. ``by_chance`` marks one whose activation or effect is
-            drawn: that it never manifested does not make the episode invalid.
-        policy: What follows a refused proposal.
+            drawn: the episode is valid also if it never manifests.
+        policy: The policy for a refused proposal.
         termination: When the episode ends.
         time_step: Simulated seconds per tick.
         time_budget: Seconds for one proposal: declared latency, or wall-clock time as a guard
@@ -185,7 +190,7 @@ class EpisodeSpec:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EpisodeSpec:
-        """The inverse of :meth:`to_json`."""
+        """Invert :meth:`to_json`."""
         return cls(
             case=data["case"],
             run=data["run"],
@@ -203,7 +208,7 @@ class EpisodeSpec:
 
     @cached_property
     def key(self) -> str:
-        """SHA-256 of what determines the trace; equal for an episode and its replay."""
+        """SHA-256 of all that determines the trace; equal for an episode and its replay."""
         data = self.to_json()
         del data["timeouts"]
         return hashlib.sha256(canonical(data)).hexdigest()
@@ -214,12 +219,12 @@ class Episode:
     """One closed-loop run.
 
     Args:
-        spec: What it was run from.
+        spec: Its spec.
         time: Simulated seconds of each tick, shape ``(ticks,)``.
         signals: Ground-truth signals by name, and percept signals as ``percept.name``;
             each of shape ``(ticks,)``.
-        decisions: Columns of shape ``(ticks - 1,)``, one row for each state that another one
-            follows: ``verdict`` (0 safe, 1 warning, 2 unsafe), ``source`` (proposal, recovery,
+        decisions: Columns of shape ``(ticks - 1,)``, one row for each state but the last:
+            ``verdict`` (0 safe, 1 warning, 2 unsafe), ``source`` (proposal, recovery,
             fallback), ``proposed`` and ``executed`` (texts), ``attempts`` (re-proposals).
         events: In the order in which they happened.
         faults: One record per planned fault.
@@ -229,8 +234,8 @@ class Episode:
         timeouts: Calls in which the component overran its wall-clock budget: the number of the
             proposal, counted from 0 (the tick, unless the policy refines), or -1 for ``reset``. A
             call that could not be stopped stands there as often as it takes to give up on it.
-        metrics: What DependabilityMetrics measured.
-        recording: What a viewer shows of it, if it was asked for. It is no part of the digest.
+        metrics: Its dependability metrics.
+        recording: Data for viewers, if it was recorded. It is no part of the digest.
         drawn: Whether any random number was drawn from a stream of its seed. It is no part of the
             digest.
     """
@@ -260,9 +265,9 @@ class Episode:
 
     @property
     def validity(self) -> Validity:
-        """Missing after an infrastructure error; invalid if a planned fault never manifested.
+        """``missing`` after an infrastructure error; ``invalid`` if a fault never manifested.
 
-        What an invalid episode violates fails the gate all the same.
+        A violation of an invalid episode fails the gate all the same.
         """
         if self.failure is not None:
             return "missing"
@@ -271,18 +276,24 @@ class Episode:
     @property
     def invalid_reason(self) -> str | None:
         """Which planned fault never manifested, if any."""
-        drawn = {fault.id for fault in self.faults if fault.by_chance}
-        idle = [name for name in self.idle_faults if name not in drawn]
-        return f"never manifested: {', '.join(idle)}" if idle else None
+        missed = [f.id for f in self.faults if f.manifested_at is None and not f.by_chance]
+        return f"never manifested: {', '.join(missed)}" if missed else None
 
     @property
-    def idle_faults(self) -> tuple[str, ...]:
+    def not_manifested(self) -> tuple[str, ...]:
         """Ids of the faults that never manifested, also of those whose hits are drawn."""
         return tuple(fault.id for fault in self.faults if fault.manifested_at is None)
 
     @property
+    def idle_faults(self) -> tuple[str, ...]:
+        """Deprecated name of :attr:`not_manifested`."""
+        message = "Episode.not_manifested is deprecated: use not_manifested"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return self.not_manifested
+
+    @property
     def ended_early(self) -> bool:
-        """Whether it might have gone on, and what it then would have shown is not known."""
+        """Whether it ended before its time, by a violation or once all was decided."""
         return self.termination in ("violation", "decided")
 
     def ever(self, signal: str) -> bool:
@@ -290,7 +301,7 @@ class Episode:
         return bool((self.signal(signal) > 0.5).any())
 
     def signal(self, name: str) -> NDArray[np.float64]:
-        """One signal's column.
+        """Return one signal's column.
 
         Raises:
             ConfigurationError: For an unknown name.
@@ -311,7 +322,7 @@ class Episode:
 
     @property
     def flagged(self) -> bool:
-        """Whether any proposal was found unsafe."""
+        """Whether any proposal was judged unsafe."""
         return self.termination == "halt" or bool((self.decisions["verdict"] == 2).any())
 
     @cached_property
@@ -328,15 +339,15 @@ class Episode:
 
     @cached_property
     def trajectory(self) -> str:
-        """SHA-256 of how the run went: equal for runs that differ by their seeds alone.
+        """SHA-256 of the course of the run: equal for runs that differ by their seeds alone.
 
-        It covers time, the signals of truth and percept, the decisions, and the end. What the
-        component says of its proposals is left out: words make no other situation.
+        It covers time, the signals of truth and percept, the decisions, and the end. Signals that
+        come from the component's accounts or the loop are left out: they make no other situation.
         """
         state = hashlib.sha256()
-        said = ("proposal.", "loop.")
+        derived = ("proposal.", "loop.")
         signals = {
-            name: signal for name, signal in self.signals.items() if not name.startswith(said)
+            name: signal for name, signal in self.signals.items() if not name.startswith(derived)
         }
         self._add_columns(state, signals)
         state.update(canonical([self.termination, self.validity]))
@@ -354,8 +365,152 @@ class Episode:
             state.update(column.tobytes())
 
 
+PropagationStatus = Literal["propagated", "contained", "unknown"]
+OutcomeStatus = Literal[
+    "idle", "masked", "contained", "tolerated", "violated", "violated also without it", "missing"
+]
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """Effect of one manifested fault on the proposals.
+
+    Args:
+        status: ``propagated`` if a proposal differs from that of the fault-free twin, ``contained``
+            if none does, ``unknown`` if the twins cannot tell.
+        at: Simulated seconds of the first proposal that differs.
+        reason: Why it is unknown.
+    """
+
+    status: PropagationStatus
+    at: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """First difference between an episode and its fault-free twin.
+
+    Args:
+        at: Simulated seconds of the first differing proposal; ``None`` if there is none in the
+            ticks that both have.
+        doubt: Why the difference cannot be attributed to the faults; empty if it can.
+        until: Simulated seconds of the last proposal that both have, where one of them ended
+            before the other; ``None`` where that does not matter.
+    """
+
+    at: float | None = None
+    doubt: str = ""
+    until: float | None = None
+
+    @classmethod
+    def of(
+        cls, episode: Episode, twin: Episode, second: Callable[[], Episode] | None = None
+    ) -> Divergence:
+        """Compare the proposals of an episode with those of its twin.
+
+        A component whose proposals differ between two fault-free runs would seem to be reached by
+        every fault; from the first such difference on, nothing is attributed.
+
+        Args:
+            episode: The episode with faults.
+            twin: The episode of the same seed without any fault.
+            second: Runs the twin once more; called if the proposals differ.
+        """
+        for run in (episode, twin):
+            if run.failure is not None:
+                return cls(doubt=f"{run.id} is missing")
+        first = _first_difference(episode, twin)
+        if first is None:
+            for run in (episode, twin):
+                if run.termination == "decided":
+                    end = run.time[-1]
+                    return cls(doubt=f"{run.id} ended at {end:.2f} s, once all was decided")
+            return cls(until=_common_end(episode, twin))
+        if second is not None:
+            other = second()
+            if other.failure is not None:
+                return cls(doubt=f"{other.id} is missing")
+            between_twins = _first_difference(twin, other)
+            if between_twins is not None and between_twins <= first:
+                time = twin.time[between_twins]
+                return cls(doubt=f"two runs without faults differ from {time:.2f} s on")
+        return cls(at=float(episode.time[first]))
+
+    def of_fault(self, fault: FaultRecord) -> Propagation | None:
+        """Propagation of one fault; ``None`` if the fault never manifested.
+
+        A difference is attributed to all faults that had manifested by then.
+        """
+        if fault.manifested_at is None:
+            return None
+        if self.doubt:
+            return Propagation("unknown", reason=self.doubt)
+        if self.at is None and self.until is not None and fault.manifested_at > self.until + 1e-9:
+            reason = f"one of the runs has no proposal after {self.until:.2f} s to compare"
+            return Propagation("unknown", reason=reason)
+        if self.at is None:
+            return Propagation("contained")
+        if fault.manifested_at <= self.at + 1e-9:
+            return Propagation("propagated", self.at)
+        reason = f"proposals differed already from {self.at:.2f} s on, through another fault"
+        return Propagation("unknown", reason=reason)
+
+
+def outcome_of(
+    fault: FaultRecord,
+    propagation: str | None,
+    violated: Collection[str],
+    violated_without: Collection[str] | None,
+    *,
+    missing: bool,
+) -> OutcomeStatus:
+    """Outcome of a fault in one episode.
+
+    ``idle`` (never active), ``masked`` (active, never manifested), ``contained`` (it changed no
+    proposal), ``tolerated`` (it may have, and nothing was violated), ``violated``, ``violated also
+    without it`` (all that was violated is violated without any fault, too), or ``missing`` (the
+    episode cannot tell).
+
+    Args:
+        fault: Its record.
+        propagation: Its propagation, if that is known.
+        violated: Requirements that were violated from its manifestation on.
+        violated_without: Those among them that the fault-free twin violates, too; ``None`` without
+            a twin.
+        missing: Whether an infrastructure error ended the episode.
+    """
+    if violated:
+        own = set(violated).difference(violated_without or ())
+        return "violated" if own else "violated also without it"
+    if missing:
+        return "missing"
+    if fault.activated_at is None and fault.manifested_at is None:
+        return "idle"
+    if fault.manifested_at is None:
+        return "masked"
+    return "contained" if propagation == "contained" else "tolerated"
+
+
+def _common_end(episode: Episode, other: Episode) -> float | None:
+    """Time of the last proposal that both have; ``None`` if both have equally many."""
+    left, right = len(episode.decisions["proposed"]), len(other.decisions["proposed"])
+    ticks = min(left, right)
+    if left == right:
+        return None
+    return float(episode.time[ticks - 1]) if ticks else -math.inf
+
+
+def _first_difference(episode: Episode, other: Episode) -> int | None:
+    """First tick at which the proposals of both differ."""
+    left, right = episode.decisions["proposed"], other.decisions["proposed"]
+    ticks = min(len(left), len(right))
+    differing = np.flatnonzero(left[:ticks] != right[:ticks])
+    return int(differing[0]) if len(differing) else None
+
+
 def canonical(data: Any) -> bytes:
-    """JSON with sorted keys and no spare blanks: one byte string for equal data."""
+    """Encode data as JSON with sorted keys and no blanks: equal data give equal bytes."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), default=_plain).encode()
 
 

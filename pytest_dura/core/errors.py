@@ -1,15 +1,17 @@
 """Errors that pytest-dura raises on purpose: what happened, where, and how to mend it.
 
 An environment error is a failure of what the component rests on, such as a cassette without the
-answer, that comes up within the component's own call. The component may pass it on or catch it, and
-neither says anything about the component: the loop is told at the same time, and ends the episode
-as missing.
+answer, that comes up within the component's own call. It is reported to the loop where it is
+raised, so that the episode ends as missing whether the component passes it on or catches it.
 """
 
 from __future__ import annotations
 
+import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,12 @@ _name_of: Any = vars(type)["__name__"].__get__
 _traceback_of: Any = vars(BaseException)["__traceback__"].__get__
 
 LONGEST_TEXT = 10_000
-"""Characters that are kept of what a component, a role or a simulator says at once."""
+"""Characters that are kept of one text of a component, a role or a simulator."""
 _AROUND = 1_000
+MAX_LISTED_NAMES = 50
+"""Names that a message lists at most; a fault grid may have made tens of thousands."""
+_MAX_LISTED_PROBLEMS = 20
+"""Problems that a message lists at most; a file may have any number of them."""
 
 
 class DuraError(Exception):
@@ -71,6 +77,74 @@ class ConfigurationError(DuraError):
         return "\n".join(parts)
 
 
+class CombinedError(ConfigurationError):
+    """Several errors in one message: the first in full, each other one in one line below it."""
+
+    def __init__(self, parts: Sequence[ConfigurationError]) -> None:
+        self.parts = tuple(parts)
+        first = self.parts[0]
+        lines = [first.remedy or "correct this and what follows"]
+        lines += [
+            f"  also:     {_single_line(error)}" for error in self.parts[1:_MAX_LISTED_PROBLEMS]
+        ]
+        if len(self.parts) > _MAX_LISTED_PROBLEMS:
+            lines.append(f"  and {len(self.parts) - _MAX_LISTED_PROBLEMS:,} more")
+        super().__init__(
+            f"{first.problem} (the first of {len(self.parts)} problems)",
+            file=first.file,
+            line=first.line,
+            key=first.key,
+            found=first.found,
+            expected=first.expected,
+            remedy="\n".join(lines),
+        )
+
+
+def combine_errors(errors: Sequence[ConfigurationError]) -> ConfigurationError:
+    """Make one error of one or more; combined ones among them are taken apart first."""
+    flat: list[ConfigurationError] = []
+    for error in errors:
+        flat += error.parts if isinstance(error, CombinedError) else [error]
+    return flat[0] if len(flat) == 1 else CombinedError(flat)
+
+
+def error_at(
+    error: ConfigurationError, *, file: str, line: int | None, key: str | None = None
+) -> ConfigurationError:
+    """Give an error its place in a file; ``key`` replaces the error's own."""
+    return ConfigurationError(
+        error.problem,
+        file=file,
+        line=line,
+        key=key if key is not None else error.key,
+        found=error.found,
+        expected=error.expected,
+        remedy=error.remedy or "correct the value",
+    )
+
+
+def _single_line(error: ConfigurationError) -> str:
+    place = f"{error.file}:{error.line}: " if error.file and error.line else ""
+    key = f" ({error.key})" if error.key else ""
+    remedy = f"; {error.remedy.splitlines()[0]}" if error.remedy else ""
+    return f"{place}{error.problem.splitlines()[0]}{key}{remedy}"
+
+
+def list_names(names: Sequence[str]) -> str:
+    """Join the names, or the first :data:`MAX_LISTED_NAMES` and the number of the rest."""
+    left = len(names) - MAX_LISTED_NAMES
+    return ", ".join([*names[:MAX_LISTED_NAMES], *([f"{left} more"] if left > 0 else [])])
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Suggest the nearest of the known names, or list them all where none is near."""
+    names = sorted(set(known))
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    if near:
+        return f"did you mean {near[0]!r}?"
+    return "use one of: " + list_names(names) if names else "remove it"
+
+
 class ActionError(DuraError):
     """The component proposed something that is not an action of this simulator."""
 
@@ -91,7 +165,7 @@ class ConformanceError(DuraError):
 
     Args:
         subject: What was checked.
-        breaches: ``(what is wrong, how to mend it)``, in the order in which they were found.
+        breaches: ``(problem, remedy)``, in the order of the checks.
     """
 
     def __init__(self, subject: str, breaches: Sequence[tuple[str, str]]) -> None:
@@ -107,8 +181,8 @@ def describe_error(error: BaseException) -> str:
     """Type, message and place of an error, without what changes from process to process.
 
     Memory addresses are blanked and the place is a file's name without its folder, because the
-    text goes into the episode's digest. Errors raised by the loop itself have no place. The error
-    may be of a class that does what it likes where it is looked at.
+    text goes into the episode's digest. Errors raised by the loop itself have no place. The error's
+    class may override anything, ``__str__`` included.
     """
     message = cut(read_text(str, error, "(its message cannot be read)"))
     text = f"{type_name(error)}: {message}" if message else type_name(error)
@@ -125,17 +199,17 @@ def describe_error(error: BaseException) -> str:
 
 
 def type_name(value: object) -> str:
-    """The name of a value's class, whatever its metaclass says."""
+    """Name of a value's class, read past its metaclass."""
     return str.__str__(_name_of(type(value)))
 
 
 def read_text(read: Any, value: object, instead: str) -> str:
-    """The text that ``str`` or ``repr`` gives of a value, whatever the value does about it.
+    """Text that ``str`` or ``repr`` gives of a value of any class.
 
     Args:
         read: ``str`` or ``repr``.
         value: Of any class.
-        instead: What is told of a value that gives no text.
+        instead: Returned for a value that raises in place of giving a text.
     """
     try:
         text = str.__str__(read(value))
@@ -148,9 +222,9 @@ def read_text(read: Any, value: object, instead: str) -> str:
 
 
 def cut(text: str) -> str:
-    """The text, or how it begins and how many characters were cut off.
+    """Shorten a text beyond :data:`LONGEST_TEXT` to its beginning and the number of the rest.
 
-    A text of which a part was cut already stays as it is, with what stands around that.
+    A text that was cut before stays as it is, also with what was added around it.
     """
     if len(text) <= LONGEST_TEXT + _AROUND:
         return text
@@ -158,14 +232,16 @@ def cut(text: str) -> str:
 
 
 def shorten(value: object, limit: int = 120) -> str:
-    """A value's ``repr`` on one line of at most ``limit`` characters."""
-    shown = read_text(repr, value, f"<{type_name(value)}>")
-    text = " ".join(shown.split())
+    """``repr`` of a value, on one line of at most ``limit`` characters."""
+    text = " ".join(read_text(repr, value, f"<{type_name(value)}>").split())
     return text if len(text) <= limit else text[: limit - 1] + "…"
 
 
 class ComponentEnvironmentError(DuraError):
-    """What the component rests on failed, not the component. Raise it as ``raise told(error)``.
+    """What the component rests on failed, not the component.
+
+    Raise it as ``raise report_environment_error(error)``; one that is only raised counts as the
+    component's own error.
 
     Args:
         source: What failed, in one word, such as ``cassette``.
@@ -177,28 +253,32 @@ class ComponentEnvironmentError(DuraError):
         super().__init__(problem)
 
 
-_COLLECTORS: list[list[ComponentEnvironmentError]] = []
+_reported: ContextVar[list[ComponentEnvironmentError] | None] = ContextVar(
+    "dura_environment_errors", default=None
+)
 
 
 def report_environment_error(error: ComponentEnvironmentError) -> ComponentEnvironmentError:
-    """Tell the loop, whatever the component makes of the error; returns it, to be raised."""
-    if _COLLECTORS:
-        _COLLECTORS[-1].append(error)
+    """Report a failure to the loop, whatever the component makes of the error.
+
+    It reaches the loop from the component's call and from threads that run in a copy of its
+    context (:func:`contextvars.copy_context`).
+
+    Returns:
+        The error, to be raised.
+    """
+    reported = _reported.get()
+    if reported is not None:
+        reported.append(error)
     return error
 
 
-class environment_errors:  # noqa: N801 - reads like a statement
-    """Context with a list that is filled with what is told meanwhile.
-
-    Of nested ones the innermost hears it. A class, since it is entered at each tick.
-    """
-
-    def __enter__(self) -> list[ComponentEnvironmentError]:
-        """Begin to listen."""
-        heard: list[ComponentEnvironmentError] = []
-        _COLLECTORS.append(heard)
-        return heard
-
-    def __exit__(self, *_: object) -> None:
-        """Listen no more."""
-        _COLLECTORS.pop()
+@contextmanager
+def environment_errors() -> Iterator[list[ComponentEnvironmentError]]:
+    """Context with the list of errors that are reported in it, and in no context within it."""
+    reported: list[ComponentEnvironmentError] = []
+    token = _reported.set(reported)
+    try:
+        yield reported
+    finally:
+        _reported.reset(token)

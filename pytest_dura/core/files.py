@@ -13,7 +13,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """What was written.
+    """Digest and size of a written file.
 
     Args:
         sha256: Digest of the file, in hexadecimal digits.
@@ -25,20 +25,21 @@ class WrittenFile:
 
 
 def temporary_prefix(name: str) -> str:
-    """How the names begin of what a killed session leaves behind of a file of this name."""
+    """Prefix of the names of temporary files that a killed session may leave behind."""
     return f".{name}-"
 
 
 def replace_file(file: Path, chunks: Iterable[str | bytes], *, durable: bool) -> WrittenFile:
-    r"""Write a file atomically; whatever goes wrong leaves the old one as it was.
+    r"""Write a file atomically; after a failure the old file is as it was.
 
-    A symbolic link of that name is replaced and not followed. Text is written as UTF-8; what that
-    cannot hold, as JSON can: ``\udcff``. Whoever may read the folder may read the file.
+    A symbolic link of that name is replaced and not followed. Text is written as UTF-8; lone
+    surrogates are escaped as in JSON: ``\udcff``. The file is readable for all who may read the
+    folder.
 
     Args:
-        file: Where. Missing folders are made.
-        chunks: What it holds, one part after the other; they are never in memory at once.
-        durable: Whether it is to survive a loss of power; that takes milliseconds.
+        file: Path of the file. Missing folders are made.
+        chunks: Content, part by part; it is never in memory as a whole.
+        durable: Whether the file survives a loss of power; that takes milliseconds.
 
     Raises:
         OSError: If it cannot be written.
@@ -49,9 +50,8 @@ def replace_file(file: Path, chunks: Iterable[str | bytes], *, durable: bool) ->
     try:
         with os.fdopen(handle, "wb") as stream:
             for chunk in chunks:
-                # A name of a file need not be text.
                 data = chunk
-                if isinstance(data, str):
+                if isinstance(data, str):  # a file's name in it may hold lone surrogates
                     data = data.encode(errors="backslashreplace")
                 stream.write(data)
                 digest.update(data)
@@ -59,7 +59,7 @@ def replace_file(file: Path, chunks: Iterable[str | bytes], *, durable: bool) ->
             if durable:
                 stream.flush()
                 os.fsync(stream.fileno())
-        # mkstemp makes files for the owner alone; these are for whoever may read the folder.
+        # mkstemp makes files for the owner alone.
         Path(name).chmod(0o644)
         Path(name).replace(file)
     except BaseException:  # also on ctrl-C no half-written file stays behind; it is raised again
@@ -111,7 +111,7 @@ else:
 
 
 def is_named(handle: int, file: Path) -> bool:
-    """Whether an open file is the one of this name still, and no other took its place."""
+    """Whether an open file is still the one of this name."""
     try:
         return os.path.samestat(os.fstat(handle), file.stat())
     except FileNotFoundError:
@@ -119,11 +119,11 @@ def is_named(handle: int, file: Path) -> bool:
 
 
 class OwnedHandle:
-    """A file descriptor that is closed only as long as it stands for the file that was opened.
+    """File descriptor that is closed only as long as it belongs to the file that was opened.
 
     Code that runs in this process may close descriptors that are not its own
-    (``os.closerange(3, 256)``). Their numbers are then given to other files, which must neither be
-    closed nor written in place of the first one.
+    (``os.closerange(3, 256)``). Their numbers are then reused for other files, which must neither
+    be closed nor written.
 
     Args:
         number: The open descriptor.

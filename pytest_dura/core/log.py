@@ -1,4 +1,4 @@
-"""EpisodeLog: collects during an episode what the Episode and its metrics are made of."""
+"""EpisodeLog: collects the columns, events and metrics of an episode while it runs."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from pytest_dura.core.simulator import Recording, Scene, Simulator, scene_proble
 from pytest_dura.core.state import NOTHING, Alert, Event, Proposal, StateManager, Tick
 
 _DETECTION_GRACE = 1.0
-"""An alert or a recovery this many seconds after a fault's end still answers it."""
+"""Seconds after a fault's end in which an alert or a recovery still answers it."""
 
 
 class Decision(NamedTuple):
-    """What is carried out at a tick, where it came from and why."""
+    """Action that is carried out at a tick, with its source and the reasons."""
 
     action: Any
     source: str
@@ -40,7 +40,7 @@ class Decision(NamedTuple):
 
 
 class EpisodeLog:
-    """Written by the orchestrator at each step of a tick; ``close`` makes the Episode."""
+    """Log that the orchestrator writes at each step of a tick; ``close`` makes the Episode."""
 
     def __init__(self, spec: EpisodeSpec) -> None:
         self.spec, self.component = spec, spec.component
@@ -59,7 +59,7 @@ class EpisodeLog:
         self._columns: dict[str, list[Any]] = {
             name: [] for name in ("verdict", "source", "proposed", "executed", "attempts")
         }
-        self._said: dict[str, list[str]] = {"explanations": [], "reasons": [], "recoveries": []}
+        self._texts: dict[str, list[str]] = {"explanations": [], "reasons": [], "recoveries": []}
         self._flags: dict[str, dict[int, int]] = {}
         self._open: dict[tuple[str, str], str] = {}
         self._violated_at: dict[str, int] = {}
@@ -68,22 +68,22 @@ class EpisodeLog:
         self._accounts: list[Mapping[str, Any]] = []
         self._account: Mapping[str, Any] = NOTHING
         self._recovery: str | None = None
-        self._recovery_told = ""
+        self._recovery_text = ""
         self._reached: set[str] = set()
         self._reacted: dict[tuple[str, str], int] = {}
 
     def event(
         self, tick: Tick, kind: str, subject: str, detail: str = "", *, wall_clock: bool = False
     ) -> None:
-        """An event at this tick."""
+        """Log an event of this tick."""
         self.events.append(Event(tick.index, tick.time, kind, subject, detail, NOTHING, wall_clock))
 
     def early_event(self, kind: str, subject: str, detail: str) -> None:
-        """An event before the first tick."""
+        """Log an event before the first tick."""
         self.events.append(Event(0, 0.0, kind, subject, detail))
 
     def proposed(self, tick: Tick, proposal: Proposal | None, problem: str | None) -> None:
-        """The Generator was asked; ``problem`` is what is wrong with its answer, if anything."""
+        """Log the Generator's answer; ``problem`` says what is wrong with it, if anything."""
         self._account = NOTHING if proposal is None else copied_account(proposal.account)
         self.metrics.proposals += 1
         if problem is None:
@@ -93,7 +93,7 @@ class EpisodeLog:
         self._lasting(tick, "component_failure", self.component, problem, every_change=True)
 
     def assessed(self, tick: Tick, name: str, output: Assessment) -> None:
-        """A monitor has judged the proposal."""
+        """Log a monitor's assessment of the proposal."""
         self.metrics.log_score(name, tick.time, float(output.score))
         unsafe = output.critical or output.verdict is Assessed.UNSAFE
         if name not in self._flags:
@@ -105,7 +105,7 @@ class EpisodeLog:
         self._lasting(tick, "unsafe", name, "; ".join(output.reasons) if unsafe else None)
 
     def alerted(self, tick: Tick, name: str, output: SecurityAssessment) -> None:
-        """The SecurityAssessor has looked at percept and component."""
+        """Log the alerts and the reaction of a SecurityAssessor."""
         self.metrics.log_alerts(name, tick.index, raised=bool(output.alerts))
         for alert in output.alerts:
             if alert not in self._alerts:  # a refined proposal is assessed in the same tick
@@ -121,7 +121,7 @@ class EpisodeLog:
             self._reacted[name, output.reaction] = tick.index
 
     def performed(self, tick: Tick, output: PerformanceAssessment) -> None:
-        """The PerformanceOracle has measured."""
+        """Log the values of the PerformanceOracle."""
         self.metrics.log_performance(tick.time, output.values, output.wall_clock)
         for name in output.performance_fail:
             wall_clock = name in output.wall_clock
@@ -131,7 +131,7 @@ class EpisodeLog:
             self._violation(tick, kind)
 
     def injected(self, tick: Tick, output: Injection) -> None:
-        """Faults were activated or deactivated."""
+        """Log activated and deactivated faults."""
         for fault in output.activated:
             record = self._record(fault)
             record.activations += 1
@@ -147,10 +147,10 @@ class EpisodeLog:
     def manifested(
         self, tick: Tick, state: StateManager, command: tuple[str, ...], verdict: Assessed
     ) -> tuple[str, ...]:
-        """Note which active faults reached the Generator or the plant, and what came of it.
+        """Log the active faults that reached the Generator or the plant, and their consequences.
 
         Returns:
-            Ids of those that did so for the first time since their activation.
+            Ids of the faults that did so for the first time since their activation.
         """
         tampered = state.percept.tampered
         if not (tampered or command or state.message_faults or self.metrics.faults):
@@ -172,12 +172,12 @@ class EpisodeLog:
                 self._reached.add(fault)
                 first_time.append(fault)
                 self.event(tick, "fault_manifested", fault)
-        # What changed the command alone did so when alerts and recovery had been decided.
-        self._followed(tick, set(command) - perceived, verdict)
+        # A fault of the command alone acts once alerts and recovery of its tick are decided.
+        self._log_consequences(tick, set(command) - perceived, verdict)
         return tuple(first_time)
 
-    def _followed(self, tick: Tick, late: set[str], verdict: Assessed) -> None:
-        """Detection and recovery of this tick, for the faults whose consequence they can be."""
+    def _log_consequences(self, tick: Tick, late: set[str], verdict: Assessed) -> None:
+        """Log detection and recovery of this tick, for the faults that can have caused them."""
         for alert, role in list(self._alerts.items())[:1]:
             self._detected(tick, alert, role, late)
         for record in self.metrics.faults.values():
@@ -198,9 +198,9 @@ class EpisodeLog:
         self._recovery = None
 
     def _detected(self, tick: Tick, alert: Alert, role: str, late: set[str]) -> None:
-        """Note an alert for each fault that it can answer, whether it has manifested by now or not.
+        """Log an alert for each fault that it can answer, manifested or not.
 
-        What changes the command does so when the alerts of its first tick have been raised.
+        A fault of the command acts only after the alerts of its first tick.
         """
         for record in self.metrics.faults.values():
             began, at_end = record.began_at, record.on_command or record.id in late
@@ -210,10 +210,9 @@ class EpisodeLog:
                 self._detections.setdefault(record.id, (tick.time, role, alert.pattern))
 
     def recovered(self, tick: Tick, recovery: Recovery, nanoseconds: int) -> None:
-        """The RecoveryPlanner has replaced the proposal."""
+        """Log the recovery that replaces the proposal."""
         self._recovery = recovery.name
-        told = (recovery.name, recovery.explanation)
-        self._recovery_told = cut(": ".join(part for part in told if part))
+        self._recovery_text = cut(": ".join(filter(None, (recovery.name, recovery.explanation))))
         self.metrics.log_time("recovery_planner", tick.index, nanoseconds)
         before = len(self.metrics.recoveries)
         self.metrics.log_recovery(tick.index)
@@ -223,7 +222,7 @@ class EpisodeLog:
     def decided(
         self, decision: Decision, state: StateManager, describe: Callable[[Any], str]
     ) -> None:
-        """The tick's decision."""
+        """Log the tick's decision."""
         proposal, action = state.proposal, decision.action
         executed = describe(action)
         if proposal is None:
@@ -232,17 +231,17 @@ class EpisodeLog:
             proposed = executed if proposal.action is action else describe(proposal.action)
         if not check_texts("description of an action", (proposed, executed)):
             proposed, executed = exact_texts((proposed, executed))
-        columns, said = self._columns, self._said
+        columns, texts = self._columns, self._texts
         columns["verdict"].append(int(decision.verdict))
         columns["source"].append(decision.source)
         columns["proposed"].append(shortened_with_hash(proposed))
         columns["executed"].append(shortened_with_hash(executed))
         columns["attempts"].append(decision.attempts)
-        said["explanations"].append("" if proposal is None else cut(proposal.explanation))
-        said["reasons"].append(cut("; ".join(decision.reasons)))
-        said["recoveries"].append(self._recovery_told)
+        texts["explanations"].append("" if proposal is None else cut(proposal.explanation))
+        texts["reasons"].append(cut("; ".join(decision.reasons)))
+        texts["recoveries"].append(self._recovery_text)
         self._accounts.append(self._account)
-        self._recovery_told = ""
+        self._recovery_text = ""
 
     def _record(self, fault: str) -> FaultRecord:
         if fault not in self.metrics.faults:
@@ -250,7 +249,7 @@ class EpisodeLog:
         return self.metrics.faults[fault]
 
     def _violation(self, tick: Tick, kind: str) -> None:
-        """Count a tick once, however often its proposal was refined."""
+        """Count a violation, once per tick however often its proposal is refined."""
         if self._violated_at.get(kind) != tick.index:
             self._violated_at[kind] = tick.index
             self.metrics.violations[kind] += 1
@@ -258,9 +257,7 @@ class EpisodeLog:
     def _lasting(
         self, tick: Tick, kind: str, subject: str, detail: str | None, *, every_change: bool = False
     ) -> None:
-        """An event where a lasting condition begins and where it ends, or at every change too."""
-        if detail is None and not self._open:  # nothing lasts, as at most ticks
-            return
+        """Log where a lasting condition begins and ends, and with ``every_change`` changes too."""
         before = self._open.get((kind, subject))
         if detail is None:
             if before is not None:
@@ -271,7 +268,7 @@ class EpisodeLog:
             self.event(tick, kind, subject, detail)
 
     def failed(self, failure: InfrastructureError) -> None:
-        """Something other than the component has failed."""
+        """Log the failure of anything but the component."""
         self.events.append(
             Event(failure.tick, failure.time, "infrastructure", failure.role, failure.cause)
         )
@@ -285,25 +282,25 @@ class EpisodeLog:
         *,
         recorded: bool = False,
     ) -> Episode:
-        """The finished episode. Unusable signals make it an infrastructure error.
+        """Make the finished episode. Unusable signals make it an infrastructure error.
 
         Args:
-            simulator: Whose signals they are.
-            state: What was known at each tick.
-            ending: What ended it.
+            simulator: Computes the signals.
+            state: Ticks and percepts of the episode.
+            ending: Its termination.
             failure: The infrastructure error, if one ended it.
-            recorded: Whether to keep what a viewer shows of it.
+            recorded: Whether to keep a recording for viewers.
         """
         time = np.array([tick.time for tick in state.ticks], dtype=np.float64)
         signals: dict[str, NDArray[np.float64]] = {}
         # A step that failed leaves a decision behind that no state follows.
-        for column in (*self._columns.values(), *self._said.values(), self._accounts):
+        for column in (*self._columns.values(), *self._texts.values(), self._accounts):
             del column[max(len(time) - 1, 0) :]
         if state.ticks:
             try:
                 _add_signals(signals, simulator.signals(state.ticks), "", len(time))
                 failure = failure or _first_bad_signal(signals, time)
-                if ending == "decided":  # the rest of the episode would have told them
+                if ending == "decided":  # they depend on the rest, which is missing
                     signals = {n: x for n, x in signals.items() if n not in simulator.hindsight}
                 percepts = simulator.percept_signals(state.percepts)
                 _add_signals(signals, percepts, "percept.", len(time), len(state.percepts))
@@ -341,7 +338,7 @@ class EpisodeLog:
     def _add_accounts(
         self, signals: dict[str, NDArray[np.float64]], simulator: Simulator, state: StateManager
     ) -> None:
-        """Failure modes that the component's accounts show, where it gave any."""
+        """Add the signals and tallies of the component's accounts, if it gave any."""
         columns = account_columns(simulator, state.ticks, state.percepts, self._accounts)
         if columns is not None:
             _add_signals(signals, columns.signals, PROPOSAL_PREFIX, len(state.ticks))
@@ -358,14 +355,14 @@ class EpisodeLog:
                 if tick < decisions:
                     column[tick] = flag
             flags[name] = column
-        explanations, reasons, recoveries = map(tuple, self._said.values())
+        explanations, reasons, recoveries = map(tuple, self._texts.values())
         scene, problem = _scene(simulator, state)
         accounts = tuple(self._accounts) if any(self._accounts) else ()
         return Recording(explanations, reasons, recoveries, flags, scene, problem, accounts)
 
 
 def _scene(simulator: Simulator, state: StateManager) -> tuple[Scene | None, str | None]:
-    """The scene, or why there is none: the verdicts need none, so that the episode stands."""
+    """Scene, or why there is none; without one the episode stays valid, no verdict needs it."""
     if len(state.percepts) < len(state.ticks) or not state.ticks:
         return None, None  # the episode failed before it was perceived
     try:
@@ -380,7 +377,7 @@ def _scene(simulator: Simulator, state: StateManager) -> tuple[Scene | None, str
 
 
 def _in_time(fault: FaultRecord, time: float) -> bool:
-    """Whether what happens now may answer it: it is not long gone."""
+    """Whether an alert or a recovery at this time may answer the fault."""
     return fault.deactivated_at is None or time <= fault.deactivated_at + _DETECTION_GRACE + 1e-9
 
 

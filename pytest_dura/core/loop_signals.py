@@ -1,6 +1,6 @@
-"""Signals that the loop adds: what the component declares of proposals, and who is in control.
+"""Signals that the loop adds: from the accounts of proposals, and the control by recovery.
 
-The account of a proposal is what the component declares of how it came to it, as plain data; the
+The account of a proposal is the component's declaration of how it came to it, as plain data; the
 simulator measures failure modes from accounts. A decision is made at every tick but the last, so
 the last sample repeats the one before it.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -19,17 +19,18 @@ from numpy.typing import NDArray
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import describe_error, type_name
 from pytest_dura.core.metrics import KINDS, Tally
+from pytest_dura.core.roles import Assessed
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick
 
 Floats = NDArray[np.float64]
 
 PROPOSAL_PREFIX = "proposal."
-"""Beginning of the names of the signals that accounts come to."""
+"""Prefix of the signals from accounts."""
 DECIDED = "decided"
-"""Key of an account: ``True`` where the component decided anew, rather than held what it had."""
+"""Key of an account: ``True`` where the component made a new decision."""
 NULL = "null"
-"""Key of an account: what a null component, which ignores its input, would have told instead."""
+"""Key of an account: the account of a null component, which ignores its input."""
 SECONDS = "seconds"
 """Key of an account: how long the component took for its decision, in s of wall-clock time."""
 _AGE = "age"
@@ -37,30 +38,30 @@ _AGE = "age"
 _FALLBACK = "fallback"
 """Key of an account: ``True`` where the action is no decision of the component's own."""
 INPUT = (DECIDED, "at", "perceived")
-"""Keys of an account that tell of the input, which a null component has as well."""
+"""Keys of an account that describe the input, which a null component has as well."""
 LONGEST = 100_000
 """Characters of one account, as JSON."""
 DEEPEST = 12
-"""Mappings and lists within each other in one account."""
+"""Levels of nested mappings and lists in one account."""
 _DECIMALS = 9
 
 
 def read_account(account: Any) -> tuple[Mapping[str, Any], str | None]:
-    """An account as data of our own, and what is wrong with it; ``None`` if nothing is.
+    """Copy an account to plain data of our own; also returns its problem, ``None`` without one.
 
-    What plain data it holds is not looked at: who reads it takes what he understands. Reading it
-    may call the component's code, whose exceptions are raised.
+    The keys are not checked: each reader takes those that it knows. Reading may call the
+    component's code, and raises its exceptions.
     """
     if not isinstance(account, Mapping):
         return NOTHING, f"gave an account that is {type_name(account)}, not a mapping"
     try:
-        told = dict(account)
-        text = json.dumps(told, allow_nan=False) if told else ""
+        entries = dict(account)
+        text = json.dumps(entries, allow_nan=False) if entries else ""
     except Exception as error:
         return NOTHING, f"gave an account that is no plain data: {describe_error(error)}"
     if len(text) > LONGEST:
         return NOTHING, f"gave an account of {len(text)} characters; {LONGEST} are allowed"
-    if not all(isinstance(key, str) for key in told):
+    if not all(isinstance(key, str) for key in entries):
         return NOTHING, "gave an account with a key that is no text"
     read: Mapping[str, Any] = json.loads(text) if text else NOTHING
     deep = _depth(read) > DEEPEST
@@ -68,16 +69,12 @@ def read_account(account: Any) -> tuple[Mapping[str, Any], str | None]:
 
 
 def account_problem(account: Any) -> str | None:
-    """What is wrong with an account; ``None`` if nothing is."""
+    """Problem of an account; ``None`` without one."""
     return read_account(account)[1]
 
 
 def copied_account(account: Mapping[str, Any]) -> Mapping[str, Any]:
-    """An account of which the component cannot change anything any more.
-
-    Args:
-        account: One with which nothing is wrong.
-    """
+    """Copy a valid account, so that the component cannot change it afterwards."""
     if account is NOTHING or not account:
         return NOTHING
     data: dict[str, Any] = json.loads(json.dumps(dict(account)))
@@ -85,7 +82,7 @@ def copied_account(account: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _depth(value: Any, above: int = 0) -> int:
-    """Levels of plain data; no more is looked at than it takes to be too deep."""
+    """Levels of plain data, counted up to one more than is allowed."""
     if above > DEEPEST or not isinstance(value, (Mapping, list, tuple)):
         return above
     parts = value.values() if isinstance(value, Mapping) else value
@@ -94,14 +91,14 @@ def _depth(value: Any, above: int = 0) -> int:
 
 @dataclass(frozen=True)
 class AccountColumns:
-    """What the accounts of an episode come to.
+    """Columns and counts of the accounts of an episode.
 
     Args:
         signals: Columns of shape ``(ticks,)``; the last decision is still in force at the end.
-        tallies: By the names of the failure modes.
-        seconds: Wall-clock seconds of each decision that was made anew and took any.
+        tallies: One per failure mode, by name.
+        seconds: Wall-clock seconds of each new decision that declares them.
         ages: Simulated seconds between the percept behind a decision and the tick at which it came
-            into force, of each decision of the component's own that says so.
+            into force, of each new decision of the component's own that declares them.
     """
 
     signals: Mapping[str, Floats]
@@ -116,11 +113,11 @@ def account_columns(
     percepts: Sequence[Percept],
     accounts: Sequence[Mapping[str, Any]],
 ) -> AccountColumns | None:
-    """Signals and tallies of an episode's accounts; ``None`` without any account.
+    """Compute signals and tallies of an episode's accounts; ``None`` without any account.
 
     Raises:
-        ValueError: For a column of another length than there are decisions, and for a measure of
-            an unknown kind.
+        ValueError: If a column has another length than there are decisions, or a measure has an
+            unknown kind.
     """
     if not any(accounts):
         return None
@@ -132,19 +129,21 @@ def account_columns(
     tallies = {}
     for name, column in columns.items():
         counts = _count(column[fresh])
-        beside = null_columns.get(name)
-        null_counts = (0, 0) if beside is None else _count(beside[fresh])
+        null_column = null_columns.get(name)
+        null_counts = (0, 0) if null_column is None else _count(null_column[fresh])
         tallies[name] = Tally(*counts, *null_counts, _kind(simulator, name))
     plain = _columns("account_signals", *world, accounts)
     signals = {
-        name: _filled_to_end(item, len(ticks)) for name, item in {**columns, **plain}.items()
+        name: _filled_to_end(column, len(ticks)) for name, column in {**columns, **plain}.items()
     }
-    made = [
+    decisions = [
         (tick, account) for tick, account in zip(ticks, accounts, strict=False) if _decides(account)
     ]
-    spent = [declared_seconds(item) for _, item in made]
+    spent = [declared_seconds(account) for _, account in decisions]
     ages = [
-        _declared_age(item, tick.time) for tick, item in made if item.get(_FALLBACK) is not True
+        _declared_age(account, tick.time)
+        for tick, account in decisions
+        if account.get(_FALLBACK) is not True
     ]
     return AccountColumns(signals, tallies, _known(spent), _known(ages))
 
@@ -153,29 +152,29 @@ def _decides(account: Mapping[str, Any]) -> bool:
     return account.get(DECIDED) is True
 
 
-def _known(told: Sequence[float | None]) -> list[float]:
-    return [item for item in told if item is not None]
+def _known(numbers: Sequence[float | None]) -> list[float]:
+    return [number for number in numbers if number is not None]
 
 
 def _null(account: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The account of the null component, on the same input."""
-    told = account.get(NULL)
-    if not isinstance(told, Mapping):
+    """Account of the null component, on the same input."""
+    null = account.get(NULL)
+    if not isinstance(null, Mapping):
         return {}
-    return {**{key: account[key] for key in INPUT if key in account}, **told}
+    return {**{key: account[key] for key in INPUT if key in account}, **null}
 
 
 def declared_seconds(account: Mapping[str, Any]) -> float | None:
-    """How long the component says that its decision took; ``None`` if it gives no duration."""
+    """Seconds that the component declares for its decision; ``None`` if it declares none."""
     return None if account is NOTHING else _duration(account.get(SECONDS))
 
 
 def _declared_age(account: Mapping[str, Any], time: float) -> float | None:
-    """The age that a decision says it has; ``None`` without one, and if it began before the start.
+    """Age that a decision declares; ``None`` without one, or if it precedes the episode.
 
     Args:
-        account: Of the tick at which the decision came into force.
-        time: Of that tick, in s.
+        account: Account of the tick at which the decision came into force.
+        time: Time of that tick, in s.
     """
     age = _duration(account.get(_AGE))
     if age is None:
@@ -185,19 +184,18 @@ def _declared_age(account: Mapping[str, Any], time: float) -> float | None:
     return age if age <= round(time, _DECIMALS) else None
 
 
-def _duration(told: Any) -> float | None:
-    """A number of seconds, if it is one."""
-    if isinstance(told, bool) or not isinstance(told, (int, float)):
+def _duration(value: Any) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     try:
-        seconds = float(told)
+        seconds = float(value)
     except OverflowError:  # an int of hundreds of digits
         return None
     return seconds if 0.0 <= seconds < math.inf else None
 
 
 def _filled_to_end(column: Floats, ticks: int) -> Floats:
-    """One value per tick, 0 where there is none."""
+    """Column of one value per tick, 0 where there is none."""
     filled = np.nan_to_num(column, nan=0.0)
     return np.append(filled, filled[-1:]) if ticks > len(filled) else filled
 
@@ -216,8 +214,8 @@ def _columns(
     percepts: Sequence[Percept],
     accounts: Sequence[Mapping[str, Any]],
 ) -> dict[str, Floats]:
-    found = getattr(simulator, hook)(ticks, percepts, accounts)
-    columns = {name: np.asarray(column, dtype=np.float64) for name, column in found.items()}
+    given = getattr(simulator, hook)(ticks, percepts, accounts)
+    columns = {name: np.asarray(column, dtype=np.float64) for name, column in given.items()}
     for name, column in columns.items():
         if column.shape != (len(accounts),):
             raise ValueError(
@@ -235,24 +233,25 @@ LOOP_PREFIX = "loop."
 LOOP_SIGNALS = (
     "loop.recovering", "loop.recovering_for", "loop.recovered_time", "loop.fallback", "loop.unsafe"
 )  # fmt: skip
-"""0 or 1 for: recovery's action, or the simulator's fallback, was carried out; the proposal was
-unsafe. ``recovering_for`` is the time since recovery took over, in s, 0 while it does not act;
-``recovered_time`` that for which it has been in control so far, in s, which never falls."""
+"""``recovering``, ``fallback`` and ``unsafe`` are 0 or 1: recovery's action, or the simulator's
+fallback, was carried out; the proposal was unsafe. ``recovering_for`` is the time since recovery
+took over, in s, 0 while it does not act; ``recovered_time`` the time for which it has been in
+control so far, in s, which never falls."""
 
 
 def loop_signals(episode: Episode) -> dict[str, NDArray[np.float64]]:
-    """The columns by name, each of shape ``(ticks,)``."""
+    """Compute the signals of :data:`LOOP_SIGNALS` by name, each of shape ``(ticks,)``."""
     return loop_columns(episode.time, episode.decisions)
 
 
 def loop_columns(
     time: NDArray[np.float64], decisions: Mapping[str, NDArray[Any]]
 ) -> dict[str, NDArray[np.float64]]:
-    """The same of an episode's columns.
+    """Compute the same from an episode's columns.
 
     Args:
         time: Simulated seconds, shape ``(ticks,)``.
-        decisions: ``source`` and ``verdict``, as those of an episode.
+        decisions: ``source`` and ``verdict``, each of shape ``(ticks - 1,)``.
     """
     source = _repeated_to_end(decisions["source"], len(time), "")
     verdict = _repeated_to_end(decisions["verdict"], len(time), 0)
@@ -277,6 +276,88 @@ def loop_columns(
 def _repeated_to_end(
     column: NDArray[np.generic], ticks: int, nothing: object
 ) -> NDArray[np.generic]:
-    """The column of decisions with its last value repeated up to the episode's last tick."""
+    """Repeat the last value of a column of decisions up to the episode's last tick."""
     last = column[-1:] if len(column) else np.array([nothing])
     return np.concatenate([column[:ticks], np.repeat(last, max(ticks - len(column), 0))])
+
+
+@dataclass(frozen=True, slots=True)
+class Switching:
+    """Control of an episode, by the component or by recovery, tick by tick.
+
+    Recovery is in control at a tick whose decision came from it; at every other decided tick the
+    component is, the simulator's fallback for a missing proposal included. A decision holds from
+    its tick until the next one; the last tick of an episode has none.
+
+    Args:
+        decisions: Ticks at which something was decided.
+        recovered: Those at which recovery was in control.
+        recovery_time: Simulated seconds for which it was.
+        takeovers: Decisions of recovery that do not follow another one of recovery. Recovery that
+            decides at the first tick has taken over there.
+        returns: Decisions of the component that follow one of recovery.
+        time_to_safe: For each takeover, in order, the seconds until the first later decided tick
+            whose final proposal was not unsafe, whoever was in control there. ``None`` where the
+            episode ended before such a tick: that time is censored, not zero.
+    """
+
+    decisions: int
+    recovered: int
+    recovery_time: float
+    takeovers: int
+    returns: int
+    time_to_safe: tuple[float | None, ...]
+
+    @property
+    def share(self) -> float | None:
+        """Share of the decisions that recovery made; ``None`` where nothing was decided."""
+        return self.recovered / self.decisions if self.decisions else None
+
+    @property
+    def switches(self) -> int:
+        """Changes of control in both directions."""
+        return self.takeovers + self.returns
+
+    @property
+    def censored(self) -> int:
+        """Takeovers after which the episode ended before a proposal was acceptable again."""
+        return self.time_to_safe.count(None)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the evidence record, the derived numbers included."""
+        return {
+            **asdict(self),
+            "time_to_safe": list(self.time_to_safe),
+            "share": self.share,
+            "switches": self.switches,
+            "censored": self.censored,
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Switching:
+        """Invert :meth:`to_json`."""
+        own = {name: data[name] for name in cls.__dataclass_fields__}
+        return cls(**{**own, "time_to_safe": tuple(data["time_to_safe"])})
+
+
+def switching(episode: Episode) -> Switching:
+    """Compute who was in control from an episode's decisions and times."""
+    recovering = episode.decisions["source"] == "recovery"
+    acceptable = episode.decisions["verdict"] < int(Assessed.UNSAFE)
+    before = np.concatenate([[False], recovering[:-1]])
+    takeovers = np.flatnonzero(recovering & ~before)
+    return Switching(
+        decisions=len(recovering),
+        recovered=int(recovering.sum()),
+        recovery_time=float(np.diff(episode.time)[recovering].sum()),
+        takeovers=len(takeovers),
+        returns=int((before & ~recovering).sum()),
+        time_to_safe=tuple(_time_to_safe(episode, acceptable, int(i)) for i in takeovers),
+    )
+
+
+def _time_to_safe(episode: Episode, acceptable: NDArray[np.bool_], takeover: int) -> float | None:
+    later = np.flatnonzero(acceptable[takeover + 1 :])
+    if not len(later):
+        return None
+    return float(episode.time[takeover + 1 + later[0]] - episode.time[takeover])

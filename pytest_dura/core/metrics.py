@@ -1,4 +1,4 @@
-"""DependabilityMetrics: what the loop measures of one episode."""
+"""DependabilityMetrics: measurements that the loop makes of one episode."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 REACTIONS = ("unaffected", "erratic", "frozen", "follows the fake")
-"""How a component can react to what looks like an attack; an assessor may have other classes."""
+"""Classes of a component's reaction to a suspected attack; an assessor may have others."""
 DISCOMFORT = "discomfort"
-"""The performance value that is above 1 where passengers are uncomfortable: the greatest of what
-they feel, each as a share of its limit. An oracle that does not measure it says nothing of them."""
+"""Performance value above 1 where passengers are uncomfortable: the greatest of the accelerations
+and jerks that they feel, each as a share of its limit. An oracle need not measure it."""
 COMMAND = "command"
-"""The command channel: what is on its way to the actuators."""
+"""Channel of the command on its way to the actuators."""
 
 
 @dataclass
@@ -24,10 +24,10 @@ class FaultRecord:
     """One fault from plan to recovery; times in s, ``None`` for what did not happen.
 
     A fault manifests when the value of a channel that the Generator read at that tick, or the
-    command, was changed. Detection is looked for from the fault's activation on: a monitor may read
-    a channel before the Generator does. It counts where the fault manifests then or later. Recovery
-    is looked for from the first manifestation on. Both end one second after the fault's end. A
-    fault of the command is answered after the tick at which it began, since it acts at its end.
+    command, was changed. Detections count from the fault's activation on, since a monitor may read
+    a channel before the Generator does, if the fault manifests then or later; recovery from the
+    first manifestation on. Both count until one second after the fault's end. A fault of the
+    command is answered after the tick at which it began, since it acts at its end.
 
     Args:
         id: Its name in the episode.
@@ -45,7 +45,7 @@ class FaultRecord:
         activations: How often it was activated.
         manifest_ticks: Ticks at which it manifested.
         flagged_ticks: Those of them at which the proposal was unsafe.
-        by_chance: Whether it is drawn whether it has any effect; then it need not manifest.
+        by_chance: Whether its effect is drawn by chance; then it need not manifest.
     """
 
     id: str
@@ -82,10 +82,7 @@ class FaultRecord:
 
     @property
     def began_at(self) -> float | None:
-        """From when on an alert answers it: activation, or manifestation if that comes first.
-
-        An injector need not report activations.
-        """
+        """Time of its activation, or of its manifestation if the injector reported none before."""
         times = [time for time in (self.activated_at, self.manifested_at) if time is not None]
         return min(times, default=None)
 
@@ -117,12 +114,12 @@ def _between(first: float | None, then: float | None) -> float | None:
 
 
 KINDS = ("failure", "control", "comparison")
-"""What a measure of a component's accounts can be, see :class:`Tally`."""
+"""Kinds of measures of a component's accounts, see :class:`Tally`."""
 
 
 @dataclass(frozen=True)
 class Tally:
-    """How often a failure mode showed, among the decisions that could have shown it.
+    """Count of the decisions that showed a failure mode, among those that could have shown it.
 
     Args:
         hits: Decisions that showed it.
@@ -147,7 +144,7 @@ class DependabilityMetrics:
     Args:
         violations: Ticks at which each kind was violated: a role's name for an unsafe
             assessment, ``component`` for a failed proposal, ``performance:x`` for a threshold
-            (``wall_clock:x`` where it depends on the machine's speed).
+            (``wall_clock:x`` if it depends on the machine's speed).
         performance: Values over time by name: ``(times, values)``.
         wall_clock: The same, for values that depend on the machine's speed.
         robustness: The score of each monitor by role name: ``(times, scores)``, one for each
@@ -158,14 +155,14 @@ class DependabilityMetrics:
             A stretch succeeds if the proposal was acceptable again and nothing critical followed.
         processing_ns: Wall-clock nanoseconds by role: ``(ticks, nanoseconds)``.
         alerts: Alerts raised; the same one at the same tick counts once.
-        alert_ticks: Ticks at which each assessor that was asked raised alerts, by role name.
-        reactions: How often the component reacted in which way to what looked like an attack.
-        proposals: How often the Generator was asked.
-        valid_proposals: How often it answered with an action of this simulator.
-        tallies: How often each failure mode showed in what the component told of its proposals.
-        answer_seconds: Wall-clock seconds that it says its decisions took, one each.
-        answer_ages: Simulated seconds that it says its own decisions were old when they came into
-            force, one each: since the percept behind them.
+        alert_ticks: Ticks at which each assessor that ran raised alerts, by role name.
+        reactions: Number of the component's reactions to suspected attacks, by class.
+        proposals: Number of proposals that the Generator was asked for.
+        valid_proposals: Number of answers with an action of this simulator.
+        tallies: Counts of each failure mode that the component's accounts show.
+        answer_seconds: Wall-clock seconds that the component declares for its decisions.
+        answer_ages: Simulated seconds from the percept behind each of its own decisions to the tick
+            at which it came into force, as the component declares them.
         user: User-defined metrics, filled when the episode is complete.
     """
 
@@ -188,7 +185,7 @@ class DependabilityMetrics:
     user: dict[str, float] = field(default_factory=dict)
 
     def log_time(self, role: str, tick: int, nanoseconds: int) -> None:
-        """Processing time of a role at a tick."""
+        """Log the processing time of a role at a tick."""
         columns = self.processing_ns.get(role)
         if columns is None:
             columns = self.processing_ns[role] = [], []
@@ -196,7 +193,7 @@ class DependabilityMetrics:
         columns[1].append(nanoseconds)
 
     def log_score(self, role: str, time: float, score: float) -> None:
-        """Robustness score of a monitor."""
+        """Log the robustness score of a monitor."""
         columns = self.robustness.get(role)
         if columns is None:
             columns = self.robustness[role] = [], []
@@ -204,11 +201,11 @@ class DependabilityMetrics:
         columns[1].append(score)
 
     def log_flag(self, role: str, tick: int) -> None:
-        """A monitor found a proposal of this tick unsafe; a tick counts once, however often."""
+        """Log that a monitor refused a proposal of this tick, which counts once."""
         _once(self.flags.setdefault(role, []), tick)
 
     def log_alerts(self, role: str, tick: int, *, raised: bool) -> None:
-        """An assessor was asked, and raised alerts or none."""
+        """Log that an assessor ran, and whether it raised alerts."""
         if role not in self.alert_ticks:
             self.alert_ticks[role] = []
         if raised:
@@ -217,7 +214,7 @@ class DependabilityMetrics:
     def log_performance(
         self, time: float, values: Mapping[str, float], wall_clock: Mapping[str, float]
     ) -> None:
-        """Performance values; those that depend on the machine's speed are kept apart."""
+        """Log performance values; those that depend on the machine's speed stay separate."""
         for table, source in ((self.performance, values), (self.wall_clock, wall_clock)):
             for name, value in source.items():
                 columns = table.get(name)
@@ -227,7 +224,7 @@ class DependabilityMetrics:
                 columns[1].append(float(value))
 
     def log_recovery(self, tick: int) -> None:
-        """Recovery acted at this tick."""
+        """Log that recovery acted at this tick."""
         if self.recoveries and self.recoveries[-1][1] == tick - 1:
             self.recoveries[-1] = (self.recoveries[-1][0], tick, False)
         else:
@@ -246,7 +243,7 @@ class DependabilityMetrics:
         return np.asarray(table.get(name, ((), ()))[1], dtype=float)
 
     def deterministic(self) -> dict[str, Any]:
-        """All that does not depend on the machine's speed, as plain data."""
+        """Plain data of all that does not depend on the machine's speed."""
         tallies = sorted(self.tallies.items())
         return {
             "violations": {
@@ -262,12 +259,12 @@ class DependabilityMetrics:
             "alert_ticks": self.alert_ticks,
             **({"reactions": dict(sorted(self.reactions.items()))} if self.reactions else {}),
             "proposals": [self.proposals, self.valid_proposals],
-            **({"tallies": {name: asdict(item) for name, item in tallies}} if tallies else {}),
+            **({"tallies": {name: asdict(tally) for name, tally in tallies}} if tallies else {}),
             **({"answer_ages": self.answer_ages} if self.answer_ages else {}),
         }
 
     def summary(self) -> dict[str, Any]:
-        """One number per item, for records and tables."""
+        """Summary in plain data, for records and tables."""
         faults = list(self.faults.values())
         succeeded = [recovery for recovery in self.recoveries if recovery[2]]
         return {

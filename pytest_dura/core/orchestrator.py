@@ -2,12 +2,11 @@
 
 One call of :meth:`Orchestrator.run` is one episode.
 
-A verdict on a prefix that no continuation can change is the verdict on the whole episode. It is
-not all that a whole episode shows: a planned fault that has not manifested by then might still do
-so, and an episode in which it never did is invalid. So an episode whose faults are still to come
-ends early only if every requirement is violated, which nothing can turn into anything else. One
-whose hits are drawn is waited for in any case: a rate is not supported under a fault that
-manifested in no episode, and the only hit may come after a violation.
+A verdict on a prefix that no continuation can change is the verdict on the whole episode. But a
+planned fault that has not manifested by then might still do so, and an episode in which it never
+does is invalid. So an episode with such a fault ends early only if every requirement is violated,
+which stays. A fault whose hits are drawn by chance is waited for in any case: a rate is not
+supported under a fault that manifested in no episode, and the only hit may follow a violation.
 """
 
 from __future__ import annotations
@@ -60,39 +59,31 @@ from pytest_dura.core.state import NOTHING, Percept, StateManager, Tick
 
 
 class EarlyEndJudge(Protocol):
-    """Tells during an episode whether it may end before its time."""
+    """Judge of whether an episode may end before its time, called at each tick."""
 
     def __call__(self, simulator: Simulator, ticks: list[Tick]) -> bool:
         """Whether every requirement is decided and at least one is violated."""
 
     def decided(self, simulator: Simulator, ticks: list[Tick], *, violated: bool) -> bool:
-        """Whether every requirement is decided, by what no continuation can change.
+        """Whether no continuation can change the verdict of any requirement.
 
-        Asked at each tick; an answer may come later than it could, but never too early.
+        ``True`` may come later than it could, but never too early.
 
         Args:
-            simulator: Whose signals they are about.
-            ticks: Those so far, from the first on.
-            violated: Whether each of them must be violated, too.
+            simulator: Computes the signals that requirements read.
+            ticks: All ticks so far.
+            violated: Whether each requirement must be violated, too.
         """
 
 
 def _all_decided(
     judge: EarlyEndJudge, simulator: Simulator, ticks: list[Tick], faults: Mapping[str, FaultRecord]
 ) -> bool:
-    """Whether nothing that follows can change what the episode says of any requirement.
-
-    Args:
-        judge: Knows the requirements.
-        simulator: The world.
-        ticks: Those so far.
-        faults: What became of the planned faults so far. One that is drawn by chance counts, too:
-            a resilient component is to be seen under the faults that its case names.
-    """
-    still_to_come = [fault for fault in faults.values() if fault.manifested_at is None]
-    if any(fault.by_chance for fault in still_to_come):
+    """Whether nothing that follows can change any verdict, see the module."""
+    pending = [fault for fault in faults.values() if fault.manifested_at is None]
+    if any(fault.by_chance for fault in pending):
         return False
-    return judge.decided(simulator, ticks, violated=bool(still_to_come))
+    return judge.decided(simulator, ticks, violated=bool(pending))
 
 
 class Orchestrator:
@@ -101,14 +92,14 @@ class Orchestrator:
     Args:
         simulator: The world.
         roles: By name; ``generator`` is required, any other may be missing.
-        judge: Asked each tick where the spec ends episodes at a violation, or once all is decided.
+        judge: Called at each tick if the spec ends episodes at a violation, or once all is decided.
         metrics: User-defined metrics by name, measured on the complete episode. One that has no
             value for this episode returns NaN; one that raises is an infrastructure error.
         recorded: Whether episodes keep what a viewer shows of them.
         role_timeout: Seconds of wall-clock time that a role, the component apart, the simulator
             and a metric have for one call; one that takes longer ends the episode as an
-            infrastructure error. ``None`` waits for ever. It holds where there is an alarm to be
-            had: in the main thread, on systems that have them.
+            infrastructure error. ``None`` waits for ever. It holds where an alarm is available:
+            in the main thread, on systems that have them.
 
     Raises:
         ConfigurationError: If the roles cannot be scheduled or one is of the wrong kind.
@@ -151,7 +142,7 @@ class Orchestrator:
         recorded: bool = False,
         role_timeout: float | None = ROLE_TIMEOUT,
     ) -> Orchestrator:
-        """The orchestrator that a spec describes, of fresh parts."""
+        """Build the orchestrator that a spec describes, of fresh parts."""
         simulator = spec.simulator.create()
         if not isinstance(simulator, Simulator):
             raise ConfigurationError(
@@ -165,18 +156,17 @@ class Orchestrator:
         return cls(simulator, roles, judge, metrics, recorded=recorded, role_timeout=role_timeout)
 
     def run(self, spec: EpisodeSpec) -> Episode:
-        """One episode. An infrastructure error ends it and is told by ``Episode.failure``."""
+        """Run one episode. An infrastructure error ends it and stands in ``Episode.failure``."""
         self.spec = spec
         self.state = StateManager(spec.time_step)
         self._messages = Messages(self.injector, self.state)
         self.log = EpisodeLog(spec)
         self._last_index = spec.termination.last_index(spec.time_step)
         self._injector_ns = 0
-        self._watch = CallTimer(self.role_timeout)
-        draws = recording_draws()
-        with Boundary() as self._boundary, alarms(self._watch), draws as noted:
+        self._timer = CallTimer(self.role_timeout)
+        with Boundary() as self._boundary, alarms(self._timer), recording_draws() as draws:
             episode = self._run()
-        episode.drawn = noted.any
+        episode.drawn = draws.any
         return episode
 
     def _run(self) -> Episode:
@@ -186,10 +176,10 @@ class Orchestrator:
             self._check_overrun()
         except InfrastructureError as error:
             failure, ending = error, "infrastructure"
-        except CallBlocked as blocked:  # in the instant in which the call came back after all
-            role = self._watch.overran or "simulator"
+        except CallBlocked as blocked:  # raised between the call's return and the end of its limit
+            role = self._timer.overran or "simulator"
             failure, ending = self._failure_of(role, str(blocked)), "infrastructure"
-        with self._watch.calling("simulator"):
+        with self._timer.calling("simulator"):
             episode = self.log.close(
                 self.simulator, self.state, ending, failure, recorded=self.recorded
             )
@@ -199,7 +189,7 @@ class Orchestrator:
         return episode
 
     def _loop(self) -> str:
-        """Tick by tick until something ends the episode; returns what."""
+        """Run tick by tick until something ends the episode; returns the termination."""
         tick = self._reset()
         while True:
             self._update(tick)
@@ -222,23 +212,23 @@ class Orchestrator:
                 episode.metrics.user[name] = self._guard(f"metric {name!r}", float, measured)
                 self._check_overrun()
         except InfrastructureError as failure:
-            self._spoil(episode, failure)
+            self._mark_missing(episode, failure)
 
     def close(self, episode: Episode) -> Episode:
-        """Let the simulator go after its episode; if it cannot be closed, the episode is missing.
+        """Close the simulator after its episode; if that fails, the episode is missing.
 
         Args:
-            episode: What :meth:`run` returned.
+            episode: The result of :meth:`run`.
         """
-        with Boundary() as self._boundary, alarms(self._watch):
+        with Boundary() as self._boundary, alarms(self._timer):
             try:
                 self._guard("simulator", self.simulator.close)
             except InfrastructureError as failure:
                 if episode.failure is None:
-                    self._spoil(episode, failure)
+                    self._mark_missing(episode, failure)
         return episode
 
-    def _spoil(self, episode: Episode, failure: InfrastructureError) -> None:
+    def _mark_missing(self, episode: Episode, failure: InfrastructureError) -> None:
         self.log.failed(failure)
         episode.events, episode.failure = tuple(self.log.events), str(failure)
         episode.termination = "infrastructure"
@@ -254,9 +244,9 @@ class Orchestrator:
                 context = RoleContext(
                     own_seed, spec.time_step, scenario, time_budget=spec.time_budget
                 )
-                with environment_errors() as outside:
+                with environment_errors() as errors:
                     problem = self._component.reset(context)
-                self._raise_outside(outside)
+                self._raise_environment_error(errors)
                 if problem is not None:
                     self.log.early_event("component_failure", spec.component, problem)
             else:
@@ -296,9 +286,13 @@ class Orchestrator:
             return "time"
         if end.iterations is not None and tick.index >= end.iterations:
             return "iterations"
-        over = judge is not None and end.decided
-        over = over and self._guard("judge", _all_decided, judge, *so_far, self.log.metrics.faults)
-        return "decided" if over else None
+        faults = self.log.metrics.faults
+        decided = (
+            judge is not None
+            and end.decided
+            and self._guard("judge", _all_decided, judge, *so_far, faults)
+        )
+        return "decided" if decided else None
 
     def _decide_on_tick(self, tick: Tick) -> Any:
         self._propose()
@@ -327,13 +321,13 @@ class Orchestrator:
         self.state.proposal = None
         start = perf_counter_ns()
         view = self.state.generator_view(feedback, self._messages.transmit)
-        with environment_errors() as outside:
-            proposal, problem, is_plain = self._component.ask(view)
+        with environment_errors() as errors:
+            proposal, problem, is_plain = self._component.propose(view)
         elapsed = perf_counter_ns() - start
         seconds = None if proposal is None else declared_seconds(proposal.account)
         self.state.generator_seconds = elapsed / 1e9 if seconds is None else seconds
         self.log.metrics.log_time("generator", tick.index, elapsed)
-        self._raise_outside(outside)
+        self._raise_environment_error(errors)
         if proposal is not None:
             problem = proposal.failure or None
         if proposal is not None and (proposal.action is not None or problem is None):
@@ -351,10 +345,10 @@ class Orchestrator:
         if state.proposal is None:
             verdict, reasons = Assessed.UNSAFE, ["the component made no valid proposal"]
         view = state.role_view()
-        for name, role, owed in self.assessors:
+        for name, role, required in self.assessors:
             if first or role.reassess:
                 start = perf_counter_ns()
-                output, exact = self._guard(name, run_if_triggered, role, view, owed)
+                output, exact = self._guard(name, run_if_triggered, role, view, required)
                 elapsed = perf_counter_ns() - start
                 if role is self.injector:
                     elapsed += self._injector_ns
@@ -366,14 +360,13 @@ class Orchestrator:
                     continue
                 state.put(name, output)
                 self._log_output(tick, name, exact)
-            # What a role that does not reassess has said holds for the refined proposal, too.
+            # The judgement of a role that does not reassess holds for a refined proposal, too.
             judgement = self._judgements.get(name)
             if judgement is not None:
-                found = Assessed.UNSAFE if judgement.critical else judgement.verdict
-                if found is not Assessed.SAFE:
-                    said = judgement.reasons or (found.name,)
-                    reasons += [f"{name}: {reason}" for reason in said]
-                    verdict = max(verdict, found)
+                level = Assessed.UNSAFE if judgement.critical else judgement.verdict
+                if level is not Assessed.SAFE:
+                    reasons += [f"{name}: {why}" for why in judgement.reasons or (level.name,)]
+                    verdict = max(verdict, level)
         return verdict, tuple(reasons)
 
     def _log_output(self, tick: Tick, name: str, output: Any) -> None:
@@ -429,14 +422,13 @@ class Orchestrator:
             self._guard("fault_injector", self.injector.manifested, first, tick.time)
 
     def _guard(self, role: str, call: Callable[..., Any], *args: Any) -> Any:
-        """Call into anything but the component; a failure there says nothing about the component.
+        """Call anything but the component; its failure is an infrastructure error.
 
-        A misconfiguration that shows before anything has moved is the user's to mend, not a
-        failure of this episode.
+        A misconfiguration that shows before anything has moved is raised as it is, for the user.
         """
-        watch, boundary = self._watch, self._boundary
-        watch.calls += 1
-        watch.role = role
+        timer, boundary = self._timer, self._boundary
+        timer.calls += 1
+        timer.role = role
         try:
             result = call(*args)
         except CallBlocked as blocked:
@@ -445,30 +437,30 @@ class Orchestrator:
             boundary.let_pass(error)
             if isinstance(error, ConfigurationError) and len(self.state.ticks) <= 1:
                 raise
-            cause = boundary.take_misdeed() or describe_error(error)
+            cause = boundary.take_misuse() or describe_error(error)
             raise self._failure_of(role, cause) from error
         finally:
-            watch.role = None
-        if boundary.noted:
-            misdeed = boundary.take_misdeed()
-            if misdeed is not None:
-                raise self._failure_of(role, misdeed)
+            timer.role = None
+        if boundary.pending:
+            misuse = boundary.take_misuse()
+            if misuse is not None:
+                raise self._failure_of(role, misuse)
         return result
 
     def _check_overrun(self) -> None:
-        """End the episode where a call overran, was interrupted, and went on all the same."""
+        """End the episode if a call overran, caught its interruption and went on."""
         self._boundary.end_copy()
-        misdeed = self._boundary.take_misdeed() if self._boundary.noted else None
-        if misdeed is not None:
-            raise self._failure_of("simulator", misdeed)
-        overran = self._watch.overran
+        misuse = self._boundary.take_misuse() if self._boundary.pending else None
+        if misuse is not None:
+            raise self._failure_of("simulator", misuse)
+        overran = self._timer.overran
         if overran is not None:
-            raise self._failure_of(overran, self._watch.cause)
+            raise self._failure_of(overran, self._timer.cause)
 
-    def _raise_outside(self, heard: Sequence[ComponentEnvironmentError]) -> None:
-        """End the episode at the first failure of what the component rests on, if there was one."""
-        if heard:
-            raise self._failure_of(heard[0].source, str(heard[0])) from heard[0]
+    def _raise_environment_error(self, errors: Sequence[ComponentEnvironmentError]) -> None:
+        """End the episode at the first environment error, if there is one."""
+        if errors:
+            raise self._failure_of(errors[0].source, str(errors[0])) from errors[0]
 
     def _failure_of(self, role: str, cause: str) -> InfrastructureError:
         ticks = self.state.ticks

@@ -1,4 +1,4 @@
-"""Outputs that roles owe the loop, and calls into roles and simulator whose answers are checked."""
+"""Checks of what roles and simulator return to the loop, and calls of them with these checks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from pytest_dura.core.state import NOTHING, Alert, Percept, RoleView, Tick
 LONGEST = 1000
 """Characters of the description of an action."""
 
-_OWED: tuple[tuple[type[Role], type[Any]], ...] = (
+_REQUIRED_OUTPUTS: tuple[tuple[type[Role], type[Any]], ...] = (
     (SafetyMonitor, Assessment),
     (SecurityAssessor, SecurityAssessment),
     (FaultInjector, Injection),
@@ -39,22 +39,22 @@ _OWED: tuple[tuple[type[Role], type[Any]], ...] = (
 
 
 def required_output(role: Role) -> type[Any]:
-    """The type that ``role.run`` must return; ``object`` for a user's own role."""
-    return next((output for base, output in _OWED if isinstance(role, base)), object)
+    """Type that ``role.run`` must return; ``object`` for a user's own role."""
+    return next((output for base, output in _REQUIRED_OUTPUTS if isinstance(role, base)), object)
 
 
-def check_output(output: Any, owed: type[Any]) -> Any:
-    """Accept an output that the loop can work with.
+def check_output(output: Any, required: type[Any]) -> Any:
+    """Check an output of a role.
 
     Returns:
-        What the loop works with: the output, or a copy of exact types where it is not made of them.
+        The output, or a copy of exact types where it is not made of them.
 
     Raises:
         TypeError: If it, or a part of it, is of the wrong type.
         ValueError: If a number in it is not a number (NaN).
     """
-    if not isinstance(output, owed):
-        raise TypeError(f"returned {type(output).__name__}, not {_with_article(owed.__name__)}")
+    if not isinstance(output, required):
+        raise TypeError(f"returned {type(output).__name__}, not {_with_article(required.__name__)}")
     if isinstance(output, Assessment):
         return _assessment(output)
     if isinstance(output, PerformanceAssessment):
@@ -115,7 +115,7 @@ def _check_security(output: SecurityAssessment) -> bool:
 
 
 def _check_number(name: str, value: Any) -> bool:
-    """Whether it is a ``float``; raises for what is no number."""
+    """Whether a value is exactly a ``float``; raises for what is no number."""
     if type(value) is float and value == value:  # noqa: PLR0124 - the usual case, and no NaN
         return True
     try:
@@ -128,7 +128,7 @@ def _check_number(name: str, value: Any) -> bool:
 
 
 def _check_numbers(name: str, values: Any) -> bool:
-    """Whether it maps ``str`` to ``float``; raises for what is no mapping to numbers."""
+    """Whether a value maps ``str`` to ``float`` exactly; raises for no mapping to numbers."""
     if not _is_mapping(values):
         raise TypeError(f"its {name} is {_with_article(type(values).__name__)}, not a mapping")
     exact = values is NOTHING or type(values) is dict
@@ -144,12 +144,12 @@ def _exact_numbers(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _is_mapping(value: Any) -> bool:
-    """Whether it is a Mapping; of a dict, without the cost of asking an abstract class."""
+    """``isinstance(value, Mapping)``, quick for a dict."""
     return type(value) is dict or isinstance(value, Mapping)
 
 
 def check_texts(name: str, texts: Any) -> bool:
-    """Accept a tuple or list of ``str``.
+    """Check a tuple or list of ``str``.
 
     Returns:
         Whether it is a tuple of ``str`` exactly; see :func:`exact_texts`.
@@ -174,14 +174,14 @@ def check_texts(name: str, texts: Any) -> bool:
 
 
 def exact_texts(texts: Iterable[str]) -> tuple[str, ...]:
-    """Texts as ``str``, whatever subclass they are of."""
+    """Convert texts to ``str`` from any subclass of it."""
     return tuple([str.__str__(text) for text in texts])
 
 
 def shortened_with_hash(text: str) -> str:
-    """The text, or how it begins, how long it is and a hash of it: two that differ still do.
+    """Shorten a long text to its beginning, length and hash, so that different texts still differ.
 
-    A column of texts needs room for its longest one at every tick.
+    A column of texts takes the memory of its longest text at every tick.
     """
     if len(text) <= LONGEST:
         return text
@@ -195,10 +195,10 @@ def _with_article(noun: str) -> str:
 
 
 def corrupted_percept(injector: FaultInjector, tick: Tick) -> Percept:
-    """What the sensors report after active faults.
+    """Percept after active sensor faults.
 
     Raises:
-        TypeError: For an answer that is none.
+        TypeError: If the injector returns something else.
     """
     channels, tampered = injector.corrupt(tick.channels, tick.time)
     if not _is_mapping(channels):
@@ -214,10 +214,10 @@ def corrupted_percept(injector: FaultInjector, tick: Tick) -> Percept:
 def corrupted_command(
     injector: FaultInjector, action: Any, time: float
 ) -> tuple[Any, tuple[str, ...]]:
-    """The command after active faults, and the ids of those that changed it.
+    """Command after active faults, and the ids of the faults that changed it.
 
     Raises:
-        TypeError: For an answer that is none.
+        TypeError: If the injector returns something else.
     """
     command, tampered = injector.corrupt_command(action, time)
     if not check_texts("tampered faults", tampered):
@@ -225,28 +225,28 @@ def corrupted_command(
     return command, tampered
 
 
-def run_if_triggered(role: Role, view: RoleView, owed: type[Any]) -> tuple[Any, Any]:
-    """The role's output, and the same of exact types; ``None`` where its trigger does not hold.
+def run_if_triggered(role: Role, view: RoleView, required: type[Any]) -> tuple[Any, Any]:
+    """Run a role: its output, and the same of exact types; ``None`` without its trigger.
 
     Raises:
-        TypeError: For an output of another type than it owes.
+        TypeError: For an output of another type than required.
     """
     if not role.trigger(view):
         return None, None
     output = role.run(view)
-    return output, check_output(output, owed)
+    return output, check_output(output, required)
 
 
 def next_tick(simulator: Simulator, action: Any, index: int, time_step: float) -> Tick:
-    """The simulator's next tick; raises as :func:`checked_tick` does."""
+    """Step the simulator; raises as :func:`checked_tick` does."""
     return checked_tick(simulator.step(action), index, time_step)
 
 
 def checked_tick(tick: Any, index: int, time_step: float) -> Tick:
-    """The simulator's tick, which must be the one that is due: the loop counts on it to end.
+    """Check that a tick is the one that is due, on which the loop relies to end.
 
     Raises:
-        TypeError: For something else, or a part of another type than it should have.
+        TypeError: If it, or a part of it, is of the wrong type.
         ValueError: For another tick than the one that is due.
     """
     if not isinstance(tick, Tick):
@@ -275,7 +275,7 @@ def _exact_tick(tick: Tick) -> Tick:
 
 
 def accepted_action(simulator: Simulator, action: Any) -> tuple[Any, str | None]:
-    """The action as the simulator takes it, or what is wrong with it."""
+    """Action as the simulator takes it, or ``None`` and what is wrong with it."""
     try:
         return simulator.check_action(action), None
     except ActionError as error:
@@ -283,11 +283,11 @@ def accepted_action(simulator: Simulator, action: Any) -> tuple[Any, str | None]
 
 
 def checked_recovery(planner: RecoveryPlanner, view: RoleView, simulator: Simulator) -> Recovery:
-    """The recovery, with its action as the simulator takes it.
+    """Run recovery; its action is as the simulator takes it.
 
     Raises:
         ActionError: For an action that the simulator does not take.
-        TypeError: For an answer that is none.
+        TypeError: If the planner returns no recovery.
     """
     recovery = planner.run(view)
     check_output(recovery, Recovery)
@@ -296,7 +296,7 @@ def checked_recovery(planner: RecoveryPlanner, view: RoleView, simulator: Simula
 
 
 def end_directives(outputs: dict[str, Any], name: str) -> None:
-    """A directive holds for the tick in which it was given; the rest of an output stays."""
+    """Remove the directives of a role's latest output, which hold for their own tick only."""
     latest = outputs.get(name)
     if isinstance(latest, SecurityAssessment) and latest.directives:
         outputs[name] = replace(latest, directives=())

@@ -30,7 +30,7 @@ class RoleSpec:
 
     @classmethod
     def of(cls, value: object, params: Mapping[str, Any] | None = None) -> RoleSpec:
-        """From a RoleSpec, an import path, a class, an importable factory or an instance.
+        """Make a spec of an import path, a class, an importable factory or an instance.
 
         Raises:
             ConfigurationError: If a fresh instance could not be built from it elsewhere.
@@ -60,15 +60,15 @@ class RoleSpec:
 
     @property
     def label(self) -> str:
-        """The component's name in cases, verdicts and reports."""
+        """Name of the component in cases, verdicts and reports."""
         return self.path.rsplit(":", 1)[-1]
 
     def with_params(self, params: Mapping[str, Any]) -> RoleSpec:
-        """The same with other parameters."""
+        """Copy with other parameters."""
         return RoleSpec(self.path, dict(params), self.instance)
 
     def resolve(self) -> Any:
-        """What the path leads to, imported and not called.
+        """Import the object at the path, without a call of it.
 
         Raises:
             ConfigurationError: If the path cannot be imported, or must not be: see
@@ -99,41 +99,38 @@ class RoleSpec:
         return target
 
     def factory(self, *kinds: type) -> Callable[..., Any]:
-        """The imported class or factory.
+        """Import the class or factory.
 
         Args:
             kinds: Base classes of what it may build; default: a role or a simulator.
 
         Raises:
-            ConfigurationError: If the path cannot be imported, or leads to something else, which
-                is not called then.
+            ConfigurationError: If the path cannot be imported, or leads to something else.
         """
-        target = self.resolve()
+        target: Callable[..., Any] = self.resolve()
         check_buildable(self.path, target, kinds or (Role, Simulator))
-        found: Callable[..., Any] = target
-        return found
+        return target
 
     def function(self) -> Callable[..., Any]:
-        """The imported function, of a check or a measure for example.
+        """Import a function, such as a check or a measure.
 
         Raises:
             ConfigurationError: If the path cannot be imported, or leads to something that is not
                 the project's own: see :func:`pytest_dura.core.trust.check_function`.
         """
-        target = self.resolve()
+        target: Callable[..., Any] = self.resolve()
         check_function(self.path, target)
-        found: Callable[..., Any] = target
-        return found
+        return target
 
     def create(self, *kinds: type) -> Any:
-        """A fresh object, or the opaque instance.
+        """Build a fresh object, or return the opaque instance.
 
         Args:
             kinds: See :meth:`factory`.
 
         Raises:
-            ConfigurationError: If the path leads to nothing that may be built, or refuses the
-                parameters.
+            ConfigurationError: If the path leads to nothing that may be built, or the parameters
+                are refused.
         """
         if self.instance is not None:
             return self.instance
@@ -147,13 +144,11 @@ class RoleSpec:
                 expected=f"{self.label}{inspect.signature(factory)}",
                 remedy="correct the parameters",
             ) from None
-        except ValueError:  # a builtin without a signature: it will tell when it is called
+        except ValueError:  # a builtin without a signature, which checks when it is called
             pass
         try:
             return factory(**self.params)
-        except ConfigurationError:
-            raise
-        except CallEnded:
+        except (ConfigurationError, CallEnded):
             raise
         except BaseException as error:
             let_pass(error)
@@ -170,7 +165,7 @@ class RoleSpec:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> RoleSpec:
-        """The inverse of :meth:`to_json`.
+        """Invert :meth:`to_json`.
 
         Raises:
             ConfigurationError: For an opaque role: a bare instance in a process that is gone.

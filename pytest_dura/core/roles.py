@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from pytest_dura.core.state import NOTHING, Alert, GeneratorView, Proposal, Role
 
 
 class Assessed(IntEnum):
-    """What a monitor says of a proposal; the worst of all monitors wins."""
+    """Verdict of a monitor on a proposal; the worst of all monitors wins."""
 
     SAFE = 0
     WARNING = 1
@@ -23,7 +24,7 @@ class Assessed(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """The output of a monitor. ``score`` is its margin: the larger, the safer."""
+    """Output of a monitor. ``score`` is its margin: the larger, the safer."""
 
     verdict: Assessed = Assessed.SAFE
     score: float = 0.0
@@ -33,10 +34,10 @@ class Assessment:
 
 @dataclass(frozen=True, slots=True)
 class SecurityAssessment(Assessment):
-    """A monitor's output with alerts, the faults to activate, and the component's reaction.
+    """Output of a SecurityAssessor: with alerts, faults to activate, and the component's reaction.
 
-    The reaction is its class, once the suspicion is over: one of
-    :data:`pytest_dura.core.metrics.REACTIONS`, or of the assessor's own.
+    The reaction is its class, given once the suspicion is over: one of
+    :data:`pytest_dura.core.metrics.REACTIONS`, or one of the assessor's own.
     """
 
     alerts: tuple[Alert, ...] = ()
@@ -59,7 +60,7 @@ class PerformanceAssessment:
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """What the FaultInjector did at this tick, by fault id."""
+    """Output of the FaultInjector: ids of the faults that began and ended at this tick."""
 
     activated: tuple[str, ...] = ()
     deactivated: tuple[str, ...] = ()
@@ -67,7 +68,7 @@ class Injection:
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """The RecoveryPlanner's output: the action that replaces the proposal."""
+    """Output of the RecoveryPlanner: the action that replaces the proposal."""
 
     action: Any
     name: str
@@ -76,12 +77,12 @@ class Recovery:
 
 @dataclass(frozen=True, slots=True)
 class RoleContext:
-    """What a role learns before an episode: plain data of its own, never the ground truth.
+    """Context that a role gets before an episode: plain data of its own, never the ground truth.
 
     ``seed`` with :func:`pytest_dura.core.seeding.stream` and the role's own name gives its draws.
-    The Generator's context has a seed of its own and no ``faults``: what the component knew of
-    the attacks beforehand, it could not be tested against. ``time_budget`` is what it has for one
-    proposal, in s; ``None`` if there is no limit.
+    The Generator's context has a seed of its own and no ``faults``, since a component that knows
+    the attacks beforehand is not tested by them. ``time_budget`` is the limit of one proposal, in
+    s; ``None`` for no limit.
     """
 
     seed: int
@@ -104,7 +105,7 @@ class Role(ABC):
 
     @classmethod  # noqa: B027 - most roles accept all
     def check_params(cls, params: Mapping[str, Any], time_step: float) -> None:
-        """Refuse parameters of a scenario file that could not work, before anything runs.
+        """Refuse parameters of a scenario file that cannot work, before anything runs.
 
         Args:
             params: Keyword parameters of the class.
@@ -115,23 +116,44 @@ class Role(ABC):
         """
 
     @classmethod
-    def settled(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The parameters with all that determines the role's behaviour and is found elsewhere.
+    def resolve_parameters(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Complete the parameters by all that determines the role's behaviour from elsewhere.
 
-        Such as the name of a model that the environment gives. Episodes' specs state what it
-        returns. It is asked once per process, before the first episode, and settles what it
-        settled before to the same.
+        An example is the name of a model that the environment gives. The specs of episodes state
+        the result. It is called once per session for the same parameters, before the first episode,
+        and must return resolved parameters as they are.
 
         Args:
             params: Keyword parameters of the class, as they were given.
 
         Raises:
-            ConfigurationError: If they cannot be settled. The default returns them as they are.
+            ConfigurationError: If they cannot be resolved. The default returns them as they are.
         """
         return params
 
+    settled = resolve_parameters
+    """Deprecated name of :meth:`resolve_parameters`."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Let a class that defines the deprecated ``settled`` resolve its parameters by that."""
+        super().__init_subclass__(**kwargs)
+        if "resolve_parameters" in vars(cls):
+            cls.settled = vars(cls)["resolve_parameters"]
+            return
+        for base in cls.__mro__:
+            if "resolve_parameters" in vars(base):
+                return
+            if isinstance(vars(base).get("settled"), classmethod):
+                warnings.warn(
+                    f"{cls.__qualname__}.settled is deprecated: name it resolve_parameters",
+                    DeprecationWarning,
+                    stacklevel=2,
+                )
+                cls.resolve_parameters = vars(base)["settled"]  # type: ignore[method-assign]
+                return
+
     def reset(self, context: RoleContext) -> None:  # noqa: B027 - stateless roles need none
-        """Begin an episode; forget everything of the one before."""
+        """Begin an episode; forget everything of the previous one."""
 
     def trigger(self, view: RoleView) -> bool:  # noqa: ARG002 - for those who override it
         """Whether the role runs at this tick."""
@@ -139,7 +161,7 @@ class Role(ABC):
 
     @abstractmethod
     def run(self, view: RoleView) -> Any:
-        """Do the role's work; the output lands in the StateManager under the role's name."""
+        """Do the role's work; the StateManager keeps the output under the role's name."""
 
 
 class Generator(Role):
@@ -149,48 +171,49 @@ class Generator(Role):
 
     @abstractmethod
     def propose(self, view: GeneratorView) -> Proposal:
-        """An action for this tick, from the percept alone."""
+        """Propose an action for this tick, from the percept alone."""
 
     def time_limit(self, budget: float | None) -> float | None:
         """Seconds of wall-clock time after which the loop ends a call; ``None`` for never.
 
-        The time budget, unless the component keeps a deadline of its own and declares its latency,
-        which is held against the budget all the same, and does more within a call than to decide.
+        The default is the time budget. Override it for a component that keeps a deadline of its own
+        and does more within a call than to decide; its declared latency is compared with the budget
+        all the same.
         """
         return budget
 
     def run(self, view: RoleView) -> Any:
-        """Not scheduled: the loop calls :meth:`propose` with the Generator's own view."""
+        """Raise: the loop calls :meth:`propose` with the Generator's own view instead."""
         raise NotImplementedError("the loop calls propose() with a GeneratorView")
 
 
 class SafetyMonitor(Role):
-    """Judges whether the proposal is safe to carry out."""
+    """Judge of whether a proposal is safe to carry out."""
 
     name = "safety_monitor"
 
     def trigger(self, view: RoleView) -> bool:
-        """Runs where there is a proposal; the lack of a valid one counts as unsafe anyway."""
+        """Run if there is a proposal; the lack of a valid one counts as unsafe anyway."""
         return view.proposal is not None
 
     @abstractmethod
     def run(self, view: RoleView) -> Assessment:
-        """The assessment of the proposal at hand."""
+        """Assess ``view.proposal``."""
 
 
 class SecurityAssessor(Role):
-    """Directs attacks to a plan and watches percept and component for their traces."""
+    """Director of planned attacks, and detector of attacks in percept and component."""
 
     name = "security_assessor"
     after = ("safety_monitor",)
 
     @abstractmethod
     def run(self, view: RoleView) -> SecurityAssessment:
-        """Alerts, directives and the component's reaction; ``view.proposal`` may be ``None``."""
+        """Return alerts, directives and the reaction; ``view.proposal`` may be ``None``."""
 
 
 class FaultInjector(Role):
-    """Activates faults and applies them to channels and commands."""
+    """Activator of faults, which applies them to channels and commands."""
 
     name = "fault_injector"
     after = ("security_assessor",)
@@ -205,7 +228,7 @@ class FaultInjector(Role):
         channels: Mapping[str, Any],
         time: float,  # noqa: ARG002 - for those who override it
     ) -> tuple[Mapping[str, Any], Mapping[str, tuple[str, ...]]]:
-        """Channels after active sensor faults, and by channel the faults that changed it."""
+        """Return the channels after active sensor faults, and by channel what changed it."""
         return channels, NOTHING
 
     def corrupt_command(
@@ -213,7 +236,7 @@ class FaultInjector(Role):
         action: Any,
         time: float,  # noqa: ARG002 - for those who override it
     ) -> tuple[Any, tuple[str, ...]]:
-        """The command after active command faults, and the ids of the faults that changed it."""
+        """Return the command after active faults, and the ids of the faults that changed it."""
         return action, ()
 
     def corrupt_message(
@@ -222,15 +245,15 @@ class FaultInjector(Role):
         message: Any,
         time: float,  # noqa: ARG002 - see above
     ) -> tuple[Any, tuple[str, ...]]:
-        """What the component sends on a channel of its own, and the faults that changed it."""
+        """Return a message of the component after active faults, and ids of those faults."""
         return message, ()
 
     def manifested(self, faults: tuple[str, ...], time: float) -> None:
-        """Told at the tick at which faults first reached the component or the plant."""
+        """Take note of faults that reached the component or the plant for the first time."""
 
 
 class PerformanceOracle(Role):
-    """Measures how well and how quickly the task is done."""
+    """Measurement of how well and how quickly the task is done."""
 
     name = "performance_oracle"
     after = ("fault_injector",)
@@ -238,17 +261,17 @@ class PerformanceOracle(Role):
 
     @abstractmethod
     def run(self, view: RoleView) -> PerformanceAssessment:
-        """Values of this tick and the thresholds they passed."""
+        """Return the values of this tick and the thresholds that they passed."""
 
 
 class RecoveryPlanner(Role):
-    """Replaces a refused proposal."""
+    """Planner of the action that replaces a refused proposal."""
 
     name = "recovery_planner"
 
     @abstractmethod
     def run(self, view: RoleView) -> Recovery:
-        """The action to carry out instead of the proposal; ``view.reasons`` says why."""
+        """Return the action that replaces the proposal; ``view.reasons`` say why."""
 
 
 STANDARD_ROLES: dict[str, type[Role]] = {
@@ -267,17 +290,17 @@ STANDARD_ROLES: dict[str, type[Role]] = {
 _UNSCHEDULED = ("generator", "recovery_planner")
 """Roles with a place of their own in the tick: before and after the assessment."""
 
-_ONE_OF_A_KIND = (Generator, FaultInjector, RecoveryPlanner)
+_SINGLE_ROLES = (Generator, FaultInjector, RecoveryPlanner)
 
 
 def schedule(roles: Mapping[str, Role]) -> list[str]:
-    """Names of the assessing roles in running order; the same for the same declarations.
+    """Order the assessing roles by ``after``; the same declarations give the same order.
 
-    A standard role that is switched off may still be named in ``after``. The Generator runs
-    before all of them, so naming it is allowed and changes nothing.
+    A standard role that is switched off may still be named in ``after``, and so may the Generator,
+    which runs before all of them anyway.
 
     Raises:
-        ConfigurationError: For a name that nobody has, and for a cycle.
+        ConfigurationError: For an unknown name, and for a cycle.
     """
     names = [name for name in roles if name not in _UNSCHEDULED]
     graph: dict[str, list[str]] = {}
@@ -318,14 +341,14 @@ def _standard_first(name: str) -> tuple[int, str]:
 
 
 def check_kind(name: str, role: object) -> None:
-    """Accept a role whose kind fits its name.
+    """Check that the class of a role fits its name.
 
     Raises:
-        ConfigurationError: If a standard name stands for something else, if a role of which there
-            is one place in the loop has another name, or if it is no role at all.
+        ConfigurationError: If a standard name has a role of another class, if a role that the loop
+            has a single place for has another name, or if it is no role at all.
     """
     kind = STANDARD_ROLES.get(name, Role)
-    misplaced = next((b for b in _ONE_OF_A_KIND if isinstance(role, b) and name != b.name), None)
+    misplaced = next((b for b in _SINGLE_ROLES if isinstance(role, b) and name != b.name), None)
     if isinstance(role, kind) and misplaced is None:
         return
     if misplaced is not None:

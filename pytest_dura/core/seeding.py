@@ -1,6 +1,6 @@
-"""One seed, many independent streams of random numbers, told apart by name.
+"""Streams of random numbers: many independent ones from one seed, each with a name.
 
-Adding a role or a fault asks for a new name and so shifts nobody else's draws.
+A role or a fault that is added draws from a stream of a new name, so that no other draw changes.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numpy as np
 
@@ -18,7 +19,7 @@ _SEED_BITS = 53
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
-    """The stream ``name`` of ``seed``: the same numbers on every call and in every process.
+    """Make the stream ``name`` of ``seed``: the same numbers on every call, in every process.
 
     Raises:
         ConfigurationError: For a seed below 0.
@@ -27,66 +28,65 @@ def stream(seed: int, name: str) -> np.random.Generator:
         raise ConfigurationError(
             "a seed is a whole number of at least 0", key="seed", found=seed, expected="0 or more"
         )
-    words = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4").tolist()
-    made = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *words])))
-    watch_draws(made, made)
-    return made
+    key = np.frombuffer(hashlib.sha256(name.encode()).digest(), dtype="<u4").tolist()
+    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, *key])))
+    watch_draws(generator, generator)
+    return generator
 
 
 def watch_draws(used: np.random.Generator, fresh: np.random.Generator) -> None:
-    """Note whether anybody draws from a generator, where an episode runs.
+    """Let the episode that runs record whether numbers are drawn from a generator.
 
-    For a simulator that brings its own generator: what draws declares that its runs may differ.
+    A simulator with a generator of its own calls this: episodes that draw may differ by their seed.
 
     Args:
-        used: What is drawn from.
+        used: The generator that is drawn from.
         fresh: One of the same seed from which nothing has been drawn.
     """
-    for draws in _RECORDS:
-        draws.note(used, fresh)
+    for record in _records.get():
+        record.note(used, fresh)
 
 
 class DrawRecord:
-    """Notes whether any number was drawn from the streams that were made since it began."""
+    """Record of whether any number was drawn from the streams that were made in its context."""
 
     def __init__(self) -> None:
         self._streams: list[tuple[np.random.Generator, str]] = []
 
     def note(self, used: np.random.Generator, fresh: np.random.Generator) -> None:
-        """See :func:`watch_draws`."""
+        """Add a generator, see :func:`watch_draws`."""
         self._streams.append((used, _position(fresh)))
 
     @property
     def any(self) -> bool:
         """Whether a number was drawn from one of them."""
-        return any(_position(item) != first for item, first in self._streams)
+        return any(_position(generator) != first for generator, first in self._streams)
 
 
-_RECORDS: list[DrawRecord] = []
-"""A global, since a component may be asked in another thread than the loop's."""
+_records: ContextVar[tuple[DrawRecord, ...]] = ContextVar("dura_draw_records", default=())
 
 
 @contextmanager
 def recording_draws() -> Iterator[DrawRecord]:
-    """Context in which it is noted whether anybody draws from a stream that is made in it."""
-    draws = DrawRecord()
-    _RECORDS.append(draws)
+    """Context with the record of the draws from all streams that are made in it."""
+    record = DrawRecord()
+    token = _records.set((*_records.get(), record))
     try:
-        yield draws
+        yield record
     finally:
-        _RECORDS.remove(draws)
+        _records.reset(token)
 
 
 def _position(generator: np.random.Generator) -> str:
-    """Where a generator is: another text after each draw."""
+    """State of a generator, which is another text after each draw."""
     return str(generator.bit_generator.state)
 
 
 def derive_seed(base_seed: int, *names: object) -> int:
-    """A seed below 2**53 for one run, from the session's base seed and the run's names.
+    """Derive a seed below 2**53 for one run from the session's base seed and the run's names.
 
-    Faults are no part of the names that the campaign passes: arms with and without a fault
-    share their seeds, which makes them pairs.
+    The names that a campaign passes leave out the faults: arms with and without a fault share
+    their seeds, which makes them pairs.
     """
     text = "\x1f".join([str(base_seed), *map(str, names)])
     digest = hashlib.sha256(text.encode()).digest()

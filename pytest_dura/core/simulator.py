@@ -1,6 +1,6 @@
 """Simulator: the port to the physical world, and the scene that it may give to viewers.
 
-The paper calls the port Environment Interface. A recording is what a viewer shows of an episode
+The paper calls the port Environment Interface. A recording holds what viewers show of an episode
 beside its signals; the digest leaves it out.
 """
 
@@ -20,7 +20,7 @@ from pytest_dura.core.errors import ActionError, ConfigurationError, shorten, ty
 from pytest_dura.core.state import Percept, Tick
 
 POSE = ("x", "y", "heading", "speed", "length", "width")
-"""The columns of :attr:`Tracks.poses`: m, m, rad, m/s, m, m."""
+"""Columns of :attr:`Tracks.poses`: m, m, rad, m/s, m, m."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Tracks:
-    """Where things were, tick by tick.
+    """Poses of things, tick by tick.
 
     Args:
-        ids: One id per thing; the same thing has the same id in the truth and in the percept.
+        ids: One id per thing, the same in the truth and in the percept.
         poses: Shape ``(ticks, things, 6)``, see :data:`POSE`; NaN where a thing is absent.
     """
 
@@ -54,9 +54,9 @@ class Scene:
     """The world from above, in metres and radians; x to the right, y downwards, angles clockwise.
 
     Args:
-        lines: What does not move.
-        truth: What the simulator knows.
-        percept: What the sensors reported after faults. What is in it and not in the truth is a
+        lines: Fixed lines.
+        truth: Things as the simulator knows them.
+        percept: Things as the sensors report them after faults. One that the truth lacks is a
             ghost.
         ego: Id of the thing that the component steers.
     """
@@ -69,18 +69,18 @@ class Scene:
 
 @dataclass(frozen=True)
 class Recording:
-    """What was said at each decision, and the scene.
+    """Texts of each decision, and the scene.
 
     Args:
         explanations: The component's explanation of its proposal, one per decision.
         reasons: Why the proposal was doubted or refused, one per decision; empty where it was not.
         recoveries: Name and explanation of the recovery action, one per decision; empty where
             there was none.
-        flags: By monitor, what it said at each decision: 0 safe, 1 warning, 2 unsafe, -1 where it
-            was not asked. Shape ``(decisions,)``.
-        scene: If the simulator can tell it.
-        problem: Why there is no scene, where the simulator failed to tell it.
-        accounts: What the component told of each decision; empty if it told nothing of any.
+        flags: By monitor, its verdict at each decision: 0 safe, 1 warning, 2 unsafe, -1 where it
+            did not run. Shape ``(decisions,)``.
+        scene: The scene, if the simulator gives one.
+        problem: Why there is no scene, if the simulator failed to give it.
+        accounts: The component's account of each decision; empty if it gave none at all.
     """
 
     explanations: tuple[str, ...] = ()
@@ -93,11 +93,11 @@ class Recording:
 
 
 def scene_problems(scene: Any, ticks: int) -> Iterator[tuple[str, str]]:
-    """What is wrong with a scene, and how to mend it. Its values may be anything.
+    """Find what is wrong with the types and shapes of a scene: ``(problem, remedy)``.
 
     Args:
-        scene: What a simulator's ``scene`` returned.
-        ticks: How many ticks it was given.
+        scene: The result of a simulator's ``scene``, of any type.
+        ticks: Number of ticks that it was given.
     """
     if not isinstance(scene, Scene):
         yield f"scene is a {type(scene).__name__}", "return a pytest_dura.Scene, or None"
@@ -115,7 +115,7 @@ def scene_problems(scene: Any, ticks: int) -> Iterator[tuple[str, str]]:
 
 
 def value_problems(scene: Scene) -> Iterator[tuple[str, str]]:
-    """What is wrong with the values of a scene of right types, where no fault is about."""
+    """Find what is wrong with the values of a scene without faults: ``(problem, remedy)``."""
     for number, line in enumerate(scene.lines):
         if not np.isfinite(line.points).all():
             yield f"lines[{number}].points is not finite", "give x and y in metres"
@@ -150,11 +150,11 @@ def _tracks_problems(name: str, tracks: Any, ticks: int) -> Iterator[tuple[str, 
         yield f"{name} is a {type(tracks).__name__}", "return pytest_dura.Tracks"
         return
     ids = tracks.ids
-    if not isinstance(ids, tuple) or not all(isinstance(item, str) for item in ids):
+    if not isinstance(ids, tuple) or not all(isinstance(name, str) for name in ids):
         yield f"{name}.ids is no tuple of texts", "name each thing by a text"
         return
     if len(set(ids)) < len(ids):
-        twice = next(item for item in ids if ids.count(item) > 1)
+        twice = next(name for name in ids if ids.count(name) > 1)
         yield f"{name}.ids has {twice!r} more than once", "give each thing an id of its own"
     expected = (ticks, len(ids), len(POSE))
     if not _is_float32(tracks.poses) or np.shape(tracks.poses) != expected:
@@ -173,7 +173,7 @@ def _described(array: Any) -> str:
 
 
 class Simulator(ABC):
-    """A world that is reset with a scenario and advanced one tick at a time.
+    """World that is reset with a scenario and advanced one tick at a time.
 
     An adapter must be a pure function of scenario, seed and actions. ``check_simulator`` of
     ``pytest_dura.core.simulator_conformance`` tests that, and the rest of this contract.
@@ -183,11 +183,11 @@ class Simulator(ABC):
     """Simulated seconds per tick."""
 
     hindsight: ClassVar[frozenset[str]] = frozenset()
-    """Signals whose value at a tick may change with what follows, such as one that asks when the
-    road will be free again. No requirement on one of them is decided before an episode's end."""
+    """Signals whose value at a tick depends on later ticks, such as the time until the road is free
+    again. No requirement on one of them is decided before an episode's end."""
 
     def set_time_step(self, seconds: float) -> None:
-        """Choose the simulated seconds per tick; takes effect at the next reset."""
+        """Set the simulated seconds per tick; takes effect at the next reset."""
         if not 0.0 < seconds < float("inf"):
             raise ConfigurationError(
                 "the time step of a simulator is a positive number of seconds",
@@ -207,10 +207,10 @@ class Simulator(ABC):
 
     @abstractmethod
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
-        """Ground-truth signals by name, one value per tick, shape ``(len(ticks),)``.
+        """Compute the ground-truth signals by name, one value per tick, shape ``(len(ticks),)``.
 
-        Called once per episode, so that it may be vectorised over time; and on the ticks so far
-        where episodes end once all is decided. A value may rest on earlier ticks, but on later
+        It is called once per episode, so that it may be vectorised over time, and on the ticks so
+        far if episodes end once all is decided. A value may depend on earlier ticks, but on later
         ones only if :attr:`hindsight` names the signal.
         """
 
@@ -218,7 +218,7 @@ class Simulator(ABC):
         self,
         percepts: Sequence[Percept],  # noqa: ARG002 - for those who override it
     ) -> dict[str, NDArray[np.float64]]:
-        """The signals that can be computed from percepts alone, one value per percept.
+        """Compute the signals that follow from percepts alone, one value per percept.
 
         The episode stores them with the prefix ``percept.``.
         """
@@ -230,17 +230,17 @@ class Simulator(ABC):
         percepts: Sequence[Percept],  # noqa: ARG002 - see above
         accounts: Sequence[Mapping[str, Any]],  # noqa: ARG002 - see above
     ) -> dict[str, NDArray[np.float64]]:
-        """Failure modes of the component that its accounts show, one value per decision.
+        """Measure the component's failure modes from its accounts, one value per decision.
 
-        Called once per episode, and only if the component gave an account of any proposal. 1 where
-        the decision in force at a tick shows the failure, 0 where it does not, NaN where it could
-        not show it. The episode stores them as signals with the prefix ``proposal.``, 0 for NaN,
-        and counts them over the ticks at which something was decided anew.
+        It is called once per episode, and only if the component gave an account of any proposal.
+        A value is 1 where the decision in force at a tick shows the failure, 0 where it does not,
+        NaN where it could not show it. The episode stores them as signals with the prefix
+        ``proposal.``, 0 for NaN, and counts them over the ticks with a new decision.
 
         Args:
-            ticks: The world as it was.
-            percepts: As it was perceived.
-            accounts: Of each decision, :attr:`Proposal.account`; empty where there was none.
+            ticks: The true states.
+            percepts: The percepts of these ticks.
+            accounts: :attr:`Proposal.account` of each decision; empty where there was none.
 
         Returns:
             Columns of shape ``(len(accounts),)``.
@@ -248,7 +248,7 @@ class Simulator(ABC):
         return {}
 
     measure_kinds: ClassVar[Mapping[str, str]] = {}
-    """What a measure of :meth:`account_measures` is, where it is no plain failure mode: ``control``
+    """Kind of the measures of :meth:`account_measures` that are no plain failure mode: ``control``
     or ``comparison``; see :class:`~pytest_dura.core.metrics.Tally`."""
 
     def account_signals(
@@ -257,9 +257,9 @@ class Simulator(ABC):
         percepts: Sequence[Percept],  # noqa: ARG002 - see above
         accounts: Sequence[Mapping[str, Any]],  # noqa: ARG002 - see above
     ) -> dict[str, NDArray[np.float64]]:
-        """What accounts tell beside failure modes, such as the age of a decision.
+        """Compute signals from accounts beside failure modes, such as the age of a decision.
 
-        As :meth:`account_measures`, whose names it shares, but any numbers; nothing is counted.
+        As :meth:`account_measures`, whose names it shares, but of any numbers, and not counted.
         """
         return {}
 
@@ -268,20 +268,20 @@ class Simulator(ABC):
         ticks: Sequence[Tick],  # noqa: ARG002 - for those who override it
         percepts: Sequence[Percept],  # noqa: ARG002 - see above
     ) -> Scene | None:
-        """The episode from above, for the player of the report; ``None`` where there is no such.
+        """Return the episode as seen from above, for the report's player; ``None`` without one.
 
-        Called at most once per episode, after its end. Nothing is judged by it.
+        It is called at most once per episode, after its end. No verdict depends on it.
         """
         return None
 
     def check_action(self, action: Any) -> Any:
-        """The action in the form that ``step`` takes.
+        """Check an action, and return it in the form that ``step`` takes.
 
-        What it gets of a component are numbers, texts, lists, tuples, dictionaries and arrays of
-        numbers of exactly these types, copied; objects of other classes, a dataclass for example,
-        it gets as they are. The base takes finite numbers, texts, and what is made of them. A
-        simulator with actions of a class of its own overrides this, and takes no other class;
-        one with a closed set of actions refuses more.
+        Of a component's action, numbers, texts, lists, tuples, dictionaries and arrays of numbers
+        arrive as copies of exactly these types, objects of other classes, a dataclass for example,
+        as they are. The base takes finite numbers, texts, and containers of them. A simulator with
+        actions of a class of its own overrides this, and takes no other class; one with a closed
+        set of actions refuses more.
 
         Raises:
             ActionError: If it is not an action of this simulator.
@@ -296,26 +296,26 @@ class Simulator(ABC):
 
     @abstractmethod
     def fallback_action(self) -> Any:
-        """What the plant does when nobody commands it."""
+        """Return the action of the plant without any command."""
 
     def actuation(self, action: Any) -> Any:
-        """A checked action as the actuators get it, which is what command faults change.
+        """Return a checked action as the actuators get it, which command faults change.
 
-        The base gives the action itself. A simulator whose actions leave something to it, such as
+        The base returns the action itself. A simulator whose actions leave something open, such as
         the acceleration of a maneuver, fills that in here; ``step`` does the same with either.
         """
         return action
 
     def describe_action(self, action: Any) -> str:
-        """A short, stable text for decisions and reports."""
+        """Describe an action by a short, stable text for decisions and reports."""
         return str(action)
 
     def render(self) -> NDArray[np.uint8]:
-        """An RGB picture of the current state, shape ``(height, width, 3)``."""
+        """Return an RGB picture of the current state, shape ``(height, width, 3)``."""
         raise NotImplementedError(f"{type(self).__name__} does not render")
 
     def snapshot(self) -> object:
-        """The whole state, to branch from; opaque to the caller."""
+        """Return the whole state, to branch from; opaque to the caller."""
         raise NotImplementedError(f"{type(self).__name__} has no snapshots")
 
     def restore(self, snapshot: object) -> None:
@@ -327,7 +327,7 @@ class Simulator(ABC):
 
 
 def _wrong_action(action: Any) -> str | None:
-    """Why a value is no action, whatever the simulator; ``None`` if it may be one."""
+    """Problem of an action for any simulator; ``None`` if it may be one."""
     kind = type(action)
     if kind in (str, bytes, bool, type(None)):
         return None

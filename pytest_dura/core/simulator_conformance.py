@@ -23,11 +23,7 @@ from pytest_dura.core.conformance import (
     mutable_parts,
     named_builder,
 )
-from pytest_dura.core.errors import (
-    ActionError,
-    ConfigurationError,
-    describe_error,
-)
+from pytest_dura.core.errors import ActionError, ConfigurationError, describe_error
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Simulator, scene_problems, value_problems
 from pytest_dura.core.state import Lazy, Percept, Tick
@@ -37,7 +33,7 @@ PURE = "make the adapter a pure function of scenario, seed and actions"
 
 @dataclass
 class CheckedEpisode:
-    """One episode: its ticks, what they were when they were new, and its signals."""
+    """One episode: its ticks, copies of them made at once, and its signals."""
 
     ticks: list[Tick]
     copies: list[dict[str, Any]]
@@ -46,10 +42,10 @@ class CheckedEpisode:
 
 @dataclass(frozen=True)
 class EpisodeRuns:
-    """Runs the same actions as often as need be.
+    """Runner of episodes with the same actions.
 
     Args:
-        findings: Where breaches go.
+        findings: Collects the breaches.
         fresh: Builds a simulator.
         scenario: The scenario to reset it with.
         actions: One per tick.
@@ -63,7 +59,7 @@ class EpisodeRuns:
     seeds: tuple[int, int]
 
     def episode(self, simulator: Simulator, seed: int, at: int | None = None) -> CheckedEpisode:
-        """One episode; rendered at tick ``at``, if given."""
+        """Run one episode; rendered at tick ``at``, if given."""
         ticks = [simulator.reset(self.scenario, seed)]
         copies = [leaves(ticks[0])]
         for action in self.actions:
@@ -76,22 +72,22 @@ class EpisodeRuns:
         return CheckedEpisode(ticks, copies, leaves(simulator.signals(ticks)))
 
     def interleaved(self) -> CheckedEpisode:
-        """One episode, stepped in turn with one of the other seed in another instance."""
-        item, two = self.fresh(), self.fresh()
-        ticks = [item.reset(self.scenario, self.seeds[0])]
-        shadow = two.reset(self.scenario, self.seeds[1])
+        """Run one episode, in turn with one of the other seed in another instance."""
+        simulator, other = self.fresh(), self.fresh()
+        ticks = [simulator.reset(self.scenario, self.seeds[0])]
+        shadow = other.reset(self.scenario, self.seeds[1])
         copies = [leaves(ticks[0])]
         for action in self.actions:
             if _is_over(ticks[-1]):
                 break
             if not _is_over(shadow):
-                shadow = two.step(two.check_action(action))
-            ticks.append(item.step(item.check_action(action)))
+                shadow = other.step(other.check_action(action))
+            ticks.append(simulator.step(simulator.check_action(action)))
             copies.append(leaves(ticks[-1]))
-        return CheckedEpisode(ticks, copies, leaves(item.signals(ticks)))
+        return CheckedEpisode(ticks, copies, leaves(simulator.signals(ticks)))
 
     def compare(self, episode: CheckedEpisode, other: CheckedEpisode, who: str) -> None:
-        """A breach if two episodes that should be equal are not."""
+        """Add a breach if two episodes that should be equal are not."""
         for index, (left, right) in enumerate(zip(episode.copies, other.copies, strict=False)):
             if (path := first_difference(left, right)) is not None:
                 self.findings.breach(f"{who} differs at tick {index} in {path}", PURE)
@@ -110,8 +106,8 @@ def _is_over(tick: Tick) -> bool:
 
 @contextmanager
 def _other_global_randomness() -> Iterator[None]:
-    """Other global random states for a while: what draws from them gives itself away."""
-    python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002 - the subject's sin
+    """Context with other global random states, which show in a simulator that draws from them."""
+    python, numpy = random.getstate(), np.random.get_state()  # noqa: NPY002 - the simulator's fault
     random.seed(987654321)
     np.random.seed(987654321)  # noqa: NPY002
     try:
@@ -122,7 +118,7 @@ def _other_global_randomness() -> Iterator[None]:
 
 
 def _check_lazy(runs: EpisodeRuns) -> None:
-    """A lazy value read later must be what it would have been, or refuse to be read."""
+    """A lazy value that is read later is what it was at its tick, or refuses to be read."""
     at_once, later = runs.fresh(), runs.fresh()
     prompt = at_once.reset(runs.scenario, runs.seeds[0]).channels
     lazy = later.reset(runs.scenario, runs.seeds[0]).channels
@@ -146,7 +142,7 @@ def _check_lazy(runs: EpisodeRuns) -> None:
 
 
 def check_time_step(runs: EpisodeRuns) -> None:
-    """Another time step is kept to or refused, and what is none is refused."""
+    """Check that another time step is kept or refused, and an impossible one refused."""
     for wrong in (0.0, -0.1, float("nan"), float("inf")):
         simulator = runs.fresh()
         try:
@@ -219,14 +215,14 @@ def _check_render(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
 
 
 def _check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
-    """What it shows of an episode, and of one that ended at once; and what that leaves behind."""
-    item, other = runs.fresh(), runs.fresh()
-    shown = []
-    for simulator in (item, other):
+    """The scene of an episode is valid, also of one that ended at once, and changes nothing."""
+    first, other = runs.fresh(), runs.fresh()
+    scenes = []
+    for simulator in (first, other):
         ticks = runs.episode(simulator, runs.seeds[0]).ticks
         before = leaves(ticks)
         scene = simulator.scene(ticks, [Percept(tick.channels) for tick in ticks])
-        shown.append(leaves(scene))
+        scenes.append(leaves(scene))
         if scene is None:
             continue
         if (path := first_difference(before, leaves(ticks))) is not None:
@@ -234,13 +230,13 @@ def _check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
         problems = list(scene_problems(scene, len(ticks))) or value_problems(scene)
         for problem in problems:
             runs.findings.breach(*problem)
-    if shown[0] == shown[1] == leaves(None):
+    if scenes[0] == scenes[1] == leaves(None):
         raise NotImplementedError
-    if (path := first_difference(*shown)) is not None:
+    if (path := first_difference(*scenes)) is not None:
         runs.findings.breach(f"another instance has another scene, in {path}", PURE)
-    runs.compare(reference, runs.episode(item, runs.seeds[0]), "an instance, after scene")
-    first = other.reset(runs.scenario, runs.seeds[0])
-    scene = other.scene([first], [Percept(first.channels)])
+    runs.compare(reference, runs.episode(first, runs.seeds[0]), "an instance, after scene")
+    tick = other.reset(runs.scenario, runs.seeds[0])
+    scene = other.scene([tick], [Percept(tick.channels)])
     for problem in scene_problems(scene, 1) if scene is not None else ():
         runs.findings.breach(*problem)
 
@@ -252,18 +248,18 @@ def check_simulator(
     seeds: tuple[int, int] = (0, 1),
     time_step: float | None = None,
 ) -> ConformanceReport:
-    """Put a simulator adapter through its contract.
+    """Check that a simulator adapter keeps its contract.
 
     Args:
         factory: Builds a fresh simulator at each call.
         scenario: The scenario to reset it with.
-        actions: What a component would propose, one per tick; ten or more tell the most. An
-            episode that turns critical or reaches its goal is not stepped further.
+        actions: Actions as a component proposes them, one per tick; use ten or more. An episode
+            that turns critical or reaches its goal is not stepped further.
         seeds: The seed that is checked, and another one for the episode in between.
         time_step: Simulated seconds per tick; the simulator's own if not given.
 
     Raises:
-        ConformanceError: With every breach that was found and how to mend it.
+        ConformanceError: With every breach and how to mend it.
     """
     name, build = named_builder(factory)
     findings = Findings(f"simulator {name}")
@@ -405,12 +401,12 @@ class _SimulatorKit:
     def _check_hindsight(
         self, simulator: Simulator, ticks: list[Tick], whole: Mapping[str, NDArray[np.float64]]
     ) -> None:
-        """An episode may end once all is decided, by samples that must not change afterwards."""
+        """Samples do not change with later ticks: verdicts may be decided before the end."""
         if any(
-            np.shape(item) != (len(ticks),) or not np.isfinite(item).all()
-            for item in whole.values()
+            np.shape(column) != (len(ticks),) or not np.isfinite(column).all()
+            for column in whole.values()
         ):
-            return  # told already
+            return  # a breach already
         changed: dict[str, int] = {}
         for size in sorted({1, len(ticks) // 2, len(ticks) - 1} - {0}):
             for name, column in simulator.signals(ticks[:size]).items():
@@ -451,11 +447,11 @@ class _SimulatorKit:
             except ActionError:
                 continue
             except Exception as error:
-                found = f"raises {describe_error(error)}"
+                outcome = f"raises {describe_error(error)}"
             else:
-                found = "accepts it"
+                outcome = "accepts it"
             self.findings.breach(
-                f"check_action({wrong}) {found}", "raise ActionError and say what is expected"
+                f"check_action({wrong}) {outcome}", "raise ActionError and say what is expected"
             )
         for action in self.runs.actions:
             text = simulator.describe_action(simulator.check_action(action))

@@ -6,6 +6,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -18,7 +19,7 @@ T = TypeVar("T")
 
 
 class _Nothing(Mapping[str, Any]):
-    """The empty mapping. Unlike an empty ``MappingProxyType`` it can be pickled and hashed."""
+    """Empty mapping that, unlike an empty ``MappingProxyType``, can be pickled and hashed."""
 
     __slots__ = ()
 
@@ -42,11 +43,11 @@ class _Nothing(Mapping[str, Any]):
 
 
 NOTHING: Mapping[str, Any] = _Nothing()
-"""The empty, read-only mapping: the default where a mapping is optional."""
+"""Empty, read-only mapping: the default where a mapping is optional."""
 
 
 class Lazy:
-    """A channel value that is made when somebody first reads it (a camera frame).
+    """Channel value that is made when it is first read (a camera frame).
 
     Its arrays are sealed, see :func:`_sealed_parts`.
     """
@@ -58,17 +59,17 @@ class Lazy:
         self._value: Any = None
 
     def get(self) -> Any:
-        """The value, made at the first call and kept."""
+        """Return the value, made at the first call and kept."""
         if self._make is not None:
             self._value, self._make = _sealed_parts(self._make()), None
         return self._value
 
 
 def sealed(array: NDArray[Any]) -> NDArray[Any]:
-    """A copy of an array that nobody can write to, nor make writeable; itself if it is one.
+    """Copy an array to one that cannot be made writeable; returns a sealed array itself.
 
-    ``flags.writeable = False`` alone can be taken back by whoever gets the array. The numbers lie
-    in ``bytes``. An array of objects is returned as it is.
+    ``flags.writeable = False`` alone can be taken back by any holder of the array, so the numbers
+    lie in ``bytes``. An array of objects is returned as it is.
     """
     base: Any = array.base
     while type(base) is np.ndarray:
@@ -80,23 +81,18 @@ def sealed(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _sealed_parts(value: Any) -> Any:
-    """A value in which no array can be written to; itself where there is nothing to seal.
+    """Seal the arrays of a value; returns the value itself if there is nothing to seal.
 
     Looks into tuples, lists, dictionaries and dataclasses. An object of another class has to seal
     its arrays itself.
     """
-    kind = type(value)
-    if kind not in _SEALERS:
-        _SEALERS[kind] = _sealer_of(kind)
-    sealer = _SEALERS[kind]
+    kind: Any = type(value)
+    sealer = _sealer_of(kind)
     return value if sealer is None else sealer(value)
 
 
-_SEALERS: dict[type[Any], Callable[[Any], Any] | None] = {}
-"""What seals a value of a class; ``None`` for a class whose values are left alone."""
-
-
-def _sealer_of(kind: type[Any]) -> Callable[[Any], Any] | None:
+@lru_cache(maxsize=1024)  # a scene has thousands of values of few classes, at each tick
+def _sealer_of(kind: Any) -> Callable[[Any], Any] | None:
     if kind is np.ndarray:
         return sealed
     if issubclass(kind, (list, tuple)):
@@ -107,8 +103,8 @@ def _sealer_of(kind: type[Any]) -> Callable[[Any], Any] | None:
 
 
 def _sealed_sequence(value: Any) -> Any:
-    for item in value:
-        if type(item) is not float and _sealed_parts(item) is not item:
+    for part in value:
+        if type(part) is not float and _sealed_parts(part) is not part:
             break
     else:  # the usual case: numbers and texts
         return value
@@ -118,28 +114,28 @@ def _sealed_sequence(value: Any) -> Any:
 
 
 def _sealed_mapping(value: Any) -> Any:
-    parts = {key: _sealed_parts(item) for key, item in value.items()}
+    parts = {key: _sealed_parts(part) for key, part in value.items()}
     if all(map(operator.is_, parts.values(), value.values())):
         return value
     return type(value)(parts)
 
 
 def _sealed_fields(value: Any) -> Any:
-    found = value
+    copied = value
     for name in type(value).__dataclass_fields__:
         part = getattr(value, name, None)
         own = _sealed_parts(part)
         if own is not part:
-            found = copy(value) if found is value else found
-            object.__setattr__(found, name, own)
-    return found
+            copied = copy(value) if copied is value else copied
+            object.__setattr__(copied, name, own)
+    return copied
 
 
 class Percept(Mapping[str, Any]):
-    """What the sensors report after faults: channel name to value. Lazy values resolve on reading.
+    """Channels as the sensors report them after faults; lazy values are made on reading.
 
-    ``tampered`` maps a channel to the ids of the faults that changed its value at this tick.
-    It is for the loop's own bookkeeping; views hand it to no role.
+    ``tampered`` maps a channel to the ids of the faults that changed its value at this tick, for
+    the loop alone: views do not show it to roles.
     """
 
     __slots__ = ("_channels", "_made", "tampered")
@@ -171,21 +167,21 @@ class Percept(Mapping[str, Any]):
         return f"{type(self).__name__}({', '.join(self._channels)})"
 
     def once(self, make: Callable[[Percept], T]) -> T:
-        """What ``make`` makes of this percept; later calls with the same function get it again.
+        """Call ``make`` with this percept, once; later calls with it return the same result.
 
-        Roles that see one percept share what it comes to, such as where on its route the ego is.
+        Roles that see the same percept share results, such as where on its route the ego is.
 
         Args:
-            make: A function of the percept alone. What it returns must be immutable: nobody may
-                change what others get. What it raises is raised, and nothing is kept.
+            make: A function of the percept alone. Its result must be immutable, since it is
+                shared. An exception is raised, and nothing is kept.
         """
         made = self._made
         if made is None:
             made = self._made = {}
         if make not in made:
             made[make] = make(self)
-        found: T = made[make]
-        return found
+        result: T = made[make]
+        return result
 
     def _unknown(self, name: str) -> KeyError:
         known = ", ".join(sorted(self._channels))
@@ -193,18 +189,18 @@ class Percept(Mapping[str, Any]):
 
 
 class PerceptView(Percept):
-    """A percept as a role sees it: without ``tampered``; it notes which channels were read."""
+    """Percept for a role: without ``tampered``, and with a record of the channels read."""
 
     __slots__ = ("_reads",)
 
     def __init__(self, channels: Mapping[str, Any], reads: set[str]) -> None:
-        # As the base has it, whose own would be called twice at each tick.
+        # Not by the base's __init__: views are made twice at each tick.
         self._channels, self._made, self.tampered = channels, None, NOTHING
         self._reads = reads
 
     def __getitem__(self, name: str) -> Any:
         self._reads.add(name)
-        # As the base has it; a call to it would cost as much again, many times a tick.
+        # Not by the base's method: its call would double the cost, many times a tick.
         try:
             value = self._channels[name]
         except KeyError:
@@ -212,39 +208,39 @@ class PerceptView(Percept):
         return value.get() if type(value) is Lazy else value
 
     def __contains__(self, name: object) -> bool:
-        # Whether a channel is there at all is something that faults change, too.
+        # Faults change whether a channel is there, too.
         if isinstance(name, str):
             self._reads.add(name)
         return name in self._channels
 
 
 def shared(make: Callable[[Any], T], percept: Mapping[str, Any]) -> T:
-    """``percept.once(make)``, and for channels that are no percept ``make`` of them."""
+    """``percept.once(make)``; of channels that are no percept, ``make(percept)``."""
     if type(percept) is PerceptView or isinstance(percept, Percept):
         return percept.once(make)
     return make(percept)
 
 
 class History(Sequence[Any]):
-    """A read-only window on a list that grows."""
+    """Read-only view of a list that grows."""
 
-    __slots__ = ("_items",)
+    __slots__ = ("_entries",)
 
-    def __init__(self, items: list[Any]) -> None:
-        self._items = items
+    def __init__(self, entries: list[Any]) -> None:
+        self._entries = entries
 
     def __getitem__(self, index: Any) -> Any:
-        return self._items[index]
+        return self._entries[index]
 
     def __len__(self) -> int:
-        return len(self._items)
+        return len(self._entries)
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at one tick: a failure, an alert, a fault's activation, ...
+    """Event of one tick: a failure, an alert, a fault's activation, ...
 
-    ``wall_clock`` marks what depends on the machine's speed; the episode's digest leaves it out.
+    ``wall_clock`` marks an event that depends on the machine's speed, which the digest leaves out.
     """
 
     tick: int
@@ -256,10 +252,10 @@ class Event:
     wall_clock: bool = False
 
     def __post_init__(self) -> None:
-        """Bound the texts, whoever wrote them: an episode has many events."""
+        """Cut long texts: an episode has many events."""
         for name in ("kind", "subject", "detail"):
             text = getattr(self, name)
-            if isinstance(text, str) and len(text) > LONGEST_TEXT:  # as hardly any
+            if isinstance(text, str) and len(text) > LONGEST_TEXT:
                 object.__setattr__(self, name, cut(text))
 
     def to_json(self) -> dict[str, Any]:
@@ -270,17 +266,17 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """The Generator's output.
+    """Output of the Generator.
 
     Args:
-        action: What it wants done. ``None`` where ``failure`` says that there is nothing.
-        explanation: Why, in the component's own words.
-        latency: The component's own response time in seconds, where it is modelled or known;
-            it is held against the time budget, and is deterministic where wall-clock time is not.
-        failure: Why the component came to no decision of its own, if so. ``action`` is what its
-            own fallback does instead. It is assessed and carried out like any other, and counts as
-            a failed proposal.
-        account: What the component tells of how it came to the proposal, as plain data with texts
+        action: The proposed action. May be ``None`` with a ``failure``.
+        explanation: The reason for it, as the component states it.
+        latency: The component's own response time in seconds, if it is modelled or known; it is
+            compared with the time budget, and is deterministic where wall-clock time is not.
+        failure: Why the component came to no decision of its own, if so. ``action`` is then that
+            of its own fallback. It is assessed and carried out like any other, and counts as a
+            failed proposal.
+        account: The component's account of how it came to the proposal, as plain data with texts
             as keys; see :meth:`pytest_dura.Simulator.account_measures`.
     """
 
@@ -291,13 +287,13 @@ class Proposal:
     account: Mapping[str, Any] = NOTHING
 
     def with_action(self, action: Any) -> Proposal:
-        """The same with another action; at each tick, so without the cost of ``replace``."""
+        """Copy with another action; quicker than ``replace``, since it happens at each tick."""
         return Proposal(action, self.explanation, self.latency, self.failure, self.account)
 
 
 @dataclass(frozen=True, slots=True)
 class Alert:
-    """A suspicion about the percept or the component: which pattern, about whom."""
+    """Suspicion about the percept or the component: the pattern of the attack, and its subject."""
 
     pattern: str
     subject: str
@@ -306,7 +302,7 @@ class Alert:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """What the simulator says of one instant.
+    """State of the simulator at one instant.
 
     Args:
         index: Zero for the state after reset, then one per step.
@@ -315,7 +311,7 @@ class Tick:
         channels: Sensor channels by name, before any fault.
         goal: Whether the component's task is done.
         critical: Why the episode cannot go on (a collision of the ego), if so.
-        events: What happened during the step, as ``(kind, subject, detail)``.
+        events: Events of the step, as ``(kind, subject, detail)``.
     """
 
     index: int
@@ -329,7 +325,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class PastDecision:
-    """What became of one tick's proposal.
+    """Proposal and decision of an earlier tick.
 
     Args:
         time: Simulated seconds.
@@ -347,7 +343,7 @@ class PastDecision:
 
 
 Transmit = Callable[[str, Any], Any]
-"""Sends a message on a channel of the component's own, and returns what arrives."""
+"""Sends a message on a channel of the component's own, and returns the message that arrives."""
 
 
 def _undisturbed(channel: str, message: Any) -> Any:  # noqa: ARG001 - as Transmit has it
@@ -356,12 +352,12 @@ def _undisturbed(channel: str, message: Any) -> Any:  # noqa: ARG001 - as Transm
 
 @dataclass(frozen=True, slots=True)
 class GeneratorView:
-    """All that the component under test may see. It has no ground truth.
+    """View of the component under test. It has no ground truth.
 
     ``feedback`` says why this tick's earlier proposal was refused (policy ``refine``). ``past``
-    are the decisions of the ticks before, oldest first. ``transmit(channel, message)`` lets a
-    component that talks to something outside, such as the server of a language model, do so
-    through the loop: it returns the message as it arrives, after active faults of that channel.
+    are the decisions of the earlier ticks, oldest first. A component that talks to another
+    program, such as the server of a language model, does so by ``transmit(channel, message)``,
+    which returns the message as it arrives, after active faults of that channel.
     """
 
     index: int
@@ -375,7 +371,7 @@ class GeneratorView:
 
 @dataclass(frozen=True, slots=True)
 class RoleView:
-    """What every other role sees: the percept, the proposal, and what other roles have said.
+    """View of every other role: the percept, the proposal, and the outputs of other roles.
 
     ``outputs`` maps a role's name to its latest output, from this tick if it ran already and from
     an earlier one otherwise; ``percepts`` is the history, the current percept last. ``command`` is
@@ -402,7 +398,7 @@ class RoleView:
 
 @dataclass(slots=True)
 class StateManager:
-    """The one place where roles meet: written by the orchestrator, read through views."""
+    """State that roles share: written by the orchestrator, read through views."""
 
     dt: float
     ticks: list[Tick] = field(default_factory=list)
@@ -418,13 +414,13 @@ class StateManager:
     _role_reads: set[str] = field(default_factory=set)
     _role_percepts: list[Percept] = field(default_factory=list)
     _channels: Mapping[str, Any] = NOTHING
-    _same: dict[str, Any] = field(default_factory=dict)
+    _unchanged: dict[str, Any] = field(default_factory=dict)
     _windows: tuple[History, History, History] = field(init=False)
     _past_outputs: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)
     _histories: dict[str, History] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """The windows on what grows are the same at all ticks."""
+        """Make the views of growing lists, which serve all ticks."""
         self._windows = History(self.past), History(self._role_percepts), History(self.alerts)
 
     @property
@@ -438,15 +434,15 @@ class StateManager:
         return self.percepts[-1]
 
     def update(self, tick: Tick, percept: Percept) -> None:
-        """Begin a tick: the world as it is and as it is perceived."""
+        """Begin a tick with its true state and its percept."""
         self.ticks.append(tick)
         self.perceive(percept)
 
     def perceive(self, percept: Percept) -> None:
-        """How the newest tick is perceived, which opens it for the roles."""
+        """Set the percept of the newest tick, and make the views of it."""
         self.percepts.append(percept)
-        # What a role could write to, all others would read, and requirements as well.
-        own, same = {}, self._same
+        # Sealed, since all roles and requirements read the same objects.
+        own, same = {}, self._unchanged
         for name, value in percept._channels.items():  # noqa: SLF001 - lazy stays lazy
             if same.get(name) is value:
                 own[name] = value
@@ -462,7 +458,7 @@ class StateManager:
         self.generator_seconds = 0.0
 
     def put(self, role: str, output: Any) -> None:
-        """The output of a role at this tick: its latest, and one more of its history."""
+        """Store the output of a role at this tick, as its latest and in its history."""
         self.outputs[role] = output
         past = self._past_outputs.get(role)
         if past is None:
@@ -471,7 +467,7 @@ class StateManager:
         past.append((self.ticks[-1].time, output))
 
     def decide(self, executed: Any, source: str) -> None:
-        """What is carried out at this tick, and where it comes from."""
+        """Store the action that is carried out at this tick, and its source."""
         self.command = executed
         proposed, why = None, ""
         if self.proposal is not None:
@@ -481,7 +477,7 @@ class StateManager:
     def generator_view(
         self, feedback: tuple[str, ...] = (), transmit: Transmit = _undisturbed
     ) -> GeneratorView:
-        """The Generator's view of this tick; reading a channel through it is remembered."""
+        """Make the Generator's view of this tick, which records the channels read."""
         percept = PerceptView(self._channels, self.generator_reads)
         tick = self.ticks[-1]
         return GeneratorView(
@@ -489,7 +485,7 @@ class StateManager:
         )
 
     def role_view(self, reasons: tuple[str, ...] = ()) -> RoleView:
-        """The view of this tick that every role but the Generator gets."""
+        """Make the view of this tick for the roles other than the Generator."""
         tick = self.ticks[-1]
         return RoleView(
             tick.index,

@@ -1,9 +1,9 @@
-"""Trust: what a name in a file or a record may lead to, before it is imported or called.
+"""Trust: checks of an import path from a file or a record before it is imported or called.
 
 Scenario files, requirement files and evidence may come from strangers. What they name is imported
-from installed packages and the session's own project alone, and called only if its author meant it
-to be: a subclass of a known base, or a function that :func:`factory` marks. A check or a measure
-is an ordinary function, and has to be the project's own.
+from installed packages and the session's own project alone, and called only if it is a subclass of
+a known base or a function that :func:`factory` marks. A check or a measure is an ordinary function,
+and has to be the project's own.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 import sysconfig
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.machinery import ModuleSpec
 from importlib.metadata import entry_points
@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 from pytest_dura.core.errors import ConfigurationError
 
 _ENTRY_POINTS = "pytest_dura"
-"""Group of entry points by which an installed package offers its functions as checks."""
+"""Group of entry points with which an installed package offers its functions as checks."""
 _OURS = "pytest_dura"
 _MARK = "__dura_factory__"
 _PACKAGES = ("site-packages", "dist-packages")
@@ -43,48 +43,97 @@ def factory(function: F) -> F:
 
 @dataclass(frozen=True)
 class Places:
-    """Where the session's own code is, and where it is not.
+    """Folders of the session's own code, and of files that strangers may have written.
 
     Args:
         own: Folders of the session's own project.
-        foreign: Folders of files that strangers may have written, where they are not of the
-            project. Of two folders that contain a module, the inner one counts.
+        foreign: Folders of strangers' files. Of two folders that contain a module, the inner one
+            counts.
     """
 
     own: tuple[Path, ...] = ()
     foreign: tuple[Path, ...] = ()
+    _importable: set[str] = field(default_factory=set, init=False, repr=False, compare=False)
+    _own_modules: dict[str, bool] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(cls, own: Iterable[Path], foreign: Iterable[Path]) -> Places:
-        """Those of a session, whatever links lead there."""
+        """Make them of paths that may be links."""
         return cls(tuple(map(Path.resolve, own)), tuple(map(Path.resolve, foreign)))
 
     def foreign_folder(self, file: Path) -> Path | None:
-        """The folder of strangers that a file lies in, if it does."""
+        """Folder of strangers that a file lies in, if it does."""
         # Of a folder that is both, the strangers' files make it foreign.
         around = [path for path in (*self.foreign, *self.own) if file.is_relative_to(path)]
-        inner = max(around, key=lambda item: len(item.parts), default=None)
+        inner = max(around, key=lambda path: len(path.parts), default=None)
         return inner if inner in self.foreign else None
+
+    def check_import(self, path: str) -> None:
+        """Refuse an import path, see :func:`check_import`."""
+        top = path.partition(":")[0].partition(".")[0]
+        if top in self._importable:
+            return
+        spec = _spec(top)
+        if spec is None:  # importing it says so
+            return
+        if _is_standard(spec):
+            raise ConfigurationError(
+                f"{path!r} leads into Python's standard library",
+                found=path,
+                expected="a class or function of your project, or of an installed package",
+                remedy="write a role, simulator or function of your own, and name that",
+            )
+        for file in _files(spec):
+            folder = self.foreign_folder(file)
+            if folder is not None:
+                raise ConfigurationError(
+                    f"{path!r} would be imported from {file}, beside files that name it",
+                    found=path,
+                    expected="a module of your project, or of an installed package",
+                    remedy=f"read the code in {folder}, and if it is to be run, add "
+                    "--dura-trust-code",
+                )
+        self._importable.add(top)
+
+    def is_own(self, module: str) -> bool:
+        """Whether functions that a module defines may be called by name."""
+        if module not in self._own_modules:
+            self._own_modules[module] = self._find_own(module.partition(".")[0])
+        return self._own_modules[module]
+
+    def _find_own(self, top: str) -> bool:
+        if top in (_OURS, "__main__"):
+            return True
+        spec = _spec(top)
+        if spec is None or _is_standard(spec):
+            return False
+        files = _files(spec)
+        if any(self.foreign_folder(file) for file in files):
+            return False
+        if not any(part in _PACKAGES for file in files for part in file.parts):
+            return True
+        offered = entry_points(group=_ENTRY_POINTS)
+        return any(point.value.partition(":")[0].partition(".")[0] == top for point in offered)
 
 
 _places = Places()
-_importable: set[str] = set()
-"""Top-level modules that were looked at already, under the present places."""
+"""Of the whole process, not of a context: in a thread whose context is empty, a default of "no
+folder is foreign" would let strangers' code in."""
 
 
 def use_places(places: Places) -> Places:
-    """Tell this process where code may come from; returns what it was told before."""
+    """Set where code may come from in this process; returns the places that held before."""
     global _places
     before, _places = _places, places
-    _importable.clear()
-    _is_own.cache_clear()
     return before
 
 
 def check_import(path: str) -> None:
     """Refuse an import path that leads into the standard library, or to strangers.
 
-    Nothing is imported by it.
+    Nothing is imported.
 
     Args:
         path: ``package.module`` or ``package.module:Name``.
@@ -92,29 +141,7 @@ def check_import(path: str) -> None:
     Raises:
         ConfigurationError: For a module of Python itself, and one in a folder of strangers.
     """
-    top = path.partition(":")[0].partition(".")[0]
-    if top in _importable:
-        return
-    spec = _spec(top)
-    if spec is None:  # importing it says so
-        return
-    if _is_standard(spec):
-        raise ConfigurationError(
-            f"{path!r} leads into Python's standard library",
-            found=path,
-            expected="a class or function of your project, or of an installed package",
-            remedy="write a role, simulator or function of your own, and name that",
-        )
-    for file in _files(spec):
-        folder = _places.foreign_folder(file)
-        if folder is not None:
-            raise ConfigurationError(
-                f"{path!r} would be imported from {file}, beside files that name it",
-                found=path,
-                expected="a module of your project, or of an installed package",
-                remedy=f"read the code in {folder}, and if it is to be run, add --dura-trust-code",
-            )
-    _importable.add(top)
+    _places.check_import(path)
 
 
 def check_buildable(path: str, target: object, kinds: tuple[type, ...]) -> None:
@@ -159,7 +186,7 @@ def check_function(path: str, target: object) -> None:
             expected="a function",
         )
     home = getattr(target, "__module__", None)
-    if not isinstance(home, str) or not _is_own(home) or not _is_own(path.partition(":")[0]):
+    if not isinstance(home, str) or not all(map(_places.is_own, (home, path.partition(":")[0]))):
         raise ConfigurationError(
             f"{path!r} is no function of this project",
             found=target,
@@ -169,39 +196,18 @@ def check_function(path: str, target: object) -> None:
         )
 
 
-@cache
-def _is_own(module: str) -> bool:
-    """Whether functions that a module defines may be called by name."""
-    top = module.partition(".")[0]
-    if top in (_OURS, "__main__"):
-        return True
-    spec = _spec(top)
-    if spec is None or _is_standard(spec):
-        return False
-    files = _files(spec)
-    if any(_places.foreign_folder(file) for file in files):
-        return False
-    if not any(part in _PACKAGES for file in files for part in file.parts):
-        return True
-    return any(item.value.partition(":")[0].partition(".")[0] == top for item in _offered())
-
-
-def _offered() -> Iterable[Any]:
-    return entry_points(group=_ENTRY_POINTS)
-
-
 def _spec(top: str) -> ModuleSpec | None:
-    """Where a top-level module is or would be imported from, without importing it."""
+    """Spec of a top-level module, imported or not, without importing it."""
     loaded = sys.modules.get(top)
-    found = getattr(loaded, "__spec__", None)
+    spec = getattr(loaded, "__spec__", None)
     if loaded is None:
         try:
             return find_spec(top)
         except (ImportError, ValueError):
             return None
-    if found is None and getattr(loaded, "__file__", None):  # a conftest.py, for example
+    if spec is None and getattr(loaded, "__file__", None):  # a conftest.py, for example
         return ModuleSpec(top, None, origin=loaded.__file__)
-    return found
+    return spec
 
 
 def _is_standard(spec: ModuleSpec) -> bool:
@@ -221,8 +227,7 @@ def _standard() -> tuple[Path, ...]:
 
 
 def _files(spec: ModuleSpec) -> list[Path]:
-    """The files and folders that a module is made of."""
-    told = [spec.origin] if spec.origin not in (None, "namespace") else []
-    return [
-        Path(item).resolve() for item in (*told, *(spec.submodule_search_locations or ())) if item
-    ]
+    """Files and folders that a module is made of."""
+    origin = [spec.origin] if spec.origin not in (None, "namespace") else []
+    paths = (*origin, *(spec.submodule_search_locations or ()))
+    return [Path(path).resolve() for path in paths if path]

@@ -1,4 +1,4 @@
-"""Pictures of the road in perspective: what the ego's two cameras show of the ground truth.
+"""Pictures of the road in perspective: the views of the ego's two cameras on the ground truth.
 
 A pinhole camera: the ground is looked up where each pixel's ray meets it, and what stands on it is
 filled polygon by polygon, the nearest one first in a buffer of inverse distances. Everything is
@@ -35,7 +35,7 @@ COLOURS: Mapping[str, Colour] = {
     "grass": (104, 148, 84), "pavement": (172, 166, 156), "kerb": (208, 204, 196),
     "road": (82, 84, 90), "marking": (240, 240, 236), "shadow": (52, 54, 58),
 }  # fmt: skip
-"""By kind, in full light: sides of a body that face away from the sun are darker."""
+"""Colours by kind, in full light: sides of a body that face away from the sun are darker."""
 
 _WINDOW, _TYRE, _SKIN, _METAL = (44, 56, 70), (26, 26, 28), (226, 178, 146), (128, 132, 136)
 _WHITE, _LAMP, _REAR_LAMP, _UNLIT = (248, 248, 244), (255, 246, 206), (206, 16, 16), (40, 40, 42)
@@ -60,7 +60,7 @@ _GROUND = ("grass", "pavement", "kerb", "road", "marking")
 
 
 class Posed(Protocol):
-    """What has a place and a heading."""
+    """Anything with a place and a heading."""
 
     @property
     def x(self) -> float:
@@ -91,7 +91,7 @@ class Solid(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Where a camera is fixed to the ego, in m and degrees, and how it sees."""
+    """Place of a camera on the ego, in m and degrees, and its optics."""
 
     size: int
     ahead: float
@@ -191,10 +191,10 @@ class _Picture:
                 self._show(face)
         samples, fine = self._mount.samples, self._pixels.astype(np.uint16)
         parts = [fine[i::samples, j::samples] for i in range(samples) for j in range(samples)]
-        astype: NDArray[np.uint8] = (sum(parts, np.uint16(samples**2 // 2)) // samples**2).astype(
+        picture: NDArray[np.uint8] = (sum(parts, np.uint16(samples**2 // 2)) // samples**2).astype(
             np.uint8
         )
-        return astype
+        return picture
 
     def _may_see(self, solid: Solid) -> bool:
         dx, dy = solid.x - self._at[0], solid.y - self._at[1]
@@ -241,7 +241,7 @@ class _Picture:
         corners = [(a / c, b / c) for a, b, c in seen]
         half, focal = self._size / 2, self._focal
         columns, rows = (
-            [item * focal + half for item in axis] for axis in zip(*corners, strict=True)
+            [value * focal + half for value in axis] for axis in zip(*corners, strict=True)
         )
         left, top = max(math.floor(min(columns)), 0), max(math.floor(min(rows)), 0)
         right = min(math.ceil(max(columns)) + 1, self._size)
@@ -273,7 +273,7 @@ class _Picture:
 
 
 def _ground(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Of each point on the ground its place in ``_GROUND``."""
+    """Index into ``_GROUND`` of each point on the ground."""
     across_x, across_y = np.abs(x), np.abs(y)
     off, along = np.minimum(across_x, across_y), np.maximum(across_x, across_y)
     inner = along < STOP_LINE
@@ -282,17 +282,17 @@ def _ground(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.uint8]
         STOP_LINE - across_x[inner], STOP_LINE - across_y[inner]
     )
     beyond_edge[along > STOP_LINE + ARM_LENGTH] = np.inf
-    zeros = np.zeros(x.shape, np.uint8)
-    zeros[beyond_edge < _PAVEMENT] = 1
-    zeros[beyond_edge < _KERB] = 2
-    zeros[beyond_edge < 0.0] = 3
-    dashes = (off < _MARK) & (along > STOP_LINE + 1.0) & (zeros == 3)
+    surface = np.zeros(x.shape, np.uint8)
+    surface[beyond_edge < _PAVEMENT] = 1
+    surface[beyond_edge < _KERB] = 2
+    surface[beyond_edge < 0.0] = 3
+    dashes = (off < _MARK) & (along > STOP_LINE + 1.0) & (surface == 3)
     dashes[dashes] = along[dashes] % 6.0 < 3.0
     # The lane towards the junction is right of the middle, on each arm.
     inwards = (x * y > 0.0) == (across_y > across_x)
     line = inwards & ~inner & (along < STOP_LINE + 0.5) & (off > 0.25) & (off < _ROAD_WIDTH - 0.25)
-    zeros[dashes | line] = 4
-    return zeros
+    surface[dashes | line] = 4
+    return surface
 
 
 def _clipped(points: list[list[float]]) -> list[list[float]]:

@@ -1,4 +1,4 @@
-"""The four-way unsignalised intersection on highway-env, driven road and all by us.
+"""HighwaySimulator: the four-way unsignalised intersection on highway-env.
 
 The road is stepped directly: no observation table, no rewards, no spawning that the scenario did
 not ask for, and none of highway-env's class-level settings is touched.
@@ -23,8 +23,18 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import POSE, Line, Scene, Simulator, Tracks
 from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving import camera, explanations, geometry, signals
-from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, COLUMNS, NO_BODIES, VX, VY, BodyList
+from pytest_dura.driving import camera, explanations, signals
+from pytest_dura.driving.bodies import (
+    CAR_LENGTH,
+    CAR_WIDTH,
+    COLUMNS,
+    NO_BODIES,
+    VX,
+    VY,
+    BodyList,
+    box_gap,
+    boxes_overlap,
+)
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, LANE_OFFSET, STOP_LINE, Route, route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
@@ -93,11 +103,11 @@ def _attribute_contact(ego: Any, before: EgoState, road: Any, exit_at: float) ->
 
 def _gap(box: Any, body: Any) -> float:
     other = np.array([[*body.position, body.heading, body.LENGTH, body.WIDTH]])
-    return float(geometry.box_gap(box, other)[0])
+    return float(box_gap(box, other)[0])
 
 
 def _side(angle: float) -> str:
-    """Where an angle from straight ahead points; y is south, so positive is to the right."""
+    """Side of an angle from straight ahead; y is south, so positive is to the right."""
     if abs(angle) < math.pi / 4:
         return "front"
     if abs(angle) > 3 * math.pi / 4:
@@ -115,15 +125,15 @@ Row = tuple[float, float, float, float]
 def _junction_scene(ticks: Sequence[Tick], percepts: Sequence[Percept], route: Route) -> Scene:
     """The junction with all its bodies, one pose per tick.
 
-    Percepts are shown as the roles take them, see ``plausible``.
+    Percepts are shown as the roles read them, see ``pytest_dura.driving.percepts``.
     """
     egos = [tick.truth["ego"] for tick in ticks]
     truth = _tracks(
         [(ego.x, ego.y, ego.heading, ego.speed) for ego in egos],
         [tick.truth["bodies"] for tick in ticks],
     )
-    believed = [(*own_pose(percept), own_speed(percept)) for percept in percepts]
-    percept = _tracks(believed, [plausible_objects(percept) for percept in percepts])
+    perceived = [(*own_pose(percept), own_speed(percept)) for percept in percepts]
+    percept = _tracks(perceived, [plausible_objects(percept) for percept in percepts])
     planned = Line("route", route.grid[::4, 1:3].astype(np.float32))
     return Scene((*_road(), planned), truth, percept, EGO)
 
@@ -131,34 +141,34 @@ def _junction_scene(ticks: Sequence[Tick], percepts: Sequence[Percept], route: R
 def _tracks(egos: Sequence[Row], bodies: Sequence[BodyList]) -> Tracks:
     """Bodies by id. Of several with one id in one tick, as faults may bring them, each is shown."""
     columns = {EGO: 0}
-    # Who is there seldom changes: many ticks at once are a fraction of the work.
+    # The ids seldom change: many ticks at once are a fraction of the work.
     runs = [(ids, list(run)) for ids, run in groupby(bodies, key=lambda body: body.ids)]
-    chosen = [
-        [columns.setdefault(item, len(columns)) for item in _distinct(ids)] for ids, _ in runs
+    columns_of_runs = [
+        [columns.setdefault(id_, len(columns)) for id_ in _distinct(ids)] for ids, _ in runs
     ]
     poses = np.full((len(bodies), len(columns), len(POSE)), np.nan, np.float32)
     poses[:, 0, :4] = egos
     poses[:, 0, 4:] = CAR_LENGTH, CAR_WIDTH
     first = 0
-    for (ids, run), own in zip(runs, chosen, strict=True):
+    for (ids, run), own_columns in zip(runs, columns_of_runs, strict=True):
         if ids:
-            data = np.array([item.data for item in run])
+            data = np.array([body_list.data for body_list in run])
             speed = np.hypot(data[:, :, VX], data[:, :, VY])
             rows = [data[:, :, :VX], speed[:, :, None], data[:, :, VY + 1 :]]
-            poses[first : first + len(run), own] = np.concatenate(rows, axis=2)
+            poses[first : first + len(run), own_columns] = np.concatenate(rows, axis=2)
         first += len(run)
     return Tracks(tuple(columns), poses)
 
 
 def _distinct(ids: tuple[str, ...]) -> tuple[str, ...]:
     """The ids, with a number behind one that comes again, or that is the ego's."""
-    found: list[str] = []
-    for item in ids:
-        name, number = item, 2
-        while name in found or name == EGO:
-            name, number = f"{item} ({number})", number + 1
-        found.append(name)
-    return tuple(found)
+    names: list[str] = []
+    for id_ in ids:
+        name, number = id_, 2
+        while name in names or name == EGO:
+            name, number = f"{id_} ({number})", number + 1
+        names.append(name)
+    return tuple(names)
 
 
 @cache
@@ -315,9 +325,9 @@ class HighwaySimulator(Simulator):
         return acceleration_for(action, self._state.speed, ARM_LENGTH - self._state.front)
 
     def drive(self, acceleration: float) -> None:
-        """Only the road: the ego at an acceleration in m/s2, everybody else as they decide.
+        """Step the road alone: the ego at an acceleration in m/s2, the others as they decide.
 
-        This is what the benchmarks call bare stepping; nothing is sensed.
+        Nothing is sensed; the benchmarks measure it as bare stepping.
         """
         dt, time = self._dt, self._index * self._dt
         self._ego.actuate(acceleration, dt)
@@ -330,7 +340,7 @@ class HighwaySimulator(Simulator):
             self._switch_lights()
 
     def _switch_lights(self) -> None:
-        """Show what is due now, which drivers heed at the next step."""
+        """Set the lights to their state now, which drivers heed at the next step."""
         now = self._index * self._dt
         self._light_states = {arm: light.state_at(now) for arm, light in self._lights.items()}
         halted = {arm for arm, state in self._light_states.items() if state != "green"}
@@ -339,11 +349,11 @@ class HighwaySimulator(Simulator):
             self._signs = signs(self._route, self._light_states.get(self._route.origin, ""))
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
-        """See ``pytest_dura.driving.signals``."""
+        """The ground-truth signals; see ``pytest_dura.driving.signals``."""
         return signals.truth_signals(ticks, self._route, self._dt)
 
     def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
-        """See ``signals.PERCEPT_NAMES``."""
+        """The signals ``signals.PERCEPT_NAMES`` of each percept."""
         return signals.percept_signals(percepts)
 
     def account_measures(
@@ -352,7 +362,7 @@ class HighwaySimulator(Simulator):
         percepts: Sequence[Percept],
         accounts: Sequence[Mapping[str, Any]],
     ) -> dict[str, NDArray[np.float64]]:
-        """See ``explanations.MEANINGS``."""
+        """The measures ``explanations.MEANINGS`` of the component's accounts."""
         return explanations.account_measures(ticks, percepts, accounts, self._dt)
 
     measure_kinds = explanations.KINDS
@@ -376,7 +386,7 @@ class HighwaySimulator(Simulator):
         return Command.of(action)
 
     def fallback_action(self) -> Command:
-        """Without a command the car keeps its speed."""
+        """Keeping the speed, which is what the car does without a command."""
         return Command(Maneuver.PROCEED, 0.0)
 
     def describe_action(self, action: Command) -> str:
@@ -413,7 +423,7 @@ class HighwaySimulator(Simulator):
         return vehicle
 
     def _admit(self, initially: bool = False) -> None:
-        """Let in whose time has come and who has room; others wait outside, in order."""
+        """Place the cars whose time has come and that have room; others wait outside, in order."""
         if not self._arrivals or self._arrivals[0][0] > self._index * self._dt:
             return
         from pytest_dura.driving.traffic import Driver
@@ -433,7 +443,7 @@ class HighwaySimulator(Simulator):
         self._arrivals = waiting
 
     def _clear(self) -> None:
-        """Take away who has left, and wrecks after a while."""
+        """Remove cars that have left, and wrecks after ``WRECK_TIME``."""
         now = self._index * self._dt
         gone = {i for i, since in self._wrecks.items() if now - since >= WRECK_TIME - 1e-9}
         self._road.vehicles = [
@@ -445,7 +455,7 @@ class HighwaySimulator(Simulator):
             self._road.objects = [p for p in self._road.objects if p.body_id not in gone]
 
     def _collisions(self, before: EgoState) -> tuple[tuple[str, str, str], ...]:
-        """What has just crashed; a crash of background cars among themselves is not the ego's."""
+        """Events of new crashes; a crash of background cars among themselves is not the ego's."""
         events: list[tuple[str, str, str]] = []
         ego = self._ego
         if ego.crashed and self._contact is None:
@@ -503,7 +513,7 @@ class HighwaySimulator(Simulator):
         return (*cars, *[NOT_A_CAR] * (len(road.objects) + len(road.obstacles)))
 
     def _solids(self) -> list[camera.Solid]:
-        """What stands on the ground now, for the cameras: the ground truth, and never a percept."""
+        """Solids on the ground now, for the cameras: the ground truth, and never a percept."""
         people = {person.body_id for person in self._road.objects}
         solids = [
             camera.Solid(
@@ -571,7 +581,7 @@ def _check_obstacles(world: DrivingWorld) -> None:
         box = np.array([[x, y, heading, *obstacle.size]])
         for name, (arm, turn, distance) in starts.items():
             at = [float(value) for value in route(arm, turn).pose(ARM_LENGTH - distance)]
-            if geometry.boxes_overlap(box, np.array([[*at, CAR_LENGTH, CAR_WIDTH]]))[0]:
+            if boxes_overlap(box, np.array([[*at, CAR_LENGTH, CAR_WIDTH]]))[0]:
                 raise ConfigurationError(
                     f"an obstacle stands where the car {name} starts",
                     key=f"world.obstacles.{index}",
@@ -583,7 +593,10 @@ def _check_obstacles(world: DrivingWorld) -> None:
 
 @lru_cache(maxsize=1)
 def _network() -> Any:
-    """highway-env's intersection; its builder needs nothing of the environment but two settings."""
+    """highway-env's intersection, built once and shared: nothing changes it.
+
+    Its builder needs nothing of the environment but two settings.
+    """
     from highway_env.envs.intersection_env import IntersectionEnv
 
     from pytest_dura.driving.traffic import LaneNetwork

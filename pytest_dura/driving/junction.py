@@ -33,7 +33,7 @@ _CONFLICT_WIDTH = 3.0
 
 @dataclass(frozen=True)
 class Route:
-    """From one arm to another.
+    """A route from one arm to another.
 
     ``s`` is metres along it, 0 where the arm begins, 100 at the stop line.
     """
@@ -74,7 +74,7 @@ class Route:
         return 3 * self.origin + TURNS.index(self.turn)
 
     def __reduce__(self) -> tuple[Callable[[int, str], Route], tuple[int, str]]:
-        """Copies are the same object: who drives on one lane is told by identity."""
+        """Copies are the same object: cars on one route are recognised by identity."""
         return route, (self.origin, self.turn)
 
     @cached_property
@@ -100,18 +100,18 @@ class Route:
         return sealed(grid)
 
     def pose(self, s: Floats | float) -> tuple[Floats, Floats, Floats]:
-        """Where ``s`` (any shape) is: x, y and heading."""
+        """The x, y and heading at ``s``, of any shape."""
         along, *columns = self.grid.T
         x, y, heading = (np.asarray(np.interp(s, along, column)) for column in columns)
         return x, y, heading
 
     def points(self, s: Floats) -> Floats:
-        """Where ``s`` is, x and y of shape ``(*s.shape, 2)``; quicker than ``pose``."""
+        """The x and y at ``s``, of shape ``(*s.shape, 2)``; quicker than ``pose``."""
         scaled = np.minimum(np.maximum(s * (1.0 / _SPACING), 0.0), len(self.grid) - 2.0)
         index = scaled.astype(np.intp)
         start, step = self._segments
-        floats: Floats = start[index] + (scaled - index)[..., None] * step[index]
-        return floats
+        points: Floats = start[index] + (scaled - index)[..., None] * step[index]
+        return points
 
     @cached_property
     def _segments(self) -> tuple[Floats, Floats]:
@@ -142,7 +142,7 @@ class Route:
         return math.cos(turn), math.sin(turn), self.turn == "straight"
 
     def point(self, s: float) -> tuple[float, float]:
-        """Where ``s`` is, as ``points`` has it, in plain arithmetic."""
+        """The x and y at a single ``s``, as ``points`` has them, in plain arithmetic."""
         last = len(self._corners) - 2
         scaled = min(max(s * (1.0 / _SPACING), 0.0), float(last))
         index = int(scaled)
@@ -152,7 +152,7 @@ class Route:
 
     def trail(self, ways: Sequence[float]) -> list[tuple[float, float]]:
         """``point`` of several ``s``, without a call for each."""
-        corners, found = self._corners, []
+        corners, points = self._corners, []
         last = len(corners) - 2.0
         for s in ways:
             scaled = s * (1.0 / _SPACING)
@@ -163,8 +163,8 @@ class Route:
             index = int(scaled)
             share = scaled - index
             x, y, dx, dy = corners[index]
-            found.append((x + share * dx, y + share * dy))
-        return found
+            points.append((x + share * dx, y + share * dy))
+        return points
 
     @cached_property
     def _corners(self) -> tuple[tuple[float, ...], ...]:
@@ -188,21 +188,24 @@ class Route:
         sign = 1.0 if self.turn == "right" else -1.0
         radius = RIGHT_RADIUS if self.turn == "right" else LEFT_RADIUS
         past = (u - (LANE_OFFSET + sign * radius)) * sign
-        turning, left = (v < STOP_LINE) & (past < 0.0), (v < STOP_LINE) & (past >= 0.0)
+        turning, leaving = (v < STOP_LINE) & (past < 0.0), (v < STOP_LINE) & (past >= 0.0)
         angle = np.arctan2(STOP_LINE - v, -past)
-        s = np.where(turning, ARM_LENGTH + radius * angle, np.where(left, self.exit + past, s))
+        s = np.where(turning, ARM_LENGTH + radius * angle, np.where(leaving, self.exit + past, s))
         beside = (radius - np.hypot(past, v - STOP_LINE)) * sign
         after = (v - (STOP_LINE - radius)) * sign
-        lateral = np.where(turning, beside, np.where(left, after, lateral))
-        turned = sign * np.where(turning, angle, np.where(left, math.pi / 2, 0.0))
+        lateral = np.where(turning, beside, np.where(leaving, after, lateral))
+        turned = sign * np.where(turning, angle, np.where(leaving, math.pi / 2, 0.0))
         return s, lateral, turned + (turn - math.pi / 2)
 
 
 @cache
 def route(origin: int, turn: str) -> Route:
-    """The one Route object of this origin and turn."""
+    """The Route object of this origin and turn, the same at each call.
+
+    The cache is part of its meaning: cars on one route are recognised by identity.
+    """
     made = Route(origin, turn)
-    # What it keeps is there before it is part of a percept.
+    # Its cached properties are filled before it is part of a percept, which must not change.
     made.point(made.project(0.0, made.length)[0])
     assert (made.number, made.priority, made.destination) >= (0, 0, 0)
     return made
@@ -215,7 +218,7 @@ def all_routes() -> list[Route]:
 
 @cache
 def conflict(a: Route, b: Route) -> tuple[float, float, float, float] | None:
-    """Where routes from different arms come too near: ``s`` from, to on ``a``, then on ``b``."""
+    """Conflict of routes from different arms: ``s`` from and to on ``a``, then on ``b``."""
     if a.origin == b.origin:
         return None
     grid_a, grid_b = a.grid, b.grid

@@ -56,7 +56,9 @@ class Command:
 
     @classmethod
     def of(cls, action: object) -> Command:
-        """From a Command, a Maneuver or its name, or ``{"maneuver": ..., "acceleration": ...}``.
+        """Make a command of a Command, a maneuver, its name, or plain data.
+
+        Plain data is ``{"maneuver": ..., "acceleration": ...}``, the acceleration in m/s2.
 
         Raises:
             ActionError: For anything else, and for an acceleration that is not a finite number.

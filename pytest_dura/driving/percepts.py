@@ -2,15 +2,16 @@
 
 A fault may put any finite number into a message: 1e300 m, a size below zero. What a role reckons
 from it would overflow, and an episode whose role fails is lost instead of judged. So the roles
-read their sensors through here. A number within its range stays as it is, bit by bit. One beyond:
+read their sensors through this module. A number within its range stays as it is, bit by bit. For
+one beyond:
 
 - places, ranges, speeds and accelerations saturate: 10 km are far from everything, and 70 m/s are
   too fast for everything;
 - of an angle, the whole turns are left out;
 - too small a size is taken to be a car's, and too large a one saturates.
 
-What saturates is no measurement. :func:`doubtful` says which, for monitors that must not call safe
-what they cannot judge.
+What saturates is no measurement. :func:`implausible_values` lists it, for monitors that must not
+call safe what they cannot judge.
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ class _Columns:
         self.low, self.high = np.array(list(ranges.values())).T
         self._last: tuple[Any, bool] = None, False
 
-    def hold(self, data: Floats) -> bool:
-        """Whether all numbers are within; several roles ask in turn, so that an answer is kept."""
+    def contain(self, data: Floats) -> bool:
+        """Whether all numbers are in range; several roles ask of the same array in turn."""
         last, answer = self._last
         if last is not data:
             within = (data >= self.low) & (data <= self.high)
@@ -75,10 +76,10 @@ class _Columns:
 
     def clipped(self, data: Floats, angle: int) -> Floats:
         """A copy within the ranges; the column of the angle is turned back."""
-        clip: Floats = np.clip(data, self.low, self.high)
+        clipped: Floats = np.clip(data, self.low, self.high)
         angles = data[:, angle]
-        clip[:, angle] = np.where(np.abs(angles) <= ANGLE, angles, np.fmod(angles, 2 * math.pi))
-        return clip
+        clipped[:, angle] = np.where(np.abs(angles) <= ANGLE, angles, np.fmod(angles, 2 * math.pi))
+        return clipped
 
     def beyond(self, data: Floats) -> dict[int, tuple[str, ...]]:
         """The names of the columns that are out of range, by row, where any is."""
@@ -88,8 +89,8 @@ class _Columns:
             for row in np.flatnonzero(outside.any(axis=1)).tolist()
         }
 
-    def told(self, row: Floats, names: tuple[str, ...]) -> str:
-        """What a row reports in these columns."""
+    def describe(self, row: Floats, names: tuple[str, ...]) -> str:
+        """Text on what a row reports in these columns."""
         numbers = dict(zip(self.names, row.tolist(), strict=True))
         return _listed({name: numbers[name] for name in names})
 
@@ -109,7 +110,7 @@ _RETURNS = _Columns(
 
 
 def own_pose(percept: Mapping[str, Any]) -> Pose:
-    """Of the channel localisation."""
+    """The pose of the channel localisation."""
     pose: Pose = percept["localisation"]
     x, y, heading = pose
     if _is_place(x, y, heading):
@@ -118,13 +119,13 @@ def own_pose(percept: Mapping[str, Any]) -> Pose:
 
 
 def own_speed(percept: Mapping[str, Any]) -> float:
-    """Of the channel odometry, in m/s."""
+    """The speed of the channel odometry, in m/s."""
     speed: float = percept["odometry"].speed
     return speed if SPEED[0] <= speed <= SPEED[1] else _within(speed, *SPEED)
 
 
 def own_motion(percept: Mapping[str, Any]) -> Imu:
-    """Of the channel imu."""
+    """The motion of the channel imu."""
     imu: Imu = percept["imu"]
     if _is_motion(*imu):
         return imu
@@ -138,9 +139,9 @@ def own_motion(percept: Mapping[str, Any]) -> Imu:
 
 
 def plausible_objects(percept: Mapping[str, Any]) -> BodyList:
-    """Of the channel lidar."""
+    """The objects of the channel lidar."""
     bodies: BodyList = percept["lidar"]
-    if _BODIES.hold(bodies.data):
+    if _BODIES.contain(bodies.data):
         return bodies
     data = _BODIES.clipped(bodies.data, HEADING)
     for column, usual in ((LENGTH, CAR_LENGTH), (WIDTH, CAR_WIDTH)):
@@ -149,13 +150,13 @@ def plausible_objects(percept: Mapping[str, Any]) -> BodyList:
 
 
 def plausible_returns(percept: Mapping[str, Any]) -> Floats:
-    """Of the channel radar; see ``sensors.radar_returns``."""
+    """The returns of the channel radar; see ``sensors.radar_returns``."""
     radar: Floats = percept["radar"]
-    return radar if _RETURNS.hold(radar) else _RETURNS.clipped(radar, 1)
+    return radar if _RETURNS.contain(radar) else _RETURNS.clipped(radar, 1)
 
 
 class ImplausibleValue(NamedTuple):
-    """Something that no sensor can have measured; ``subject`` is the channel, or an object's id.
+    """A value that no sensor can have measured; ``subject`` is the channel, or an object's id.
 
     ``far`` is true of an object whose place is so far away that it cannot matter.
     """
@@ -167,37 +168,37 @@ class ImplausibleValue(NamedTuple):
 
 
 def out_of_range(percept: Mapping[str, Any]) -> list[ImplausibleValue]:
-    """What the channels localisation, odometry, imu, lidar and radar report beyond the ranges.
+    """Values beyond the ranges that localisation, odometry, imu, lidar and radar report.
 
     Without imu or radar, these report nothing.
     """
-    found = list(shared(_judged_by, percept))
+    values = list(shared(_implausible_in, percept))
     if "imu" in percept and not _is_motion(*(imu := percept["imu"])):
         limits = (ACCELERATION, ACCELERATION, YAW_RATE, ANGLE)
-        found.append(_beyond("imu", imu, limits))
-    if "radar" in percept and not _RETURNS.hold(seen := percept["radar"]):
-        row, names = next(iter(_RETURNS.beyond(seen).items()))
-        found.append(ImplausibleValue("radar", "radar", _RETURNS.told(seen[row], names)))
-    return found
+        values.append(_beyond("imu", imu, limits))
+    if "radar" in percept and not _RETURNS.contain(radar := percept["radar"]):
+        row, names = next(iter(_RETURNS.beyond(radar).items()))
+        values.append(ImplausibleValue("radar", "radar", _RETURNS.describe(radar[row], names)))
+    return values
 
 
 def implausible_values(percept: Mapping[str, Any]) -> list[ImplausibleValue]:
-    """What forbids to call a percept safe: as above, but of localisation, odometry and lidar alone.
+    """Values that forbid to call a percept safe: those of localisation, odometry and lidar.
 
-    Objects are no matter of doubt whose place is so far away that they cannot be near.
+    An object whose place is so far away that it cannot be near is not among them.
     """
-    return [item for item in shared(_judged_by, percept) if not item.far]
+    return [value for value in shared(_implausible_in, percept) if not value.far]
 
 
 def all_objects(percepts: Sequence[Mapping[str, Any]]) -> tuple[list[BodyList], list[bool]]:
-    """Of each percept its :func:`objects`, and whether anything in it is :func:`doubtful`.
+    """The plausible objects of each percept, and whether it has :func:`implausible_values`.
 
-    All lists are looked through at once, which nearly always is enough.
+    All lists are checked at once, which nearly always is enough.
     """
     lists: list[BodyList] = [percept["lidar"] for percept in percepts]
-    if not lists or not _BODIES.hold(np.concatenate([item.data for item in lists])):
-        found = [plausible_objects(percept) for percept in percepts]
-        return found, [bool(implausible_values(percept)) for percept in percepts]
+    if not lists or not _BODIES.contain(np.concatenate([bodies.data for bodies in lists])):
+        objects = [plausible_objects(percept) for percept in percepts]
+        return objects, [bool(implausible_values(percept)) for percept in percepts]
     return lists, [
         not (_is_place(*percept["localisation"]) and _is_speed(percept["odometry"].speed))
         for percept in percepts
@@ -221,29 +222,29 @@ def _is_motion(along: float, across: float, turning: float, heading: float) -> b
     )
 
 
-def _judged_by(percept: Mapping[str, Any]) -> tuple[ImplausibleValue, ...]:
-    found = []
+def _implausible_in(percept: Mapping[str, Any]) -> tuple[ImplausibleValue, ...]:
+    values = []
     pose, speed = percept["localisation"], percept["odometry"].speed
     if not _is_place(*pose):
-        found.append(_beyond("localisation", pose, (PLACE, PLACE, ANGLE)))
+        values.append(_beyond("localisation", pose, (PLACE, PLACE, ANGLE)))
     if not _is_speed(speed):
-        found.append(ImplausibleValue("odometry", "odometry", _listed({"speed": speed})))
+        values.append(ImplausibleValue("odometry", "odometry", _listed({"speed": speed})))
     bodies: BodyList = percept["lidar"]
-    if not _BODIES.hold(bodies.data):
+    if not _BODIES.contain(bodies.data):
         for row, names in _BODIES.beyond(bodies.data).items():
             far = "x" in names or "y" in names
-            told = _BODIES.told(bodies.data[row], names)
-            found.append(ImplausibleValue("lidar", bodies.ids[row], told, far))
-    return tuple(found)
+            detail = _BODIES.describe(bodies.data[row], names)
+            values.append(ImplausibleValue("lidar", bodies.ids[row], detail, far))
+    return tuple(values)
 
 
 def _beyond(channel: str, value: Any, limits: tuple[float, ...]) -> ImplausibleValue:
-    told = {
+    numbers = {
         name: number
         for name, number, limit in zip(value._fields, value, limits, strict=True)
         if abs(number) > limit
     }
-    return ImplausibleValue(channel, channel, _listed(told))
+    return ImplausibleValue(channel, channel, _listed(numbers))
 
 
 def _listed(numbers: Mapping[str, float]) -> str:
@@ -268,9 +269,9 @@ Mask = NDArray[np.bool_]
 
 
 def compare_sensors(percept: Mapping[str, Any]) -> tuple[Mask, Mask]:
-    """Which lidar objects radar confirms, and which radar returns lidar explains.
+    """Masks of the lidar objects that radar confirms, and of the radar returns that lidar explains.
 
-    Masks of shape ``(objects,)`` and ``(returns,)``.
+    Their shapes are ``(objects,)`` and ``(returns,)``.
     Objects at the edge of the radar's reach count as confirmed.
     """
     bodies = plausible_objects(percept)
@@ -282,7 +283,7 @@ def compare_sensors(percept: Mapping[str, Any]) -> tuple[Mask, Mask]:
 
 
 def _return_places(percept: Mapping[str, Any]) -> Floats:
-    """Where radar sees something: x and y, shape ``(returns, 2)``."""
+    """Places of the radar returns: x and y, shape ``(returns, 2)``."""
     returns, pose = plausible_returns(percept), own_pose(percept)
     bearing = pose.heading - returns[:, 1]
     x = pose.x + returns[:, 0] * np.cos(bearing)
@@ -291,13 +292,13 @@ def _return_places(percept: Mapping[str, Any]) -> Floats:
 
 
 def _near(data: Floats, places: Floats) -> Mask:
-    """Which objects may be which returns, shape ``(objects, returns)``."""
+    """Mask of the pairs that may be the same object, shape ``(objects, returns)``."""
     apart = np.hypot(data[:, None, 0] - places[:, 0], data[:, None, 1] - places[:, 1])
     return np.asarray(apart < DISTANCE_TOLERANCE)
 
 
 def _within_reach(percept: Mapping[str, Any], bodies: BodyList) -> Mask:
-    """Which objects radar surely sees, if they are there: not those at the edge of its reach."""
+    """Mask of the objects that radar surely sees, which are not at the edge of its reach."""
     pose, data = own_pose(percept), bodies.data
     return np.asarray(np.hypot(data[:, 0] - pose.x, data[:, 1] - pose.y) <= RANGE - 2.0)
 
@@ -335,7 +336,7 @@ def _range_rates(data: Floats, pose: Any, speed: float) -> Floats:
 
 
 class CrossCheck:
-    """The objects to believe in: those of lidar that radar does not contradict, and what it adds.
+    """Tracks which objects are real: those of lidar that radar does not contradict, and its own.
 
     An object of lidar that radar does not confirm for some ticks in a row is not believed, as long
     as radar can be relied on: it confirms at least as many others as it contradicts. A radar that
@@ -350,7 +351,7 @@ class CrossCheck:
         self._contradicted: dict[str, int] = {}
 
     def reset(self) -> None:
-        """Forget what was contradicted."""
+        """Forget the contradicted objects."""
         self._contradicted = {}
 
     def update(self, percept: Mapping[str, Any]) -> BodyList:

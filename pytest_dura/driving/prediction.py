@@ -37,7 +37,7 @@ def advance(
 
 
 def driven(speed: float, a: float, times: Sequence[float], top: float) -> list[float]:
-    """The same for one acceleration, as plain numbers."""
+    """Metres driven after each time, for one acceleration, as plain numbers."""
     limit = 0.0 if a < 0.0 else max(top, speed)
     ramp_end = (limit - speed) / a if a else 0.0
     cruise = speed if a == 0.0 else limit
@@ -163,7 +163,7 @@ class Predictor:
         return self._apart(scene, driven, bodies, dt), bodies
 
     def along(self, scene: Scene, driven: Floats, dt: float) -> tuple[Floats, BodyList]:
-        """The same for an ego that has driven so many metres at each time.
+        """The separations of an ego that has driven so many metres at each time.
 
         Args:
             scene: Where it begins.

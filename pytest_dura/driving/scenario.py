@@ -1,4 +1,4 @@
-"""World of a driving scenario: what drives and walks at the junction, given or drawn."""
+"""World of a driving scenario: vehicles, pedestrians, obstacles and lights, given or drawn."""
 
 from __future__ import annotations
 
@@ -186,11 +186,11 @@ class TrafficLight(_Model):
     offset: NotNegative = Field(0.0, description="How far into its phases it begins, in s.")
 
     def state_at(self, time: float) -> str:
-        """What it shows ``time`` s after the start."""
-        left = math.fmod(time + self.offset + 1e-9, sum(phase.lasts for phase in self.phases))
+        """The state ``time`` s after the start."""
+        remaining = math.fmod(time + self.offset + 1e-9, sum(phase.lasts for phase in self.phases))
         for phase in self.phases:
-            left -= phase.lasts
-            if left < 0.0:
+            remaining -= phase.lasts
+            if remaining < 0.0:
                 return phase.state
         return self.phases[-1].state
 
@@ -201,7 +201,7 @@ class Controls(_Model):
     signals: tuple[TrafficLight, ...] = Field((), strict=False)
 
     @model_validator(mode="after")
-    def _one_for_each_arm(self) -> Controls:
+    def _at_most_one_for_an_arm(self) -> Controls:
         arms = [arm for light in self.signals for arm in light.arms]
         twice = sorted({arm for arm in arms if arms.count(arm) > 1})
         if twice:
@@ -288,7 +288,7 @@ def drawn_arrivals(traffic: Traffic | None, seed: int, duration: float) -> list[
             drawn.append(Arrival(time, "", plan, float(np.clip(speed, 4.0, 10.0)), exponent))
             mean = traffic.headway - traffic.minimum_headway
             time += traffic.minimum_headway + rng.exponential(mean)
-    return [item._replace(body_id=f"V{i}") for i, item in enumerate(in_order(drawn), 1)]
+    return [arrival._replace(body_id=f"V{i}") for i, arrival in enumerate(in_order(drawn), 1)]
 
 
 def given_arrivals(vehicles: Iterable[ExplicitVehicle]) -> list[Arrival]:
@@ -307,24 +307,24 @@ def given_arrivals(vehicles: Iterable[ExplicitVehicle]) -> list[Arrival]:
 
 
 def in_order(arrivals: Iterable[Arrival]) -> list[Arrival]:
-    """By time, and by arm for those that enter together."""
+    """The arrivals by time, and by arm for those that enter together."""
     return sorted(arrivals, key=lambda arrival: (arrival.time, arrival.plan.origin))
 
 
 def without_room(world: DrivingWorld, arrivals: Iterable[Arrival]) -> list[str]:
-    """Ids of those that should be on the road at the start, where others already are."""
+    """Ids of arrivals that should be on the road at the start, at places that others take."""
     taken = defaultdict(list, {0: [ARM_LENGTH - world.ego.distance]})
     for vehicle in world.vehicles:
         if vehicle.distance is not None:
             taken[ARMS.index(vehicle.arm)].append(ARM_LENGTH - vehicle.distance)
     absent = []
-    for item in in_order(arrivals):
-        if item.time > 0.0:
+    for arrival in in_order(arrivals):
+        if arrival.time > 0.0:
             break
-        if has_room(item.start, taken[item.plan.origin]):
-            taken[item.plan.origin].append(item.start)
+        if has_room(arrival.start, taken[arrival.plan.origin]):
+            taken[arrival.plan.origin].append(arrival.start)
         else:
-            absent.append(item.body_id)
+            absent.append(arrival.body_id)
     return absent
 
 
@@ -346,7 +346,7 @@ def concrete_world(world: Mapping[str, Any], duration: float, seed: int) -> dict
     if model.traffic is not None:
         drawn = drawn_arrivals(model.traffic, seed, duration)
         absent = without_room(model, [*given_arrivals(model.vehicles), *drawn])
-        cars = [_vehicle(item) for item in drawn if item.body_id not in absent]
+        cars = [_vehicle(arrival) for arrival in drawn if arrival.body_id not in absent]
         model = model.model_copy(update={"traffic": None, "vehicles": (*model.vehicles, *cars)})
     return model.model_dump(mode="json")
 

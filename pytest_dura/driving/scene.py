@@ -29,7 +29,7 @@ class Ego(NamedTuple):
 
 
 def ego_of(percept: Mapping[str, Any]) -> Ego:
-    """From the channels localisation, odometry and map; roles that share a percept share this."""
+    """The ego of the channels localisation, odometry and map, computed once for a percept."""
     return shared(_ego, percept)
 
 
@@ -65,7 +65,7 @@ class Scene:
 
     @classmethod
     def of(cls, percept: Mapping[str, Any]) -> Scene:
-        """From the channels localisation, odometry, map and lidar."""
+        """The scene of the channels localisation, odometry, map and lidar."""
         ego = ego_of(percept)
         way = ego.way
         return cls(
@@ -125,7 +125,7 @@ def crossing(scene: Scene) -> list[Approach]:
 
     Their turns are unknown and taken to be straight on, which crosses the ego's lane.
     """
-    found = []
+    approaches = []
     for body in scene.bodies:
         if body.is_pedestrian or abs(body.y) > 2 * LANE_OFFSET + 0.5:
             continue
@@ -137,8 +137,8 @@ def crossing(scene: Scene) -> list[Approach]:
         past = to_lane + half
         if past > 0.0:
             speed = math.hypot(body.vx, body.vy)
-            found.append(Approach(body, max(to_lane - half, 0.0), past, speed))
-    return found
+            approaches.append(Approach(body, max(to_lane - half, 0.0), past, speed))
+    return approaches
 
 
 def time_to_cover(distance: float, speed: float, acceleration: float, top: float) -> float:

@@ -101,7 +101,7 @@ CHANNELS: Mapping[str, Channel] = {
     "controls": Channel("signs"),
     "command": Channel("numbers", ("acceleration",)),
 }
-"""What the channels hold, for the faults that act on them."""
+"""Content of the channels, for the faults that act on them."""
 
 FAULT_TARGETS: Mapping[str, str] = {
     "number": "odometry.speed",
@@ -112,7 +112,7 @@ FAULT_TARGETS: Mapping[str, str] = {
     "pose": "localisation",
     "signs": "controls",
 }
-"""Where a fault acts that names no target, by what its type can act on.
+"""Target of a fault that names none, by what its type can act on.
 
 Any value will do for a fault of delivery; the pose changes at every tick and is what planners read,
 while of objects there may be none.
@@ -142,7 +142,7 @@ class EgoState(NamedTuple):
 def route_map(route: Route) -> RouteMap:
     """The map channel of a route."""
     along = np.append(np.arange(0.0, route.length, WAYPOINT_SPACING), route.length)
-    points = zip(along.tolist(), *(item.tolist() for item in route.pose(along)), strict=True)
+    points = zip(along.tolist(), *(column.tolist() for column in route.pose(along)), strict=True)
     waypoints = tuple(Waypoint(*point) for point in points)
     return RouteMap(route, ARM_LENGTH, route.exit, SPEED_LIMIT, waypoints)
 

@@ -1,7 +1,7 @@
-"""Signals of an episode, computed once and vectorised over all its ticks.
+"""Signals of an episode, vectorised over its ticks, and those of a single percept.
 
-The same values as the columns of ``signals.percept_signals``, in plain arithmetic: for the few
-bodies of a junction that is several times quicker than arrays.
+:func:`percept_at` gives the values of :func:`percept_signals` at one tick, in plain arithmetic: for
+the few bodies of a junction that is several times quicker than arrays.
 
 Units are SI. What has no value on an empty road saturates at a declared cap there: ``gap``,
 ``ttc``, ``leader_gap``, ``following_margin``, ``priority_arrival`` and ``gap_time``.
@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH
-from pytest_dura.driving.geometry import GAP_CAP, TTC_CAP, proximity
+from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, GAP_CAP, TTC_CAP, proximity
 from pytest_dura.driving.junction import ARM_LENGTH, Route
 from pytest_dura.driving.percepts import (
     all_objects,
@@ -56,10 +55,10 @@ class _Box(NamedTuple):
 
 
 def percept_at(percept: Percept) -> dict[str, float]:
-    """``signals.PERCEPT_NAMES`` of one percept.
+    """The signals :data:`PERCEPT_NAMES` of one percept, by name.
 
-    Needs the channels localisation, odometry, map and lidar. What these report may be absurd; then
-    nothing is known of the distances, and each is 0.
+    Needs the channels localisation, odometry, map and lidar. Where these report implausible values,
+    the distances are unknown, and each is 0.
     """
     (x, y, heading), speed, way, s = ego_of(percept)
     if implausible_values(percept):
@@ -87,7 +86,7 @@ def percept_at(percept: Percept) -> dict[str, float]:
 
 
 def _least_gap(ego: _Box, apart: list[tuple[float, tuple[float, ...]]]) -> float:
-    """The least gap; each body has a bound below it, and the nearest are looked at first."""
+    """The least gap; bodies come in the order of their lower bounds, so that most are skipped."""
     apart.sort()
     gap = GAP_CAP
     for bound, row in apart:
@@ -140,7 +139,7 @@ def _projections(a: _Box, b: _Box) -> list[tuple[float, float, float, float]]:
 
 
 def _touch(a: _Box, b: _Box) -> bool:
-    """``geometry.overlap`` of one pair."""
+    """``bodies.boxes_overlap`` of one pair."""
     return all(abs(offset) <= reach for _, _, offset, reach in _projections(a, b))
 
 
@@ -165,7 +164,7 @@ def _corner_to_box(a: _Box, b: _Box) -> float:
 
 
 def _time_to_collision(a: _Box, b: _Box, vx: float, vy: float) -> float:
-    """``geometry.time_to_collision`` of one pair; ``vx`` and ``vy`` are of ``b`` against ``a``."""
+    """``bodies.box_time_to_collision`` of a pair; velocity is of ``b`` against ``a``."""
     begin, end = -math.inf, math.inf
     for x, y, offset, reach in _projections(a, b):
         closing = x * vx + y * vy
@@ -191,7 +190,7 @@ NAMES = (
 """The ground-truth signals."""
 
 HINDSIGHT = frozenset({"priority_braking", "gap_time"})
-"""Those that are known once the ego has left the conflict; until then it counts as never."""
+"""Signals that are known once the ego has left the conflict; until then it counts as never."""
 
 PERCEPT_NAMES = ("gap", "ttc", "leader_gap", "speed")
 """The signals of percepts; an episode stores them as ``percept.gap`` and so on."""
@@ -235,10 +234,10 @@ def truth_signals(ticks: Sequence[Tick], route: Route, dt: float) -> dict[str, F
 
 
 def percept_signals(percepts: Sequence[Percept]) -> dict[str, Floats]:
-    """The same as perceived: from localisation, odometry, map and lidar.
+    """The signals :data:`PERCEPT_NAMES`, each of shape ``(len(percepts),)``.
 
-    Where these report what cannot be (see ``plausible.doubtful``), the distances and the time to
-    collision are 0.
+    Where a percept has implausible values (``percepts.implausible_values``), the distances and the
+    time to collision are 0.
     """
     poses = np.array([own_pose(percept) for percept in percepts], dtype=float)
     speed = np.array([own_speed(percept) for percept in percepts], dtype=float)

@@ -61,14 +61,14 @@ class LaneKeeping(ControlledVehicle):
         course = lane.heading_at(along + self.speed * self.TAU_PURSUIT)
         speed = not_zero(self.speed)
         heading = float(np.arcsin(within(-self.KP_LATERAL * offset / speed, 1.0)))
-        wanted = course + within(heading, _SHARPEST_COURSE)
-        rate = self.KP_HEADING * wrap_to_pi(wanted - self.heading)
+        target = course + within(heading, _SHARPEST_COURSE)
+        rate = self.KP_HEADING * wrap_to_pi(target - self.heading)
         slip = np.arcsin(within(self.LENGTH / 2 / speed * rate, 1.0))
         return within(float(np.arctan(2 * np.tan(slip))), self.MAX_STEERING_ANGLE)
 
 
 def within(value: float, most: float) -> float:
-    """The value between ``-most`` and ``most``; what is not a number stays none."""
+    """The value between ``-most`` and ``most``; NaN stays NaN."""
     if value > most:
         return most
     if value < -most:
@@ -79,7 +79,7 @@ def within(value: float, most: float) -> float:
 MARGIN = 1e-6
 """Metres (and radians) within which two lanes are not told apart here, but by highway-env itself.
 
-Rounding is orders of magnitude smaller, so that what is found is what highway-env would find.
+Rounding is orders of magnitude smaller, so that the lane is the one that highway-env would find.
 """
 Index = tuple[str, str, int]
 """A lane: the nodes that it leads from and to, and its number among those that do."""
@@ -87,7 +87,7 @@ _TURN = 2 * math.pi
 
 
 class _Straight(NamedTuple):
-    """What the distance to a straight lane is made of."""
+    """Figures of a straight lane from which the distance to it is computed."""
 
     lane: Index
     start: tuple[float, float]
@@ -98,7 +98,7 @@ class _Straight(NamedTuple):
 
 
 class _Arc(NamedTuple):
-    """What the distance to an arc is made of; ``sense`` is 1 clockwise and -1 otherwise."""
+    """Figures of an arc from which the distance is computed; ``sense`` is 1 clockwise, else -1."""
 
     lane: Index
     centre: tuple[float, float]
@@ -110,7 +110,7 @@ class _Arc(NamedTuple):
 
 
 class LaneNetwork(RoadNetwork):
-    """The lanes of another network, and what is quicker to tell of them than to ask them.
+    """The lanes of another network, with a quicker search for the nearest one.
 
     Args:
         network: Whose graph it shares. It must not change any more.
@@ -161,7 +161,7 @@ class LaneNetwork(RoadNetwork):
     def get_closest_lane_index(
         self, position: NDArray[np.float64], heading: float | None = None
     ) -> Any:
-        """As highway-env has it: the lane with the least sum of offset, overshoot and angle.
+        """The lane with the least sum of offset, overshoot and angle, as highway-env finds it.
 
         Args:
             position: World position in m, shape ``(2,)``.
@@ -182,7 +182,7 @@ class LaneNetwork(RoadNetwork):
 
         All terms of a distance are positive: a lane whose first terms are above the best is out.
         """
-        found, best, second = self._nearest_straight(x, y, heading)
+        nearest, best, second = self._nearest_straight(x, y, heading)
         for index, (x0, y0), radius, begin, sense, length, _ in self._arcs.values():
             dx, dy = x - x0, y - y0
             distance = abs(radius - math.hypot(dx, dy))
@@ -195,16 +195,16 @@ class LaneNetwork(RoadNetwork):
             distance += s - length if s > length else -s if s < 0.0 else 0.0
             distance += abs(_wrapped(heading - (begin + turned + sense * math.pi / 2)))
             if distance < best:
-                found, best, second = index, distance, best
+                nearest, best, second = index, distance, best
             elif distance < second:
                 second = distance
-        return found if second - best > MARGIN else None
+        return nearest if second - best > MARGIN else None
 
     def _nearest_straight(
         self, x: float, y: float, heading: float
     ) -> tuple[Index | None, float, float]:
         """The nearest straight lane, its distance and that of the next one."""
-        found = None
+        nearest = None
         best = second = math.inf
         for index, (x0, y0), (ux, uy), length, course, _ in self._straights.values():
             dx, dy = x - x0, y - y0
@@ -217,10 +217,10 @@ class LaneNetwork(RoadNetwork):
                 continue
             distance += abs(_wrapped(heading - course))
             if distance < best:
-                found, best, second = index, distance, best
+                nearest, best, second = index, distance, best
             elif distance < second:
                 second = distance
-        return found, best, second
+        return nearest, best, second
 
 
 def _wrapped(angle: float) -> float:
@@ -236,11 +236,11 @@ _COMFORT_SPEED = 8.0
 _MARGIN = 1.5
 """Seconds between leaving the conflict and the other's arrival that a driver wants."""
 _TOUCH = 1e-6
-"""Metres beyond half a diagonal from which on a body is asked whether it touches another."""
+"""Metres beyond half a diagonal within which contact of two bodies is checked."""
 _PASSING = 0.3
 """Metres that a driver leaves beside an obstacle; where there is less, it stops before it."""
 _LOOK_AHEAD = 45.0
-"""Metres before the stop line from which a driver is taken into account by others."""
+"""Metres before the stop line from which others take a driver into account."""
 
 
 class Driver(LaneKeeping, IDMVehicle):
@@ -303,9 +303,9 @@ class Ego(LaneKeeping):
         """
         self.commanded = acceleration
         step = self.SLEW * dt
-        wanted = max(-MAX_BRAKING, min(MAX_ACCELERATION, acceleration))
-        wanted = max(wanted, -_braking_to_stop(self.speed / dt, step))
-        executed = max(self.executed - step, min(self.executed + step, wanted))
+        target = max(-MAX_BRAKING, min(MAX_ACCELERATION, acceleration))
+        target = max(target, -_braking_to_stop(self.speed / dt, step))
+        executed = max(self.executed - step, min(self.executed + step, target))
         if self.speed + executed * dt < 0.0:
             executed = -self.speed / dt
         self.executed = executed
@@ -394,7 +394,7 @@ class JunctionRoad(Road):
         super().act()
 
     def step(self, dt: float) -> None:
-        """Move everybody, then see who touches whom.
+        """Move all vehicles, then mark contacts.
 
         highway-env flags a contact a step early, from predicted positions, and marks one side only
         where the other is a pedestrian; here both are marked when their boxes overlap.
@@ -437,7 +437,7 @@ class JunctionRoad(Road):
         before_line = me.s + CAR_LENGTH / 2 <= ARM_LENGTH
         near = before_line and me.s > ARM_LENGTH - _LOOK_AHEAD
         stop_distance = ARM_LENGTH - _STOP_MARGIN - CAR_LENGTH / 2 - me.s
-        # Who can still stop before the line itself has not committed, though past the margin.
+        # A car that can still stop before the line itself is not committed, though past the margin.
         room = max(ARM_LENGTH - CAR_LENGTH / 2 - me.s, 0.0)
         committed = me.speed**2 / (2 * _READY_BRAKING) > room
         must_stop = near and not committed and me.plan.origin in self.halted
@@ -531,10 +531,10 @@ def _distance_to(me: Driver, obstacle: Standing) -> float | None:
 def _follow(me: Driver, distance: float, speed: float) -> float:
     """IDM interaction with a leader at ``distance`` metres between centres, in m/s2."""
     rate = math.sqrt(-me.COMFORT_ACC_MAX * me.COMFORT_ACC_MIN)
-    wanted = me.DISTANCE_WANTED + me.speed * me.TIME_WANTED
-    wanted += me.speed * (me.speed - speed) / (2 * rate)
+    gap = me.DISTANCE_WANTED + me.speed * me.TIME_WANTED
+    gap += me.speed * (me.speed - speed) / (2 * rate)
     free = 1.0 - (max(me.speed, 0.0) / 10.0) ** me.DELTA
-    return float(me.COMFORT_ACC_MAX * (free - (max(wanted, 0.0) / max(distance, 0.1)) ** 2))
+    return float(me.COMFORT_ACC_MAX * (free - (max(gap, 0.0) / max(distance, 0.1)) ** 2))
 
 
 def standing(road: Road, obstacle: StaticObstacle) -> Standing:

@@ -151,7 +151,7 @@ _WAITING = 0.5
 """m/s; slower cars stand, for whatever reason, and are not on their way."""
 
 NOT_A_CAR = -1
-"""Route number of what has no route."""
+"""Route number of a body without a route."""
 
 
 class RightOfWay(NamedTuple):
@@ -178,7 +178,7 @@ def right_of_way(
     *,
     dt: float,
 ) -> RightOfWay:
-    """What the ego owed to cars with priority, and what its entry demanded of them.
+    """Arrival of cars with priority, and the braking and gap time that the ego's entry left them.
 
     Braking and gap time are taken when the ego crosses its stop line, at which the others see it
     coming, and when it could last have stopped before the conflict, if that is later.

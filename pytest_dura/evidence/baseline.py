@@ -1,4 +1,4 @@
-"""Baseline: an earlier record, and what the rates of violations did since, verdict by verdict.
+"""Baseline: an earlier record, and how the rates of violations changed since, by verdict.
 
 Only campaigns that ran under the same conditions are compared.
 """
@@ -7,28 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import RECORD_FILE, load_record
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.requirements.statistics.comparison import (
+from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
+from pytest_dura.requirements.comparison import (
     ComparisonStatus,
     compare_counts,
     compare_pairs,
     comparison_status,
     holm,
 )
-from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 
 _CONDITION_KEYS = ("simulator", "scenario", "faults", "termination", "time_step", "time_budget")
-"""Of an episode's spec. Roles and policy are left out: they may be what is compared."""
+"""Keys of an episode's spec. Roles and policy are left out: they may be what is compared."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Under what an episode ran, the component under test and the other roles apart.
+    """Conditions of an episode, apart from the component under test and the other roles.
 
     Args:
         seed: The episode's seed.
@@ -40,64 +41,66 @@ class Conditions:
 
     @classmethod
     def of(cls, spec: Mapping[str, Any]) -> Conditions:
-        """Those of an episode's spec, as plain data.
+        """Read them from an episode's spec.
 
         Raises:
-            AttributeError: For a damaged spec, as those below.
-            KeyError: See above.
-            TypeError: See above.
+            AttributeError, KeyError, TypeError: For a damaged spec.
         """
-        kept = {key: spec[key] for key in _CONDITION_KEYS}
+        values = {key: spec[key] for key in _CONDITION_KEYS}
         # The role that puts the faults into effect belongs to the faults.
-        kept["fault_injector"] = spec["roles"].get("fault_injector")
+        values["fault_injector"] = spec["roles"].get("fault_injector")
         seed = spec["seed"]
         if isinstance(seed, bool) or not isinstance(seed, int):
             raise TypeError(f"{seed!r} is no seed")
-        return cls(seed, dict(_leaves("", kept)))
+        return cls(seed, dict(_leaves("", values)))
 
 
 def _changed_conditions(
-    mine: Mapping[int, Conditions], others: Mapping[int, Conditions]
+    first_runs: Mapping[int, Conditions], second_runs: Mapping[int, Conditions]
 ) -> list[str]:
-    """Dotted paths of what is not the same for two campaigns on one case.
+    """List the dotted paths of conditions in which two campaigns on a case differ.
 
     Runs of equal seeds must have equal conditions. Without such runs, a value that is the same in
     all runs of each campaign must be the same in both; one that varies between runs cannot be
     compared, since a record holds the drawn values and not the range that they come from.
 
     Args:
-        mine: By the run's number.
-        others: By the run's number.
+        first_runs: By the run's number.
+        second_runs: By the run's number.
     """
-    shared = [run for run in mine if run in others and mine[run].seed == others[run].seed]
+    shared = [
+        run
+        for run in first_runs
+        if run in second_runs and first_runs[run].seed == second_runs[run].seed
+    ]
     if shared:
-        pairs = ((mine[run].values, others[run].values) for run in shared)
+        pairs = ((first_runs[run].values, second_runs[run].values) for run in shared)
         return sorted(set().union(*(_different(*pair) for pair in pairs)))
-    if not (mine and others):
+    if not (first_runs and second_runs):
         return []
-    first, other = (next(iter(runs.values())).values for runs in (mine, others))
-    varying = _varying(mine.values()) | _varying(others.values())
-    return sorted(_different(first, other) - varying)
+    first, second = (next(iter(runs.values())).values for runs in (first_runs, second_runs))
+    varying = _varying(first_runs.values()) | _varying(second_runs.values())
+    return sorted(_different(first, second) - varying)
 
 
 def _leaves(path: str, value: Any) -> list[tuple[str, Any]]:
     if isinstance(value, Mapping):
         inner = list(value.items())
     elif isinstance(value, (list, tuple)):
-        inner = [(str(i), item) for i, item in enumerate(value)]
+        inner = [(str(i), nested) for i, nested in enumerate(value)]
     else:
         return [(path, value)]
     prefix = f"{path}." if path else ""
-    leaves = [leaf for key, item in inner for leaf in _leaves(f"{prefix}{key}", item)]
+    leaves = [leaf for key, nested in inner for leaf in _leaves(f"{prefix}{key}", nested)]
     return leaves or [(path, ())]
 
 
 _ABSENT = object()
 
 
-def _different(mine: Mapping[str, Any], others: Mapping[str, Any]) -> set[str]:
-    paths = {*mine, *others}
-    return {path for path in paths if mine.get(path, _ABSENT) != others.get(path, _ABSENT)}
+def _different(first: Mapping[str, Any], second: Mapping[str, Any]) -> set[str]:
+    paths = {*first, *second}
+    return {path for path in paths if first.get(path, _ABSENT) != second.get(path, _ABSENT)}
 
 
 def _varying(runs: Collection[Conditions]) -> set[str]:
@@ -107,7 +110,7 @@ def _varying(runs: Collection[Conditions]) -> set[str]:
 
 Data = Mapping[str, Any]
 _MAX_COUNT = 10**9
-"""Runs that no session has; the tests on counts work in floating point."""
+"""More runs than any session has; the tests on counts compute in floating point."""
 
 
 @dataclass(frozen=True)
@@ -118,9 +121,9 @@ class Claim:
         requirement: Id of the requirement.
         case: Id of the case.
         component: Name of the component under test.
-        item: Node id of the test that asked.
+        item: Node id of the test.
         check: What was judged, a comparison of pairs included: the same text, the same question.
-        method: How it was decided.
+        method: Method of the decision.
         confidence: One-sided confidence of the requirement.
         planned: Episodes that were planned.
         run: Episodes that were run.
@@ -148,7 +151,7 @@ class Claim:
 
     @property
     def seeds(self) -> list[int] | None:
-        """The seeds of its runs, if all of them are valid: then each run's outcome is known."""
+        """Seeds of its runs, if all of them are valid, so that each outcome is known."""
         runs = range(self.run)
         known = all(run in self.conditions for run in runs) and self.violating <= set(runs)
         if not known or self.run != self.episodes or len(self.violating) != self.violations:
@@ -157,13 +160,10 @@ class Claim:
 
 
 def claims_of(record: SessionRecord) -> list[Claim]:
-    """The claims of a record, in its order.
+    """Read the claims of a record, in its order.
 
     Raises:
-        AttributeError: For a damaged record, as those below.
-        KeyError: See above.
-        TypeError: See above.
-        ValueError: See above.
+        AttributeError, KeyError, TypeError, ValueError: For a damaged record.
     """
     requirements = {requirement["id"]: requirement for requirement in record["requirements"]}
     conditions: dict[tuple[str, str], dict[int, Conditions]] = {}
@@ -211,16 +211,16 @@ def _claim(
 
 
 def _check(verdict: Data, requirement: Data) -> str:
-    """What was judged, in words. Of a test on single episodes it is the test's own code."""
+    """Describe what was judged; for a test on single episodes, its node id."""
     check = _text(verdict["check"])
     if not check:
         check = f"{_text(requirement.get('check', ''))} in {_text(verdict['item'])}".lstrip()
     if verdict["pairs"] is None:
         return check
     paired = verdict["paired"] or {}
-    told = {key: paired.get(key) for key in ("measure", "change_at_most")}
-    rest = [f"{key} {value}" for key, value in told.items() if value not in (None, "")]
-    return ", ".join([check, f"pairs without {_text(verdict['pairs']['without'])}", *rest])
+    limits = {key: paired.get(key) for key in ("measure", "change_at_most")}
+    details = [f"{key} {value}" for key, value in limits.items() if value not in (None, "")]
+    return ", ".join([check, f"pairs without {_text(verdict['pairs']['without'])}", *details])
 
 
 def _run(episode: Any) -> int:
@@ -240,7 +240,7 @@ def _text(value: Any) -> str:
 
 
 _SEQUENTIAL = ("sprt", "e-process")
-"""Methods under which the number of episodes depends on what they show."""
+"""Methods whose number of episodes depends on their outcomes."""
 _N_DEPENDED = "n depended on the outcome"
 
 BaselineStatus = Literal[
@@ -257,10 +257,10 @@ class BaselineComparison:
         case: Id of the case.
         component: Component under test now; ``None`` for what is gone.
         baseline_component: That of the baseline; ``None`` for what is new.
-        word: What is said of it, after Holm's correction.
+        status: Result, after Holm's correction.
         reason: Why there is no comparison.
-        uncorrected: The word that this comparison alone would have got.
-        confidence: The requirement's own, of the words.
+        uncorrected: Result of this comparison alone.
+        confidence: The requirement's own.
         violations: Violating episodes now.
         episodes: Valid episodes now.
         baseline_violations: Violating episodes of the baseline.
@@ -279,7 +279,7 @@ class BaselineComparison:
     case: str
     component: str | None
     baseline_component: str | None
-    word: BaselineStatus
+    status: BaselineStatus
     reason: str = ""
     uncorrected: ComparisonStatus | None = None
     confidence: float | None = None
@@ -296,55 +296,58 @@ class BaselineComparison:
     p_better_holm: float | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record."""
-        return asdict(self)
+        """Convert to plain data for the record, where the status is called ``word``."""
+        return {"word" if key == "status" else key: value for key, value in asdict(self).items()}
 
 
 def compare_claims(claims: Sequence[Claim], baseline: Sequence[Claim]) -> list[BaselineComparison]:
-    """What stands in both records compared, and the rest listed, by case and requirement.
+    """Compare the claims of two records, and list those of one alone, by case and requirement.
 
-    The words hold together: Holm's correction keeps the probability of any false "worse" in the
-    session at the requirements' level, and that of any false "better" apart from it.
+    The results hold together: Holm's correction keeps the probability of any false "worse" in the
+    session at the requirements' level, and separately that of any false "better".
 
     Args:
         claims: Of the new record.
-        baseline: Of the record it is held against.
+        baseline: Of the earlier record.
     """
-    found = []
+    comparisons = []
     for own, other in _matched_claims(claims, baseline):
         if own is not None and other is not None:
-            found.append(_comparison(own, other))
+            comparisons.append(_comparison(own, other))
         elif own is not None:
-            found.append(BaselineComparison(own.requirement, own.case, own.component, None, "new"))
+            comparisons.append(
+                BaselineComparison(own.requirement, own.case, own.component, None, "new")
+            )
         elif other is not None:
-            found.append(
+            comparisons.append(
                 BaselineComparison(other.requirement, other.case, None, other.component, "gone")
             )
-    found.sort(key=lambda comparison: (comparison.case, comparison.requirement))
-    return _holm_corrected(found)
+    comparisons.sort(key=lambda comparison: (comparison.case, comparison.requirement))
+    return _holm_corrected(comparisons)
 
 
 def _holm_corrected(comparisons: list[BaselineComparison]) -> list[BaselineComparison]:
-    """The words after Holm's correction over everything with a p-value."""
+    """Correct the results by Holm's method over everything with a p-value."""
     family = [i for i, comparison in enumerate(comparisons) if comparison.p_worse is not None]
     worse = holm([comparisons[i].p_worse or 0.0 for i in family])
     better = holm([comparisons[i].p_better or 0.0 for i in family])
     for i, p_worse, p_better in zip(family, worse, better, strict=True):
-        text = replace(comparisons[i], p_worse_holm=p_worse, p_better_holm=p_better)
-        if text.uncorrected is not None and text.confidence is not None:
-            text = replace(text, word=comparison_status(p_better, p_worse, text.confidence))
-        comparisons[i] = text
+        corrected = replace(comparisons[i], p_worse_holm=p_worse, p_better_holm=p_better)
+        if corrected.uncorrected is not None and corrected.confidence is not None:
+            corrected = replace(
+                corrected, status=comparison_status(p_better, p_worse, corrected.confidence)
+            )
+        comparisons[i] = corrected
     return comparisons
 
 
 def _comparison(own: Claim, other: Claim) -> BaselineComparison:
-    """The comparison before any correction."""
     comparison = BaselineComparison(
         requirement=own.requirement,
         case=own.case,
         component=own.component,
         baseline_component=other.component,
-        word="no comparison",
+        status="no comparison",
         confidence=own.confidence,
         violations=own.violations,
         episodes=own.episodes,
@@ -371,79 +374,73 @@ def _comparison(own: Claim, other: Claim) -> BaselineComparison:
         comparison = replace(comparison, test="Fisher")
     return replace(
         comparison,
-        word=pairs.word,
-        uncorrected=pairs.word,
+        status=pairs.status,
+        uncorrected=pairs.status,
         p_worse=pairs.p_worse,
         p_better=pairs.p_better,
     )
 
 
 def _incomparable_question(own: Claim, other: Claim) -> str:
-    """Why the two cannot be compared, whatever they came to; empty if they can."""
-    # Nothing is known of the check of a test that never ran.
+    """Reason why two claims cannot be compared, whatever their outcomes; empty for none."""
+    # The check of a test that never ran is not known.
     if own.run and other.run and own.check != other.check:
         return f"the check changed from {other.check!r} to {own.check!r}"
     changed = _changed_conditions(own.conditions, other.conditions)
     if changed:
         more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
         return f"the scenario changed: {', '.join(changed[:3])}{more}"
-    sequential = [item.method for item in (own, other) if item.method in _SEQUENTIAL]
+    sequential = [claim.method for claim in (own, other) if claim.method in _SEQUENTIAL]
     return f"{_N_DEPENDED} ({sequential[0]})" if sequential else ""
 
 
 def _incomparable_outcome(own: Claim, other: Claim) -> str:
-    """Why what was run is not enough for a comparison; empty if it is.
+    """Reason why the runs are not enough for a comparison; empty if they are.
 
     A campaign that may end early and did not is compared. Such campaigns are among those that a
-    fixed number of runs would have left with the same counts, so that a false word is no more
+    fixed number of runs would have left with the same counts, so that a false result is no more
     likely than with a fixed number.
     """
-    for whose, item in (("", own), ("of the baseline ", other)):
-        if item.saved:
-            return f"{_N_DEPENDED} ({item.saved} of {item.planned} runs {whose}saved)"
-        if item.run < item.planned:
-            return f"only {item.run} of {item.planned} planned runs {whose}were run"
-        if not item.episodes:
-            return f"no valid episodes {whose}".rstrip()
-        # A violation counts in an invalid episode too, a satisfaction does not: the rate of what
-        # is left would be that of a selection.
-        if item.run - item.episodes > MAX_INVALID_SHARE * item.run:
-            return f"only {item.episodes} of {item.run} runs {whose}are valid"
+    for origin, claim in (("", own), ("of the baseline ", other)):
+        if claim.saved:
+            return f"{_N_DEPENDED} ({claim.saved} of {claim.planned} runs {origin}saved)"
+        if claim.run < claim.planned:
+            return f"only {claim.run} of {claim.planned} planned runs {origin}were run"
+        if not claim.episodes:
+            return f"no valid episodes {origin}".rstrip()
+        # An invalid episode counts if it violates and not if it satisfies: the rate would be that
+        # of a selection.
+        if claim.run - claim.episodes > MAX_INVALID_SHARE * claim.run:
+            return f"only {claim.episodes} of {claim.run} runs {origin}are valid"
     return ""
 
 
 def _matched_claims(
     claims: Sequence[Claim], baseline: Sequence[Claim]
 ) -> Iterator[tuple[Claim | None, Claim | None]]:
-    """Each claim with its counterpart, both at most once; ``None`` where there is none.
+    """Match each claim with at most one counterpart; ``None`` where there is none.
 
-    A requirement may be decided on one case several times: for two components, or by two tests.
-    Those that agree in the most are matched first, and only where there is no second candidate.
+    A requirement may be decided on a case several times: for two components, or by two tests.
+    Those that agree in most keys are matched first, and only where there is no second candidate.
     """
     left, right = list(claims), list(baseline)
     for key in _MATCHED_BY:
         for own in list(left):
-            mine = [item for item in left if key(item) == key(own)]
-            others = [item for item in right if key(item) == key(own)]
-            if len(mine) == len(others) == 1:
+            own_candidates = [claim for claim in left if key(claim) == key(own)]
+            candidates = [claim for claim in right if key(claim) == key(own)]
+            if len(own_candidates) == len(candidates) == 1:
                 left.remove(own)
-                right.remove(others[0])
-                yield own, others[0]
+                right.remove(candidates[0])
+                yield own, candidates[0]
     yield from ((own, None) for own in left)
     yield from ((None, other) for other in right)
 
 
 _MATCHED_BY: tuple[Callable[[Claim], tuple[str, ...]], ...] = (
-    lambda verdict: (
-        verdict.requirement,
-        verdict.case,
-        verdict.component,
-        verdict.item,
-        verdict.check,
-    ),
-    lambda verdict: (verdict.requirement, verdict.case, verdict.item, verdict.check),
-    lambda verdict: (verdict.requirement, verdict.case, verdict.component, verdict.check),
-    lambda verdict: (verdict.requirement, verdict.case),
+    attrgetter("requirement", "case", "component", "item", "check"),
+    attrgetter("requirement", "case", "item", "check"),
+    attrgetter("requirement", "case", "component", "check"),
+    attrgetter("requirement", "case"),
 )
 
 
@@ -452,7 +449,7 @@ _BASELINE_OPTION = "--dura-baseline"
 
 @dataclass(frozen=True)
 class Baseline:
-    """An earlier record, read and checked.
+    """Earlier record, read and checked.
 
     Args:
         path: As the user gave it.
@@ -460,8 +457,8 @@ class Baseline:
         created: When its session began.
         status: ``complete`` or ``interrupted``.
         base_seed: Its base seed.
-        component: Its component under test, as it is recorded.
-        claims: What it says.
+        component: Its component under test, as recorded.
+        claims: Its verdicts.
     """
 
     path: str
@@ -473,24 +470,27 @@ class Baseline:
     claims: tuple[Claim, ...]
 
     @classmethod
-    def read(cls, given: str, relative_to: Path) -> Baseline:
-        """From a file, or a directory that holds one.
+    def read(cls, path: str, relative_to: Path) -> Baseline:
+        """Read a file, or the record in a directory.
 
         Raises:
             ConfigurationError: If there is none, or it is damaged, foreign or unfinished.
         """
-        file = relative_to / given
+        file = relative_to / path
         if file.is_dir():
             file /= RECORD_FILE
         record, digest = load_record(file, _BASELINE_OPTION)
         try:
+            # The files of the component are in the baseline's own record.
+            component = {"name": None, **record["component_under_test"]}
+            component.pop("sources", None)
             baseline = cls(
-                path=given,
+                path=path,
                 sha256=digest,
                 created=str(record["created"]),
                 status=str(record["status"]),
                 base_seed=_seed(record["base_seed"]),
-                component=_without_sources({"name": None, **record["component_under_test"]}),
+                component=component,
                 claims=tuple(claims_of(SessionRecord.of(record, file.parent))),
             )
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
@@ -514,7 +514,7 @@ class Baseline:
         return baseline
 
     def to_json(self, record: SessionRecord | None = None) -> dict[str, Any]:
-        """Plain data for the record's key ``baseline``.
+        """Convert to the record's key ``baseline``.
 
         ``tests`` counts what Holm's correction counts, ``comparisons`` are those of
         :func:`compare_claims`.
@@ -522,18 +522,18 @@ class Baseline:
         Args:
             record: The new session's record; ``None`` as long as it runs.
         """
-        told = {key: value for key, value in vars(self).items() if key != "claims"}
-        claims = [] if record is None else compare_claims(claims_of(record), self.claims)
+        data = {key: value for key, value in vars(self).items() if key != "claims"}
+        comparisons = [] if record is None else compare_claims(claims_of(record), self.claims)
         return {
-            **told,
+            **data,
             "correction": "Holm",
-            "tests": sum(comparison.p_worse is not None for comparison in claims),
-            "comparisons": [comparison.to_json() for comparison in claims],
+            "tests": sum(comparison.p_worse is not None for comparison in comparisons),
+            "comparisons": [comparison.to_json() for comparison in comparisons],
         }
 
 
 def regression_objections(baseline: Mapping[str, Any]) -> list[str]:
-    """What fails a gate that is to fail where something got worse.
+    """List the reasons to fail a gate that is to fail where a rate got worse.
 
     Args:
         baseline: Of :meth:`Baseline.to_json` of a finished session.
@@ -553,9 +553,3 @@ def _seed(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise TypeError(f"{value!r} is no seed")
     return value
-
-
-def _without_sources(component: dict[str, Any]) -> dict[str, Any]:
-    """What is recorded of an earlier component; its files are listed where it is."""
-    component.pop("sources", None)
-    return component

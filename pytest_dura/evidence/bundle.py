@@ -1,4 +1,4 @@
-"""The bundle on disk: the record, every format rendered from it, and the manifest, last.
+"""The bundle on disk: the record, every format rendered from it, and last the manifest.
 
 A reader never sees half a file, nor a killed session that reads as a pass.
 """
@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from importlib import import_module
@@ -43,20 +43,20 @@ FORMATS = (
     "pytest_dura.reports.cyclonedx",
     "pytest_dura.reports.intoto",
 )
-"""The modules of the formats, in the order in which they are written."""
+"""Modules of the formats, in the order in which they are written."""
 
 
 class Format(Protocol):
-    """What a module of a format offers."""
+    """Interface of the module of a format."""
 
     FILE: str
 
     def render(self, record: SessionRecord) -> str:
-        """The file's text: the same record gives the same text."""
+        """Render the file's text, which is a function of the record."""
         ...
 
     def read_counts(self, text: str) -> Counts:
-        """What such a text states, read without the help of ``render``.
+        """Read the counts in such a text, without the help of ``render``.
 
         Raises:
             ValueError: If the text is not what this format writes.
@@ -65,13 +65,13 @@ class Format(Protocol):
 
 
 def all_formats() -> Iterator[Format]:
-    """Every format, imported when it is asked for."""
+    """Import the modules of the formats, one at a time."""
     for name in FORMATS:
         yield cast("Format", import_module(name))
 
 
 RECORD_FILE = "evidence.json"
-EPISODES_FOLDER = "episodes"
+_EPISODES_KEY = "episodes"
 RENDERED_FILES = (
     "manifest.json",
     "report.html",
@@ -82,30 +82,28 @@ RENDERED_FILES = (
     "test-result.intoto.json",
     "evidence.schema.json",
 )
-"""The other files of a bundle; the manifest comes first where they are removed."""
+"""Other files of a bundle; the manifest is the first to be removed."""
 STREAMED_BYTES = 8 << 20
 """Bytes of a record above which its episodes are read one at a time."""
-_TRACES_FOLDER = TRACE_FOLDER
-"""The folder of the traces."""
 RESUME_FOLDER = ".episodes"
-"""The folder of the episodes that a session which is interrupted leaves to the next one."""
+"""Folder of the episodes that an interrupted session leaves to the next one."""
 _TOOL = re.compile(rb'"tool"\s*:\s*\{\s*"name"\s*:\s*"pytest-dura"')
 _HEAD_BYTES = 1 << 16
 _TEMPORARY_PREFIXES = tuple(map(temporary_prefix, (RECORD_FILE, *RENDERED_FILES)))
 
 
 def check_directory(directory: Path) -> None:
-    """Refuse to write evidence over what is none of ours.
+    """Refuse to write evidence over other files.
 
-    A directory is ours if it is empty, or holds a record of ours and beside it what its manifest
-    lists, or what a session leaves that did not come to its end.
+    A directory may be written if it is empty, or holds a record of pytest-dura and beside it only
+    what its manifest lists, or what an unfinished session leaves.
 
     Raises:
         ConfigurationError: If it is a symbolic link, or holds anything else.
     """
     if directory.is_symlink():
         raise _foreign_error("the evidence directory is a symbolic link", directory, str(directory))
-    names = [item for item in files_below(directory) if not _is_temporary(item)]
+    names = [name for name in files_below(directory) if not _is_temporary(name)]
     if not names:
         return
     record = directory / RECORD_FILE
@@ -116,25 +114,26 @@ def check_directory(directory: Path) -> None:
     if record.is_symlink() or not record.is_file() or not _is_our_record(record):
         problem = f"its {RECORD_FILE} is not of a session of pytest-dura"
         raise _foreign_error(f"this directory is not empty, and {problem}", directory, RECORD_FILE)
-    ours = {RECORD_FILE, *RENDERED_FILES, *listed_files(directory)}
+    expected = {RECORD_FILE, *RENDERED_FILES, *listed_files(directory)}
     for name in names:
         folder, _, last = name.rpartition("/")
-        if name not in ours and not (folder == _TRACES_FOLDER and is_trace_name(last)):
+        if name not in expected and not (folder == TRACE_FOLDER and is_trace_name(last)):
             problem = "this directory holds a file that is no part of the evidence in it"
             raise _foreign_error(problem, directory, name)
 
 
 def _is_temporary(name: str) -> bool:
-    """Whether a file is of a session that runs or was killed: a lock, a spool, episodes, traces."""
+    """Whether a file is a lock, a spool, an episode or a trace of an unfinished session."""
     first, _, rest = name.partition("/")
     if rest:
-        passing = first == RESUME_FOLDER or (first == _TRACES_FOLDER and rest.startswith("."))
-        return passing or (first == _TRACES_FOLDER and is_trace_name(rest))
+        if first == TRACE_FOLDER:
+            return rest.startswith(".") or is_trace_name(rest)
+        return first == RESUME_FOLDER
     return first == LOCK_FILE or first.startswith((*_TEMPORARY_PREFIXES, SPOOL_PREFIX))
 
 
 def _is_our_record(record: Path) -> bool:
-    """Whether a record names us as its tool, at its beginning: it may be great, or damaged."""
+    """Whether a record, which may be large or damaged, begins with pytest-dura as its tool."""
     try:
         with record.open("rb") as stream:
             return _TOOL.search(stream.read(_HEAD_BYTES)) is not None
@@ -164,34 +163,34 @@ def write_record(directory: Path, record: SessionRecord) -> Path:
 
 
 def begin_bundle(record: SessionRecord, *, traces: bool = True) -> None:
-    """Write the record of a session that begins, and remove what an earlier one left beside it.
+    """Write the record of a session that begins, then remove what an earlier one left beside it.
 
-    In this order nothing that an earlier session came to is ever there without a record that says
-    that a session is running.
+    In this order no result of an earlier session is ever there without a record that says that a
+    session is running.
 
     Args:
         record: Of the session that begins.
-        traces: Whether traces go, too; not if some may be of the session that begins.
+        traces: Whether traces are removed; not if some may be of the session that begins.
 
     Raises:
         ConfigurationError: If the directory cannot be made, written or cleared.
     """
     earlier = os.path.lexists(record.directory / RECORD_FILE)
     write_record(record.directory, record)
-    # Without a record of ours, files of such names are somebody else's.
+    # Without a record, files of such names are not evidence.
     if earlier:
         clear_bundle(record.directory, traces=traces)
 
 
 def clear_bundle(directory: Path, *, traces: bool = True) -> None:
-    """Remove what an earlier session left, the record itself apart, which is to be replaced first.
+    """Remove what an earlier session left, apart from the record, which is to be replaced first.
 
-    Files go by their names, and the traces by theirs, whole or begun; nothing else is touched, and
-    no symbolic link is followed: it is removed itself.
+    Files are recognised by their names; nothing else is touched, and of a symbolic link the link
+    itself is removed.
 
     Args:
         directory: The evidence directory.
-        traces: Whether traces go, too; not if some may be of the session that begins.
+        traces: Whether traces are removed; not if some may be of the session that begins.
 
     Raises:
         ConfigurationError: If one of them cannot be removed.
@@ -207,21 +206,21 @@ def clear_bundle(directory: Path, *, traces: bool = True) -> None:
 
 
 def _clear_traces(directory: Path, kept: Collection[str] = ()) -> None:
-    """Remove the traces of a bundle, some apart, as :func:`clear_bundle` does.
+    """Remove the traces of a bundle, as :func:`clear_bundle` does.
 
     Args:
         directory: The evidence directory.
-        kept: Names of traces that stay, as the record has them.
+        kept: Names of traces that stay, as in the record.
 
     Raises:
         ConfigurationError: If one of them cannot be removed.
     """
-    traces = directory / _TRACES_FOLDER
+    traces = directory / TRACE_FOLDER
     with _removal_errors(directory):
         if traces.is_symlink():
             traces.unlink()
         for trace in _entries(traces):
-            if is_trace_name(trace.name) and f"{_TRACES_FOLDER}/{trace.name}" not in kept:
+            if is_trace_name(trace.name) and f"{TRACE_FOLDER}/{trace.name}" not in kept:
                 trace.unlink()
         if traces.is_dir() and not any(traces.iterdir()):
             traces.rmdir()
@@ -242,7 +241,7 @@ def _removal_errors(directory: Path) -> Iterator[None]:
 
 
 def _entries(directory: Path) -> Iterator[Path]:
-    """The files and links in a directory, if it is one."""
+    """Yield the files and links in a directory, if it is one."""
     if directory.is_dir():
         for entry in list(directory.iterdir()):
             if entry.is_symlink() or entry.is_file():
@@ -250,9 +249,9 @@ def _entries(directory: Path) -> Iterator[Path]:
 
 
 def read_session_record(directory: Path) -> SessionRecord:
-    """The record of an evidence directory as renderers read it.
+    """Read the record of an evidence directory as a :class:`SessionRecord`.
 
-    The episodes of a great one stay in its file; another one is in memory as a whole.
+    The episodes of a large one stay in its file; a smaller one is in memory as a whole.
 
     Raises:
         ConfigurationError: If there is none, or it cannot be read, or its file is a link, which
@@ -271,21 +270,19 @@ def read_session_record(directory: Path) -> SessionRecord:
 
 
 def _streamed_record(file: Path) -> StreamedRecord | None:
-    """A great record of ours; of any other one it is found out what it is by reading it whole."""
+    """Stream a large record of this version; ``None`` for others, which are read as a whole."""
     try:
-        great = file.stat().st_size > STREAMED_BYTES
+        is_large = file.stat().st_size > STREAMED_BYTES
     except OSError:
         return None
-    record = stream_record(file, _strict_json) if great else None
-    return (
-        record
-        if record is not None and record.head.get("schema_version") == SCHEMA_VERSION
-        else None
-    )
+    record = stream_record(file, _strict_json) if is_large else None
+    if record is None or record.head.get("schema_version") != SCHEMA_VERSION:
+        return None
+    return record
 
 
 def read_record(directory: Path) -> dict[str, Any]:
-    """The record of an evidence directory.
+    """Read the record of an evidence directory as plain data.
 
     Raises:
         ConfigurationError: If there is none, or it cannot be read.
@@ -294,7 +291,7 @@ def read_record(directory: Path) -> dict[str, Any]:
 
 
 def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any], str]:
-    """The record in a file, and the SHA-256 of that file.
+    """Read the record in a file, and compute the SHA-256 of that file.
 
     Args:
         file: The file.
@@ -305,8 +302,8 @@ def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any
     """
     try:
         data = file.read_bytes()
-        strict_json = _strict_json(data)
-        version = strict_json["schema_version"]
+        record = _strict_json(data)
+        version = record["schema_version"]
     except FileNotFoundError:
         raise _unreadable_record("there is no evidence here", file, key) from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -321,7 +318,7 @@ def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any
             expected=SCHEMA_VERSION,
             remedy="use the version that the record names under `tool`",
         )
-    return strict_json, hashlib.sha256(data).hexdigest()
+    return record, hashlib.sha256(data).hexdigest()
 
 
 def _strict_json(data: bytes) -> Any:
@@ -329,11 +326,11 @@ def _strict_json(data: bytes) -> Any:
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object whose keys are there once; of two, readers would take one or the other."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    """Refuse duplicate keys, of which readers take one or the other."""
+    data = dict(pairs)
+    if len(data) < len(pairs):
         raise ValueError("a key is there twice")
-    return found
+    return data
 
 
 def _no_number(name: str) -> float:
@@ -351,16 +348,16 @@ def _unreadable_record(problem: str, file: Path, key: str) -> ConfigurationError
 
 
 def _record_text(record: SessionRecord) -> Iterator[str]:
-    """The record as JSON, indented by one, with the episodes behind the cases."""
+    """Write the record as JSON, indented by one, with the episodes after the cases."""
     head = plain_data(record.head)
     names = list(head)
     place = names.index("cases") + 1 if "cases" in names else len(names)
-    names.insert(place, EPISODES_FOLDER)
+    names.insert(place, _EPISODES_KEY)
     yield "{"
     for number, name in enumerate(names):
         yield ",\n " if number else "\n "
         yield f"{_json_text(name)}: "
-        if name == EPISODES_FOLDER:
+        if name == _EPISODES_KEY:
             yield from _list_text(record.episodes())
         else:
             yield _json_text(head[name]).replace("\n", "\n ")
@@ -368,32 +365,32 @@ def _record_text(record: SessionRecord) -> Iterator[str]:
 
 
 def _list_text(values: Iterable[Any]) -> Iterator[str]:
-    """A list within an object that is no part of anything."""
+    """Write a list within the outermost object."""
     number = -1
     for number, value in enumerate(values):
         yield ",\n  " if number else "[\n  "
-        # In JSON a line break is always one between its parts.
+        # In JSON a line break is never inside of a text.
         yield _json_text(value).replace("\n", "\n  ")
     yield "[]" if number < 0 else "\n ]"
 
 
 def _json_text(value: Any) -> str:
-    """JSON in which letters of any script are themselves, and whatever cannot be seen is escaped.
+    """Write JSON in which letters of any script stay and invisible characters are escaped.
 
-    JSON asks that of the control characters below the blank alone; a terminal acts on others, too.
+    JSON requires that of control characters below the blank alone; terminals act on others, too.
     """
     text = json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False)
     return text if text.isascii() and "\x7f" not in text else text.translate(_VISIBLE)
 
 
 class _VisibleCharacters(dict[int, str]):
-    """What stands for a character in JSON, found once for each."""
+    """Replacements of characters in JSON, for ``str.translate``."""
 
     def __missing__(self, point: int) -> str:
         char = chr(point)
-        seen = point < _DELETE or char.isprintable()
-        self[point] = dumps = char if seen else json.dumps(char)[1:-1]
-        return dumps
+        is_visible = point < _DELETE or char.isprintable()
+        self[point] = shown = char if is_visible else json.dumps(char)[1:-1]
+        return shown
 
 
 _DELETE = 0x7F
@@ -401,14 +398,14 @@ _VISIBLE = _VisibleCharacters()
 
 
 def write_bundle(record: SessionRecord) -> SessionRecord:
-    """Write everything and return the record as it was written.
+    """Write the bundle and return the record as it was written.
 
-    A format that cannot be rendered does not cost the others: the record then says which one is
-    not there and its gate has failed, and so say all other formats.
+    A format that cannot be rendered does not prevent the others: record and other formats then
+    name it, and the gate fails.
 
     Raises:
-        ConfigurationError: If the directory cannot be written. What is left of the bundle then
-            says that it is incomplete.
+        ConfigurationError: If the directory cannot be written. The rest of the bundle then says
+            that it is incomplete.
     """
     before = _file_identity(record.directory / RECORD_FILE)
     try:
@@ -419,43 +416,35 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
 
 
 def _write_all(record: SessionRecord) -> SessionRecord:
-    traces = {
-        episode["trace"]["file"]: {
-            "sha256": episode["trace"]["sha256"],
-            "bytes": episode["trace"]["bytes"],
-        }
-        for episode in record.episodes()
-        if episode["trace"] is not None
-    }
+    entries = (episode["trace"] for episode in record.episodes() if episode["trace"] is not None)
+    traces = {e["file"]: {"sha256": e["sha256"], "bytes": e["bytes"]} for e in entries}
     _clear_traces(record.directory, traces)
     broken = {
         file: "it is not there as it was written"
         for file, trace in traces.items()
         if _file_size(record.directory / file) != trace["bytes"]
     }
+    formats = list(all_formats())
     while True:
-        broken_files = _with_broken_files(record, broken)
-        write_record(broken_files.directory, broken_files)
+        written = _with_broken_files(record, broken)
+        write_record(written.directory, written)
         before = len(broken)
-        for item in all_formats():
-            if item.FILE not in broken:
-                _write_format(item, broken_files, broken)
+        for report_format in formats:
+            if report_format.FILE not in broken:
+                _write_format(report_format, written, broken)
         if len(broken) == before:
             break
-    write_file(broken_files.directory / SCHEMA_FILE, [schema_text()])
-    names = [
-        RECORD_FILE,
-        SCHEMA_FILE,
-        *(item.FILE for item in all_formats() if item.FILE not in broken),
-    ]
-    # A trace is listed with the digest that its writer took, not with one of what lies there now.
-    files = {name: file_entry(broken_files.directory / name) for name in names} | traces
-    write_file(broken_files.directory / MANIFEST_FILE, [manifest_text(files)])
-    return broken_files
+    write_file(written.directory / SCHEMA_FILE, [schema_text()])
+    rendered = [report_format.FILE for report_format in formats]
+    names = [RECORD_FILE, SCHEMA_FILE, *(name for name in rendered if name not in broken)]
+    # A trace is listed with the digest that its writer computed, which may reveal a later change.
+    files = {name: file_entry(written.directory / name) for name in names} | traces
+    write_file(written.directory / MANIFEST_FILE, [manifest_text(files)])
+    return written
 
 
 def _withdraw(record: SessionRecord, error: BaseException, before: object) -> None:
-    """Leave no half bundle that reads as a pass: room first, then a record that says so."""
+    """Make room, then mark the record as incomplete, lest half a bundle reads as a pass."""
     for name in RENDERED_FILES:
         with suppress(OSError):
             (record.directory / name).unlink(missing_ok=True)
@@ -463,23 +452,18 @@ def _withdraw(record: SessionRecord, error: BaseException, before: object) -> No
     if _file_identity(file) == before:
         return  # it says that the session is running
     why = f"infrastructure: the evidence could not be written as a whole: {describe_error(error)}"
-    gate = {
-        **record["gate"],
-        "result": "incomplete",
-        "exit_code": record["gate"]["exit_code"] or 1,
-        "reasons": [*record["gate"]["reasons"], why],
-    }
-    told = {"status": "interrupted", "gate": gate}
-    told["totals"] = {**record["totals"], "gate": gate["result"]}
+    marked = _with_gate(record, "incomplete", [why])
     try:
-        write_record(record.directory, replace(record, head={**record.head, **told}))
-    except ConfigurationError:  # there is not even room for that
+        write_record(
+            record.directory, replace(marked, head={**marked.head, "status": "interrupted"})
+        )
+    except ConfigurationError:  # no room even for that
         with suppress(OSError):
             file.unlink(missing_ok=True)
 
 
 def _file_size(file: Path) -> int | None:
-    """Of a file as it lies there; ``None`` for none."""
+    """Size of a file, or of the link itself; ``None`` for none."""
     try:
         return file.lstat().st_size
     except OSError:
@@ -487,39 +471,47 @@ def _file_size(file: Path) -> int | None:
 
 
 def _file_identity(file: Path) -> tuple[int, int] | None:
-    """Which file it is that has this name."""
+    """Inode and time of modification of a file; ``None`` for none."""
     try:
-        lstat = file.lstat()
+        status = file.lstat()
     except OSError:
         return None
-    return lstat.st_ino, lstat.st_mtime_ns
+    return status.st_ino, status.st_mtime_ns
 
 
-def _write_format(item: Format, record: SessionRecord, broken: dict[str, str]) -> None:
+def _write_format(report_format: Format, record: SessionRecord, broken: dict[str, str]) -> None:
     try:
-        text = item.render(record)
-    except Exception as error:  # told in the record, and the gate fails
-        broken[item.FILE] = _failure_text(error)
-        (record.directory / item.FILE).unlink(missing_ok=True)
+        text = report_format.render(record)
+    except Exception as error:  # named in the record, and the gate fails
+        broken[report_format.FILE] = _failure_text(error)
+        (record.directory / report_format.FILE).unlink(missing_ok=True)
         return
-    write_file(record.directory / item.FILE, [text])
+    write_file(record.directory / report_format.FILE, [text])
 
 
 def _failure_text(error: Exception) -> str:
-    """On one line; what the user can mend tells of the user's file and not of ours."""
+    """Describe an error on one line; a ConfigurationError by the user's file that caused it."""
     if isinstance(error, ConfigurationError):
         return "; ".join(" ".join(line.split()) for line in str(error).splitlines())
     return describe_error(error)
 
 
 def _with_broken_files(record: SessionRecord, broken: Mapping[str, str]) -> SessionRecord:
-    """The record of a session whose evidence is not whole."""
+    """Put the files that could not be made into the gate of a record."""
     if not broken:
         return record
-    gate: dict[str, Any] = dict(record["gate"])
+    result = record["gate"]["result"]
     reasons = [f"infrastructure: {file} could not be made: {why}" for file, why in broken.items()]
-    gate["reasons"] = [*gate["reasons"], *reasons]
-    if gate["result"] == "passed":
-        gate["result"], gate["exit_code"] = "failed", 1
-    totals = {**record["totals"], "gate": gate["result"]}
+    return _with_gate(record, "failed" if result == "passed" else result, reasons)
+
+
+def _with_gate(record: SessionRecord, result: str, reasons: Sequence[str]) -> SessionRecord:
+    """Change the gate of a record, which then has not passed."""
+    gate = {
+        **record["gate"],
+        "result": result,
+        "exit_code": record["gate"]["exit_code"] or 1,
+        "reasons": [*record["gate"]["reasons"], *reasons],
+    }
+    totals = {**record["totals"], "gate": result}
     return replace(record, head={**record.head, "gate": gate, "totals": totals})

@@ -2,7 +2,7 @@
 
 Coverage of requirements and parameters, effectiveness of recovery and monitors, missing
 runs, timings, redactions and totals. All of it is computed in passes over the episodes,
-by the session that writes the record and again by whoever verifies it.
+by the session that writes the record and again to verify it.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any, TypeAlias
 
 from pytest_dura.evidence.model import Counts, SessionRecord
@@ -20,14 +21,13 @@ from pytest_dura.evidence.sessions import origin_counts
 Data = Mapping[str, Any]
 
 _BINS = 10
-"""Equal parts of a range."""
+"""Equal parts of a range, in which values are counted."""
 
 
 class ParameterCoverage:
-    """Counts the values that valid episodes had, episode by episode.
+    """Counts the values of varied parameters in valid episodes.
 
     All cases of a scenario draw the same values from the same seed, so that each seed counts once.
-    Memory grows with the seeds, by a number each.
 
     Args:
         cases: The record's cases; ``variation`` holds the ranges.
@@ -35,28 +35,30 @@ class ParameterCoverage:
 
     def __init__(self, cases: Iterable[Data]) -> None:
         self._scenarios: dict[str, dict[str, _Spread | _Choices]] = {}
-        self._seen: set[tuple[str, str, int]] = set()
+        self._counted: set[tuple[str, str, int]] = set()
         for case in cases:
             spreads = self._scenarios.setdefault(case["scenario"], {})
-            for path, given in case.get("variation", {}).items():
-                spreads.setdefault(path, _Choices(given) if "choice" in given else _Spread(given))
+            for path, variation in case.get("variation", {}).items():
+                spreads.setdefault(
+                    path, _Choices(variation) if "choice" in variation else _Spread(variation)
+                )
 
     def add(self, episode: Data) -> None:
-        """Take in a record of an episode, if it is a planned and valid one."""
+        """Add an episode, if it is a planned and valid one."""
         if not episode["planned"] or episode["validity"] != "valid":
             return
         spec = episode["spec"]
         scenario = spec["scenario"]["name"]
         for path, spread in self._scenarios.get(scenario, {}).items():
             key = scenario, path, spec["seed"]
-            if key not in self._seen:
+            if key not in self._counted:
                 value = _drawn_value(spec, path)
-                if value is not _ABSENT and spread.takes(value):
-                    self._seen.add(key)
+                if value is not _ABSENT and spread.accepts(value):
+                    self._counted.add(key)
                     spread.add(value)
 
     def to_json(self) -> list[dict[str, Any]]:
-        """``{scenario, parameter, low, high, choices, drawn, least, greatest, bins, covered}``.
+        """Convert to ``{scenario, parameter, low, high, choices, drawn, least, ..., covered}``.
 
         ``bins`` counts the values in ten equal parts of a range, ``choices`` those of each choice;
         ``covered`` is the share of parts or choices with any.
@@ -69,33 +71,29 @@ class ParameterCoverage:
 
 
 class _Spread:
-    """An interval."""
+    """Values drawn from an interval."""
 
-    def __init__(self, given: Data) -> None:
-        self.low, self.high = float(given["min"]), float(given["max"])
+    def __init__(self, variation: Data) -> None:
+        self.low, self.high = float(variation["min"]), float(variation["max"])
         self.least, self.greatest = math.inf, -math.inf
         self.bins = [0] * _BINS
 
-    def takes(self, value: Any) -> bool:
-        """Whether it is a number, or the numbers of an input over time."""
+    def accepts(self, value: Any) -> bool:
+        """Whether a value is a number, or the numbers of an input over time."""
         return all(
-            isinstance(path_piece, (int, float)) and not isinstance(path_piece, bool)
-            for path_piece in _path_pieces(value)
+            isinstance(element, (int, float)) and not isinstance(element, bool)
+            for element in _elements(value)
         )
 
     def add(self, value: Any) -> None:
-        for path_piece in _path_pieces(value):
-            self._add(path_piece)
-
-    def _add(self, value: float) -> None:
-        share = (value - self.low) / (self.high - self.low) if self.high > self.low else 0.0
-        self.bins[min(max(int(share * _BINS), 0), _BINS - 1)] += 1
-        self.least, self.greatest = min(self.least, value), max(self.greatest, value)
+        for number in _elements(value):
+            share = (number - self.low) / (self.high - self.low) if self.high > self.low else 0.0
+            self.bins[min(max(int(share * _BINS), 0), _BINS - 1)] += 1
+            self.least, self.greatest = min(self.least, number), max(self.greatest, number)
 
     def to_json(self) -> dict[str, Any]:
         drawn = sum(self.bins)
-        hit = sum(count > 0 for count in self.bins)
-        # A range without width has but one part.
+        # A range without width has a single part.
         parts = _BINS if self.high > self.low else 1
         return {
             "low": self.low,
@@ -105,22 +103,21 @@ class _Spread:
             "least": self.least if drawn else None,
             "greatest": self.greatest if drawn else None,
             "bins": self.bins,
-            "covered": hit / parts,
+            "covered": sum(count > 0 for count in self.bins) / parts,
         }
 
 
 class _Choices:
-    """A list of values."""
+    """Values drawn from a list."""
 
-    def __init__(self, given: Data) -> None:
+    def __init__(self, variation: Data) -> None:
         self.values: list[Any] = []
-        for value in given["choice"]:
+        for value in variation["choice"]:
             if not any(_same_value(value, known) for known in self.values):
                 self.values.append(value)
         self.counts = [0] * len(self.values)
 
-    def takes(self, value: Any) -> bool:
-        """Whether it is one of them."""
+    def accepts(self, value: Any) -> bool:
         return any(_same_value(known, value) for known in self.values)
 
     def add(self, value: Any) -> None:
@@ -148,7 +145,7 @@ _ABSENT = object()
 
 
 def _drawn_value(spec: Data, path: str) -> Any:
-    """What an episode's spec has at a path of a variation: ``world.x.y`` or ``faults.id.x``."""
+    """Look up a path of a variation, ``world.x.y`` or ``faults.id.x``, in an episode's spec."""
     head, _, rest = path.partition(".")
     data: Any = spec["scenario"]["world"]
     if head == "faults":
@@ -164,20 +161,20 @@ def _drawn_value(spec: Data, path: str) -> Any:
     return data
 
 
-def _path_pieces(value: Any) -> list[Any]:
+def _elements(value: Any) -> list[Any]:
     return list(value) if isinstance(value, (list, tuple)) else [value]
 
 
-def _same_value(item: Any, other: Any) -> bool:
-    # To Python, True is 1; as values of a world they are two.
-    return isinstance(item, bool) == isinstance(other, bool) and bool(item == other)
+def _same_value(value: Any, other: Any) -> bool:
+    # To Python, True equals 1; as values of a world they differ.
+    return isinstance(value, bool) == isinstance(other, bool) and bool(value == other)
 
 
 Place: TypeAlias = "tuple[str, str, str, str]"
 """Scenario, faults, requirement and component."""
 
 MAX_CELLS = 20_000
-"""Untested cells up to which all are listed; a grid of faults may cross with anything."""
+"""Number of untested cells up to which all are listed."""
 NO_FAULTS = "none"
 WORST_FIRST = ("violated", "undecided", "supported")
 
@@ -185,15 +182,16 @@ WORST_FIRST = ("violated", "undecided", "supported")
 def coverage(
     cases: Sequence[Data], verdicts: Iterable[Data], episodes: Iterable[Data]
 ) -> dict[str, Any]:
-    """The record's key ``coverage``.
+    """Compute the record's key ``coverage``.
 
     ``cells`` are requirement x scenario x faults, for each component: each scenario of the session
     with each set of faults that occurs anywhere in the session, and with none. A requirement has a
     cell where it applies: where the scenario lists it, or a test claims it there. ``verdict`` is
     the worst on that cell and ``None`` where there is none: untested. ``case`` is the id of the
-    case that tests it. Cases without a role, the second runs of pairs, are no cells: nothing is
-    claimed of them. Of untested cells that are too many one is listed for each requirement and
-    scenario, so that none of these reads as tested throughout; ``left_out`` counts the others.
+    case that tests it. Cases without a role, the second runs of pairs, are no cells, as nothing is
+    claimed of them. Of more than :data:`MAX_CELLS` untested cells one is listed for each
+    requirement and scenario, so that none of these reads as tested throughout; ``left_out`` counts
+    the others.
 
     Args:
         cases: The record's cases.
@@ -206,18 +204,16 @@ def coverage(
     parameters = ParameterCoverage(cases)
     for episode in episodes:
         parameters.add(episode)
-    names = ("scenario", "faults", "requirement", "component")
+    cells = map(grid.cell, (*grid.statuses, *shown))
     return {
-        "cells": sorted(
-            map(grid.cell, (*grid.words, *shown)), key=lambda cell: [cell[name] for name in names]
-        ),
+        "cells": sorted(cells, key=itemgetter("scenario", "faults", "requirement", "component")),
         "left_out": untested - len(shown),
         "parameters": parameters.to_json(),
     }
 
 
 class _Grid:
-    """Requirements, scenarios and sets of faults of a session, and what was tried of them.
+    """Requirements, scenarios and sets of faults of a session, and the verdicts on them.
 
     Args:
         cases: The record's cases.
@@ -229,17 +225,17 @@ class _Grid:
         self.components = sorted({case["component"] for case in whole})
         self.faults = sorted({"", *map(faults_of, whole)})
         self.ids: dict[tuple[str, str], str] = {}
-        """Of the cases, by scenario and faults."""
+        """Ids of cases, by scenario and faults."""
         self.applies: dict[tuple[str, str], str] = {}
-        """By scenario and requirement."""
+        """Where each requirement is declared, by scenario and requirement."""
         by_id: dict[str, Data] = {}
         for case in whole:
             scenario, by_id[case["id"]] = case["scenario"], case
             self.ids[scenario, faults_of(case)] = case["id"]
             for requirement in case["requirements"]:
                 self.applies[scenario, requirement] = "scenario"
-        self.words: dict[Place, str] = {}
-        """The verdicts."""
+        self.statuses: dict[Place, str] = {}
+        """The worst verdict at each place."""
         for verdict in verdicts:
             if verdict["case"] not in by_id:
                 continue
@@ -247,38 +243,38 @@ class _Grid:
             place = case["scenario"], faults_of(case)
             self.applies.setdefault((place[0], verdict["requirement"]), "test")
             key = *place, verdict["requirement"], verdict["component"]
-            words = self.words.get(key, verdict["verdict"]), verdict["verdict"]
-            self.words[key] = min(words, key=WORST_FIRST.index)
+            candidates = self.statuses.get(key, verdict["verdict"]), verdict["verdict"]
+            self.statuses[key] = min(candidates, key=WORST_FIRST.index)
 
     def untested_count(self) -> int:
-        """How many :meth:`untested` has, without going through what may be millions."""
+        """Count what :meth:`untested` yields, which may be millions, without iterating."""
         known = set(self.components)
-        judged = sum(component in known for *_, component in self.words)
+        judged = sum(component in known for *_, component in self.statuses)
         return len(self.applies) * len(self.faults) * len(known) - judged
 
     def untested(self) -> Iterator[Place]:
-        """Where a requirement applies and has no verdict."""
+        """Yield the places where a requirement applies and has no verdict."""
         for scenario, requirement in self.applies:
             for faults in self.faults:
                 for component in self.components:
                     place = scenario, faults, requirement, component
-                    if place not in self.words:
+                    if place not in self.statuses:
                         yield place
 
     def first_untested(self) -> Iterator[Place]:
-        """The first of them for each scenario and requirement that has any."""
+        """Yield the first untested place of each scenario and requirement that has any."""
         for scenario, requirement in self.applies:
             places = (
                 (scenario, faults, requirement, component)
                 for faults in self.faults
                 for component in self.components
             )
-            found = next((place for place in places if place not in self.words), None)
-            if found is not None:
-                yield found
+            untested = next((place for place in places if place not in self.statuses), None)
+            if untested is not None:
+                yield untested
 
     def cell(self, place: Place) -> dict[str, Any]:
-        """The cell of a place."""
+        """Build the cell of a place."""
         scenario, faults, requirement, component = place
         return {
             "requirement": requirement,
@@ -287,16 +283,16 @@ class _Grid:
             "component": component,
             "case": self._case(scenario, faults),
             "applies": self.applies[scenario, requirement],
-            "verdict": self.words.get(place),
+            "verdict": self.statuses.get(place),
         }
 
     def _case(self, scenario: str, faults: str) -> str:
-        """The id of the case, also of one that was not run."""
+        """Id of the case, also of one that was not run."""
         return self.ids.get((scenario, faults), f"{scenario}+{faults or NO_FAULTS}")
 
 
 def faults_of(case: Data) -> str:
-    """The ids of a case's faults, joined as in case ids; empty without any."""
+    """Join the ids of a case's faults as in case ids; empty without any."""
     return "+".join(str(fault["id"]) for fault in case["faults"])
 
 
@@ -309,10 +305,10 @@ _SUMS = ("only_with", "only_without", "both", "neither", "acted_only_with", "act
 
 
 class PairedCourses:
-    """How the runs went in which recovery acted, and their twins without it.
+    """Compares the runs in which recovery acted with their twins without it.
 
-    Equal are runs whose performance values have the same least, greatest and last value, and which
-    took the same time. What decided at a tick is left out: it differs wherever recovery acts.
+    Runs are equal if their performance values have the same least, greatest and last value, and
+    they took the same time. Decisions are left out: they differ wherever recovery acts.
     """
 
     def __init__(self, verdicts: Iterable[Data]) -> None:
@@ -327,7 +323,7 @@ class PairedCourses:
         self._without: dict[Key, int] = {}
 
     def add(self, episode: Data) -> None:
-        """Take in a planned episode of the record."""
+        """Add a planned episode of the record."""
         key = episode["case"], episode["component"]
         if episode["validity"] != "valid" or not episode["metrics"]["performance"]:
             return
@@ -338,17 +334,19 @@ class PairedCourses:
             self._without[own[0], own[1], run] = _course(episode)
 
     def compared(self, component: str, cases: set[str]) -> tuple[int, int]:
-        """Runs in which recovery acted and that have a twin, and those that went as their twin."""
-        found = [
+        """Count the runs in which recovery acted and that have a twin, and those equal to it."""
+        pairs = [
             (course, self._without[key])
             for key, course in self._acted.items()
             if key[0] in cases and key[1] == component and key in self._without
         ]
-        return len(found), sum(own == twin for own, twin in found)
+        return len(pairs), sum(
+            with_recovery == without_recovery for with_recovery, without_recovery in pairs
+        )
 
 
 def _course(episode: Data) -> int:
-    """A number that is equal for equal courses."""
+    """Hash the course of a run."""
     values = {
         name: tuple(sorted(spread.items()))
         for name, spread in episode["metrics"]["performance"].items()
@@ -360,7 +358,7 @@ def _course(episode: Data) -> int:
 def effectiveness(
     verdicts: Sequence[Data], monitors: Sequence[Data], courses: PairedCourses
 ) -> list[dict[str, Any]]:
-    """What the record says under ``effectiveness``: recovery first, then each monitor, by name."""
+    """Compute the record's key ``effectiveness``: recovery first, then each monitor, by name."""
     return [*_recovery_effects(verdicts, courses), *_monitor_effects(monitors)]
 
 
@@ -410,11 +408,11 @@ def _recovery_finding(
 
 def _monitor_effects(monitors: Sequence[Data]) -> Iterator[dict[str, Any]]:
     by_target: dict[tuple[str, str], dict[str, Counter[str]]] = defaultdict(dict)
-    for item in monitors:
-        targets = by_target[item["component"], item["monitor"]]
-        sums = targets.setdefault(item["target"], Counter())
+    for quality in monitors:
+        targets = by_target[quality["component"], quality["monitor"]]
+        sums = targets.setdefault(quality["target"], Counter())
         names = ("true_positives", "false_negatives", "false_positives", "true_negatives")
-        sums.update({name: item[name] for name in names})
+        sums.update({name: quality[name] for name in names})
     for (component, monitor), targets in sorted(by_target.items()):
         finding, detail = _monitor_finding(targets)
         # An assessor speaks by alerts, which are judged as a monitor of their own.
@@ -424,15 +422,15 @@ def _monitor_effects(monitors: Sequence[Data]) -> Iterator[dict[str, Any]]:
 
 
 def _monitor_finding(targets: Mapping[str, Counter[str]]) -> tuple[str, str]:
-    seen = {
-        name: (item["true_positives"], item["true_positives"] + item["false_negatives"])
-        for name, item in sorted(targets.items())
+    warnings = {
+        name: (counted["true_positives"], counted["true_positives"] + counted["false_negatives"])
+        for name, counted in sorted(targets.items())
     }
-    happened = {name: counts for name, counts in seen.items() if counts[1]}
+    happened = {name: counts for name, counts in warnings.items() if counts[1]}
     if not happened:
         detail = (
             "cannot be told here: nothing that it is to warn of happened in runs without recovery "
-            f"({', '.join(seen)})"
+            f"({', '.join(warnings)})"
         )
         return "cannot be told", detail
     in_words = ", ".join(f"{name} {hits} of {of}" for name, (hits, of) in happened.items())
@@ -453,49 +451,49 @@ def _entry(
 
 
 _MAX_LISTED_RUNS = 100
-"""Numbers of runs that are listed of a case at most."""
+"""Greatest number of runs that are listed of a case."""
 
 
 def verdicts_on_cases(verdicts: Iterable[Data]) -> Mapping[tuple[str, str], list[Data]]:
-    """The verdicts that rest on each case and component; a comparison rests on two cases."""
-    found: dict[tuple[str, str], list[Data]] = defaultdict(list)
+    """Group verdicts by case and component; a comparison of pairs rests on two cases."""
+    by_case: dict[tuple[str, str], list[Data]] = defaultdict(list)
     for verdict in verdicts:
         for case in dict.fromkeys(
             [verdict["case"], (verdict["pairs"] or {}).get("case", verdict["case"])]
         ):
-            found[case, verdict["component"]].append(verdict)
-    return found
+            by_case[case, verdict["component"]].append(verdict)
+    return by_case
 
 
-def missing_runs(case: Data, verdicts: Iterable[Data], heard: Collection[int]) -> dict[str, Any]:
-    """How many planned runs of a case never reported, and the numbers of the first of them.
+def missing_runs(case: Data, verdicts: Iterable[Data], reported: Collection[int]) -> dict[str, Any]:
+    """Count the planned runs of a case that never reported, and list the first of them.
 
-    A run that a campaign was decided without is not missing.
+    A run that a campaign did not need for its decision is not missing.
 
     Args:
-        case: Its record.
+        case: Its entry in the record.
         verdicts: Those that rest on it, of :func:`verdicts_on_cases`.
-        heard: Numbers of the planned runs that reported, whatever they came to.
+        reported: Numbers of the planned runs that reported, whatever their validity.
     """
     needed = planned = 0
     for verdict in verdicts:
         needed = max(needed, verdict["planned"] - verdict["saved"])
         planned = max(planned, verdict["planned"])
     if case["planned"] > planned:
-        needed = case["planned"]  # more than any verdict asked for, and so for something else
-    left = [run for run in range(needed) if run not in heard]
-    return {"missing_runs": left[:_MAX_LISTED_RUNS], "missing_runs_total": len(left)}
+        needed = case["planned"]  # more than any verdict needs
+    missing = [run for run in range(needed) if run not in reported]
+    return {"missing_runs": missing[:_MAX_LISTED_RUNS], "missing_runs_total": len(missing)}
 
 
 def timings(
     episodes: Iterable[Mapping[str, Any]], *, wall_seconds: float, evidence_seconds: float
 ) -> dict[str, Any]:
-    """Sums over the recorded episodes, fault-free twins apart, which no verdict rests on.
+    """Sum up the times of the recorded episodes.
 
     Args:
         episodes: Of the record.
         wall_seconds: From the start of the session until the record was complete.
-        evidence_seconds: Those of them that the controller spent on gathering the evidence; traces
+        evidence_seconds: Part of them that the controller spent on gathering the evidence; traces
             are written where the episodes run, and rendering follows.
     """
     simulated, processing = 0.0, Counter[str]()
@@ -520,16 +518,16 @@ def conclude_record(
     evidence_seconds: float,
     redact: Callable[[Any], Any],
 ) -> SessionRecord:
-    """The record with gate, inputs, reuse, coverage, timings, redactions and totals.
+    """Complete a record with gate, inputs, reuse, coverage, timings, redactions and totals.
 
     Args:
-        record: Of :meth:`EvidenceRecord.record`.
+        record: Of :meth:`RecordBuilder.record`.
         finished: When the session ended, in ISO 8601; ``None`` as long as it runs.
         gate: Whether the session passed.
         inputs: Every input file, with its digest.
         wall_seconds: From the session's start until now.
-        evidence_seconds: Those of them that were spent on gathering the evidence.
-        redact: Takes secrets out of plain data; episodes have lost theirs where they were run.
+        evidence_seconds: Part of them that was spent on gathering the evidence.
+        redact: Removes secrets from plain data; episodes lost theirs where they were run.
     """
     head = {
         **record.head,
@@ -543,9 +541,9 @@ def conclude_record(
         ),
     }
     head = redact(head)
-    hidden = count_redactions(head)
+    redactions = count_redactions(head)
     for episode in record.episodes():
-        hidden += count_redactions(episode)
-    head["redacted"] = dict(sorted(Counter(hidden).items()))
-    text = replace(record, head=head)
-    return replace(text, head={**head, "totals": Counts.of(text).to_json()})
+        redactions += count_redactions(episode)
+    head["redacted"] = dict(sorted(Counter(redactions).items()))
+    concluded = replace(record, head=head)
+    return replace(concluded, head={**head, "totals": Counts.of(concluded).to_json()})

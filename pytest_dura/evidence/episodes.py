@@ -1,4 +1,4 @@
-"""Episodes on their way into the record: an entry each, an item's report, a spool on disk."""
+"""Episodes on their way into the record: their entries, reports of items, a spool on disk."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ import numpy as np
 
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.propagation import switching
+from pytest_dura.core.loop_signals import switching
 from pytest_dura.evidence.metrics import with_chains
 from pytest_dura.evidence.model import plain_data
 from pytest_dura.evidence.sessions import OWN_ORIGIN
-from pytest_dura.requirements.verdicts.campaigns import Situations, varies
+from pytest_dura.requirements.campaign_verdicts import Situations, varies
 
 
 def episode_record(
     episode: Episode, *, planned: bool, origin: Mapping[str, Any] = OWN_ORIGIN
 ) -> dict[str, Any]:
-    """Plain data of an episode: what it was run from, what happened, what it measures.
+    """Build the entry of an episode in the record.
 
     Args:
         episode: The episode.
@@ -75,10 +75,10 @@ def episode_record(
 
 
 def outcome_figures(episode: Episode) -> dict[str, Any]:
-    """The figures of the case table; ``None`` where the domain has no such signal.
+    """Compute the figures of the case table; ``None`` where the domain has no such signal.
 
-    ``clearance_time`` is the time at which ``cleared`` was first raised, in seconds; gridlock is
-    not to have cleared when the episode's time was up.
+    ``clearance_time`` is the time at which ``cleared`` was first raised, in seconds; ``gridlock``
+    says that it was not raised when the episode's time was up.
     """
     cleared_at = None
     gridlock = None
@@ -99,12 +99,12 @@ def outcome_figures(episode: Episode) -> dict[str, Any]:
 
 
 def case_situations(case: Mapping[str, Any]) -> Situations:
-    """What takes in the runs of a recorded case and says whether they are all equal."""
+    """Make the counter of distinct situations for the runs of a recorded case."""
     return Situations(varies=varies(case["variation"], {fault["id"] for fault in case["faults"]}))
 
 
 def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
-    """Take in a recorded episode."""
+    """Add a recorded episode to the situations of its case."""
     situations.add_run(
         episode["case"],
         episode["spec"]["run"],
@@ -117,13 +117,13 @@ def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
 JsonObject = dict[str, Any]
 
 EPISODES_PER_PART = 64
-"""Records of episodes that a process holds as they are; more of them are told or packed."""
+"""Episodes that a report holds unpacked; see :meth:`ItemReport.split`."""
 _PART_KEYS = ("components", "cases", "requirements", "episodes", "chains")
 
 
 @dataclass
 class ItemReport:
-    """What one test item tells; plain data, which crosses processes as JSON.
+    """Report of one test item; plain data, which crosses processes as JSON.
 
     Args:
         item: Node id.
@@ -140,18 +140,18 @@ class ItemReport:
         searches: ``Falsification.to_json()``, with the ``scenario`` of its case, the ``simulator``
             and the ``roles``.
         monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
-        chains: What came of each fault, with the ``episode`` and its ``case``.
-        claims: ``{requirement, case, each_run}`` of what the item is to decide, told before it.
+        chains: How far each fault got, with the ``episode`` and its ``case``.
+        claims: ``{requirement, case, each_run}`` of what the item is to decide, reported first.
         traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
-        models: Language models that were used, as the record's ``models`` has them, with what this
-            ``process`` has asked them since it began.
-        problems: What casts doubt on the whole session, each beginning with ``infrastructure:``.
-        objections: What else stands against the session, whatever its verdicts say.
-        notes: What the user should know of the session and casts no doubt on it.
+        models: Language models that were used, as in the record's ``models``, with the counts of
+            this ``process`` since it began.
+        problems: Doubts about the whole session, each beginning with ``infrastructure:``.
+        objections: Further reasons why the session does not pass, whatever its verdicts say.
+        notes: What the user should know of the session, without doubt about it.
         searched: ``{run, origin}`` of simulations of searches, where earlier sessions may have made
-            them; ``run`` tells them apart.
-        repeats: What came of repeating an episode of a ``case`` with a ``component``, as the
-            record's cases have it.
+            them; ``run`` identifies each.
+        repeats: Results of repeating an episode of a ``case`` with a ``component``, as in the
+            record's cases.
         parts: Packed reports with earlier episodes of the item.
     """
 
@@ -177,27 +177,27 @@ class ItemReport:
     parts: list[str] = field(default_factory=list)
 
     def to_json(self) -> JsonObject:
-        """Plain data."""
+        """Convert to plain data."""
         return dict(vars(self))
 
     def __bool__(self) -> bool:
-        """Whether there is anything to tell."""
+        """Whether it reports anything."""
         return any(value for name, value in vars(self).items() if name != "item")
 
     @property
     def full(self) -> bool:
-        """Whether its episodes are so many that they should go."""
+        """Whether it holds so many episodes that they should be split off."""
         return len(self.episodes) + len(self.chains) >= EPISODES_PER_PART
 
     def without_secrets(self, redact: Callable[[Any], Any]) -> ItemReport:
-        """The same report as it may be told; what is packed has lost its secrets before."""
+        """Redact the report; packed parts were redacted when they were packed."""
         return ItemReport(**{**redact({**self.to_json(), "parts": []}), "parts": self.parts})
 
     def split(self, redact: Callable[[Any], Any]) -> str:
-        """Take the episodes out of it, as a packed report that makes sense on its own.
+        """Move the episodes into a packed report of their own, and return it.
 
         Args:
-            redact: Takes secrets out of plain data.
+            redact: Removes secrets from plain data.
         """
         part = ItemReport("", **{name: getattr(self, name) for name in _PART_KEYS})
         self.episodes, self.chains = [], []
@@ -206,18 +206,18 @@ class ItemReport:
 
 
 def unpack_report(part: str) -> JsonObject:
-    """The report of :meth:`ItemReport.split`."""
+    """Unpack a report of :meth:`ItemReport.split`."""
     data: JsonObject = json.loads(zlib.decompress(base64.b64decode(part)))
     return data
 
 
 SPOOL_PREFIX = ".session-"
-"""How the file's name begins. Only a system that removes no open files shows it to anybody."""
+"""Prefix of the file's name, which is seen only where open files cannot be removed."""
 
 Data = Mapping[str, Any]
 _T = TypeVar("_T")
 
-# What orders and tells apart are bytes: SQLite knows neither lone surrogates nor great integers.
+# Keys are bytes: SQLite knows neither lone surrogates nor large integers.
 _TABLES = """
 PRAGMA journal_mode = OFF;
 PRAGMA synchronous = OFF;
@@ -238,12 +238,12 @@ CREATE TABLE traces (
 
 
 class EpisodeSpool:
-    """Records of episodes, and what is told of them later, in a file instead of in memory.
+    """Keeps entries of episodes, and what is reported of them later, in a file.
 
-    The file has no name as soon as it is open, so that a killed session leaves none behind.
+    The file loses its name as soon as it is open, so that a killed session leaves none behind.
 
     Args:
-        directory: In which the file is made; by default that of the system's temporary files.
+        directory: Where the file is made; default: where the system has its temporary files.
 
     Raises:
         ConfigurationError: If it cannot be made.
@@ -251,18 +251,18 @@ class EpisodeSpool:
 
     def __init__(self, directory: Path | None = None) -> None:
         self._directory = directory
-        self._connection = self._told(self._opened)
+        self._connection = self._guarded(self._open)
 
     def add(self, episode: Data) -> str:
-        """Take in an episode, and return the digest of the first one that had the same inputs.
+        """Add an episode, and return the digest of the first one that had the same inputs.
 
-        What is already there stays, apart from ``planned``, which holds once it was true.
+        The first entry stays, but becomes ``planned`` as soon as any of them is.
 
         Args:
             episode: Of :func:`episode_record`.
 
         Raises:
-            ConfigurationError: If it cannot be kept, on a full disk for example.
+            ConfigurationError: If it cannot be written, on a full disk for example.
         """
         inputs = {key: value for key, value in episode["spec"].items() if key != "timeouts"}
         key = (
@@ -270,78 +270,78 @@ class EpisodeSpool:
             _key(episode["component"]),
             hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).digest(),
         )
-        asked = self._asked(
+        rows = self._execute(
             "SELECT digest, planned FROM episodes WHERE name = ? AND component = ? AND inputs = ?",
             *key,
         )
-        if not asked:
+        if not rows:
             order = _key(episode["case"]), _number(episode["spec"]["run"]), _number(episode["seed"])
             values = (*key, episode["digest"], bool(episode["planned"]), *order, _packed(episode))
-            self._asked("INSERT INTO episodes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", *values)
+            self._execute("INSERT INTO episodes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", *values)
             return str(episode["digest"])
-        ((digest, planned),) = asked
+        ((digest, planned),) = rows
         if episode["planned"] and not planned:
-            self._asked(
+            self._execute(
                 "UPDATE episodes SET planned = 1 WHERE name = ? AND component = ? AND inputs = ?",
                 *key,
             )
         return str(digest)
 
     def add_chain(self, chain: Data) -> None:
-        """Take in what came of a fault of an episode; what is told last holds.
+        """Add how far a fault of an episode got; the last report holds.
 
         Raises:
-            ConfigurationError: If it cannot be kept.
+            ConfigurationError: If it cannot be written.
         """
         keys = _key(chain["component"]), _key(chain["episode"]), _key(chain["id"])
-        self._asked("INSERT OR REPLACE INTO chains VALUES (?, ?, ?, ?)", *keys, _packed(chain))
+        self._execute("INSERT OR REPLACE INTO chains VALUES (?, ?, ?, ?)", *keys, _packed(chain))
 
     def add_trace(self, trace: Data) -> None:
-        """Take in where the trace of an episode is: ``{id, component, digest, trace}``.
+        """Add the file of an episode's trace: ``{id, component, digest, trace}``.
 
-        Several workers may tell of one, in any order; the weightiest reason to keep it stays.
+        Several workers may report one, in any order; the weightiest reason to keep it stays.
 
         Raises:
-            ConfigurationError: If it cannot be kept.
+            ConfigurationError: If it cannot be written.
         """
         keys = _key(trace["component"]), _key(trace["id"]), trace["digest"]
         known = "SELECT data FROM traces WHERE component = ? AND name = ? AND digest = ?"
         if any(
-            _weight(_unpacked(item)) > _weight(trace["trace"])
-            for (item,) in self._asked(known, *keys)
+            _weight(_unpacked(data)) > _weight(trace["trace"])
+            for (data,) in self._execute(known, *keys)
         ):
             return
         values = *keys, _packed(trace["trace"])
-        self._asked("INSERT OR REPLACE INTO traces VALUES (?, ?, ?, ?)", *values)
+        self._execute("INSERT OR REPLACE INTO traces VALUES (?, ?, ?, ?)", *values)
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        """All episodes by case, component, run and seed, each with its chains and its trace."""
+        """Iterate by case, component, run and seed; each episode has its chains and its trace."""
         query = """
             SELECT episodes.data, episodes.planned, traces.data, episodes.component, episodes.name
             FROM episodes LEFT JOIN traces USING (component, name, digest)
             ORDER BY place, episodes.component, run, seed, episodes.rowid
         """
-        with closing(self._told(lambda: self._connection.execute(query))) as cursor:
-            while (row := self._told(cursor.fetchone)) is not None:
+        with closing(self._guarded(lambda: self._connection.execute(query))) as cursor:
+            while (row := self._guarded(cursor.fetchone)) is not None:
                 data, planned, trace, *key = row
                 episode = {**_unpacked(data), "planned": bool(planned)}
                 if trace is not None:
                     episode["trace"] = _unpacked(trace)
-                followed = bool(planned and episode["faults"])
-                yield with_chains(episode, self._chains_of(*key) if followed else {})
+                traced = bool(planned and episode["faults"])
+                yield with_chains(episode, self._chains_of(*key) if traced else {})
 
     def _chains_of(self, component: bytes, name: bytes) -> dict[str, Data]:
-        """What came of the faults of the planned episode of this name, by fault id."""
-        asked = self._asked(
+        """How far the faults of the planned episode of this name got, by fault id."""
+        rows = self._execute(
             "SELECT data FROM chains WHERE component = ? AND name = ?", component, name
         )
-        return {chain["id"]: chain for chain in (_unpacked(data) for (data,) in asked)}
+        return {chain["id"]: chain for chain in (_unpacked(data) for (data,) in rows)}
 
     def close(self) -> None:
-        """Forget everything."""
+        """Delete the file."""
         self._forget()
 
-    def _opened(self) -> sqlite3.Connection:
+    def _open(self) -> sqlite3.Connection:
         if self._directory is not None:
             self._directory.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=SPOOL_PREFIX, dir=self._directory)
@@ -356,12 +356,12 @@ class EpisodeSpool:
         connection.executescript(_TABLES)
         return connection
 
-    def _asked(self, statement: str, *values: Any) -> list[Any]:
-        return self._told(lambda: self._connection.execute(statement, values).fetchall())
+    def _execute(self, statement: str, *values: Any) -> list[Any]:
+        return self._guarded(lambda: self._connection.execute(statement, values).fetchall())
 
-    def _told(self, ask: Callable[[], _T]) -> _T:
+    def _guarded(self, operation: Callable[[], _T]) -> _T:
         try:
-            return ask()
+            return operation()
         except (OSError, sqlite3.Error) as error:
             raise ConfigurationError(
                 f"the episodes of the session cannot be kept: {error}",
@@ -398,6 +398,6 @@ def _unpacked(data: bytes) -> Any:
 
 
 def _weight(trace: Data) -> int:
-    """Of the reason for which a trace is kept; what a violation rests on weighs most."""
+    """Weight of the reason for which a trace is kept."""
     reasons = ("all", "sample", "missing", "violation")
     return reasons.index(trace.get("kept_for", reasons[0]))

@@ -1,9 +1,8 @@
 """Files of the evidence: written whole, locked, listed with their SHA-256, read in pieces.
 
 A record as it is written has each episode on lines of its own, and a line break in JSON is
-never inside of a text. What lies between the lines that open and close the list of episodes
-can be taken out, and each piece of it read by itself: all of them together mean what the
-whole file means. A file that is laid out in any other way is not read in pieces.
+never inside of a text. The lines between those that open and close the list of episodes can
+therefore be read an episode at a time. A file of any other layout is not read in pieces.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from pytest_dura.provenance import recorded_path
 
 
 def write_file(file: Path, chunks: Iterable[str | bytes]) -> WrittenFile:
-    """Write a file of the evidence, as :func:`replace_file` does, and for good.
+    """Write a file of the evidence durably, as :func:`replace_file` does.
 
     Args:
         file: Where. Missing folders are made.
-        chunks: What it holds, one part after the other; they are never in memory at once.
+        chunks: Its content, part by part; they are never all in memory.
 
     Raises:
         ConfigurationError: If it cannot be written.
@@ -49,14 +48,14 @@ def write_file(file: Path, chunks: Iterable[str | bytes]) -> WrittenFile:
 
 
 LOCK_FILE = ".lock"
-"""Name of the file in the evidence directory; it is there as long as a session is."""
+"""Name of the file in the evidence directory, which exists as long as a session runs."""
 
 
 class DirectoryLock:
-    """Held by the session that writes an evidence directory.
+    """Lock of an evidence directory, held by the session that writes it.
 
-    The lock is the operating system's: it ends with the process, however that ends, so that no
-    killed session blocks the next one, and it holds between containers that share a directory.
+    The lock is the operating system's: it ends with the process, so that no killed session blocks
+    the next one, and it holds between containers that share a directory.
 
     Args:
         directory: The evidence directory; it is made if need be.
@@ -71,7 +70,7 @@ class DirectoryLock:
         try:
             directory.mkdir(parents=True, exist_ok=True)
             while self._handle is None:
-                self._handle = self._tried()
+                self._handle = self._try_lock()
         except OSError as error:
             raise ConfigurationError(
                 f"the evidence cannot be written: {error.strerror or error}",
@@ -82,21 +81,21 @@ class DirectoryLock:
             ) from None
 
     def release(self) -> None:
-        """Let others write. A second call does nothing."""
+        """Release the lock. A second call does nothing."""
         if self._handle is None:
             return
         handle, self._handle = self._handle, None
-        if not handle.is_intact:  # somebody closed it: by now the name may be another's
+        if not handle.is_intact:  # it was closed elsewhere: the file may be another session's
             return
-        # Who finds the file finds it unlocked, so that one which cannot be removed hinders nobody.
+        # A file that cannot be removed blocks no session, as it is unlocked.
         with contextlib.suppress(OSError):
-            if sys.platform == "win32":  # which removes no open files
+            if sys.platform == "win32":  # where open files cannot be removed
                 handle.close()
-            self._file.unlink(missing_ok=True)  # as long as it is held; then it may be another's
+            self._file.unlink(missing_ok=True)  # while it is held; later it may be another's
         handle.close()
 
-    def _tried(self) -> OwnedHandle | None:
-        """The file, open and locked; ``None`` if its former holder removed it meanwhile."""
+    def _try_lock(self) -> OwnedHandle | None:
+        """Open and lock the file; ``None`` if its former holder removed it meanwhile."""
         no_link = getattr(os, "O_NOFOLLOW", 0)
         handle = os.open(self._file, os.O_RDWR | os.O_CREAT | no_link, 0o644)
         try:
@@ -117,7 +116,7 @@ class DirectoryLock:
                 expected="a directory of its own for each session at a time",
                 remedy="wait for the other session, or name another directory",
             ) from None
-        except BaseException:  # also ctrl-C leaves no lock that nobody holds; it is raised again
+        except BaseException:  # ctrl-C too must not leave the file open
             os.close(handle)
             raise
         return OwnedHandle(handle)
@@ -128,27 +127,33 @@ _CHUNK = 1 << 20
 
 
 def file_entry(file: Path) -> dict[str, Any]:
-    """SHA-256 and size of a file."""
+    """Compute SHA-256 and size of a file."""
     state, size = hashlib.sha256(), 0
-    with file.open("rb") as stream:
-        while chunk := stream.read(_CHUNK):
-            state.update(chunk)
-            size += len(chunk)
+    for chunk in read_chunks(file):
+        state.update(chunk)
+        size += len(chunk)
     return {"sha256": state.hexdigest(), "bytes": size}
 
 
+def read_chunks(file: Path) -> Iterator[bytes]:
+    """Read a file in pieces of 1 MiB."""
+    with file.open("rb") as stream:
+        while chunk := stream.read(_CHUNK):
+            yield chunk
+
+
 def manifest_text(files: Mapping[str, Mapping[str, Any]]) -> str:
-    """The manifest of these files: one text for one bundle, so that no byte of it is free."""
+    """Write the manifest of these files, in the single form that is accepted."""
     listed = {name: dict(files[name]) for name in sorted(files)}
     return json.dumps({"files": listed, "digest": _digest(listed)}, indent=1) + "\n"
 
 
 def manifest_problems(directory: Path, unlisted: Collection[str] = ()) -> Iterator[str]:
-    """Everything in which a bundle's files differ from its manifest.
+    """Yield the differences between a bundle's files and its manifest.
 
     Args:
         directory: The bundle's.
-        unlisted: Names of files that are there for another purpose, and may be.
+        unlisted: Names of files that may be there and are not listed.
     """
     try:
         text = (directory / MANIFEST_FILE).read_bytes().decode()
@@ -162,12 +167,12 @@ def manifest_problems(directory: Path, unlisted: Collection[str] = ()) -> Iterat
         return
     if text != canonical:
         yield f"{MANIFEST_FILE}: not as it was written; its own digest or form does not agree"
-    there = set(files_below(directory)) - {MANIFEST_FILE}
-    for name in sorted(there.difference(listed, unlisted)):
+    present = set(files_below(directory)) - {MANIFEST_FILE}
+    for name in sorted(present.difference(listed, unlisted)):
         yield f"{name}: not in the manifest"
-    for name in sorted(set(listed) - there):
+    for name in sorted(set(listed) - present):
         yield f"{name}: in the manifest, but not in the bundle"
-    for name in sorted(there & set(listed)):
+    for name in sorted(present & set(listed)):
         if (directory / name).is_symlink():
             yield f"{name}: a link, where a bundle holds files only"
         elif file_entry(directory / name) != listed[name]:
@@ -175,7 +180,7 @@ def manifest_problems(directory: Path, unlisted: Collection[str] = ()) -> Iterat
 
 
 def listed_files(directory: Path) -> list[str]:
-    """The names that a bundle's manifest lists; none where it is missing or damaged."""
+    """List the names in a bundle's manifest; none where it is missing or damaged."""
     try:
         return list(json.loads((directory / MANIFEST_FILE).read_bytes())["files"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
@@ -183,7 +188,7 @@ def listed_files(directory: Path) -> list[str]:
 
 
 def files_below(directory: Path) -> list[str]:
-    """All files below a directory, by their path in it, sorted; links are not followed."""
+    """List all files below a directory by their path in it, sorted; links are not followed."""
     return sorted(
         path.relative_to(directory).as_posix()
         for path in directory.rglob("*")
@@ -208,20 +213,20 @@ class StreamedRecord:
     Args:
         head: Every top-level key but ``episodes``.
         file: The file.
-        identity: Which file it was, and when it was written last.
-        places: Where each episode begins in it, in bytes, and where the last one ends.
+        identity: Device, inode, size and time of modification of the file.
+        offsets: Where each episode begins in it, in bytes, and where the last one ends.
     """
 
     head: Mapping[str, Any]
     file: Path
     identity: tuple[int, ...]
-    places: array[int]
+    offsets: array[int]
 
     def episodes(self) -> Iterator[Any]:
-        """The episodes, in the order of the record.
+        """Iterate over the episodes, in the order of the record.
 
         Raises:
-            ConfigurationError: If the file is not any more what it was.
+            ConfigurationError: If the file has changed.
         """
         try:
             yield from self._read()
@@ -238,73 +243,73 @@ class StreamedRecord:
         with self.file.open("rb") as stream:
             if _stream_identity(stream) != self.identity:
                 raise ValueError("another file")
-            stream.seek(self.places[0])
-            for start, end in pairwise(self.places):
-                # Without the comma that parts it from the next one, and the break behind it.
+            stream.seek(self.offsets[0])
+            for start, end in pairwise(self.offsets):
+                # Without the comma and the line break before the next one.
                 yield json.loads(stream.read(end - start).rstrip(b",\n"))
 
 
 def stream_record(file: Path, read: ReadEpisode) -> StreamedRecord | None:
-    """The record of a file, each episode of which was read once to see that it can be.
+    """Read a record without its episodes, each of which is parsed once as a check.
 
     Args:
         file: The file.
-        read: Reads JSON, as strictly as it is to be read.
+        read: Parser of JSON.
 
     Returns:
-        ``None`` for a file that is laid out in another way, that has no episodes, or that cannot
-        be read: whoever reads it as a whole finds out what it is.
+        ``None`` for a file of another layout, without episodes, or that cannot be read; to read it
+        as a whole then tells what is wrong.
     """
-    head: list[bytes] = []
-    places, opened, place = array("Q"), 0, 0
+    head_lines: list[bytes] = []
+    offsets, lists, offset = array("Q"), 0, 0
     try:
         with file.open("rb") as stream:
             identity = _stream_identity(stream)
             for line in stream:
-                place += len(line)
+                offset += len(line)
                 if line == _OPEN:
-                    opened += 1
-                    places, closing = _episode_offsets(stream, place, read)
-                    place = places[-1] + len(closing)
-                    head.append(_OPEN.rstrip() + closing.lstrip())
+                    lists += 1
+                    offsets, closing = _episode_offsets(stream, offset, read)
+                    offset = offsets[-1] + len(closing)
+                    head_lines.append(_OPEN.rstrip() + closing.lstrip())
                 else:
-                    head.append(line)
-        found = read(b"".join(head))
+                    head_lines.append(line)
+        head = read(b"".join(head_lines))
     except (OSError, ValueError, RecursionError):
         return None
-    # Of two lists, or one further inside, a line alone does not say whose it is.
-    if opened != 1 or not isinstance(found, dict) or found.pop("episodes", None) != []:
+    # A line alone does not show which of two lists it opens, or at which depth.
+    if lists != 1 or not isinstance(head, dict) or head.pop("episodes", None) != []:
         return None
-    return StreamedRecord(found, file, identity, places)
+    return StreamedRecord(head, file, identity, offsets)
 
 
-def _episode_offsets(stream: IO[bytes], place: int, read: ReadEpisode) -> tuple[array[int], bytes]:
-    """Where the episodes of a list begin that was opened, and the line that closes it.
+def _episode_offsets(stream: IO[bytes], offset: int, read: ReadEpisode) -> tuple[array[int], bytes]:
+    """Find the offsets of a list's episodes, and the line that closes it.
 
     Raises:
-        ValueError: For one that cannot be read, and a list that is not as it is written.
+        ValueError: For an episode that cannot be parsed, and a list of another layout.
     """
-    places, lines, more = array("Q", [place]), list[bytes](), True
+    offsets, lines, more = array("Q", [offset]), list[bytes](), True
     for line in stream:
         if not lines and not more and line in _CLOSE:
-            return places, line
+            return offsets, line
         if not lines and (not more or line != _FIRST):
             break
-        place += len(line)
+        offset += len(line)
         if line not in (_LAST, _BETWEEN):
             lines.append(line)
             continue
         if not isinstance(read(b"".join([*lines, _LAST])), dict):
             break
-        places.append(place)
+        offsets.append(offset)
         lines.clear()
         more = line == _BETWEEN
     raise ValueError("its episodes are not listed as they are written")
 
 
 def _stream_identity(stream: IO[bytes]) -> tuple[int, ...]:
-    fstat = os.fstat(stream.fileno())
-    return fstat.st_dev, fstat.st_ino, fstat.st_size, fstat.st_mtime_ns
+    status = os.fstat(stream.fileno())
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 InputKind = Literal[
@@ -315,7 +320,7 @@ _INPUT_KINDS: tuple[str, ...] = get_args(InputKind)
 
 
 class InputFiles:
-    """Files that results depend on. Each is read when it is named first, and again at the end.
+    """Files that results depend on. Each is hashed when it is added, and again at the end.
 
     Args:
         root: The project's root.
@@ -325,63 +330,63 @@ class InputFiles:
     def __init__(self, root: Path, known: Mapping[Path, str] | None = None) -> None:
         self.root = root
         self.known = known or {}
-        self._found: dict[tuple[str, Path], str | None] = {}
-        self._told: dict[tuple[str, str], str] = {}
-        self._steady: set[Path] = set()
+        self._digests: dict[tuple[str, Path], str | None] = {}
+        self._reported: dict[tuple[str, str], str] = {}
+        self._unchanging: set[Path] = set()
 
     def add(self, kind: InputKind, file: Path, sha256: str | None = None) -> None:
-        """Take in a file.
+        """Add a file.
 
         Args:
-            kind: What it is to the session.
+            kind: Its purpose in the session.
             file: The file.
-            sha256: What it was when it was read, for one that the session itself may replace.
+            sha256: Digest when it was read, for a file that the session itself may replace.
         """
-        if (kind, file) in self._found:
+        if (kind, file) in self._digests:
             return
         if sha256 is not None:
-            self._steady.add(file)
-        self._found[kind, file] = sha256 or sha256_of(file)
+            self._unchanging.add(file)
+        self._digests[kind, file] = sha256 or sha256_of(file)
 
-    def add_told(self, kind: InputKind, files: Iterable[Mapping[str, str]]) -> None:
-        """Take in ``{path, sha256}`` of files that another process read.
+    def add_reported(self, kind: InputKind, files: Iterable[Mapping[str, str]]) -> None:
+        """Add ``{path, sha256}`` of files that another process read.
 
         Args:
-            kind: What they are to the session.
-            files: Their names as the record has them.
+            kind: Their purpose in the session.
+            files: Their names as in the record.
         """
         for file in files:
-            self._told.setdefault((kind, file["path"]), file["sha256"])
+            self._reported.setdefault((kind, file["path"]), file["sha256"])
 
     def to_json(self) -> list[dict[str, Any]]:
-        """``{path, kind, sha256, changed}`` of each file, sorted.
+        """List ``{path, kind, sha256, changed}`` of each file, sorted.
 
-        ``sha256`` is ``None`` for one that could not be read; ``changed`` says that it is not the
-        same any more.
+        ``sha256`` is ``None`` for a file that could not be read; ``changed`` says that it differs
+        now.
         """
-        told: dict[tuple[str, str, str | None], dict[str, Any]] = {}
-        for (kind, file), sha256 in self._found.items():
-            changed = file not in self._steady and sha256_of(file) != sha256
-            self._take(told, recorded_path(file, self.root, self.known), kind, sha256, changed)
-        for (kind, path), known in self._told.items():
+        entries: dict[tuple[str, str, str | None], dict[str, Any]] = {}
+        for (kind, file), sha256 in self._digests.items():
+            changed = file not in self._unchanging and sha256_of(file) != sha256
+            self._take(entries, recorded_path(file, self.root, self.known), kind, sha256, changed)
+        for (kind, path), known in self._reported.items():
             now = sha256_of(self.root / path)
-            self._take(told, path, kind, known, now is not None and now != known)
-        return [told[key] for key in sorted(told, key=str)]
+            self._take(entries, path, kind, known, now is not None and now != known)
+        return [entries[key] for key in sorted(entries, key=str)]
 
     @staticmethod
     def _take(
-        told: dict[tuple[str, str, str | None], dict[str, Any]],
+        entries: dict[tuple[str, str, str | None], dict[str, Any]],
         path: str,
         kind: str,
         sha256: str | None,
         changed: bool,
     ) -> None:
-        item = {"path": path, "kind": kind, "sha256": sha256, "changed": changed}
-        told.setdefault((path, kind, sha256), item)["changed"] |= changed
+        entry = {"path": path, "kind": kind, "sha256": sha256, "changed": changed}
+        entries.setdefault((path, kind, sha256), entry)["changed"] |= changed
 
 
 def sha256_of(file: Path) -> str | None:
-    """SHA-256 of a file; ``None`` for one that cannot be read."""
+    """Compute the SHA-256 of a file; ``None`` for one that cannot be read."""
     try:
         return str(file_entry(file)["sha256"])
     except (OSError, ValueError):  # ValueError: a name with a NUL in it

@@ -1,7 +1,7 @@
 """Messages and schemas of a trace's channels, as Foxglove shows them.
 
-Foxglove's schemas have its published field names, and no others. In scenes y points upwards
-and angles run counter-clockwise, in the frame "map".
+Foxglove's schemas have exactly its published field names. In scenes y points upwards and
+angles run counter-clockwise, in the frame "map".
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.simulator import Line, Scene, Tracks
+from pytest_dura.core.simulator import Line, Scene
 from pytest_dura.evidence.text import visible
 from pytest_dura.evidence.traces import Trace
 
@@ -28,7 +28,7 @@ _INTEGER_SCHEMA: Schema = {"type": "integer"}
 
 
 def _object_schema(title: str | None = None, /, **properties: Schema) -> Schema:
-    """An object with exactly these fields."""
+    """Schema of an object with exactly these fields."""
     return {
         **({} if title is None else {"title": title}),
         "type": "object",
@@ -106,7 +106,7 @@ _LOG_SCHEMA: Schema = _object_schema(
 
 @cache
 def _scene_update_schema() -> Schema:
-    """``foxglove.SceneUpdate``: cubes, lines and texts; the other primitives are empty lists."""
+    """Schema ``foxglove.SceneUpdate`` with cubes, lines and texts; other primitives are empty."""
     xyz = _object_schema("foxglove.Vector3", x=_NUMBER_SCHEMA, y=_NUMBER_SCHEMA, z=_NUMBER_SCHEMA)
     turn = _object_schema(
         "foxglove.Quaternion",
@@ -178,22 +178,22 @@ CHANNELS = ("/signals", "/decision", "/events", "/scene/road", "/scene/truth", "
 
 
 def schema_of(channel: str) -> Schema:
-    """The schema of a channel's messages."""
-    own = {"/signals": _SIGNALS_SCHEMA, "/decision": _DECISION_SCHEMA, "/events": _LOG_SCHEMA}
-    return own.get(channel) or _scene_update_schema()
+    """Look up the schema of a channel's messages."""
+    schemas = {"/signals": _SIGNALS_SCHEMA, "/decision": _DECISION_SCHEMA, "/events": _LOG_SCHEMA}
+    return schemas.get(channel) or _scene_update_schema()
 
 
 @cache
 def schema_text(channel: str) -> bytes:
-    """The schema as it stands in the file."""
+    """Encode the schema for the file."""
     return json.dumps(schema_of(channel), separators=(",", ":")).encode()
 
 
 Message = tuple[int, str]
-"""Nanoseconds of simulated time, and JSON in ASCII."""
+"""Simulated time in nanoseconds, and JSON in ASCII."""
 
 MAX_TEXT = 1000
-"""Characters of a text that a viewer shows; the columns have all of it."""
+"""Greatest number of characters of a text for viewers; the columns have all of it."""
 _PERCEPT = "percept."
 _INFO, _WARNING, _ERROR = 2, 3, 4
 _LEVELS = {
@@ -203,35 +203,33 @@ _LEVELS = {
 
 
 def nanoseconds(time: float) -> int:
-    """Of a moment, or of the start where it is none that a file could hold."""
+    """Convert seconds to nanoseconds; a time that a file cannot hold becomes 0."""
     return round(time * 1e9) if 0.0 <= time < 1e9 else 0
 
 
 def _foxglove_time(time: int) -> str:
-    """Nanoseconds as Foxglove's time."""
     return f'{{"sec":{time // 10**9},"nsec":{time % 10**9}}}'
 
 
 class TextCache:
-    """Texts as JSON, harmless and bounded, each made once."""
+    """Converts texts to JSON, harmless and bounded, each distinct text once."""
 
     def __init__(self) -> None:
-        self._made: dict[str, str] = {}
+        self._strings: dict[str, str] = {}
 
     def __call__(self, text: str) -> str:
-        """The text as a JSON string."""
-        made = self._made.get(text)
-        if made is None:
-            made = self._made[text] = json.dumps(self.shown(text))
-        return made
+        """Convert a text to a JSON string."""
+        if text not in self._strings:
+            self._strings[text] = json.dumps(self.shown(text))
+        return self._strings[text]
 
     def any(self, value: Any) -> str:
-        """Plain data as JSON, all of its texts so."""
+        """Convert plain data to JSON, its texts harmless and bounded."""
         return json.dumps(self._plain(value), sort_keys=True)
 
     @staticmethod
     def shown(text: str) -> str:
-        """The text itself, harmless and bounded."""
+        """Make a text harmless and bounded."""
         plain = len(text) <= MAX_TEXT and text.isascii() and text.isprintable()
         return text if plain else visible(text, MAX_TEXT, hashed=True)
 
@@ -239,17 +237,17 @@ class TextCache:
         if isinstance(value, str):
             return self.shown(value)
         if isinstance(value, Mapping):
-            return {self.shown(str(key)): self._plain(item) for key, item in value.items()}
+            return {self.shown(str(key)): self._plain(entry) for key, entry in value.items()}
         return [*map(self._plain, value)] if isinstance(value, (list, tuple)) else value
 
 
 def signal_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
-    """One for each tick: the truth, and what was perceived; ``null`` where there is no number."""
+    """Yield truth and percept for each tick; ``null`` where there is no number."""
     truth: list[tuple[str, list[str]]] = []
     percept: list[tuple[str, list[str]]] = []
     for name, column in trace.signals.items():
-        own = percept if name.startswith(_PERCEPT) else truth
-        own.append((texts(name.removeprefix(_PERCEPT)), _numbers(column)))
+        group = percept if name.startswith(_PERCEPT) else truth
+        group.append((texts(name.removeprefix(_PERCEPT)), _numbers(column)))
     time = trace.time.tolist()
     rows = zip(
         _rows([name for name, _ in truth], [column for _, column in truth], len(time)),
@@ -262,11 +260,11 @@ def signal_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
 
 
 def _rows(names: Sequence[str], columns: Sequence[Sequence[str]], length: int) -> Iterator[str]:
-    """Objects with these fields, one for each row."""
+    """Yield an object with these fields for each row."""
     if not names:
         yield from ["{}"] * length
         return
-    # Names are data, and in a template a percent sign would be read.
+    # Names may have percent signs, which the template would interpret.
     template = "{" + ",".join(f"{name.replace('%', '%%')}:%s" for name in names) + "}"
     for row in zip(*columns, strict=True):
         yield template % row
@@ -286,31 +284,31 @@ def _number(value: float) -> str:
 
 
 def decision_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
-    """One for each decision, at the time of the tick that it was made at."""
+    """Yield a message for each decision, at the time of its tick."""
     recording = trace.recording
     time = trace.time.tolist()
     columns = {name: column for name, column in trace.decisions.items() if column.ndim == 1}
     length = min([len(time), *map(len, columns.values())]) if columns else 0
-    shown = [
+    cells = [
         [*map(texts, column.tolist())] if column.dtype.kind == "U" else _numbers(column)
         for column in columns.values()
     ]
-    decisions = _rows([*map(texts, columns)], [item[:length] for item in shown], length)
+    decisions = _rows([*map(texts, columns)], [column[:length] for column in cells], length)
     monitors = [(name, flag) for name, flag in recording.flags.items() if len(flag) >= length]
     flags = _rows(
-        [texts(name) for name, _ in monitors], [_numbers(item[:length]) for _, item in monitors],
+        [texts(name) for name, _ in monitors], [_numbers(flag[:length]) for _, flag in monitors],
         length,
     )  # fmt: skip
-    said = [
+    remarks = [
         (*map(texts, column[:length]), *['""'] * (length - len(column)))
         for column in (recording.explanations, recording.reasons, recording.recoveries)
     ]
     accounts = map(texts.any, recording.accounts[:length])
-    told = (*accounts, *["{}"] * (length - len(recording.accounts)))
-    rows = zip(decisions, flags, *said, told, strict=True)
-    for tick, (own, flag, explanation, reason, recovery, account) in enumerate(rows):
+    account_texts = (*accounts, *["{}"] * (length - len(recording.accounts)))
+    rows = zip(decisions, flags, *remarks, account_texts, strict=True)
+    for tick, (columns_text, flag, explanation, reason, recovery, account) in enumerate(rows):
         message = (
-            f'"tick":{tick},"time":{_number(time[tick])},"columns":{own},'
+            f'"tick":{tick},"time":{_number(time[tick])},"columns":{columns_text},'
             f'"explanation":{explanation},"reason":{reason},"recovery":{recovery},"flags":{flag},'
             f'"account":{account}'
         )
@@ -318,7 +316,7 @@ def decision_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
 
 
 def event_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
-    """Events as log messages: ``kind subject: detail``."""
+    """Yield events as log messages: ``kind subject: detail``."""
     for event in trace.events:
         time = nanoseconds(_time_of(event))
         kind, subject, detail = (str(event.get(key, "")) for key in ("kind", "subject", "detail"))
@@ -336,7 +334,7 @@ def _time_of(event: Mapping[str, Any]) -> float:
 
 
 _OBJECT_HEIGHT = 1.5
-"""Metres; the scene is flat."""
+"""Metres, for a scene that is flat."""
 
 
 def _color(red: float, green: float, blue: float, alpha: float) -> str:
@@ -347,7 +345,7 @@ EGO_COLOR = _color(0.16, 0.47, 0.89, 1.0)
 _OTHER_COLOR = _color(0.45, 0.45, 0.48, 1.0)
 PERCEIVED_COLOR = _color(0.98, 0.75, 0.18, 0.35)
 GHOST_COLOR = _color(0.91, 0.16, 0.24, 0.6)
-"""Of what is perceived and not there."""
+"""Colour of objects that are perceived and not there."""
 _LINES = {
     "edge": (0.2, _color(0.6, 0.6, 0.6, 1.0)),
     "marking": (0.1, _color(0.85, 0.85, 0.85, 1.0)),
@@ -357,7 +355,7 @@ _LINES = {
 _LINE = (0.15, _color(0.7, 0.7, 0.7, 1.0))
 
 _UPRIGHT = '"orientation":{"x":0,"y":0,"z":0,"w":1}'
-# x, y, z and w of the orientation; then what does not change, as it is put in beforehand.
+# Formatted twice: first with what is constant for an object, then with its pose.
 _CUBE_MARKER = (
     '{"pose":{"position":{"x":%%.3f,"y":%%.3f,"z":%s},'
     '"orientation":{"x":0,"y":0,"z":%%.5f,"w":%%.5f}},'
@@ -370,7 +368,7 @@ _TEXT_MARKER = (
 
 
 def road_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
-    """What does not move, once; on a channel of its own, so that a viewer that jumps finds it."""
+    """Yield what does not move, once, on a channel of its own for viewers that jump."""
     scene = trace.recording.scene
     if scene is not None and scene.lines and len(trace.time):
         time = nanoseconds(float(trace.time[0]))
@@ -391,7 +389,7 @@ def _line(line: Line) -> str:
 
 
 def truth_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
-    """All that is there, tick by tick."""
+    """Yield the true scene, tick by tick."""
     scene = trace.recording.scene
     if scene is None:
         return
@@ -405,23 +403,23 @@ def truth_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
 
 
 def percept_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
-    """All that is perceived, tick by tick; a ghost has a colour and a name of its own."""
+    """Yield the perceived scene, tick by tick; ghosts have their own colour and name."""
     scene = trace.recording.scene
     if scene is None:
         return
     canvas = _Canvas(min(len(trace.time), len(scene.truth.poses), len(scene.percept.poses)))
-    there = _presence(scene, canvas.ticks)
+    presence = _presence(scene, canvas.ticks)
     for number, name in enumerate(scene.percept.ids):
         poses = scene.percept.poses[: canvas.ticks, number]
-        present, real = _present(poses), there.get(name, np.zeros(canvas.ticks, bool))
+        present, real = _present(poses), presence.get(name, np.zeros(canvas.ticks, bool))
         canvas.show(poses, present & real, PERCEIVED_COLOR)
         canvas.show(poses, present & ~real, GHOST_COLOR, texts(f"{name} (ghost)"))
     yield from canvas.updates(trace, texts("percept"))
 
 
 def _presence(scene: Scene, ticks: int) -> Mapping[str, NDArray[np.bool_]]:
-    """When each thing is really there, by id."""
-    truth: Tracks = scene.truth
+    """Ticks at which each object is there in truth, by id."""
+    truth = scene.truth
     return {name: _present(truth.poses[:ticks, i]) for i, name in enumerate(truth.ids)}
 
 
@@ -430,7 +428,7 @@ def _present(poses: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 class _Canvas:
-    """What is to be shown at each of so many ticks."""
+    """Collects the primitives to be shown at each tick."""
 
     def __init__(self, ticks: int) -> None:
         self.ticks = ticks
@@ -440,12 +438,19 @@ class _Canvas:
     def show(
         self, poses: NDArray[np.float32], when: NDArray[np.bool_], color: str, label: str = ""
     ) -> None:
-        """Add a thing to the ticks at which it is to be seen."""
+        """Add an object to the ticks at which it is visible."""
         ticks = np.flatnonzero(when)
-        own = poses[ticks].astype(np.float64)
-        half = -own[:, 2] / 2.0
+        visible_poses = poses[ticks].astype(np.float64)
+        half = -visible_poses[:, 2] / 2.0
         columns = np.column_stack(
-            [own[:, 0], -own[:, 1], np.sin(half), np.cos(half), own[:, 4], own[:, 5]]
+            [
+                visible_poses[:, 0],
+                -visible_poses[:, 1],
+                np.sin(half),
+                np.cos(half),
+                visible_poses[:, 4],
+                visible_poses[:, 5],
+            ]
         )
         cube = _CUBE_MARKER % (_OBJECT_HEIGHT / 2.0, _OBJECT_HEIGHT, color)
         text = _TEXT_MARKER % (_OBJECT_HEIGHT + 0.5, color, label.replace("%", "%%"))
@@ -455,7 +460,7 @@ class _Canvas:
                 self._labels[tick].append(text % (row[0], row[1]))
 
     def updates(self, trace: Trace, name: str) -> Iterator[Message]:
-        """One for each tick."""
+        """Yield an update for each tick."""
         for tick, seconds in enumerate(trace.time[: self.ticks].tolist()):
             time = nanoseconds(seconds)
             cubes, labels = ",".join(self._cubes[tick]), ",".join(self._labels[tick])
@@ -463,7 +468,7 @@ class _Canvas:
 
 
 def _update(time: int, name: str, cubes: str = "", lines: str = "", labels: str = "") -> str:
-    """An update with one entity, which stays until the next one of its name."""
+    """Write an update with an entity, which stays until the next one of its name."""
     return (
         f'{{"deletions":[],"entities":[{{"timestamp":{_foxglove_time(time)},"frame_id":"map","id":{name},'
         '"lifetime":{"sec":0,"nsec":0},"frame_locked":false,"metadata":[],"arrows":[],'

@@ -13,20 +13,20 @@ from typing import Any, Literal
 
 Data = Mapping[str, Any]
 REPEAT_KEYS = ("episode", "digest", "repeated_digest", "result", "detail")
-"""The keys of a case's repetition."""
+"""Keys of a case's repetition."""
 _REPEAT_RESULTS = ("different", "failed", "equal", "skipped")
-"""What a repetition comes to. Of several the first in this order counts."""
+"""Results of a repetition. Of several the first in this order counts."""
 
 
-def worse_repeat(item: Data | None, other: Data | None) -> Data | None:
-    """Of two repetitions of a case, by two processes or shards, the one that says more."""
-    if item is None or other is None:
-        return item or other
-    return min(item, other, key=lambda repeat: _REPEAT_RESULTS.index(repeat["result"]))
+def worse_repeat(repeat: Data | None, other: Data | None) -> Data | None:
+    """Choose, of two repetitions of a case by two processes or shards, the worse result."""
+    if repeat is None or other is None:
+        return repeat or other
+    return min(repeat, other, key=lambda repeat: _REPEAT_RESULTS.index(repeat["result"]))
 
 
 def not_repeatable_lines(cases: Iterable[Data]) -> Iterator[str]:
-    """A line for each case whose episode did not come out as it did the first time."""
+    """Yield a line for each case whose repeated episode differs from the first one."""
     for case in cases:
         repeat = case["repeat"]
         if repeat is None or repeat["result"] not in ("different", "failed"):
@@ -42,9 +42,9 @@ def not_repeatable_lines(cases: Iterable[Data]) -> Iterator[str]:
 
 
 def repeat_objections(cases: Iterable[Data]) -> Iterator[str]:
-    """What stands against a session that requires its cases to be repeatable.
+    """Yield what fails a session that requires its cases to be repeatable.
 
-    A case in which a live language model answers is not held to it.
+    A case in which a live language model answers is exempt.
     """
     for case in cases:
         yield from not_repeatable_lines([case])
@@ -53,11 +53,11 @@ def repeat_objections(cases: Iterable[Data]) -> Iterator[str]:
 
 
 def repeat_problems(case: Data, digests: Iterable[str]) -> Iterator[str]:
-    """Whether what is said of a case's repetition agrees with itself and its episodes.
+    """Yield the contradictions in a case's repetition.
 
     Args:
         case: Of the record.
-        digests: Of the recorded episodes of the name that was repeated.
+        digests: Of the recorded episodes that have the id of the repeated one.
     """
     repeat = case["repeat"]
     if repeat is None:
@@ -73,7 +73,7 @@ VerdictKey = tuple[str, str, str]
 """Node id, requirement and case."""
 
 VIOLATED_OUTCOMES = ("falsified", "not repeatable")
-"""Words of an outcome with a violation; no option lets them through."""
+"""Statuses of an outcome with a violation; no option accepts them."""
 NOTHING_FOUND = "nothing found"
 OBJECTIONABLE_OUTCOMES = {
     "falsified": "falsified by a search",
@@ -81,87 +81,91 @@ OBJECTIONABLE_OUTCOMES = {
     "baseline": "violated by a baseline of a search, and not confirmed",
     "undecided": "undecided by a search",
 }
-"""What the gate says of an outcome that it does not accept; the worst first."""
+"""Wording of the outcomes that the gate does not accept; the worst first."""
 _SORT_KEYS = ("case", "component", "item", "seed")
 
 
 @dataclass
 class SearchRecords:
-    """The searches of a session while it grows. The same one may be told twice.
+    """Collects the searches of a session.
 
-    A search is a function of its case, its seed and its budget: told twice it is told once. One
-    that came out differently when it was tried again stands beside the first: neither is dropped.
+    A search is a function of its case, its seed and its budget: if it is reported twice, it is
+    recorded once. Of one that came out differently the second time, both results are recorded.
     """
 
-    _told: dict[str, dict[str, Any]] = field(default_factory=dict)
+    _searches: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def add(self, item: str, searches: Iterable[Data]) -> None:
-        """Those that an item told."""
+        """Take in the searches that an item reports."""
         for search in searches:
             self.adopt({**search, "item": item, "waiver": None})
 
     def adopt(self, entry: Data) -> None:
-        """A search as another session has it, with its item and its waiver."""
+        """Take over a search of another session, with its item and its waiver."""
         question = {key: value for key, value in entry.items() if key != "waiver"}
-        self._told.setdefault(json.dumps(question, sort_keys=True), dict(entry))
+        self._searches.setdefault(json.dumps(question, sort_keys=True), dict(entry))
 
     @property
     def answered(self) -> set[VerdictKey]:
-        """What items were to decide and searched instead: no verdict is to be expected of it."""
+        """Claims that items searched instead of deciding them: they get no verdict."""
         return {
-            (item["item"], outcome["requirement"], item["case"])
-            for item in self._told.values()
-            for outcome in item["outcomes"]
+            (search["item"], outcome["requirement"], search["case"])
+            for search in self._searches.values()
+            for outcome in search["outcomes"]
         }
 
     def to_json(self, waivers: Mapping[str, Data]) -> list[dict[str, Any]]:
-        """The record's key ``searches``, sorted.
+        """Convert to the record's key ``searches``, sorted.
 
         Args:
-            waivers: By node id, what excuses an item.
+            waivers: By the node id of the item that each excuses.
         """
         ordered = sorted(
-            self._told.items(), key=lambda told: (*(told[1][name] for name in _SORT_KEYS), told[0])
+            self._searches.items(),
+            key=lambda entry: (*(entry[1][name] for name in _SORT_KEYS), entry[0]),
         )
         return [
-            {**item, "waiver": waivers.get(item["item"], item["waiver"])} for _, item in ordered
+            {**search, "waiver": waivers.get(search["item"], search["waiver"])}
+            for _, search in ordered
         ]
 
 
 def _search_objections(searches: Sequence[Data], *, warn_undecided: bool) -> list[str]:
-    """A sentence for every outcome of a search that the gate does not accept; the worst first."""
-    words = [
-        objectionable_outcome
-        for objectionable_outcome in OBJECTIONABLE_OUTCOMES
-        if objectionable_outcome in VIOLATED_OUTCOMES or not warn_undecided
+    """Write a sentence for every outcome that the gate does not accept; the worst first."""
+    statuses = [
+        status
+        for status in OBJECTIONABLE_OUTCOMES
+        if status in VIOLATED_OUTCOMES or not warn_undecided
     ]
     return [
-        outcome_objection(outcome["requirement"], search["case"], word)
-        for word in words
+        outcome_objection(outcome["requirement"], search["case"], status)
+        for status in statuses
         for search in searches
         if search["waiver"] is None
         for outcome in search["outcomes"]
-        if outcome_status(search, outcome) == word
+        if outcome_status(search, outcome) == status
     ]
 
 
 def outcome_status(search: Data, outcome: Data) -> str:
-    """The word of an outcome; ``baseline`` where a baseline alone met a violation."""
+    """Status of an outcome; ``baseline`` where a baseline alone met a violation."""
     name = outcome["requirement"]
     if outcome["word"] in VIOLATED_OUTCOMES:
         return str(outcome["word"])
-    met = any(baseline["first"].get(name) is not None for baseline in search["baselines"])
-    return "baseline" if met else str(outcome["word"])
+    baseline_violates = any(
+        baseline["first"].get(name) is not None for baseline in search["baselines"]
+    )
+    return "baseline" if baseline_violates else str(outcome["word"])
 
 
-def outcome_objection(requirement: str, case: str, word: str) -> str:
-    """What the gate says of an outcome that it does not accept."""
-    return f"{requirement} on {case} is {OBJECTIONABLE_OUTCOMES[word]}"
+def outcome_objection(requirement: str, case: str, status: str) -> str:
+    """Word what the gate does not accept about an outcome."""
+    return f"{requirement} on {case} is {OBJECTIONABLE_OUTCOMES[status]}"
 
 
 GateResult = Literal["passed", "failed", "incomplete"]
 
-# Exit codes of pytest, which records carry and which are judged here without pytest.
+# Exit codes of pytest, which is not imported here.
 OK = 0
 TESTS_FAILED = 1
 INTERRUPTED = 2
@@ -171,7 +175,7 @@ NO_TESTS = 5
 
 @dataclass(frozen=True)
 class Gate:
-    """Whether the session passed. It fails closed.
+    """Result of the session. It fails closed.
 
     Args:
         result: ``incomplete`` where the session did not come to its end.
@@ -188,12 +192,12 @@ class Gate:
     reasons: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """Convert to plain data."""
         return {**vars(self), "reasons": list(self.reasons)}
 
     @classmethod
     def running(cls, *, warn_undecided: bool) -> Gate:
-        """That of a session which has not come to its end."""
+        """Make the gate of a session that has not come to its end."""
         why = "the session has not come to its end: it is running, or it was killed"
         return cls("incomplete", INTERNAL_ERROR, warn_undecided, 0, (why,))
 
@@ -209,13 +213,13 @@ class Gate:
         failed: int,
         warn_undecided: bool,
     ) -> Gate:
-        """That of a session at its end.
+        """Judge a session at its end.
 
         Args:
             verdicts: Of the record.
-            objections: What else stands against it, whatever the tests say.
+            objections: Further reasons against it, whatever the tests say.
             searches: Of the record.
-            interrupted: Whether it ended before its time.
+            interrupted: Whether it ended early.
             exit_code: Of pytest.
             failed: Test items that failed.
             warn_undecided: Whether undecided verdicts are accepted.
@@ -241,22 +245,22 @@ class Gate:
 def verdict_objections(
     verdicts: Sequence[Data], searches: Sequence[Data], *, warn_undecided: bool
 ) -> list[str]:
-    """A sentence for every verdict and search that the gate does not accept; worst verdicts first.
+    """Write a sentence for every verdict and search that the gate does not accept, worst first.
 
     Args:
         verdicts: Of the record.
         searches: Of the record.
-        warn_undecided: Whether what is undecided is accepted.
+        warn_undecided: Whether undecided ones are accepted.
     """
     accepted = {"supported"} | ({"undecided"} if warn_undecided else set())
-    found = [
+    objectionable = [
         verdict
         for verdict in verdicts
         if verdict["verdict"] not in accepted and verdict["waiver"] is None
     ]
-    found.sort(key=lambda verdict: verdict["verdict"] != "violated")
-    told = [
+    objectionable.sort(key=lambda verdict: verdict["verdict"] != "violated")
+    sentences = [
         f"{verdict['requirement']} on {verdict['case']} is {verdict['verdict']}"
-        for verdict in found
+        for verdict in objectionable
     ]
-    return [*told, *_search_objections(searches, warn_undecided=warn_undecided)]
+    return [*sentences, *_search_objections(searches, warn_undecided=warn_undecided)]

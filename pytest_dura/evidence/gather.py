@@ -1,4 +1,4 @@
-"""RecordBuilder: gathers what the items of a session report, and makes the record of it."""
+"""RecordBuilder: collects the reports of the items of a session, and makes the record of them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,39 +22,39 @@ from pytest_dura.evidence.gate import REPEAT_KEYS, SearchRecords, worse_repeat
 from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics, SharedViolations, case_order
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import NO_REUSE, ReuseRecord
+from pytest_dura.requirements.campaign_judge import judge_campaign
+from pytest_dura.requirements.campaign_verdicts import Situation, Situations
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.campaigns import Situation, Situations
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
-from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 Data = Mapping[str, Any]
 
 
 class Components:
-    """Descriptions by name. One name may stand for a class with several sets of parameters."""
+    """Descriptions of components by name, of which one may have several sets of parameters."""
 
     def __init__(self) -> None:
         self._known: dict[str, dict[bytes, Data]] = {}
         self._sources: dict[str, Mapping[str, str]] = {}
 
     def add(self, component: Data) -> None:
-        """Take in a description: ``name``, ``path``, ``params`` and what else there is."""
+        """Add a description: ``name``, ``path``, ``params`` and others."""
         key = canonical([component.get("path"), component.get("params"), component])
         self._known.setdefault(component["name"], {}).setdefault(key, component)
 
     def add_sources(self, sources: Mapping[str, Mapping[str, str]]) -> None:
-        """Take in what digests of components are made of; see ItemReport."""
+        """Add the files that digests of components are made of; see ItemReport."""
         self._sources.update(sources)
 
     @property
     def names(self) -> list[str]:
-        """Of all components."""
+        """Names of all components."""
         return list(self._known)
 
     def problems(self) -> Iterator[str]:
-        """Names that stand for several classes, and verdicts go by the name."""
-        for name, several in self._known.items():
-            paths = sorted({str(item.get("path")) for item in several.values()})
+        """Yield a problem for each name that several classes have, as verdicts go by the name."""
+        for name, descriptions in self._known.items():
+            paths = sorted({str(description.get("path")) for description in descriptions.values()})
             if len(paths) > 1:
                 yield (
                     f"infrastructure: several components are called {name}, and verdicts go by "
@@ -62,10 +63,9 @@ class Components:
                 )
 
     def to_json(self) -> dict[str, Any]:
-        """The first one by name, with all ``others`` and the ``sources`` of them all."""
-        known = [
-            item for name in sorted(self._known) for _, item in sorted(self._known[name].items())
-        ]
+        """Convert to the first one by name, with all ``others`` and the ``sources`` of all."""
+        names = sorted(self._known)
+        known = [entry for name in names for _, entry in sorted(self._known[name].items())]
         first: dict[str, Any] = dict(known[0]) if known else {"name": None, "version": None}
         if len(known) > 1:
             first["others"] = known[1:]
@@ -81,107 +81,106 @@ _NAMES = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
 
 
 class LanguageModels:
-    """Gathers what the processes of a session tell. The same may be told twice."""
+    """Sums up the use of language models over the processes of a session."""
 
     def __init__(self) -> None:
-        self._told: dict[tuple[Any, ...], dict[str, JsonObject]] = {}
+        self._reports: dict[tuple[Any, ...], dict[str, JsonObject]] = {}
 
     def add(self, models: Iterable[Mapping[str, Any]]) -> None:
-        """What one process has asked since it began; what it told before is part of that.
+        """Add the counts of one process since it began, which include those it reported before.
 
         Args:
             models: Of :class:`pytest_dura.evidence.episodes.ItemReport`.
         """
         for model in models:
-            known = self._told.setdefault(tuple(model[name] for name in _NAMES), {})
+            known = self._reports.setdefault(tuple(model[name] for name in _NAMES), {})
             before = known.get(model["process"])
             if before is None or _total(model) >= _total(before):
                 known[model["process"]] = dict(model)
 
     def to_json(self) -> list[JsonObject]:
-        """The record's key ``models``, sorted, without the cassette."""
-        found = []
-        for key in sorted(self._told, key=str):
-            told = self._told[key]
-            first = told[min(told)]
-            counts = {name: sum(item[name] for item in told.values()) for name in _COUNTS}
+        """Convert to the record's key ``models``, sorted, without the cassette."""
+        models = []
+        for key in sorted(self._reports, key=str):
+            reports = self._reports[key]
+            first = reports[min(reports)]
+            counts = {name: sum(report[name] for report in reports.values()) for name in _COUNTS}
             plain = {name: value for name, value in first.items() if name != "process"}
-            found.append({**plain, **counts, "cassette": None})
-        return found
+            models.append({**plain, **counts, "cassette": None})
+        return models
 
 
-def _total(item: Mapping[str, Any]) -> int:
-    return sum(item[name] for name in _COUNTS)
+def _total(model: Mapping[str, Any]) -> int:
+    return sum(model[name] for name in _COUNTS)
 
 
 def test_function(item: str) -> str:
-    """The test function of a node id, without its parameters."""
+    """Remove the parameters from a node id."""
     return item.partition("[")[0]
 
 
 def question_key(item: str, verdict: JsonObject) -> tuple[str, ...]:
-    """What a verdict answers: who asked, of what, and what was asked."""
-    asked = [verdict["check"], verdict["paired"], verdict["method"]]
-    asked += [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
+    """Identify what a verdict answers: the item, requirement, case, component and question."""
+    question = [verdict["check"], verdict["paired"], verdict["method"]]
+    question += [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
     names = ("requirement", "case", "component")
-    return item, *(verdict[name] for name in names), json.dumps(asked, sort_keys=True)
+    return item, *(verdict[name] for name in names), json.dumps(question, sort_keys=True)
 
 
-def _final_outcomes(objects: Sequence[JsonObject]) -> list[JsonObject]:
-    """Of several attempts of an item a violation counts before anything else, then the last."""
+def _final_outcomes(outcomes: Sequence[JsonObject]) -> list[JsonObject]:
+    """Select one attempt of each item: a violation if there is one, else the last."""
     final: dict[str, JsonObject] = {}
-    for item in objects:
-        before = final.get(item["item"])
+    for outcome in outcomes:
+        before = final.get(outcome["item"])
         if before is None or before["verdict"] != "violated":
-            final[item["item"]] = item
+            final[outcome["item"]] = outcome
     return list(final.values())
 
 
 _MAX_OBSERVED = 50
-"""Names of what a test looked at."""
+"""Greatest number of names that a test looked at."""
 _MAX_FAILED = 10
-"""Episodes with the assertion that failed there."""
+"""Greatest number of episodes with the assertion that failed there."""
 WORST_FIRST = ("violated", "missing", "open", "invalid", "satisfied")
 
 
 def _worst_of_each_episode(final: list[JsonObject]) -> list[EpisodeVerdict]:
-    """One verdict for each episode, at which other parameters of a test may look again."""
-    names = EpisodeVerdict.__dataclass_fields__
+    """Select the worst verdict on each episode, which several parameters of a test may judge."""
     worst: dict[str, JsonObject] = {}
-    for item in sorted(final, key=lambda item: WORST_FIRST.index(item["verdict"])):
-        worst.setdefault(item["episode"], item)
-    found = sorted(worst.values(), key=lambda item: _run_number(item["episode"]))
-    return [EpisodeVerdict.from_json({name: item[name] for name in names}) for item in found]
+    for outcome in sorted(final, key=lambda outcome: WORST_FIRST.index(outcome["verdict"])):
+        worst.setdefault(outcome["episode"], outcome)
+    ordered = sorted(worst.values(), key=lambda outcome: _run_number(outcome["episode"]))
+    return [EpisodeVerdict.from_json(outcome) for outcome in ordered]
 
 
 def _judge_test(
     requirement: Requirement,
     case: str,
     component: str,
-    objects: Sequence[JsonObject],
+    outcomes: Sequence[JsonObject],
     situation: Situation | None = None,
 ) -> JsonObject:
-    """The verdict of a test that looks at one episode at a time, as plain data.
+    """Judge a test that looks at one episode at a time, as plain data.
 
     Args:
-        requirement: What it decides; its rate is that of the test.
+        requirement: The requirement; its rate and confidence come from the test.
         case: Id of the case.
         component: Name of the component under test.
-        objects: All that it told of episodes, with ``item``, ``planned``,
+        outcomes: Outcomes of all episodes that it looked at, with ``item``, ``planned``,
             ``at_most``, ``confidence``.
-        situation: What the case's runs are, if all of them are equal.
+        situation: The single situation of the case's runs, if all of them are equal.
     """
     # Tests are a fixed number, and run in no fixed order: no sequential method applies.
     judged_by = replace(
         requirement,
-        at_most=objects[0]["at_most"],
-        confidence=objects[0]["confidence"],
+        at_most=outcomes[0]["at_most"],
+        confidence=outcomes[0]["confidence"],
         method=None,
         p0=None,
     )
-    planned = max(item["planned"] for item in objects)
-    final = _worst_of_each_episode(_final_outcomes(objects))
-    # Each run is a test of its own here: none is saved where they are all equal.
+    planned = max(outcome["planned"] for outcome in outcomes)
+    final = _worst_of_each_episode(_final_outcomes(outcomes))
+    # Each run is a test of its own: none is saved where all runs are equal.
     whole = len(final) >= planned > 1
     return judge_campaign(
         judged_by,
@@ -194,18 +193,19 @@ def _judge_test(
 
 
 def _assertion_summary(final: Sequence[JsonObject]) -> JsonObject:
-    """What the assertions of a test rest on, over all episodes that it looked at.
+    """Summarise the assertions of a test over all episodes that it looked at.
 
     Args:
         final: Of :func:`_final_outcomes`.
     """
-    told = [(item["episode"], item["assertion"]) for item in final]
-    false = Counter(check for _, item in told for check in item["false"])
-    failed = sorted((name, item["failed"]) for name, item in told if item["failed"])
+    assertions = [(outcome["episode"], outcome["assertion"]) for outcome in final]
+    false = Counter(check for _, assertion in assertions for check in assertion["false"])
+    observed = {name for _, assertion in assertions for name in assertion["observed"]}
+    failed = sorted((name, entry["failed"]) for name, entry in assertions if entry["failed"])
     return {
-        "alone": all(item["alone"] for _, item in told),
-        "by_check": sum(item["by_check"] for _, item in told),
-        "observed": sorted({name for _, item in told for name in item["observed"]})[:_MAX_OBSERVED],
+        "alone": all(assertion["alone"] for _, assertion in assertions),
+        "by_check": sum(assertion["by_check"] for _, assertion in assertions),
+        "observed": sorted(observed)[:_MAX_OBSERVED],
         "false": [
             {"check": name, "episodes": false[name]} for name in sorted(false)[:_MAX_OBSERVED]
         ],
@@ -220,21 +220,21 @@ def _run_number(episode: str) -> tuple[str, int]:
 
 SCHEMA_VERSION = "2"
 _NO_QUESTION = {"check": "", "paired": None}
-"""Of a verdict that no campaign was asked for."""
+"""Question of a verdict that rests on no campaign."""
 UNKNOWN_COMPONENT = "unknown"
-"""The name of a component that a conftest defines, until the first episode tells it."""
+"""Name of a component that a conftest defines, until the first episode reports it."""
 
 Status = Literal["running", "complete", "interrupted"]
 
 
 @dataclass
 class RecordBuilder:
-    """The record of a session while it grows. The same report may come twice.
+    """Builds the record of a session from reports. The same report may come twice.
 
     Args:
         header: ``created``, ``tool``, ``command``, ``base_seed``, ``environment``.
-        directory: The bundle's, on whose disk the episodes are kept: in memory there are few.
-            Without one they are in a temporary file of the system.
+        directory: The bundle's, where episodes are kept on disk. Without one they are in a
+            temporary file of the system.
 
     Raises:
         ConfigurationError: If the directory cannot be made or written.
@@ -244,12 +244,12 @@ class RecordBuilder:
     directory: Path | None = None
     searches: SearchRecords = field(default_factory=SearchRecords, init=False)
     objections: dict[str, None] = field(default_factory=dict, init=False)
-    """What items say that stands against the session, whatever its verdicts say."""
+    """Reasons of items why the session does not pass, in order."""
     _components: Components = field(default_factory=Components)
     _requirements: dict[str, JsonObject] = field(default_factory=dict)
     _cases: dict[tuple[str, str], JsonObject] = field(default_factory=dict)
     _components_of: dict[str, list[str]] = field(default_factory=dict)
-    """By the id of a case."""
+    """Names of components by the id of a case."""
     _spool: EpisodeSpool = field(init=False)
     _verdicts: dict[tuple[str, ...], JsonObject] = field(default_factory=dict)
     _outcomes: dict[tuple[str, ...], dict[str, JsonObject]] = field(default_factory=dict)
@@ -257,7 +257,7 @@ class RecordBuilder:
     _expected: dict[tuple[str, str, str], JsonObject] = field(default_factory=dict)
     _waivers: dict[str, JsonObject] = field(default_factory=dict)
     _first_waived: dict[str, str] = field(default_factory=dict)
-    """The first item of each test that was waived."""
+    """First waived item of each test."""
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
     _models: LanguageModels = field(default_factory=LanguageModels)
     _problems: set[str] = field(default_factory=set)
@@ -266,26 +266,26 @@ class RecordBuilder:
     """Cases with any episode."""
     _repeats: dict[tuple[str, str], JsonObject] = field(default_factory=dict)
     _situations: dict[tuple[str, str], Situations] = field(default_factory=dict)
-    """Of the planned episodes of each case with a component."""
+    """Situations of the planned episodes, by case and component."""
 
     def __post_init__(self) -> None:
-        """Make room for the episodes."""
+        """Open the spool for the episodes."""
         self._spool = EpisodeSpool(self.directory)
 
     def close(self) -> None:
-        """Forget the episodes, also those of records that were made of them."""
+        """Delete the episodes; records that were made of them can no longer be read."""
         self._spool.close()
 
     def expect(self, item: str, requirement: JsonObject, case: JsonObject) -> None:
-        """A campaign's item that will run; if it never reports, its verdict is undecided."""
+        """Announce an item of a campaign; if it never reports, its verdict is undecided."""
         self._expected[item, requirement["id"], case["id"]] = case
         self._requirements.setdefault(requirement["id"], requirement)
 
     def add(self, report: Mapping[str, Any]) -> None:
-        """What an item told, all that :class:`ItemReport` has.
+        """Add the report of an item, an :class:`ItemReport` as plain data.
 
         Raises:
-            ConfigurationError: If its episodes cannot be kept.
+            ConfigurationError: If its episodes cannot be written.
         """
         for part in report["parts"]:
             self.add(unpack_report(part))
@@ -303,8 +303,8 @@ class RecordBuilder:
         self._add_episodes(report)
         for repeat in report["repeats"]:
             about = repeat["case"], repeat["component"]
-            told = {name: repeat[name] for name in REPEAT_KEYS}
-            self._repeats[about] = dict(worse_repeat(self._repeats.get(about), told) or told)
+            entry = {name: repeat[name] for name in REPEAT_KEYS}
+            self._repeats[about] = dict(worse_repeat(self._repeats.get(about), entry) or entry)
         self._models.add(report["models"])
         self._problems.update(report["problems"])
         self.objections.update(dict.fromkeys(report["objections"]))
@@ -316,41 +316,41 @@ class RecordBuilder:
             key = tuple(monitor[name] for name in ("case", "component", "target", "monitor"))
             self._monitors[key] = monitor
         for outcome in report["outcomes"]:
-            # What two tests make of one episode are two answers, and no attempts at one.
+            # Two tests on one episode give two verdicts, not two attempts at one.
             key = test_function(item), outcome["requirement"], outcome["case"], outcome["component"]
-            told = outcome | {"item": item}
-            self._outcomes.setdefault(key, {})[json.dumps(told, sort_keys=True)] = told
+            entry = outcome | {"item": item}
+            self._outcomes.setdefault(key, {})[json.dumps(entry, sort_keys=True)] = entry
 
     def add_traces(self, traces: Iterable[JsonObject]) -> None:
-        """Where traces of episodes are: ``{id, component, digest, trace}``, in any order.
+        """Add the files of traces: ``{id, component, digest, trace}``, in any order.
 
         Raises:
-            ConfigurationError: If that cannot be kept.
+            ConfigurationError: If they cannot be written.
         """
         for trace in traces:
             self._spool.add_trace(trace)
 
     def adopt(self, verdict: JsonObject) -> None:
-        """A verdict as another session came to it, with its item, its waiver and its attempts."""
+        """Take over a verdict of another session, with its item, its waiver and its attempts."""
         self._verdicts[question_key(verdict["item"], verdict)] = verdict
 
     def waive(self, item: str, kind: str, reason: str) -> None:
-        """The item's failure was excused: ``xfail``, ``rerun`` or ``skip``."""
+        """Record that an item's failure is excused: ``xfail``, ``rerun`` or ``skip``."""
         self._waivers[item] = {"kind": kind, "reason": reason}
         self._first_waived.setdefault(test_function(item), item)
 
     @property
     def problems(self) -> list[str]:
-        """What casts doubt on the whole session; each begins with ``infrastructure:``."""
+        """Doubts about the whole session; each begins with ``infrastructure:``."""
         return sorted({*self._clashes.values(), *self._problems, *self._components.problems()})
 
     def record(self, status: Status) -> SessionRecord:
-        """The record, with the keys of the design; its episodes are read as long as it is open.
+        """Make the record; its episodes can be read until the builder is closed.
 
         Raises:
             ConfigurationError: If the episodes cannot be read.
         """
-        self._add_unheard_cases()
+        self._add_unreported_cases()
         verdicts = self.verdicts()
         shared = SharedViolations(verdicts)
         courses = PairedCourses(verdicts)
@@ -375,21 +375,17 @@ class RecordBuilder:
         return SessionRecord(head, self.directory or Path(), self._spool.__iter__)
 
     def verdicts(self) -> list[JsonObject]:
-        """All verdicts, also of campaigns that never reported, sorted by case and requirement."""
-        found = [dict(verdict) for verdict in self._verdicts.values()]
-        found += [
-            self._of_outcomes(key, list(outcome.values()))
-            for key, outcome in self._outcomes.items()
-        ]
-        heard = {(verdict["item"], verdict["requirement"], verdict["case"]) for verdict in found}
+        """List all verdicts, also on what never reported, sorted by case and requirement."""
+        verdicts = [dict(verdict) for verdict in self._verdicts.values()]
+        for key, outcomes in self._outcomes.items():
+            verdicts.append(self._of_outcomes(key, list(outcomes.values())))
+        reported = {(entry["item"], entry["requirement"], entry["case"]) for entry in verdicts}
         for claim, case in self._unsearched():
-            if claim not in heard:
-                found.append(self._not_run(*claim[:2], case))
-        for verdict in found:
+            if claim not in reported:
+                verdicts.append(self._not_run(*claim[:2], case))
+        for verdict in verdicts:
             self._qualify(verdict)
-        return sorted(
-            found, key=lambda verdict: (verdict["case"], verdict["requirement"], verdict["item"])
-        )
+        return sorted(verdicts, key=itemgetter("case", "requirement", "item"))
 
     def _add_case(self, case: JsonObject) -> None:
         key = case["id"], case["component"]
@@ -400,7 +396,6 @@ class RecordBuilder:
         known["planned"] = max(known["planned"], case["planned"])
 
     def _add_episodes(self, report: Mapping[str, Any]) -> None:
-        """The episodes of a report, and what it tells of them beside."""
         for episode in report["episodes"]:
             self._ran.add(episode["case"])
             self._add_situation(episode)
@@ -423,59 +418,61 @@ class RecordBuilder:
         add_episode(self._situations[key], episode)
 
     def _add_verdict(self, item: str, verdict: JsonObject) -> None:
-        # The same item may ask several questions; what is asked again is another attempt.
+        # An item may ask several questions; the same question again is another attempt.
         key = question_key(item, verdict)
         before = self._verdicts.get(key)
         new = {**verdict, "item": item, "waiver": None, "attempts": [], "assertion": None}
         if before is None:
             self._verdicts[key] = new
             return
-        told = {name: value for name, value in before.items() if name in verdict}
-        if told == verdict:
+        previous = {name: value for name, value in before.items() if name in verdict}
+        if previous == verdict:
             return
         # Of several attempts a violation counts before anything else; all of them are kept.
-        new["attempts"] = [*before["attempts"], told]
+        new["attempts"] = [*before["attempts"], previous]
         if before["verdict"] == "violated":
             new = {**before, "attempts": [*before["attempts"], verdict]}
         self._verdicts[key] = new
 
-    def _of_outcomes(self, key: tuple[str, ...], objects: list[JsonObject]) -> JsonObject:
-        """The verdict of a test that looks at one episode at a time."""
+    def _of_outcomes(self, key: tuple[str, ...], outcomes: list[JsonObject]) -> JsonObject:
+        """Verdict of a test that looks at one episode at a time."""
         test, requirement, case, component = key
-        final = _final_outcomes(objects)
+        final = _final_outcomes(outcomes)
         known = self._situations.get((case, component))
         situation = None if known is None else known.situation
-        verdict = _judge_test(self._requirement(requirement), case, component, objects, situation)
+        verdict = _judge_test(self._requirement(requirement), case, component, outcomes, situation)
         waiver = self._waiver_of(final, verdict)
-        own: JsonObject = {
+        details: JsonObject = {
             "item": test,
             "waiver": waiver,
             "attempts": [],
             "assertion": _assertion_summary(final),
         }
-        return {**verdict, **_NO_QUESTION, **own}
+        return {**verdict, **_NO_QUESTION, **details}
 
     def _waiver_of(self, final: list[JsonObject], verdict: JsonObject) -> JsonObject | None:
-        """What excuses the verdict: nothing, if there is more than what waived items told."""
-        waivers = [self._waivers[item["item"]] for item in final if item["item"] in self._waivers]
-        bad = {item["item"] for item in final if item["verdict"] != "satisfied"}
+        """Waiver of a verdict, if all that is bad about it comes from waived items."""
+        waivers = [
+            self._waivers[outcome["item"]] for outcome in final if outcome["item"] in self._waivers
+        ]
+        bad = {outcome["item"] for outcome in final if outcome["verdict"] != "satisfied"}
         excused = bad <= self._waivers.keys() and verdict["run"] >= verdict["planned"]
         return waivers[0] if waivers and excused else None
 
-    def _add_unheard_cases(self) -> None:
-        """Cases that are expected, and of which nothing was heard."""
-        heard = set(self._components_of)
+    def _add_unreported_cases(self) -> None:
+        """Add the cases that are expected, and of which nothing was reported."""
+        reported = set(self._components_of)
         for _, case in self._unsearched():
-            if case["id"] not in heard:
+            if case["id"] not in reported:
                 self._add_case(self._with_component(case))
 
     def _unsearched(self) -> list[tuple[tuple[str, str, str], JsonObject]]:
-        """What items are to decide, but for what they looked for violations of instead."""
+        """Expected claims, apart from those that items searched instead of deciding them."""
         answered = self.searches.answered
         return [claim for claim in self._expected.items() if claim[0] not in answered]
 
     def _with_component(self, case: JsonObject) -> JsonObject:
-        """An expected case with the component's name as far as the session has told it by now."""
+        """Put the component's name into an expected case, if it is known by now."""
         if case["component"] != UNKNOWN_COMPONENT:
             return case
         names = self._components_of.get(case["id"]) or self._components.names
@@ -497,14 +494,14 @@ class RecordBuilder:
             verdict["reason"] = "episodes of the case ran, and no verdict was made on them"
         waived = self._first_waived.get(item)
         waiver = None if waived is None else self._waivers[waived]
-        own: JsonObject = {"item": item, "waiver": waiver, "attempts": [], "assertion": None}
-        return {**verdict, **_NO_QUESTION, **own}
+        details: JsonObject = {"item": item, "waiver": waiver, "attempts": [], "assertion": None}
+        return {**verdict, **_NO_QUESTION, **details}
 
     def _requirement(self, name: str) -> Requirement:
         return Requirement.from_json(self._requirements.get(name, {"id": name}))
 
     def _qualify(self, verdict: JsonObject) -> None:
-        """Take waivers into account, and doubts about the case's episodes."""
+        """Apply waivers, and doubts about the case's episodes."""
         verdict["waiver"] = self._waivers.get(verdict["item"], verdict["waiver"])
         clash = self._clashes.get((verdict["case"], verdict["component"]))
         if clash is not None and verdict["verdict"] == "supported":
@@ -513,13 +510,10 @@ class RecordBuilder:
     def _measured_cases(
         self, verdicts: list[JsonObject], shared: SharedViolations, courses: PairedCourses
     ) -> tuple[list[JsonObject], list[JsonObject]]:
-        """The cases with what their planned episodes come to, and all of a component together.
-
-        Cases come in the order that their scenarios give, then by name.
-        """
+        """Metrics of each case, in the order of the scenarios, and of each component."""
         metrics = {key: CaseMetrics() for key in self._cases}
         pooled = PooledMetrics(self._cases.values(), verdicts)
-        heard: dict[tuple[str, str], set[int]] = {key: set() for key in self._cases}
+        reported: dict[tuple[str, str], set[int]] = {key: set() for key in self._cases}
         for episode in self._spool:
             key = episode["case"], episode["component"]
             if episode["planned"] and key in metrics:
@@ -527,14 +521,14 @@ class RecordBuilder:
                 pooled.add(episode)
                 shared.add(episode)
                 courses.add(episode)
-                heard[key].add(episode["spec"]["run"])
+                reported[key].add(episode["spec"]["run"])
         judged = verdicts_on_cases(verdicts)
         cases = [
             {
                 **self._cases[key],
                 "metrics": metrics[key].to_json(self._cases[key]["planned"]),
                 "repeat": self._repeats.get(key),
-                **missing_runs(self._cases[key], judged.get(key, []), heard[key]),
+                **missing_runs(self._cases[key], judged.get(key, []), reported[key]),
             }
             for key in sorted(self._cases, key=lambda key: case_order(self._cases[key]))
         ]

@@ -1,4 +1,4 @@
-"""JUnit files: verdicts read back without the code that wrote them, and held to the record."""
+"""JUnit files: verdicts read back without the code that wrote them, compared with the record."""
 
 from __future__ import annotations
 
@@ -9,69 +9,71 @@ from xml.etree import ElementTree as ET
 
 from pytest_dura.evidence import text
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
-from pytest_dura.requirements.verdicts.episodes import EPISODE_STATUSES
+from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
+from pytest_dura.requirements.episode_verdicts import EPISODE_STATUSES
 
 JunitKey = tuple[str, str, str]
 """Case, requirement, and node id of the test; see :func:`junit_key`."""
 
 
 def junit_key(case: str, requirement: str, item: str) -> JunitKey:
-    """The key under which a verdict of the record stands in a JUnit file, whatever the names."""
+    """Make the key under which a verdict of the record is in a JUnit file."""
     return junit_name(case), junit_name(requirement), junit_name(item)
 
 
 def junit_name(name: str) -> str:
-    """A name as it stands in the file: on one line, bounded, and unlike every other name."""
+    """Write a name as in the file: on one line, bounded, and unlike every other name."""
     return text.name(name, 400)
 
 
 def junit_verdicts(xml: str) -> dict[JunitKey, tuple[str, ...]]:
-    """The words of all verdicts on campaigns, sorted; a test may ask several questions.
+    """Read the statuses of all verdicts on campaigns, sorted; a test may have several.
 
     Raises:
-        ValueError: If it is no JUnit file, has a document type, or a verdict of another word.
+        ValueError: If it is no JUnit file, has a document type, or an unknown verdict.
     """
-    found: dict[JunitKey, list[str]] = {}
+    statuses: dict[JunitKey, list[str]] = {}
     for item, group in _requirement_groups(xml):
         verdict = group.get("verdict")
         if verdict is not None:
-            found.setdefault(_result_key(item, group), []).append(
+            statuses.setdefault(_result_key(item, group), []).append(
                 _checked_status(CAMPAIGN_STATUSES, verdict, item)
             )
-    return {key: tuple(sorted(words)) for key, words in found.items()}
+    return {key: tuple(sorted(sorted_statuses)) for key, sorted_statuses in statuses.items()}
 
 
 def junit_outcomes(xml: str) -> dict[JunitKey, Counter[str]]:
-    """How many tests on one episode came to which word, by test function without parameters.
+    """Count the statuses of tests on single episodes, by test function without parameters.
 
     Raises:
         ValueError: As :func:`junit_verdicts`.
     """
-    found: dict[JunitKey, Counter[str]] = {}
+    counts: dict[JunitKey, Counter[str]] = {}
     for item, group in _requirement_groups(xml):
         episode_verdict = group.get("episode_verdict")
         if episode_verdict is not None:
             key = _result_key(item.partition("[")[0], group)
-            found.setdefault(key, Counter())[
+            counts.setdefault(key, Counter())[
                 _checked_status(EPISODE_STATUSES, episode_verdict, item)
             ] += 1
-    return found
+    return counts
 
 
 def _result_key(item: str, group: Mapping[str, str]) -> JunitKey:
     return group.get("case", ""), group["requirement"], item
 
 
-def _checked_status(words: tuple[str, ...], word: str, item: str) -> str:
-    if word not in words:
-        raise ValueError(f"{item} has the verdict {word!r}, which is none of {', '.join(words)}")
-    return word
+def _checked_status(statuses: tuple[str, ...], status: str, item: str) -> str:
+    if status not in statuses:
+        raise ValueError(
+            f"{item} has the verdict {status!r}, which is none of {', '.join(statuses)}"
+        )
+    return status
 
 
 def _requirement_groups(xml: str) -> Iterator[tuple[str, dict[str, str]]]:
-    """Node id and properties for each requirement of each test; a group begins with its id."""
-    found: dict[str, list[dict[str, str]]] = {}
+    """Yield node id and properties for each requirement of each test."""
+    groups_of: dict[str, list[dict[str, str]]] = {}
     for test in _parse_xml(xml).iter("testcase"):
         item, groups = "", []
         for entry in test.iterfind("properties/property"):
@@ -79,11 +81,11 @@ def _requirement_groups(xml: str) -> Iterator[tuple[str, dict[str, str]]]:
             if name == "item":
                 item = value
             elif name == "requirement":
-                groups.append({name: value})
+                groups.append({name: value})  # a group begins with the requirement's id
             elif groups:
                 groups[-1][name] = value
-        found[item] = groups  # the last attempt knows of those before it
-    for item, groups in found.items():
+        groups_of[item] = groups  # the last attempt includes those before it
+    for item, groups in groups_of.items():
         for group in groups:
             yield item, group
 
@@ -108,10 +110,10 @@ def _parse_xml(xml: str) -> ET.Element:
 
 
 def junit_problems(record: SessionRecord, file: Path) -> Iterator[str]:
-    """Everything in which the file differs from the record.
+    """Yield the differences between the file and the record.
 
-    An undecided verdict may lack in it: the item of a worker that died reports nothing. And it may
-    be more in it: what two runs of one episode that differ make undecided is known at the end.
+    An undecided verdict may be missing in the file, as the item of a worker that died reports
+    nothing. It may be decided in the file: that two runs of an episode differ is known at the end.
     """
     try:
         xml = file.read_text(encoding="utf-8")
@@ -124,24 +126,24 @@ def junit_problems(record: SessionRecord, file: Path) -> Iterator[str]:
         key = junit_key(verdict["case"], verdict["requirement"], verdict["item"])
         name = f"{file.name}: {verdict['requirement']} on {verdict['case']}"
         if key in outcomes:
-            told, run = outcomes[key]["violated"], outcomes[key].total()
-            if (told, run) != (verdict["violations"], verdict["run"]):
+            violated, run = outcomes[key]["violated"], outcomes[key].total()
+            if (violated, run) != (verdict["violations"], verdict["run"]):
                 yield (
-                    f"{name}: {told} of {run} violated it, and the record says "
+                    f"{name}: {violated} of {run} violated it, and the record says "
                     f"{verdict['violations']} of {verdict['run']}"
                 )
         else:
             held[key].append(verdict["verdict"])
     for key in sorted({*stated, *held}):
-        words, known = stated.get(key, ()), sorted(held.get(key, []))
-        decided = [item for item in known if item != "undecided"]
-        left = list(words)
-        for word in decided:
-            if word in left:
-                left.remove(word)
+        in_file, recorded = stated.get(key, ()), sorted(held.get(key, []))
+        decided = [status for status in recorded if status != "undecided"]
+        unmatched = list(in_file)
+        for status in decided:
+            if status in unmatched:
+                unmatched.remove(status)
             else:
-                yield f"{file.name}: {key[1]} on {key[0]} is {word} in the record, and not here"
-        if len(left) > known.count("undecided"):
-            yield f"{file.name}: {key[1]} on {key[0]} is {left[0]}, and not in the record"
-        elif "violated" in left:
+                yield f"{file.name}: {key[1]} on {key[0]} is {status} in the record, and not here"
+        if len(unmatched) > recorded.count("undecided"):
+            yield f"{file.name}: {key[1]} on {key[0]} is {unmatched[0]}, and not in the record"
+        elif "violated" in unmatched:
             yield f"{file.name}: {key[1]} on {key[0]} is violated, and undecided in the record"

@@ -41,16 +41,16 @@ if TYPE_CHECKING:
 
 
 MAX_UNPACKED_BYTES = 512 * 2**20
-"""Bytes that the unpacked columns may come to; a real episode has about 200 kB."""
+"""Greatest size of the unpacked columns; an episode has about 200 kB."""
 _TEXT_TABLE = "texts"
-"""The member that is JSON: names, texts and what tells the columns apart."""
+"""Member in JSON: names, tables of texts and the layout of the columns."""
 
 Column = NDArray[Any]
 _KINDS = "biuf"
 
 
 def pack_columns(trace: Trace) -> bytes:
-    """All of a trace as an ``.npz`` that ``numpy.load`` reads; the same trace gives the same bytes.
+    """Write a trace as an ``.npz`` for ``numpy.load``; the same trace gives the same bytes.
 
     Signals are the rows of ``signals``, in the order of ``texts["signals"]``. Texts are numbers
     that count the entries of a table in ``texts``.
@@ -118,14 +118,14 @@ def _pack_scene(arrays: dict[str, Column], scene: Scene) -> dict[str, Any]:
 
 
 def _float64(name: str, column: Column, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    asarray = np.asarray(column)
-    if asarray.dtype != np.float64 or asarray.shape != shape or len(shape) != 1:
-        raise ValueError(f"the column {name!r} is {asarray.dtype} of the shape {asarray.shape}")
-    return asarray
+    values = np.asarray(column)
+    if values.dtype != np.float64 or values.shape != shape or len(shape) != 1:
+        raise ValueError(f"the column {name!r} is {values.dtype} of the shape {values.shape}")
+    return values
 
 
 def _coded(values: Sequence[str]) -> tuple[NDArray[np.int32], list[str]]:
-    """Numbers, and the texts that they count."""
+    """Encode texts as numbers that index a table."""
     table: dict[str, int] = {}
     codes = [table.setdefault(value, len(table)) for value in values]
     return np.array(codes, np.int32), list(table)
@@ -135,20 +135,20 @@ def _zipped(arrays: Mapping[str, Column]) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         for name, array in arrays.items():
-            ascontiguousarray = np.ascontiguousarray(array)
+            contiguous = np.ascontiguousarray(array)
             head = io.BytesIO()
             np.lib.format.write_array_header_1_0(
-                head, np.lib.format.header_data_from_array_1_0(ascontiguousarray)
+                head, np.lib.format.header_data_from_array_1_0(contiguous)
             )
-            member = zipfile.ZipInfo(f"{name}.npy")  # of the date 1980-01-01, whatever the clock
+            member = zipfile.ZipInfo(f"{name}.npy")  # dated 1980-01-01
             member.create_system = 3  # on any system
-            data = head.getvalue() + ascontiguousarray.tobytes()
+            data = head.getvalue() + contiguous.tobytes()
             archive.writestr(member, data, zipfile.ZIP_DEFLATED, compresslevel=1)
     return stream.getvalue()
 
 
 def unpack_columns(data: bytes) -> Trace:
-    """The inverse of :func:`pack_columns`; nothing in the data is run, and its size is bounded.
+    """Read what :func:`pack_columns` gives; nothing in it is run, and its size is bounded.
 
     Raises:
         ValueError: For data that are no such columns.
@@ -174,7 +174,7 @@ def _arrays(data: bytes) -> dict[str, Column]:
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
-    """What it declares to hold and no more, which ``archive.read`` would unpack first."""
+    """Unpack no more than the declared size, unlike ``archive.read``."""
     with archive.open(member) as stream:
         return stream.read(member.file_size)
 
@@ -187,7 +187,7 @@ def _array(data: bytes) -> Column:
     count, start = math.prod(shape), stream.tell()
     if dtype.kind not in _KINDS or by_columns or len(data) - start != count * dtype.itemsize:
         raise ValueError("a column is not what its header says")
-    # A copy: of a buffer of bytes nobody could make an array that can be written.
+    # A copy, as an array on a buffer of bytes is read-only.
     column: Column = np.frombuffer(data, dtype, count, start).reshape(shape).copy()
     return column
 
@@ -199,11 +199,11 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
     _require(time.dtype == np.float64 and time.ndim == 1, "time")
     _require(signals.dtype == np.float64 and signals.shape == (len(names), len(time)), "signals")
     decisions: dict[str, Column] = {}
-    for number, (name, told) in enumerate(texts["decisions"].items()):
+    for number, (name, encoding) in enumerate(texts["decisions"].items()):
         codes = arrays[f"decisions.{number}"]
-        if told is not None:
-            dtype = np.dtype(str(told["dtype"]))
-            table = _names(told["table"])
+        if encoding is not None:
+            dtype = np.dtype(str(encoding["dtype"]))
+            table = _names(encoding["table"])
             _require(dtype.kind == "U" and dtype.itemsize * codes.size <= MAX_UNPACKED_BYTES, name)
             decoded = _decoded(codes, table)
             _require(max(map(len, table), default=0) * 4 <= dtype.itemsize, name)
@@ -211,17 +211,17 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
         else:
             _require(codes.ndim == 1, name)
             decisions[name] = codes
-    said: dict[str, Any] = {
+    columns: dict[str, Any] = {
         name: tuple(_decoded(arrays[f"said.{name}"], texts["said"][name])) for name in _TEXT_COLUMNS
     }
-    said["accounts"] = tuple(_accounts(arrays, texts)) if "accounts" in texts else ()
+    columns["accounts"] = tuple(_accounts(arrays, texts)) if "accounts" in texts else ()
     monitors, flags = _names(texts["flags"]), arrays["flags"]
     _require(flags.dtype == np.int8 and flags.ndim == 2 and len(flags) == len(monitors), "flags")
     scene = None if texts["scene"] is None else _scene(arrays, texts["scene"])
     problem = texts["problem"]
     _require(problem is None or isinstance(problem, str), "problem")
     recording = Recording(
-        **said, flags=dict(zip(monitors, flags, strict=True)), scene=scene, problem=problem
+        **columns, flags=dict(zip(monitors, flags, strict=True)), scene=scene, problem=problem
     )
     rows = dict(zip(names, signals, strict=True))
     _require(isinstance(texts["about"], dict), "about")
@@ -233,7 +233,7 @@ def _trace(arrays: Mapping[str, Column]) -> Trace:
 
 
 def _accounts(arrays: Mapping[str, Column], texts: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Each is read once, however long its decision held."""
+    """Parse each distinct account once."""
     known = {}
     for text in _names(texts["accounts"]):
         account = json.loads(text)
@@ -242,21 +242,21 @@ def _accounts(arrays: Mapping[str, Column], texts: Mapping[str, Any]) -> list[Ma
     return [known[text] for text in _decoded(arrays["accounts"], texts["accounts"])]
 
 
-def _scene(arrays: Mapping[str, Column], told: Mapping[str, Any]) -> Scene:
+def _scene(arrays: Mapping[str, Column], layout: Mapping[str, Any]) -> Scene:
     tracks = {}
     for name in ("truth", "percept"):
-        ids, poses = _names(told[name]), arrays[name]
+        ids, poses = _names(layout[name]), arrays[name]
         _require(poses.dtype == np.float32 and poses.ndim == 3, name)
         _require(poses.shape[1:] == (len(ids), len(POSE)), name)
         tracks[name] = Tracks(tuple(ids), poses)
     points = arrays["lines"]
     _require(points.dtype == np.float32 and points.ndim == 2 and points.shape[1] == 2, "lines")
-    return Scene(tuple(_lines(points, told["lines"])), ego=str(told["ego"]), **tracks)
+    return Scene(tuple(_lines(points, layout["lines"])), ego=str(layout["ego"]), **tracks)
 
 
-def _lines(points: NDArray[np.float32], told: Sequence[Any]) -> Iterator[Line]:
+def _lines(points: NDArray[np.float32], lengths: Sequence[Any]) -> Iterator[Line]:
     start = 0
-    for kind, length in told:
+    for kind, length in lengths:
         _require(isinstance(length, int) and 0 <= length <= len(points) - start, "lines")
         yield Line(str(kind), points[start : start + length])
         start += length
@@ -270,9 +270,9 @@ def _decoded(codes: Column, table: Sequence[str]) -> list[str]:
     return [texts[code] for code in codes.tolist()]
 
 
-def _names(found: Any) -> list[str]:
-    _require(isinstance(found, list) and all(isinstance(item, str) for item in found), "names")
-    return list(found)
+def _names(value: Any) -> list[str]:
+    _require(isinstance(value, list) and all(isinstance(name, str) for name in value), "names")
+    return list(value)
 
 
 def _require(holds: bool, what: str) -> None:
@@ -281,7 +281,7 @@ def _require(holds: bool, what: str) -> None:
 
 
 _TRACE_VERSION = "1"
-"""Of the channels and columns; in the metadata record ``trace`` of each file."""
+"""Version of channels and columns, in the metadata record ``trace`` of each file."""
 COLUMNS_ATTACHMENT = "columns.npz"
 _MESSAGES = (
     signal_messages, decision_messages, event_messages, road_messages, truth_messages,
@@ -297,18 +297,18 @@ def write_trace(
     Args:
         file: Where. Its directory is made if it does not exist.
         trace: The trace.
-        verdicts: What requirements say of the episode, for the metadata record ``verdicts``.
+        verdicts: Verdicts on the episode, for the metadata record ``verdicts``.
 
     Raises:
         OSError: If it cannot be written.
         ValueError: For a trace whose columns are not what they should be.
     """
-    # A bundle has many traces, and its manifest tells whether each has survived.
+    # Not durable: a bundle has many traces, and its manifest reveals lost ones.
     return asdict(replace_file(file, [trace_bytes(trace, verdicts)], durable=False))
 
 
 def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> bytes:
-    """The content of the file; equal for equal traces.
+    """Make the content of the file; equal for equal traces.
 
     Times are nanoseconds of simulated time. Texts in messages and metadata are shortened and made
     visible, poses rounded to millimetres; the columns have everything as it was.
@@ -321,7 +321,7 @@ def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> byt
     columns = pack_columns(trace)
     texts, stream = TextCache(), io.BytesIO()
     writer = Writer(stream)
-    # The library's own name would tell its version, and the bytes would change with it.
+    # The default names the version of the library, with which the bytes would change.
     writer.start(profile="", library="pytest-dura")
     schemas: dict[str, int] = {}
     ids: dict[str, int] = {}
@@ -330,24 +330,26 @@ def trace_bytes(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> byt
         if title not in schemas:
             schemas[title] = writer.register_schema(title, "jsonschema", schema_text(channel))
         ids[channel] = writer.register_channel(channel, "json", schemas[title])
-    made = zip(CHANNELS, _MESSAGES, strict=True)
-    found = [(time, ids[name], data) for name, make in made for time, data in make(trace, texts)]
-    found.sort(key=lambda item: item[0])
-    for time, channel_id, data in found:
+    channels = zip(CHANNELS, _MESSAGES, strict=True)
+    messages = [
+        (time, ids[name], data) for name, make in channels for time, data in make(trace, texts)
+    ]
+    messages.sort(key=lambda message: message[0])
+    for time, channel_id, data in messages:
         writer.add_message(channel_id, time, data.encode("ascii"), time)
     about = {texts.shown(key): texts.any(value) for key, value in trace.about.items()}
     writer.add_metadata("trace", {"schema_version": _TRACE_VERSION})
     writer.add_metadata("about", about)
     if verdicts:
-        told = {str(n): texts.any(dict(verdict)) for n, verdict in enumerate(verdicts)}
-        writer.add_metadata("verdicts", told)
+        verdict_texts = {str(n): texts.any(dict(verdict)) for n, verdict in enumerate(verdicts)}
+        writer.add_metadata("verdicts", verdict_texts)
     writer.add_attachment(0, 0, COLUMNS_ATTACHMENT, "application/x-npz", columns)
     writer.finish()  # type: ignore[no-untyped-call]
     return stream.getvalue()
 
 
 def read_trace(file: Path) -> Trace:
-    """The trace in a file, bit by bit as it was written.
+    """Read the trace in a file, bit by bit as it was written.
 
     Raises:
         ConfigurationError: If there is none, it is damaged, or of another version.
@@ -378,7 +380,7 @@ def _content(file: Path) -> bytes:
 
 
 def _read(data: bytes) -> tuple[str, bytes]:
-    """Version and columns, from the file's index and nothing else of it.
+    """Read version and columns by the file's index alone.
 
     Raises:
         ValueError: If they are not there.
@@ -389,7 +391,7 @@ def _read(data: bytes) -> tuple[str, bytes]:
     from mcap.reader import SeekingReader
 
     try:
-        # The file is in memory, so that no record can be larger.
+        # No record can be larger than the file.
         reader = SeekingReader(io.BytesIO(data), record_size_limit=len(data))
         if reader.get_summary() is None:
             raise ValueError("it has no index")
@@ -402,24 +404,21 @@ def _read(data: bytes) -> tuple[str, bytes]:
 
 
 def _version(reader: McapReader) -> str:
-    for item in reader.iter_metadata():
-        if item.name == "trace":
-            return str(item.metadata["schema_version"])
+    for metadata in reader.iter_metadata():
+        if metadata.name == "trace":
+            return str(metadata.metadata["schema_version"])
     raise ValueError("it does not say that it is one")
 
 
 def _columns(reader: McapReader) -> bytes:
     attachments = [
-        attachment for attachment in _attachments(reader) if attachment[0] == COLUMNS_ATTACHMENT
+        attachment.data
+        for attachment in reader.iter_attachments()
+        if attachment.name == COLUMNS_ATTACHMENT
     ]
     if len(attachments) != 1:
         raise ValueError(f"it has {len(attachments)} attachments named {COLUMNS_ATTACHMENT}")
-    return attachments[0][1]
-
-
-def _attachments(reader: McapReader) -> Iterator[tuple[str, bytes]]:
-    for attachment in reader.iter_attachments():
-        yield attachment.name, attachment.data
+    return attachments[0]
 
 
 def _unreadable(problem: str, file: Path) -> ConfigurationError:

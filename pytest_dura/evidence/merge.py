@@ -7,7 +7,7 @@ written into a directory of their own.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,16 @@ from pytest_dura.evidence.baseline import Baseline, regression_objections
 from pytest_dura.evidence.bundle import begin_bundle, write_bundle
 from pytest_dura.evidence.conclude import conclude_record
 from pytest_dura.evidence.episodes import ItemReport
-from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, write_file
+from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
 from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate
 from pytest_dura.evidence.gather import RecordBuilder
 from pytest_dura.evidence.merge_checks import (
+    KEYS_OF_ALL_COMPONENTS,
     ShardBundle,
     check_complete,
     check_consistent,
     read_parts,
+    without_keys,
 )
 from pytest_dura.evidence.metrics import UNTRACED_FAULT
 from pytest_dura.evidence.model import SessionRecord, components_under_test
@@ -33,14 +35,12 @@ from pytest_dura.evidence.traces import is_trace_path
 
 Data = Mapping[str, Any]
 _KEYS_MADE_ANEW = {"metrics", "missing_runs", "missing_runs_total", "repeat"}
-_KEYS_OF_ALL_COMPONENTS = {"others", "sources"}
-"""What the first component holds of the others."""
 _TRACE_REASONS = ("all", "sample", "missing", "violation")
-"""Of several reasons to keep a trace the last one is told."""
+"""Reasons to keep a trace; of several the last one is recorded."""
 
 
 def _merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]:
-    """What a session's record begins with; see the schema for what is whose.
+    """Build the header of the merged record.
 
     Args:
         parts: Ordered by their numbers.
@@ -82,57 +82,57 @@ def _shard_summary(part: ShardBundle) -> dict[str, Any]:
 
 
 def merged_command(command: str, output: Path) -> str:
-    """The command of the whole session: that of a shard, without it, and with this evidence."""
+    """Turn the command of a shard into that of the whole session, with another evidence folder."""
     try:
-        words = shlex.split(command)
-    except ValueError:  # no shell reads such a command
-        words = ["pytest"]
+        arguments = shlex.split(command)
+    except ValueError:  # an unbalanced quote
+        arguments = ["pytest"]
     kept: list[str] = []
-    given = iter(words)
-    for word in given:
-        name, equals, _ = word.partition("=")
+    remaining = iter(arguments)
+    for argument in remaining:
+        name, equals, _ = argument.partition("=")
         if name not in ("--dura-shard", "--dura-evidence"):
-            kept.append(word)
+            kept.append(argument)
         elif not equals:
-            next(given, None)
+            next(remaining, None)
     return shlex.join([*kept, f"--dura-evidence={output}"])
 
 
 def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
-    """Take the parts into a record, a few episodes at a time.
+    """Add the parts to a record, a few episodes at a time.
 
-    An episode that two parts hold is that of a test which chooses its episodes itself. It is the
-    same one in both, or the record says, as that of a session, that it came out differently.
+    An episode in two parts is that of a test which chooses its episodes itself. If it differs
+    between them, the record says so, as that of a session does.
 
     Raises:
-        ConfigurationError: If the episodes cannot be kept.
+        ConfigurationError: If the episodes cannot be written.
     """
     for part in parts:
-        told = part.record
+        shard = part.record
         report = ItemReport("")
         report.components += [
-            _without(item, _KEYS_OF_ALL_COMPONENTS)
-            for item in components_under_test(told)
-            if item["name"]
+            without_keys(component, KEYS_OF_ALL_COMPONENTS)
+            for component in components_under_test(shard)
+            if component["name"]
         ]
-        report.sources.update(told["component_under_test"].get("sources", {}))
-        report.cases += [_without(case, _KEYS_MADE_ANEW) for case in told["cases"]]
+        report.sources.update(shard["component_under_test"].get("sources", {}))
+        report.cases += [without_keys(case, _KEYS_MADE_ANEW) for case in shard["cases"]]
         report.repeats += [
             {**case["repeat"], "case": case["id"], "component": case["component"]}
-            for case in told["cases"]
+            for case in shard["cases"]
             if case["repeat"] is not None
         ]
-        report.requirements += map(dict, told["requirements"])
-        report.monitors += map(dict, told["monitors"])
-        report.models += [{**model, "process": part.name} for model in told["models"]]
-        report.notes += told["reuse"]["problems"]
+        report.requirements += map(dict, shard["requirements"])
+        report.monitors += map(dict, shard["monitors"])
+        report.models += [{**model, "process": part.name} for model in shard["models"]]
+        report.notes += shard["reuse"]["problems"]
         record.add(report.to_json())
-        for verdict in told["verdicts"]:
+        for verdict in shard["verdicts"]:
             record.adopt(dict(verdict))
-        for search in told["searches"]:
+        for search in shard["searches"]:
             record.searches.adopt(search)
     traced = _trace_owners(parts)
-    # What is told of an episode first holds, and a trace is that of the part which told it.
+    # The first report of an episode holds, so that the owners of traces come first.
     for with_trace in (True, False):
         for part in parts:
             for episode in part.record.episodes():
@@ -141,15 +141,15 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
 
 
 def _trace_owners(parts: Iterable[ShardBundle]) -> dict[tuple[str, ...], int]:
-    """The part whose trace of an episode is kept: the first of those with the best reason."""
-    found: dict[tuple[str, ...], tuple[int, int]] = {}
+    """Number of the part whose trace of an episode is kept: the first with the best reason."""
+    owners: dict[tuple[str, ...], tuple[int, int]] = {}
     for part in parts:
         for episode in part.record.episodes():
             if episode["trace"] is not None:
-                item = -_TRACE_REASONS.index(episode["trace"]["kept_for"]), part.index
+                candidate = -_TRACE_REASONS.index(episode["trace"]["kept_for"]), part.index
                 key = _identity(episode)
-                found[key] = min(item, found.get(key, item))
-    return {key: index for key, (_, index) in found.items()}
+                owners[key] = min(candidate, owners.get(key, candidate))
+    return {key: index for key, (_, index) in owners.items()}
 
 
 def _identity(episode: Data) -> tuple[str, ...]:
@@ -157,7 +157,7 @@ def _identity(episode: Data) -> tuple[str, ...]:
 
 
 def _report_of(episode: Data, *, with_trace: bool) -> ItemReport:
-    """An episode as the item told it that ran it; what came of its faults was told beside it."""
+    """Rebuild the report of an episode, with the chains of its faults apart."""
     report = ItemReport("", episodes=[{**episode, "trace": None}])
     about = {"component": episode["component"], "episode": episode["id"], "case": episode["case"]}
     for fault in episode["faults"]:
@@ -170,29 +170,24 @@ def _report_of(episode: Data, *, with_trace: bool) -> ItemReport:
     return report
 
 
-def _without(data: Data, keys: set[str]) -> dict[str, Any]:
-    return {key: value for key, value in data.items() if key not in keys}
-
-
 def _merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
-    """Every input file of any part; changed, if it changed while one of them ran."""
-    found: dict[tuple[str, str], dict[str, Any]] = {}
+    """List the input files of all parts; ``changed`` if they changed while any part ran."""
+    entries: dict[tuple[str, str], dict[str, Any]] = {}
     for part in parts:
-        for item in part.record["inputs"]:
-            known = found.setdefault((item["path"], item["kind"]), dict(item))
-            known["changed"] |= item["changed"]
-    return [found[key] for key in sorted(found)]
+        for entry in part.record["inputs"]:
+            known = entries.setdefault((entry["path"], entry["kind"]), dict(entry))
+            known["changed"] |= entry["changed"]
+    return [entries[key] for key in sorted(entries)]
 
 
 def _merged_cassettes(parts: Iterable[ShardBundle]) -> dict[tuple[Any, ...], Any]:
-    """The cassette of each language model; see :func:`_model_key`."""
     return {
         _model_key(model): model["cassette"] for part in parts for model in part.record["models"]
     }
 
 
 def _model_key(model: Data) -> tuple[Any, ...]:
-    """What tells a model of a record from the others."""
+    """Identify a model of a record."""
     names = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
     return tuple(model[name] for name in names)
 
@@ -203,22 +198,22 @@ def _merged_gate(
     searches: Sequence[Data],
     objections: Sequence[str],
 ) -> Gate:
-    """The gate of the whole, by the rules of a session: all verdicts, all tests, all objections.
+    """Judge the whole by the rules of a session.
 
     Args:
         parts: Ordered by their numbers.
         verdicts: Of the merged record.
         searches: Of the merged record.
-        objections: What stands against the merged record itself.
+        objections: Reasons against the merged record itself.
     """
     codes = {part.record["gate"]["exit_code"] for part in parts}
     against = [reason for part in parts for reason in _objections(part)]
     code = NO_TESTS
     if codes != {NO_TESTS}:
-        idle = [part for part in parts if part.record["gate"]["exit_code"] == NO_TESTS]
-        against += [f"{item.name}: no test was run" for item in idle]
-        found = codes - {OK, NO_TESTS}
-        code = found.pop() if len(found) == 1 else TESTS_FAILED if found else OK
+        empty = [part for part in parts if part.record["gate"]["exit_code"] == NO_TESTS]
+        against += [f"{part.name}: no test was run" for part in empty]
+        failures = codes - {OK, NO_TESTS}
+        code = failures.pop() if len(failures) == 1 else TESTS_FAILED if failures else OK
     return Gate.of(
         verdicts,
         list(dict.fromkeys([*objections, *against])),
@@ -231,7 +226,7 @@ def _merged_gate(
 
 
 def _objections(part: ShardBundle) -> list[str]:
-    """What stands against a shard beside its verdicts and its tests."""
+    """Reasons against a shard besides its verdicts and its tests."""
     gate = part.record["gate"]
     by_rule = Gate.of(
         part.record["verdicts"],
@@ -245,9 +240,6 @@ def _objections(part: ShardBundle) -> list[str]:
     return [reason for reason in gate["reasons"] if reason not in by_rule.reasons]
 
 
-_CHUNK = 1 << 20
-
-
 def check_output(output: Path, inputs: Sequence[Path]) -> None:
     """Refuse a directory that holds something, or that belongs to what is merged.
 
@@ -255,11 +247,13 @@ def check_output(output: Path, inputs: Sequence[Path]) -> None:
         ConfigurationError: If the merged evidence cannot go there.
     """
     place = output.resolve()
-    for item in inputs:
-        bundle = item.resolve()
+    for directory in inputs:
+        bundle = directory.resolve()
         if place == bundle or place.is_relative_to(bundle) or bundle.is_relative_to(place):
             raise _output_error(
-                "the merged evidence would go into what is merged, or around it", output, str(item)
+                "the merged evidence would go into what is merged, or around it",
+                output,
+                str(directory),
             )
     if output.is_symlink():
         raise _output_error("the merged evidence would go where a symbolic link leads", output)
@@ -280,10 +274,10 @@ def _output_error(problem: str, output: Path, found: str | None = None) -> Confi
 
 
 def _copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
-    """Copy the traces of a merged record out of its parts, each held against its digest.
+    """Copy the traces of a merged record out of its parts, and check their digests.
 
     Raises:
-        ConfigurationError: If one is not there as its record says, or it cannot be written.
+        ConfigurationError: If one differs from its record, or cannot be written.
     """
     places: dict[tuple[str, str], Path] = {
         (episode["trace"]["file"], episode["trace"]["sha256"]): part.record.directory
@@ -297,24 +291,18 @@ def _copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
             _copy(places[trace["file"], trace["sha256"]], record.directory, trace)
 
 
-def _copy(source: Path, target: Path, told: Mapping[str, Any]) -> None:
-    name = told["file"]
+def _copy(source: Path, target: Path, trace: Mapping[str, Any]) -> None:
+    name = trace["file"]
     file = source / name
-    # Verified already, and yet nothing is opened by a name that could lead anywhere else.
+    # The bundle was verified, but may have changed since.
     if not is_trace_path(name) or file.is_symlink() or file.parent.is_symlink():
         raise _damaged_trace(file, "a name or a link that leads out of the bundle")
     try:
-        written = write_file(target / name, _chunks(file))
+        written = write_file(target / name, read_chunks(file))
     except OSError as error:
         raise _damaged_trace(file, error.strerror or str(error)) from None
-    if (written.sha256, written.bytes) != (told["sha256"], told["bytes"]):
+    if (written.sha256, written.bytes) != (trace["sha256"], trace["bytes"]):
         raise _damaged_trace(file, "another file than the record names")
-
-
-def _chunks(file: Path) -> Iterator[bytes]:
-    with file.open("rb") as stream:
-        while chunk := stream.read(_CHUNK):
-            yield chunk
 
 
 def _damaged_trace(file: Path, found: str) -> ConfigurationError:
@@ -330,10 +318,10 @@ def _damaged_trace(file: Path, found: str) -> ConfigurationError:
 
 @dataclass(frozen=True)
 class MergeResult:
-    """What a merge came to.
+    """Result of a merge.
 
     Args:
-        shards: How many there were.
+        shards: Number of shards.
         totals: Of the merged record.
         reasons: Why its gate did not pass; empty if it did.
     """
@@ -350,7 +338,7 @@ class MergeResult:
 
 @dataclass(frozen=True)
 class MergeComparison:
-    """What the whole is held against.
+    """Comparison of the whole with a baseline.
 
     Args:
         baseline: An earlier record.
@@ -361,17 +349,17 @@ class MergeComparison:
     fail_worse: bool = False
 
     def compared(self, record: SessionRecord) -> SessionRecord:
-        """The record beside the baseline."""
+        """Add the comparison to a record."""
         finished = None if record["status"] == "running" else record
-        found = None if self.baseline is None else self.baseline.to_json(finished)
-        return replace(record, head={**record.head, "baseline": found})
+        baseline = None if self.baseline is None else self.baseline.to_json(finished)
+        return replace(record, head={**record.head, "baseline": baseline})
 
     def objections(self, record: SessionRecord) -> list[str]:
-        """What the baseline says against a record beside it."""
+        """Reasons against a record that was compared."""
         return regression_objections(record["baseline"]) if self.fail_worse else []
 
     def inputs(self) -> list[dict[str, Any]]:
-        """The baseline's file, as the record names its inputs."""
+        """Entry of the baseline's file among the record's inputs."""
         baseline = self.baseline
         if baseline is None:
             return []
@@ -384,17 +372,17 @@ _NO_COMPARISON = MergeComparison()
 
 
 def merge_bundles(
-    directories: Sequence[Path], output: Path, held: MergeComparison = _NO_COMPARISON
+    directories: Sequence[Path], output: Path, comparison: MergeComparison = _NO_COMPARISON
 ) -> MergeResult:
     """Merge the bundles of all shards of a session.
 
-    The order of the bundles does not matter. Nothing is written before all of them are verified,
-    and found to be the whole of one session. A merge that is killed leaves a record that says so.
+    The order of the bundles does not matter. Nothing is written before all of them are verified
+    and make up a whole session. A merge that is killed leaves a record that says so.
 
     Args:
         directories: Of the bundles, at least one.
         output: Where the merged evidence goes: an empty directory, or one that is made.
-        held: What the whole is held against.
+        comparison: Baseline to compare the whole with.
 
     Raises:
         ConfigurationError: For bundles that are no whole, and evidence that cannot be written.
@@ -408,7 +396,7 @@ def merge_bundles(
         check_output(output, directories)
         record = RecordBuilder(_merged_header(parts, output), output)
         try:
-            written = _write_merged(record, parts, held)
+            written = _write_merged(record, parts, comparison)
         finally:
             record.close()
     finally:
@@ -417,34 +405,36 @@ def merge_bundles(
 
 
 def _write_merged(
-    record: RecordBuilder, parts: Sequence[ShardBundle], held: MergeComparison
+    record: RecordBuilder, parts: Sequence[ShardBundle], comparison: MergeComparison
 ) -> SessionRecord:
     warn_undecided = parts[0].record["gate"]["warn_undecided"]
     running = Gate.running(warn_undecided=warn_undecided)
-    begin_bundle(_conclude_merged(held.compared(record.record("running")), parts, running, held))
+    begin_bundle(
+        _conclude_merged(comparison.compared(record.record("running")), parts, running, comparison)
+    )
     _join_records(record, parts)
     whole = record.record("complete")
     tapes = _merged_cassettes(parts)
     models = [{**model, "cassette": tapes[_model_key(model)]} for model in whole["models"]]
-    whole = held.compared(replace(whole, head={**whole.head, "models": models}))
+    whole = comparison.compared(replace(whole, head={**whole.head, "models": models}))
     _copy_traces(whole, parts)
-    against = [*record.problems, *held.objections(whole)]
+    against = [*record.problems, *comparison.objections(whole)]
     gate = _merged_gate(parts, whole["verdicts"], whole["searches"], against)
-    return write_bundle(_conclude_merged(whole, parts, gate, held))
+    return write_bundle(_conclude_merged(whole, parts, gate, comparison))
 
 
 def _conclude_merged(
-    record: SessionRecord, parts: Sequence[ShardBundle], gate: Gate, held: MergeComparison
+    record: SessionRecord, parts: Sequence[ShardBundle], gate: Gate, comparison: MergeComparison
 ) -> SessionRecord:
-    spent = [part.record["timings"] for part in parts]
-    ended = max(part.record["finished"] for part in parts)
+    timings = [part.record["timings"] for part in parts]
+    finished = max(part.record["finished"] for part in parts)
     return conclude_record(
         record,
-        finished=None if record["status"] == "running" else ended,
+        finished=None if record["status"] == "running" else finished,
         gate=gate.to_json(),
-        inputs=[*_merged_inputs(parts), *held.inputs()],
-        wall_seconds=sum(item["wall_seconds"] for item in spent),
-        evidence_seconds=sum(item["evidence_seconds"] for item in spent),
+        inputs=[*_merged_inputs(parts), *comparison.inputs()],
+        wall_seconds=sum(timing["wall_seconds"] for timing in timings),
+        evidence_seconds=sum(timing["evidence_seconds"] for timing in timings),
         # The shards took out the secrets of the machines on which they ran.
         redact=lambda same: same,
     )

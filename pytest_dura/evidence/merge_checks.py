@@ -1,6 +1,6 @@
-"""Check bundles that are to be merged: intact, parts of one plan, and made alike.
+"""Check bundles that are to be merged: intact, parts of the same plan, and made alike.
 
-Alike are parts by the same code, from the same files, under the same options.
+Parts are alike if the same code ran, from the same files, under the same options.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from pytest_dura.provenance import describe_tool
 
 Data = Mapping[str, Any]
 _MAX_PROBLEM_TEXT = 300
-"""Characters that are quoted of what a damaged bundle holds."""
+"""Greatest number of characters that are quoted from a damaged bundle."""
 
 
 @dataclass(frozen=True)
 class ShardBundle:
-    """The bundle of one shard.
+    """Bundle of a shard.
 
     Args:
         record: Its record.
@@ -42,40 +42,40 @@ class ShardBundle:
 
     @property
     def file(self) -> str:
-        """Its record's file, for messages."""
+        """Path of its record, for messages."""
         return str(self.record.directory / RECORD_FILE)
 
     @property
     def shard(self) -> Data:
-        """Which part of which session it is."""
+        """Entry ``shard`` of its record."""
         shard: Data = self.record["shard"]
         return shard
 
     @property
     def index(self) -> int:
-        """The number of the shard."""
+        """Number of the shard, from 1."""
         return int(self.shard["index"])
 
     @property
     def units(self) -> list[ShardUnit]:
-        """What it holds."""
+        """Units that it holds."""
         return [ShardUnit.from_json(hold) for hold in self.shard["holds"]]
 
     @property
     def name(self) -> str:
-        """Such as ``shard 2 of 5``."""
+        """Name such as ``shard 2 of 5``."""
         return f"shard {self.index} of {self.shard['count']}"
 
 
 def read_parts(directories: Iterable[Path]) -> list[ShardBundle]:
-    """The bundles of these directories, ordered by the numbers of their shards.
+    """Read the bundles of these directories, ordered by the numbers of their shards.
 
     Each is verified first, as ``python -m pytest_dura verify`` does. Nothing of it is run.
 
     Raises:
-        ConfigurationError: If one is no intact bundle of a shard that came to its end.
+        ConfigurationError: If one is no intact bundle of a finished shard.
     """
-    return sorted(map(_read_part, directories), key=lambda item: item.index)
+    return sorted(map(_read_part, directories), key=lambda part: part.index)
 
 
 def _read_part(directory: Path) -> ShardBundle:
@@ -122,13 +122,13 @@ _MAX_LISTED_UNITS = 8
 
 
 def check_complete(parts: Sequence[ShardBundle]) -> None:
-    """Refuse parts that overlap, that lack something, or that are parts of different sessions.
+    """Refuse parts that overlap, are not all there, or belong to different sessions.
 
     Args:
         parts: Ordered by their numbers, at least one.
 
     Raises:
-        ConfigurationError: For the first reason why they are no whole.
+        ConfigurationError: For the first problem.
     """
     first = parts[0]
     for other in parts[1:]:
@@ -152,20 +152,20 @@ def check_complete(parts: Sequence[ShardBundle]) -> None:
 
 
 def _check_numbers(parts: Sequence[ShardBundle]) -> None:
-    for item, other in pairwise(parts):
-        if item.index == other.index:
+    for part, other in pairwise(parts):
+        if part.index == other.index:
             raise ConfigurationError(
-                f"{item.name} is there twice",
+                f"{part.name} is there twice",
                 file=other.file,
                 key="shard.index",
                 found=other.index,
-                expected=f"another shard than that of {item.file}",
+                expected=f"another shard than that of {part.file}",
                 remedy="name each shard's bundle once",
             )
     count = parts[0].shard["count"]
-    there = {part.index for part in parts}
-    # A record may name any number of shards: the first of those that are missing are enough.
-    absent = (index for index in range(1, count + 1) if index not in there)
+    indices = {part.index for part in parts}
+    # A damaged record may name any number of shards.
+    absent = (index for index in range(1, count + 1) if index not in indices)
     missing = list(islice(absent, _MAX_LISTED_UNITS + 1))
     if missing:
         names = ", ".join(map(str, missing[:_MAX_LISTED_UNITS]))
@@ -208,6 +208,8 @@ def _check_units(parts: Sequence[ShardBundle]) -> None:
         )
 
 
+KEYS_OF_ALL_COMPONENTS = {"others", "sources"}
+"""Keys of the first component about all of them."""
 NamedValues = Iterator[tuple[str, Any]]
 _SAME_OPTIONS = "give all shards the same options"
 _SAME_CODE = "run all shards of one commit, with the same packages"
@@ -220,10 +222,10 @@ _ROOT = PurePosixPath()
 
 
 def check_consistent(parts: Sequence[ShardBundle]) -> None:
-    """Refuse parts whose results are not those of one session.
+    """Refuse parts whose results are not comparable.
 
-    Machines may differ: where they ran is kept for each. What may change digests, or what a result
-    means, may not.
+    Machines may differ and are recorded for each part. What changes digests, or the meaning of a
+    result, may not differ.
 
     Args:
         parts: Ordered by their numbers, at least one.
@@ -232,35 +234,35 @@ def check_consistent(parts: Sequence[ShardBundle]) -> None:
         ConfigurationError: For the first difference.
     """
     _check_version(parts[0])
-    for told, remedy in _COMPARED_VALUES:
+    for values_of, remedy in _COMPARED_VALUES:
         known: dict[str, tuple[Any, ShardBundle]] = {}
         for part in parts:
-            for key, value in told(part.record):
-                before, where = known.setdefault(key, (value, part))
+            for key, value in values_of(part.record):
+                before, first = known.setdefault(key, (value, part))
                 if before != value:
-                    place, item, other = _first_difference(key, before, value)
+                    place, first_value, other_value = _first_difference(key, before, value)
                     raise ConfigurationError(
                         "the shards were not made alike",
                         file=part.file,
                         key=place,
-                        found=other,
-                        expected=f"{shorten(item)}, as in {where.file}",
+                        found=other_value,
+                        expected=f"{shorten(first_value)}, as in {first.file}",
                         remedy=remedy,
                     )
-    _check_seen(parts)
+    _check_configuration_files(parts)
     _check_verdicts(parts)
 
 
-def _check_seen(parts: Sequence[ShardBundle]) -> None:
-    """Refuse parts one of which saw a ``conftest.py`` or a configuration that was not there."""
+def _check_configuration_files(parts: Sequence[ShardBundle]) -> None:
+    """Refuse parts of which only some read a ``conftest.py`` or a configuration."""
     known: dict[tuple[str, str], ShardBundle] = {}
     for part in parts:
-        for key in _seen_files(part):
+        for key in _configuration_files(part):
             known.setdefault(key, part)
     for part in parts:
         inputs = part.record["inputs"]
-        tests = [PurePosixPath(item["path"]) for item in inputs if item["kind"] == "test"]
-        for kind, path in sorted(known.keys() - _seen_files(part)):
+        tests = [PurePosixPath(entry["path"]) for entry in inputs if entry["kind"] == "test"]
+        for kind, path in sorted(known.keys() - _configuration_files(part)):
             folder = PurePosixPath(path).parent
             used = any(folder in test.parents for test in tests)
             if kind == "conftest" and not used and not (folder == _ROOT and _simulated(part)):
@@ -275,9 +277,11 @@ def _check_seen(parts: Sequence[ShardBundle]) -> None:
             )
 
 
-def _seen_files(part: ShardBundle) -> set[tuple[str, str]]:
+def _configuration_files(part: ShardBundle) -> set[tuple[str, str]]:
     kinds = ("conftest", "configuration")
-    return {(item["kind"], item["path"]) for item in part.record["inputs"] if item["kind"] in kinds}
+    return {
+        (entry["kind"], entry["path"]) for entry in part.record["inputs"] if entry["kind"] in kinds
+    }
 
 
 def _simulated(part: ShardBundle) -> bool:
@@ -298,10 +302,10 @@ def _check_verdicts(parts: Sequence[ShardBundle]) -> None:
                     expected=f"a test in one shard alone; it is in {first.file}, too",
                     remedy="run the shards again: no two of them hold the same",
                 )
-    asked: dict[tuple[str, ...], ShardBundle] = {}
+    judged: dict[tuple[str, ...], ShardBundle] = {}
     for part in parts:
         for verdict in part.record["verdicts"]:
-            first = asked.setdefault(question_key(verdict["item"], verdict), part)
+            first = judged.setdefault(question_key(verdict["item"], verdict), part)
             if first is not part:
                 raise ConfigurationError(
                     "two shards judged the same, and it would count twice",
@@ -336,13 +340,18 @@ def _check_version(part: ShardBundle) -> None:
         )
 
 
-def _first_difference(key: str, item: Any, other: Any) -> tuple[str, Any, Any]:
-    """Where two values differ first, and by what."""
-    if isinstance(item, Mapping) and isinstance(other, Mapping):
-        for name in sorted({*item, *other}):
-            if item.get(name) != other.get(name):
-                return _first_difference(f"{key}.{name}", item.get(name), other.get(name))
-    return key, item, other
+def without_keys(data: Data, keys: set[str]) -> dict[str, Any]:
+    """Copy a mapping without some of its keys."""
+    return {key: value for key, value in data.items() if key not in keys}
+
+
+def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
+    """Find the first key in which two values differ, and both values there."""
+    if isinstance(value, Mapping) and isinstance(other, Mapping):
+        for name in sorted({*value, *other}):
+            if value.get(name) != other.get(name):
+                return _first_difference(f"{key}.{name}", value.get(name), other.get(name))
+    return key, value, other
 
 
 def _session(record: SessionRecord) -> NamedValues:
@@ -361,28 +370,26 @@ def _code(record: SessionRecord) -> NamedValues:
 
 
 def _under_test(record: SessionRecord) -> NamedValues:
-    known = [item for item in components_under_test(record) if item["name"] is not None]
-    times = Counter(item["name"] for item in known)
-    for entry in known:
-        told = {key: value for key, value in entry.items() if key not in ("others", "sources")}
-        alone = times[entry["name"]] == 1
-        made = "" if alone else f" {json.dumps([entry['path'], entry['params']], sort_keys=True)}"
-        yield f"component_under_test {entry['name']}{made}", told
+    known = [entry for entry in components_under_test(record) if entry["name"] is not None]
+    times = Counter(component["name"] for component in known)
+    for component in known:
+        key = f"component_under_test {component['name']}"
+        if times[component["name"]] > 1:
+            key += f" {json.dumps([component['path'], component['params']], sort_keys=True)}"
+        yield key, without_keys(component, KEYS_OF_ALL_COMPONENTS)
 
 
 def _read_files(record: SessionRecord) -> NamedValues:
-    for item in record["inputs"]:
-        yield f"inputs {item['kind']} {item['path']}", item["sha256"]
+    for entry in record["inputs"]:
+        yield f"inputs {entry['kind']} {entry['path']}", entry["sha256"]
 
 
-def _asked_questions(record: SessionRecord) -> NamedValues:
+def _requirements_and_cases(record: SessionRecord) -> NamedValues:
     for requirement in record["requirements"]:
         yield f"requirements {requirement['id']}", requirement
-    for requirement in record["cases"]:
-        told = {
-            key: value for key, value in requirement.items() if key not in _KEYS_THAT_MAY_DIFFER
-        }
-        yield f"cases {requirement['id']} with {requirement['component']}", told
+    for case in record["cases"]:
+        name = f"cases {case['id']} with {case['component']}"
+        yield name, without_keys(case, _KEYS_THAT_MAY_DIFFER)
 
 
 def _measured(record: SessionRecord) -> NamedValues:
@@ -393,11 +400,9 @@ def _measured(record: SessionRecord) -> NamedValues:
 
 def _models(record: SessionRecord) -> NamedValues:
     for model in record["models"]:
-        told = {key: model[key] for key in ("capabilities", "cassette")}
-        yield (
-            f"models {model['component']} {model['model']} {model['fingerprint']} {model['mode']}",
-            told,
-        )
+        names = (model[name] for name in ("component", "model", "fingerprint", "mode"))
+        compared = {key: model[key] for key in ("capabilities", "cassette")}
+        yield f"models {' '.join(names)}", compared
 
 
 _COMPARED_VALUES: tuple[tuple[Callable[[SessionRecord], NamedValues], str], ...] = (
@@ -405,7 +410,7 @@ _COMPARED_VALUES: tuple[tuple[Callable[[SessionRecord], NamedValues], str], ...]
     (_code, _SAME_CODE),
     (_under_test, _SAME_CODE),
     (_read_files, _SAME_FILES),
-    (_asked_questions, _SAME_FILES),
+    (_requirements_and_cases, _SAME_FILES),
     (_models, "let all shards replay one cassette: --dura-llm=replay"),
     (_measured, "run the shards again: no two of them measure the same"),
 )

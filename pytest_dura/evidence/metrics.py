@@ -1,4 +1,4 @@
-"""Metrics of a case: what its episodes, their faults and their failure modes add up to."""
+"""Metrics of a case: sums over its episodes, their faults and their failure modes."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pytest_dura.core.metrics import DISCOMFORT
-from pytest_dura.requirements.statistics.rate_tests import upper_bound
+from pytest_dura.requirements.rate_tests import upper_bound
 
 CONFIDENCE = 0.95
-"""Of the bound on the rate of episodes in which a failure mode shows."""
+"""Confidence of the bound on the rate of episodes in which a failure mode shows."""
 _FAILURE_MODE_COUNTS = ("hits", "of", "null_hits", "null_of")
 
 Data = Mapping[str, Any]
 
 
 class FailureModes:
-    """Sums over the valid episodes of a case with one component.
+    """Sums up the failure modes in the valid episodes of a case with one component.
 
-    Of an episode it keeps a few numbers for each failure mode, and two for each decision.
+    It stores a few numbers for each failure mode, and two for each decision.
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class FailureModes:
         self._ages = array("d")
 
     def add(self, metrics: Data) -> None:
-        """Take in the metrics of an episode's record."""
+        """Add the metrics of an episode's entry."""
         for name, tally in metrics["tallies"].items():
             self._kinds.setdefault(name, tally["kind"])
             counts = self._counts.setdefault(name, Counter())
@@ -43,7 +43,7 @@ class FailureModes:
         self._ages.extend(metrics["answer_ages"])
 
     def to_json(self) -> list[dict[str, Any]]:
-        """Plain data, one entry for each failure mode, in the order in which they came up.
+        """Convert to plain data: an entry for each failure mode, in the order of appearance.
 
         The decisions of an episode depend on each other, so that no bound is given on their
         share. Episodes of a case are drawn independently: ``upper`` is the exact bound on the rate
@@ -68,21 +68,20 @@ class FailureModes:
         }
 
     def answer_times(self) -> dict[str, Any] | None:
-        """How long decisions took by the component's own account, in s of wall-clock time."""
+        """Summarise how long decisions took by the component's account, in s of wall-clock time."""
         return _percentile_summary(self._seconds)
 
     def answer_ages(self) -> dict[str, Any] | None:
-        """How old decisions were when they came into force, in simulated s since their percept."""
+        """Summarise the ages of decisions when they took effect, in simulated s."""
         return _percentile_summary(self._ages)
 
 
 def share(part: int, whole: int) -> float | None:
-    """``None`` of nothing."""
+    """Quotient of two counts; ``None`` if the whole is 0."""
     return part / whole if whole else None
 
 
 def _percentile_summary(values: Iterable[float]) -> dict[str, Any] | None:
-    """``None`` of nothing."""
     ordered = sorted(values)
     if not ordered:
         return None
@@ -95,7 +94,7 @@ def _percentile_summary(values: Iterable[float]) -> dict[str, Any] | None:
 
 
 def _percentile(ordered: list[float], rank: float) -> float:
-    """By the nearest rank: the value of a decision that there was."""
+    """Percentile by the nearest rank, which is the value of an actual decision."""
     return ordered[max(math.ceil(rank * len(ordered)) - 1, 0)]
 
 
@@ -107,7 +106,7 @@ UNTRACED_FAULT: Data = {
     "violated": [],
     "violated_without": None,
 }
-"""The rest of the chain where no verdict asked for it."""
+"""Rest of the chain of a fault that no verdict followed."""
 
 
 RATES: Mapping[str, tuple[str, str]] = {
@@ -117,7 +116,7 @@ RATES: Mapping[str, tuple[str, str]] = {
     "detection": ("detected", "manifested"),
     "recovery": ("recovered", "recovery"),
 }
-"""Each rate's counts: how many did, of how many that could."""
+"""Numerator and denominator of each rate."""
 
 _CHAIN_STEPS = (
     "run", "activated", "manifested", "followed", "propagated",
@@ -127,7 +126,7 @@ _LATENCIES = ("detection_latency", "recovery_latency", "time_to_recover")
 
 
 def with_chains(episode: Data, chains: Mapping[str, Data]) -> dict[str, Any]:
-    """An episode's record with what is known of each of its faults, by fault id."""
+    """Add what is known of each fault, by its id, to an episode's entry."""
     faults = []
     for fault in episode["faults"]:
         chain = chains.get(fault["id"], UNTRACED_FAULT)
@@ -136,9 +135,9 @@ def with_chains(episode: Data, chains: Mapping[str, Data]) -> dict[str, Any]:
 
 
 class FaultMetrics:
-    """How far each fault got, over the episodes in which it was planned.
+    """Counts how far each fault got, over the episodes in which it was planned.
 
-    Of an episode it keeps a few numbers at most, so that there may be many of them.
+    It stores a few numbers of each episode.
     """
 
     def __init__(self) -> None:
@@ -147,7 +146,7 @@ class FaultMetrics:
         self._times: dict[tuple[str, str], array[float]] = {}
 
     def add(self, episode: Data) -> None:
-        """Take in an episode, of :func:`with_chains`."""
+        """Add an episode of :func:`with_chains`."""
         for fault in episode["faults"]:
             name = fault["id"]
             self._targets.setdefault(name, fault["target"])
@@ -158,18 +157,17 @@ class FaultMetrics:
                         self._times.setdefault((name, latency), array("d")).append(fault[latency])
 
     def to_json(self) -> list[dict[str, Any]]:
-        """Plain data, fault by fault.
+        """Convert to plain data, fault by fault.
 
         ``activated`` and ``manifested`` are counted over all episodes that were run, what follows
-        over those in which the fault manifested: ``propagated`` beside ``followed``, in which that
-        is known, ``detected``, ``recovery`` (recovery acted) and ``recovered`` (control was handed
-        back). ``violated`` stands beside ``judged``, the episodes whose outcome is known: without a
-        verdict on a campaign nobody asked for it. What the run of the same seed violates without
-        the fault as well is none of its doing: episodes that violated no more than that are no part
-        of ``violated``, but ``violated_without``. Rates are shares of those that could: of
-        activation and manifestation over all runs, of propagation over those followed, of
-        detection over those manifested, of recovery over those in which it acted; ``None`` where
-        there are none. Latencies are seconds: from the activation to the alert, from the
+        over those in which the fault manifested: ``propagated`` of ``followed``, in which that is
+        known, ``detected``, ``recovery`` (recovery acted) and ``recovered`` (control was handed
+        back). ``violated`` is counted of ``judged``, the episodes whose outcome is known from a
+        verdict on a campaign. A violation that the run of the same seed without the fault has as
+        well is not attributed to it: episodes with no others count as ``violated_without``.
+        Rates: activation and manifestation are shares of all runs, propagation of those followed,
+        detection of those manifested, recovery of those in which it acted; ``None`` where there
+        are none. Latencies are seconds: from the activation to the alert, from the
         manifestation to the first recovery action, and from there until the proposal was acceptable
         again.
         """
@@ -192,9 +190,7 @@ class FaultMetrics:
 
 
 class SharedViolations:
-    """Counts, verdict by verdict, the violations that no fault can have caused.
-
-    The run of the same seed without any fault violates the requirement as well.
+    """Counts, verdict by verdict, violations that the same seed has without any fault as well.
 
     Args:
         verdicts: Of the record.
@@ -202,7 +198,7 @@ class SharedViolations:
 
     def __init__(self, verdicts: Sequence[Data]) -> None:
         self._counts: list[int | None] = [None] * len(verdicts)
-        self._wanted: dict[tuple[str, str], list[tuple[int, str]]] = {}
+        self._claims: dict[tuple[str, str], list[tuple[int, str]]] = {}
         for place, verdict in enumerate(verdicts):
             valid = [
                 counterexample["episode"]
@@ -211,11 +207,11 @@ class SharedViolations:
             ]
             for episode in valid:
                 key = verdict["component"], episode
-                self._wanted.setdefault(key, []).append((place, verdict["requirement"]))
+                self._claims.setdefault(key, []).append((place, verdict["requirement"]))
 
     def add(self, episode: Data) -> None:
-        """Take in a planned episode, of :func:`with_chains`."""
-        for place, requirement in self._wanted.get((episode["component"], episode["id"]), ()):
+        """Add a planned episode of :func:`with_chains`."""
+        for place, requirement in self._claims.get((episode["component"], episode["id"]), ()):
             known = [
                 requirement in fault["violated_without"]
                 for fault in episode["faults"]
@@ -225,12 +221,12 @@ class SharedViolations:
                 self._counts[place] = (self._counts[place] or 0) + any(known)
 
     def to_json(self) -> list[int | None]:
-        """For each verdict how many; ``None`` where that was measured of no violation."""
+        """List a count for each verdict; ``None`` where no violation was compared."""
         return self._counts
 
 
 def _passed_steps(fault: Data) -> list[str]:
-    """The steps that a fault passed in one episode."""
+    """List the steps that a fault passed in one episode."""
     reached = fault["manifested_at"] is not None
     passed = {
         "run": True,
@@ -249,7 +245,7 @@ def _passed_steps(fault: Data) -> list[str]:
 
 
 def _latency_summary(times: array[float] | None) -> dict[str, float] | None:
-    """Median and greatest of a latency in s, where it is known."""
+    """Median and maximum of a latency in s, where it is known."""
     return {"median": statistics.median(times), "max": max(times)} if times else None
 
 
@@ -259,13 +255,13 @@ _SUMMED_METRICS = ("decisions", "recovered", "takeovers", "switches", "censored"
 
 
 class CaseMetrics:
-    """What the planned episodes of a case with one component come to.
+    """Sums up the planned episodes of a case with one component.
 
-    Of an episode it keeps a few numbers at most, so that there may be many of them.
+    It stores a few numbers of each episode.
     """
 
     def __init__(self) -> None:
-        self._words: Counter[str] = Counter()
+        self._validity: Counter[str] = Counter()
         self._early = 0
         self._known: set[str] = set()
         self._in_run: Counter[str] = Counter()
@@ -281,7 +277,7 @@ class CaseMetrics:
         self._failure_modes = FailureModes()
 
     def add(self, episode: Data) -> None:
-        """Take in an episode.
+        """Add an episode.
 
         Args:
             episode: Of :func:`episode_record`.
@@ -289,7 +285,7 @@ class CaseMetrics:
         outcome = episode["outcome"]
         known = {**{key: outcome[key] for key in _COUNTED_OUTCOMES}, **_derived(episode)}
         raised = [key for key, value in known.items() if value]
-        self._words[episode["validity"]] += 1
+        self._validity[episode["validity"]] += 1
         self._early += episode["termination"] == "decided"
         self._known.update(key for key, value in known.items() if value is not None)
         self._in_run.update(raised)
@@ -310,18 +306,18 @@ class CaseMetrics:
             if value is not None:
                 column.append(value)
 
-    def _add_switching(self, told: Data) -> None:
+    def _add_switching(self, switching: Data) -> None:
         self._switching["episodes"] += 1
-        self._switching.update({key: told[key] for key in _SUMMED_METRICS})
-        self._times_to_safe.extend(time for time in told["time_to_safe"] if time is not None)
+        self._switching.update({key: switching[key] for key in _SUMMED_METRICS})
+        self._times_to_safe.extend(time for time in switching["time_to_safe"] if time is not None)
 
     def to_json(self, planned: int) -> dict[str, Any]:
-        """Plain data.
+        """Convert to plain data.
 
         Counts of ``flagged``, ``collided``, ``gridlock``, ``comfort_failed`` and ``rescued`` are
         given over valid episodes and over all that were run, each with its share: of the valid
         ones, and of the planned ones. Of those that ended once all was decided (``ended_early``),
-        they are what was seen by then.
+        they are what was observed until then.
 
         Args:
             planned: Episodes that were planned.
@@ -334,8 +330,8 @@ class CaseMetrics:
         }
         return {
             "planned": planned,
-            "run": self._words.total(),
-            **{name: self._words[name] for name in ("valid", "invalid", "missing")},
+            "run": self._validity.total(),
+            **{name: self._validity[name] for name in ("valid", "invalid", "missing")},
             "ended_early": self._early,
             **{key: self._share(key, planned) for key in _COUNTED_OUTCOMES},
             "clearance_time": clearance if self._clears else None,
@@ -354,10 +350,10 @@ class CaseMetrics:
         }
 
     def _share(self, key: str, planned: int) -> dict[str, Any] | None:
-        """``None`` where no episode has such a signal."""
+        """Counts and shares; ``None`` where no episode has such a signal."""
         if key not in self._known:
             return None
-        valid = self._words["valid"]
+        valid = self._validity["valid"]
         return {
             "valid": self._in_valid[key],
             "run": self._in_run[key],
@@ -366,7 +362,7 @@ class CaseMetrics:
         }
 
     def _shared_control(self) -> dict[str, Any] | None:
-        """How control was shared over the valid episodes: see :class:`Switching` for the terms."""
+        """Summarise how control was shared; see :class:`Switching` for the terms."""
         sums, times = self._switching, self._times_to_safe
         if not sums["episodes"]:
             return None
@@ -383,13 +379,13 @@ class CaseMetrics:
 
 
 def case_order(case: Data) -> tuple[float, str, str]:
-    """What cases are sorted by: the place that the scenario gives, then their names."""
+    """Sort key of cases: the place that the scenario gives, then their names."""
     place = math.inf if case["order"] is None else case["order"]
     return place, case["id"], case["component"]
 
 
 class PooledMetrics:
-    """What the planned episodes of all cases of a component come to, twins of pairs left out.
+    """Sums up the planned episodes of all cases of a component, without the twins of pairs.
 
     Args:
         cases: Of the record, with or without their metrics.
@@ -412,13 +408,13 @@ class PooledMetrics:
         self._metrics = {component: CaseMetrics() for component in self._cases}
 
     def add(self, episode: Data) -> None:
-        """Take in a planned episode of any of the record's cases."""
+        """Add a planned episode of any of the record's cases."""
         component = episode["component"]
         if episode["case"] in self._cases.get(component, ()):
             self._metrics[component].add(episode)
 
     def to_json(self) -> list[dict[str, Any]]:
-        """Plain data: an entry for each component, by name."""
+        """Convert to plain data: an entry for each component, by name."""
         return [
             {
                 "component": component,
@@ -430,7 +426,7 @@ class PooledMetrics:
 
 
 def _derived(episode: Data) -> dict[str, bool | None]:
-    """What follows from an episode's measures; ``None`` where nothing measures it."""
+    """Derive outcomes from an episode's measures; ``None`` where they are not measured."""
     discomfort = episode["metrics"]["performance"].get(DISCOMFORT)
     switching = episode["outcome"]["switching"]
     return {

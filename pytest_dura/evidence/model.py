@@ -11,7 +11,7 @@ from typing import Any
 
 
 def plain_data(value: Any) -> Any:
-    """The value as builtins; tuples become lists, and a number that is not finite becomes ``None``.
+    """Convert a value to builtins; tuples become lists, numbers that are not finite ``None``.
 
     Raises:
         TypeError: For an object that is no data.
@@ -19,12 +19,11 @@ def plain_data(value: Any) -> Any:
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, Mapping):
-        return {str(key): plain_data(item) for key, item in value.items()}
+        return {str(key): plain_data(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain_data(item) for item in value]
+        return [plain_data(entry) for entry in value]
     if hasattr(value, "tolist"):  # numpy's scalars and arrays
-        converted = value.tolist()
-        return plain_data(converted)
+        return plain_data(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     raise TypeError(f"{type(value).__name__} is not plain data")
@@ -35,12 +34,12 @@ Data = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """All that ``evidence.json`` holds. Its episodes may be many, and are never all in memory.
+    """Content of ``evidence.json``. Its episodes may be many, and are never all in memory.
 
     Args:
         head: Every top-level key but ``episodes``.
         directory: The bundle's directory, in which the files of traces lie.
-        read_episodes: Gives the episodes anew at each call, in the order of the record.
+        read_episodes: Returns a new iterator over the episodes at each call, in their order.
     """
 
     head: Data
@@ -48,29 +47,29 @@ class SessionRecord:
     read_episodes: Callable[[], Iterator[Data]]
 
     def __getitem__(self, key: str) -> Any:
-        """A top-level key, ``episodes`` apart."""
+        """Value of a top-level key, ``episodes`` apart."""
         return self.head[key]
 
     def episodes(self) -> Iterator[Data]:
-        """The episodes, in the order of the record."""
+        """Iterate over the episodes, in the order of the record."""
         return self.read_episodes()
 
     @classmethod
     def of(cls, record: Data, directory: Path) -> SessionRecord:
-        """That of a record which is in memory as a whole."""
+        """Wrap a record that is in memory as a whole."""
         head = {key: value for key, value in record.items() if key != "episodes"}
         return cls(head, directory, lambda: iter(record["episodes"]))
 
 
 def components_under_test(record: SessionRecord) -> list[Any]:
-    """The components under test that the record describes, the first one first."""
+    """List the components under test that the record describes, the first one first."""
     first = record["component_under_test"]
     return [first, *first.get("others", ())]
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Counts that every format states. ``waived`` verdicts are counted by their word as well.
+    """Counts that every format states. ``waived`` verdicts also count under their own status.
 
     Args:
         gate: ``passed``, ``failed`` or ``incomplete``.
@@ -99,12 +98,12 @@ class Counts:
     waived: int
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """Convert to plain data."""
         return dict(vars(self))
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Counts:
-        """The inverse of :meth:`to_json`.
+        """Read what :meth:`to_json` gives.
 
         Raises:
             TypeError: If a count is missing, or there are others.
@@ -113,9 +112,9 @@ class Counts:
 
     @classmethod
     def of(cls, record: SessionRecord) -> Counts:
-        """Counted in the record itself, and not taken from its ``totals``."""
+        """Count in the record itself, without its ``totals``."""
         validity = Counter(episode["validity"] for episode in record.episodes())
-        words = Counter(verdict["verdict"] for verdict in record["verdicts"])
+        statuses = Counter(verdict["verdict"] for verdict in record["verdicts"])
         return cls(
             gate=record["gate"]["result"],
             requirements=len(record["requirements"]),
@@ -124,8 +123,8 @@ class Counts:
             valid=validity["valid"],
             invalid=validity["invalid"],
             missing=validity["missing"],
-            supported=words["supported"],
-            violated=words["violated"],
-            undecided=words["undecided"],
+            supported=statuses["supported"],
+            violated=statuses["violated"],
+            undecided=statuses["undecided"],
             waived=sum(verdict["waiver"] is not None for verdict in record["verdicts"]),
         )

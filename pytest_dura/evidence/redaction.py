@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import os
 import re
 import shlex
 import string
@@ -22,7 +23,7 @@ from typing import Any
 from urllib.parse import quote, quote_plus, unquote, urlsplit
 
 _SHORTEST_SECRET = 8
-"""Characters; a shorter value would be found everywhere, and is no secret worth the name."""
+"""Characters; a shorter value would match everywhere."""
 
 _VARIABLE = re.compile(
     r"(?:TOKEN|SECRET|PASSWORD|PASSWD|PASSPHRASE|SSHPASS|CREDENTIAL|APIKEY)S?(?=_|\d*$)"
@@ -37,7 +38,7 @@ _SECRET_PARAMETER = re.compile(
     r"|token|secrets?|passw(?:or)?ds?|passphrase|credentials?|authorization)$",
     re.IGNORECASE,
 )
-"""The whole name of a parameter, a header or a key of data."""
+"""Whole name of a parameter, a header or a key of data."""
 
 _COMMON_VALUES = {
     "password", "passwords", "changeme", "redacted", "disabled", "undefined", "required",
@@ -46,17 +47,17 @@ _COMMON_VALUES = {
 
 
 def _secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
-    """``(name, value)`` of the variables that hold secrets, and of passwords in their URLs.
+    """Yield ``(name, value)`` of variables that hold secrets, and of passwords in URLs.
 
     Args:
         environ: The variables.
-        globs: Names that the user calls secret, in letters of any case.
+        globs: Names that the user declares secret, in letters of any case.
     """
-    own = [glob.upper() for glob in globs]
+    user_globs = [glob.upper() for glob in globs]
     for name, value in sorted(environ.items()):
         upper = name.upper()
-        speaks = _VARIABLE.search(upper) and not _NO_SECRET.search(upper)
-        if speaks or any(fnmatchcase(upper, glob) for glob in own):
+        is_secret = _VARIABLE.search(upper) and not _NO_SECRET.search(upper)
+        if is_secret or any(fnmatchcase(upper, glob) for glob in user_globs):
             yield name, value
         if "://" in value and "@" in value:
             password = _password(value)
@@ -65,7 +66,7 @@ def _secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterat
 
 
 def is_common(value: str) -> bool:
-    """Whether a value is too short or too ordinary to be told from any other text."""
+    """Whether a value is too short or too ordinary to be distinguished from other text."""
     return len(value) < _SHORTEST_SECRET or len(set(value)) < 3 or value.lower() in _COMMON_VALUES
 
 
@@ -78,7 +79,7 @@ def _password(url: str) -> str | None:
 
 
 _SHELL_ARGUMENT = r"""(?:'[^']*'|"(?:\\.|[^"\\])*"|\\.|[^\s'"\\])+"""
-"""A word of a shell's command line."""
+"""An argument of a shell's command line."""
 _OPTION = (
     r"--?(?:[A-Za-z0-9]+[-_])*(?:api[-_]?key|access[-_]?key|private[-_]?key|token|secret"
     r"|passw(?:or)?d|passphrase|credentials?|authorization)"
@@ -90,13 +91,13 @@ _SECRET_OPTION = re.compile(_OPTION, re.IGNORECASE)
 
 @dataclass(frozen=True)
 class SecretShape:
-    """A kind of secret, and how it is known.
+    """A kind of secret, and the pattern that recognises it.
 
     Texts may be hostile: no pattern looks at a character more often than a fixed number of times.
 
     Args:
-        name: What stands in its place.
-        hints: Of these, in lower case, one is in every text that the pattern matches.
+        name: Name that replaces it.
+        hints: Every text that the pattern matches contains one of these, in lower case.
         pattern: Its group ``secret`` is replaced.
     """
 
@@ -167,53 +168,53 @@ _SECRET_SHAPES = (
 
 
 def _secret_forms(value: str) -> set[str]:
-    """The value itself, escaped for JSON, Python, shells, HTML and URLs, and in hexadecimal."""
+    """Collect a value escaped for JSON, Python, shells, HTML and URLs, and in hexadecimal."""
     quoted = shlex.quote(value)
-    found = {value, value.strip(), quoted if quoted == value else quoted[1:-1]}
-    found |= {html.escape(value), html.escape(value, quote=False)}
+    forms = {value, value.strip(), quoted if quoted == value else quoted[1:-1]}
+    forms |= {html.escape(value), html.escape(value, quote=False)}
     # Data within data is escaped twice.
     for ascii_only in (True, False):
         once = json.dumps(value, ensure_ascii=ascii_only)[1:-1]
-        found |= {once, json.dumps(once, ensure_ascii=ascii_only)[1:-1]}
-    found.add(repr(value)[1:-1])
-    found.add(value.encode("unicode_escape").decode("ascii"))
+        forms |= {once, json.dumps(once, ensure_ascii=ascii_only)[1:-1]}
+    forms.add(repr(value)[1:-1])
+    forms.add(value.encode("unicode_escape").decode("ascii"))
     data = _bytes(value)
     for safe in ("", "/", "/:=&?"):
         for encoded in (quote(data, safe=safe), quote_plus(data, safe=safe)):
-            found |= {encoded, _small_hex(encoded)}
-    found |= {data.hex(), data.hex().upper()}
-    return found
+            forms |= {encoded, _lower_escapes(encoded)}
+    forms |= {data.hex(), data.hex().upper()}
+    return forms
 
 
 def _base64_cores(value: str) -> set[str]:
-    """What the base64 of any text with this value in it contains, in both alphabets.
+    """Collect what the base64 of any text with this value in it contains, in both alphabets.
 
     Three bytes make four characters, so that it depends on where the value begins; characters
-    that its neighbours have a share in are left out.
+    that depend on its neighbours as well are left out.
     """
     data = _bytes(value)
-    found = set()
+    cores = set()
     for offset in range(3):
         encoded = base64.b64encode(b"\0" * offset + data).decode("ascii")
         core = encoded[(0, 2, 3)[offset] : (offset + len(data)) * 8 // 6]
-        for item in (core, core.translate(_URL_SAFE)):
-            found |= {item, quote(item, safe="")}
-    return found
+        for variant in (core, core.translate(_URL_SAFE)):
+            cores |= {variant, quote(variant, safe="")}
+    return cores
 
 
 def _enclosing_base64(text: str, begin: int, end: int) -> tuple[int, int]:
-    """The whole of the base64 that a core is part of."""
+    """Begin and end of the base64 that a core is part of."""
     left = len(text[:begin].rstrip(_BASE64))
     return left, len(text) - len(text[end:].lstrip(_BASE64 + "="))
 
 
 def _truncated_pieces(value: str, text: str, shortest: int) -> Iterator[tuple[int, int]]:
-    """Where a text holds the beginning or the end of a value, cut off with dots.
+    """Find where a text holds the beginning or the end of a value, cut off with dots.
 
     Args:
         value: The value.
         text: The text.
-        shortest: Characters that a piece has at least.
+        shortest: Least number of characters of a piece.
     """
     head, tail = value[:shortest], value[-shortest:]
     start = text.find(head)
@@ -236,33 +237,28 @@ _BASE64 = string.ascii_letters + string.digits + "+/-_%"
 _URL_SAFE = str.maketrans("+/", "-_")
 
 
-def _common_length(item: str, other: str) -> int:
-    """Length of the common beginning."""
-    pairs = zip(item, other, strict=False)
-    return next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(item), len(other)))
+def _common_length(text: str, other: str) -> int:
+    return len(os.path.commonprefix((text, other)))  # noqa: RUF071 - of characters, not of paths
 
 
 def _bytes(value: str) -> bytes:
-    # What no UTF-8 can hold came from the environment as bytes.
-    return value.encode("utf-8", "surrogateescape" if _fits_base64(value) else "backslashreplace")
+    try:
+        return value.encode("utf-8", "surrogateescape")  # as the environment holds bytes
+    except UnicodeEncodeError:  # another lone surrogate
+        return value.encode("utf-8", "backslashreplace")
 
 
-def _fits_base64(value: str) -> bool:
-    return all(not "\ud800" <= item <= "\udfff" or "\udc80" <= item <= "\udcff" for item in value)
-
-
-def _small_hex(text: str) -> str:
-    """The same with ``%2f`` for ``%2F``."""
+def _lower_escapes(text: str) -> str:
+    """Replace ``%2F`` by ``%2f`` and the like."""
     head, *rest = text.split("%")
-    return "%".join([head, *(item[:2].lower() + item[2:] for item in rest)])
+    return "%".join([head, *(piece[:2].lower() + piece[2:] for piece in rest)])
 
 
 _PIECE = 12
-"""Characters of a secret that give it away, where the rest of it was cut off."""
+"""Characters of a truncated secret from which on it is recognised."""
 _PARAMETER_NAME = "parameter"
-"""What stands for the value of a parameter whose name speaks of a secret."""
+"""Name for the value of a parameter that is secret by its own name."""
 
-_SHORT = 200
 _MARK = re.compile(r"(\[redacted: [\w. -]{1,200}\])")
 _HINT = "[redacted: "
 _NAMES_IN_DATA = ("key", "token", "secret", "passw", "passphrase", "credential", "authorization")
@@ -272,16 +268,14 @@ _SHAPE_NAMES = {_PARAMETER_NAME, *(shape.name for shape in _SECRET_SHAPES)}
 class Redactor:
     """Replaces secrets in plain data by ``[redacted: NAME]``.
 
-    It knows the values that it was told of, in every form of
-    :mod:`pytest_dura.evidence.redaction`, the shapes of
-    :mod:`pytest_dura.evidence.redaction`, and texts under keys such as ``api_key``. What is
-    redacted already stays as it is.
+    It recognises the values that were added, in every form, the shapes of common secrets, and
+    texts under keys such as ``api_key``. What is redacted already stays as it is.
 
     Args:
         globs: Names of further variables whose values are secrets, in letters of any case.
 
     Attributes:
-        ignored: Names of variables whose values are too short or too ordinary to be looked for.
+        ignored: Names of variables whose values are too short or too ordinary to be redacted.
     """
 
     def __init__(self, globs: Sequence[str] = ()) -> None:
@@ -290,28 +284,28 @@ class Redactor:
         self._values: dict[str, str] = {}
         self._forms: dict[str, str] = {}
         self._cores: dict[str, str] = {}
-        self._seen: dict[str, str] = {}
+        self._environ: dict[str, str] = {}
 
     @classmethod
     def of_environment(cls, environ: Mapping[str, str], globs: Sequence[str] = ()) -> Redactor:
-        """One that knows the secrets among the environment's variables."""
+        """Make a redactor for the secrets among the environment's variables."""
         redactor = cls(globs)
         redactor.learn(environ)
         return redactor
 
     def learn(self, environ: Mapping[str, str]) -> None:
-        """Take in secrets that the environment has by now; those known before stay known."""
-        # Asked before whatever is written, when hardly anything has changed.
-        fresh = {name: item for name, item in environ.items() if self._seen.get(name) != item}
-        self._seen.update(fresh)
+        """Add the secrets of the environment; those added before stay."""
+        # Called before anything is written, when hardly any variable has changed.
+        fresh = {name: value for name, value in environ.items() if self._environ.get(name) != value}
+        self._environ.update(fresh)
         for name, value in _secrets_of(fresh, self._globs):
             self.add(name, value)
 
     def add(self, name: str, value: str) -> None:
-        """Take in one secret.
+        """Add a secret.
 
         Args:
-            name: What stands in its place.
+            name: Name that replaces it.
             value: Its value; one that is too short or too ordinary is ignored, see ``ignored``.
         """
         stripped = value.strip()
@@ -320,23 +314,23 @@ class Redactor:
             return
         name = re.sub(r"[^\w. -]", "_", name)[:200]
         self._values.setdefault(value, name)
-        for known, found in (
+        for known, forms in (
             (self._forms, _secret_forms(value)),
             (self._cores, _base64_cores(stripped)),
         ):
-            for form in found:
+            for form in forms:
                 if len(form) >= _SHORTEST_SECRET:
                     known.setdefault(form, name)
 
     def redact(self, value: Any) -> Any:
-        """The same plain data without secrets; the very same object if there is none in it."""
+        """Return the plain data without secrets, or the very same object if it has none."""
         if isinstance(value, str):
             return self._active([value]).text(value)
         active = self._active(_texts(value))
         return active.data(value) if active else value
 
     def _active(self, texts: Iterable[str]) -> _Active:
-        """What of all that is known occurs in any of these texts."""
+        """Select the secrets and shapes that may occur in any of these texts."""
         joined = "\n".join(texts)
         lower = joined.lower()
         # Without a beginning or an end of a value there is no piece of it either.
@@ -358,7 +352,7 @@ class Redactor:
 
 
 class _Active:
-    """The part of a Redactor that may find something in the data at hand."""
+    """Part of a Redactor that may match something in the data at hand."""
 
     def __init__(
         self,
@@ -372,8 +366,6 @@ class _Active:
     ) -> None:
         self.names = names
         self.named = named
-        self.known: dict[str, str] = {}
-        self.named_keys: dict[str, bool] = {}
         self.steps: list[Callable[[str], str]] = []
         if cores:
             self.steps.append(_replacing(cores, encoded=True))
@@ -387,20 +379,12 @@ class _Active:
         return bool(self.steps) or self.named
 
     def text(self, text: str) -> str:
-        """One text without secrets."""
-        # Data of many entries has the same keys and words in each of them.
-        if len(text) > _SHORT:
-            return self._without(text)
-        if text not in self.known:
-            self.known[text] = self._without(text)
-        return self.known[text]
-
-    def _without(self, text: str) -> str:
+        """Redact a text."""
         for step in self.steps:
             if _HINT not in text:
                 text = step(text)
                 continue
-            # What stands in a secret's place is left alone, unless something hides in it.
+            # Marks stay as they are, unless a secret hides in what looks like one.
             parts = _MARK.split(text)
             for i, part in enumerate(parts):
                 if not (i % 2 and part[len(_HINT) : -1] in self.names):
@@ -409,44 +393,46 @@ class _Active:
         return text
 
     def data(self, value: Any) -> Any:
-        """Plain data without secrets."""
+        """Redact plain data."""
         if isinstance(value, str):
             return self.text(value)
         if isinstance(value, Mapping):
-            found: dict[Any, Any] = {}
-            for key, item in value.items():
+            redacted: dict[Any, Any] = {}
+            for key, entry in value.items():
                 new = self.text(key) if isinstance(key, str) else key
-                while new in found:  # two keys that differed by their secrets alone
+                while new in redacted:  # two keys that differed by their secrets alone
                     new = f"{new} (another)"
-                found[new] = self._under(key, item)
-            return found
+                redacted[new] = self._under(key, entry)
+            return redacted
         if isinstance(value, (list, tuple)):
-            items = [self.data(item) for item in value]
-            for i, item in enumerate(value[:-1]):
+            entries = [self.data(entry) for entry in value]
+            for i, entry in enumerate(value[:-1]):
                 following = value[i + 1]
-                if isinstance(item, str) and _SECRET_OPTION.fullmatch(item) and _is_open(following):
-                    items[i + 1] = _mark("option")
-            return items if isinstance(value, list) else tuple(items)
+                if (
+                    isinstance(entry, str)
+                    and _SECRET_OPTION.fullmatch(entry)
+                    and _is_open(following)
+                ):
+                    entries[i + 1] = _mark("option")
+            return entries if isinstance(value, list) else tuple(entries)
         return value
 
-    def _under(self, key: Any, item: Any) -> Any:
-        redacted = self.data(item)
+    def _under(self, key: Any, value: Any) -> Any:
+        redacted = self.data(value)
         if not isinstance(key, str) or not _is_open(redacted):
             return redacted
-        if key not in self.named_keys:
-            self.named_keys[key] = _SECRET_PARAMETER.match(key) is not None
-        return _mark(_PARAMETER_NAME) if self.named_keys[key] else redacted
+        return _mark(_PARAMETER_NAME) if _SECRET_PARAMETER.match(key) else redacted
 
 
 def count_redactions(value: Any) -> Counter[str]:
-    """How often each name stands in a secret's place, in plain data or in a text of JSON."""
+    """Count the marks of redactions by name, in plain data or in a text of JSON."""
     texts = [value] if isinstance(value, str) else _texts(value)
-    found = (mark for text in texts if _HINT in text for mark in _MARK.findall(text))
-    return Counter(mark[len(_HINT) : -1] for mark in found)
+    marks = (mark for text in texts if _HINT in text for mark in _MARK.findall(text))
+    return Counter(mark[len(_HINT) : -1] for mark in marks)
 
 
 def holds_redaction(value: Any) -> bool:
-    """Whether plain data lacks a secret that it once had, so that nothing can be run from it."""
+    """Whether plain data has lost a secret, so that nothing can be run from it."""
     return bool(count_redactions(value))
 
 
@@ -454,9 +440,9 @@ def _mark(name: str) -> str:
     return f"{_HINT}{name}]"
 
 
-def _is_open(item: Any) -> bool:
-    """Whether it is a text with something in it that nothing was redacted from."""
-    return isinstance(item, str) and bool(item) and not _MARK.search(item)
+def _is_open(value: Any) -> bool:
+    """Whether a value is a text, not empty, from which nothing was redacted."""
+    return isinstance(value, str) and bool(value) and not _MARK.search(value)
 
 
 def _replacing(known: Mapping[str, str], *, encoded: bool = False) -> Callable[[str], str]:
@@ -498,21 +484,21 @@ def _shaped(shape: SecretShape, text: str) -> str:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Every text in plain data, keys too, in no particular order."""
-    left = [value]
-    while left:
-        item = left.pop()
-        if isinstance(item, str):
-            yield item
-        elif isinstance(item, Mapping):
-            yield from (key for key in item if isinstance(key, str))
-            left.extend(item.values())
-        elif isinstance(item, (list, tuple)):
-            left.extend(item)
+    """Yield every text in plain data, keys too, in no particular order."""
+    pending = [value]
+    while pending:
+        element = pending.pop()
+        if isinstance(element, str):
+            yield element
+        elif isinstance(element, Mapping):
+            yield from (key for key in element if isinstance(key, str))
+            pending.extend(element.values())
+        elif isinstance(element, (list, tuple)):
+            pending.extend(element)
 
 
 def _is_record_vocabulary(value: str) -> bool:
-    """Whether the record itself is written with this word: without it, nobody could read it."""
+    """Whether a value is part of a name of the record itself, which must stay readable."""
     from pytest_dura.evidence.schema import record_vocabulary
 
-    return any(value in word for word in record_vocabulary())
+    return any(value in term for term in record_vocabulary())

@@ -30,10 +30,9 @@ for the formats ``iri`` and ``iri-reference``, which no schema of ours has."""
 
 
 def _load_jsonschema() -> ModuleType:
-    """The module ``jsonschema``.
+    """Import ``jsonschema`` without its grammars.
 
-    Whoever else checks formats with it in this process finds all of them: the parser is built when
-    one of them is checked first.
+    Other users of it in this process miss no format: the parser is built when it is first used.
     """
     with _grammars_on_demand():
         return import_module("jsonschema")
@@ -41,46 +40,45 @@ def _load_jsonschema() -> ModuleType:
 
 @contextmanager
 def _grammars_on_demand() -> Iterator[None]:
-    known = {"jsonschema", _GRAMMARS} & sys.modules.keys()
-    if known or find_spec(_GRAMMARS) is None:
+    if {"jsonschema", _GRAMMARS} & sys.modules.keys() or find_spec(_GRAMMARS) is None:
         yield
         return
-    later = ModuleType(_GRAMMARS)
-    later.is_valid_syntax = _is_valid_syntax  # type: ignore[attr-defined]
-    sys.modules[_GRAMMARS] = later
+    placeholder = ModuleType(_GRAMMARS)
+    placeholder.is_valid_syntax = _is_valid_syntax  # type: ignore[attr-defined]
+    sys.modules[_GRAMMARS] = placeholder
     try:
         yield
     finally:
         del sys.modules[_GRAMMARS]
 
 
-def _is_valid_syntax(*given: Any) -> Any:
-    return import_module(_GRAMMARS).is_valid_syntax(*given)
+def _is_valid_syntax(*arguments: Any) -> Any:
+    return import_module(_GRAMMARS).is_valid_syntax(*arguments)
 
 
 SCHEMA_FILE = "evidence.schema.json"
 MAX_PROBLEMS = 20
-"""Problems that are told; a record of another form would have thousands."""
+"""Problems that are reported; a record of another form would have thousands."""
 _SHOWN_CHARACTERS = 60
 
 
 @cache
 def schema_text() -> str:
-    """The published schema, as it lies beside this module and in every bundle."""
+    """Read the published schema, which lies beside this module and in every bundle."""
     return Path(__file__).with_name(SCHEMA_FILE).read_text("utf-8")
 
 
 @cache
 def record_schema() -> dict[str, Any]:
-    """The schema as data; not to be changed."""
+    """Read the schema as data, which callers must not change."""
     data: dict[str, Any] = json.loads(schema_text())
     return data
 
 
 def check_record(record: SessionRecord | Mapping[str, Any]) -> list[str]:
-    """What is wrong with a record, each with its JSON pointer; empty if nothing is.
+    """List what is wrong with a record, each with its JSON pointer.
 
-    The episodes are looked at one at a time. At most :data:`MOST` problems are told.
+    The episodes are checked one at a time. At most :data:`MAX_PROBLEMS` are listed.
     """
     if isinstance(record, SessionRecord):
         head, episodes = {**record.head, "episodes": []}, record.episodes()
@@ -89,8 +87,7 @@ def check_record(record: SessionRecord | Mapping[str, Any]) -> list[str]:
     else:
         # An unusual list of episodes is the schema's business.
         listed = record.get("episodes")
-        usual = isinstance(listed, list)
-        head = {**record, "episodes": []} if usual else dict(record)
+        head = {**record, "episodes": []} if isinstance(listed, list) else dict(record)
         episodes = iter(listed if isinstance(listed, list) else ())
     return list(
         islice(dict.fromkeys(islice(_problems(head, episodes), 50 * MAX_PROBLEMS)), MAX_PROBLEMS)
@@ -104,37 +101,33 @@ def _problems(head: Mapping[str, Any], episodes: Iterable[Any]) -> Iterator[str]
         yield from _error_lines(of_episode.iter_errors(episode), f"/episodes/{number}")
 
 
-def record_vocabulary() -> frozenset[str]:
-    """The words that every record is written with: its keys, and what it chooses values from."""
-    return _vocabulary()
-
-
 @cache
-def _vocabulary() -> frozenset[str]:
-    found: set[str] = set()
-    left: list[Any] = [record_schema()]
-    while left:
-        item = left.pop()
-        if isinstance(item, list):
-            left += item
-        elif isinstance(item, dict):
-            left += item.values()
-            found.update(item.get("properties", {}))
-            choices = [*item.get("enum", ()), item.get("const")]
-            found.update(choice for choice in choices if isinstance(choice, str))
-    return frozenset(found)
+def record_vocabulary() -> frozenset[str]:
+    """Collect the names that every record consists of: its keys and enumerated values."""
+    names: set[str] = set()
+    pending: list[Any] = [record_schema()]
+    while pending:
+        part = pending.pop()
+        if isinstance(part, list):
+            pending += part
+        elif isinstance(part, dict):
+            pending += part.values()
+            names.update(part.get("properties", {}))
+            choices = [*part.get("enum", ()), part.get("const")]
+            names.update(choice for choice in choices if isinstance(choice, str))
+    return frozenset(names)
 
 
 @cache
 def _validator(definition: str) -> Any:
-    """That of the whole record, or of one definition."""
-    known = _load_jsonschema()
-    # Python reads NaN from a file, and JSON has no such number. To it 2.0 is an integer, and to
-    # whoever counts up to it in Python it is none.
-    types = known.Draft202012Validator.TYPE_CHECKER.redefine_many(
+    """Make the validator of the whole record, or of one definition."""
+    jsonschema = _load_jsonschema()
+    # Python reads NaN from a file, and JSON has no such number. JSON Schema takes 2.0 for an
+    # integer, which range() does not.
+    types = jsonschema.Draft202012Validator.TYPE_CHECKER.redefine_many(
         {"number": _is_number, "integer": _is_integer}
     )
-    strict = known.validators.extend(known.Draft202012Validator, type_checker=types)
+    strict = jsonschema.validators.extend(jsonschema.Draft202012Validator, type_checker=types)
     if not definition:
         return strict(record_schema())
     part = {key: record_schema()[key] for key in ("$schema", "$defs")}
@@ -159,16 +152,19 @@ def _error_lines(errors: Iterable[ValidationError], prefix: str = "") -> Iterato
 
 
 def _probable_error(error: ValidationError) -> ValidationError:
-    """Of an error with alternatives, that of the one which was probably meant."""
+    """Select, of an error with alternatives, that of the alternative which was probably meant."""
     while error.context:
         branches: dict[Any, list[ValidationError]] = {}
-        for item in error.context:
-            branches.setdefault(item.relative_schema_path[0], []).append(item)
+        for alternative in error.context:
+            branches.setdefault(alternative.relative_schema_path[0], []).append(alternative)
         # Null is an alternative to most, and meant by none that is something else.
         close = [
             branch
             for branch in branches.values()
-            if not any(item.validator == "type" and not item.relative_path for item in branch)
+            if not any(
+                alternative.validator == "type" and not alternative.relative_path
+                for alternative in branch
+            )
         ]
         if not close:
             break
@@ -177,23 +173,27 @@ def _probable_error(error: ValidationError) -> ValidationError:
 
 
 def _why(error: Any) -> str:
-    keyword, wanted, found = error.validator, error.validator_value, error.instance
+    keyword, expected, value = error.validator, error.validator_value, error.instance
     if keyword == "required":
-        return f"missing key {_key_list([key for key in wanted if key not in found])}"
-    if keyword == "additionalProperties" and wanted is False:
-        return f"unknown key {_key_list(sorted(set(found) - set(error.schema['properties'])))}"
+        return f"missing key {_key_list([key for key in expected if key not in value])}"
+    if keyword == "additionalProperties" and expected is False:
+        return f"unknown key {_key_list(sorted(set(value) - set(error.schema['properties'])))}"
     if keyword == "type":
-        return f"found {_kind(found)}, expected {_alternatives(wanted, str)}"
+        return f"found {_kind(value)}, expected {_alternatives(expected, str)}"
     if keyword == "anyOf":
-        kinds = [item.validator_value for item in error.context if item.validator == "type"]
-        return f"found {_kind(found)}, expected {_alternatives(kinds, str) or 'another form'}"
+        kinds = [
+            alternative.validator_value
+            for alternative in error.context
+            if alternative.validator == "type"
+        ]
+        return f"found {_kind(value)}, expected {_alternatives(kinds, str) or 'another form'}"
     limits = {"enum": "", "const": "", "pattern": "a text like ", "minimum": "at least "}
-    told = limits.get(keyword, f"{keyword} ")
-    return f"found {_shown(found)}, expected {told}{_alternatives(wanted, _shown)}"
+    prefix = limits.get(keyword, f"{keyword} ")
+    return f"found {_shown(value)}, expected {prefix}{_alternatives(expected, _shown)}"
 
 
-def _alternatives(wanted: Any, told: Callable[[Any], str]) -> str:
-    return " or ".join(map(told, wanted if isinstance(wanted, list) else [wanted]))
+def _alternatives(expected: Any, render: Callable[[Any], str]) -> str:
+    return " or ".join(map(render, expected if isinstance(expected, list) else [expected]))
 
 
 def _key_list(keys: Sequence[str]) -> str:
@@ -226,16 +226,16 @@ PAGE = "evidence.md"
 TABLES_BEGIN = "<!-- Written by `python -m pytest_dura.evidence.schema`; do not edit. -->"
 TABLES_END = "<!-- Here the written part ends. -->"
 _HIDDEN_DEFINITIONS = ("attempt",)
-"""Definitions whose keys stand in the page already, under another name."""
+"""Definitions whose keys are in the page already, under another name."""
 
 Data = Mapping[str, Any]
 
 
 def updated_page(page: str) -> str:
-    """The page with its tables up to date.
+    """Replace the tables of the page.
 
     Raises:
-        ValueError: If it lacks the lines between which they stand.
+        ValueError: If it lacks the lines that enclose them.
     """
     before, begin, rest = page.partition(TABLES_BEGIN)
     _, end, after = rest.partition(TABLES_END)
@@ -245,13 +245,15 @@ def updated_page(page: str) -> str:
 
 
 def schema_tables() -> str:
-    """A table of the record's keys, and one for each kind of entry, in Markdown."""
+    """Write a table of the record's keys, and one for each kind of entry, in Markdown."""
     whole = record_schema()
     lines = ["### The record", "", *_property_table(whole)]
-    for name, item in whole["$defs"].items():
+    for name, definition in whole["$defs"].items():
         if name not in _HIDDEN_DEFINITIONS:
-            lines += ["", f"### {name}", "", item["description"]]
-            lines += ["", *_property_table(item)] if list(_property_rows(item, "")) else []
+            lines += ["", f"### {name}", "", definition["description"]]
+            lines += (
+                ["", *_property_table(definition)] if list(_property_rows(definition, "")) else []
+            )
     return "\n".join([*lines, ""])
 
 
@@ -260,34 +262,34 @@ def _property_table(part: Data) -> list[str]:
 
 
 def _property_rows(part: Data, prefix: str) -> Iterator[str]:
-    """A row for each property, and for those below it that have no table of their own."""
-    for name, item in part.get("properties", {}).items():
-        text = item.get("description", "").replace("|", "\\|")
-        yield f"| `{prefix}{name}` | {_value_text(item)} | {text} |"
-        yield from _property_rows(item, f"{prefix}{name}.")
+    """Yield a row for each property, and for those below it that have no table of their own."""
+    for name, property_schema in part.get("properties", {}).items():
+        text = property_schema.get("description", "").replace("|", "\\|")
+        yield f"| `{prefix}{name}` | {_value_text(property_schema)} | {text} |"
+        yield from _property_rows(property_schema, f"{prefix}{name}.")
     for key, mark in (("items", "[]."), ("additionalProperties", ".*.")):
         if isinstance(part.get(key), dict):
             yield from _property_rows(part[key], f"{prefix.removesuffix('.')}{mark}")
-    for item in part.get("anyOf", ()):
-        yield from _property_rows(item, prefix)
+    for alternative in part.get("anyOf", ()):
+        yield from _property_rows(alternative, prefix)
 
 
-def _value_text(item: Data) -> str:
-    """What a key may hold, in words."""
-    if "$ref" in item:
-        name = item["$ref"].rpartition("/")[2]
+def _value_text(part: Data) -> str:
+    """Describe what a key may hold."""
+    if "$ref" in part:
+        name = part["$ref"].rpartition("/")[2]
         return f"[{name}](#{name})" if name not in _HIDDEN_DEFINITIONS else "as a verdict"
-    if "anyOf" in item:
-        return " or ".join(_value_text(each) for each in item["anyOf"])
-    if "const" in item:
-        return f"`{item['const']}`"
-    if "enum" in item:
-        return ", ".join("null" if each is None else f"`{each}`" for each in item["enum"])
-    kinds = item.get("type", "anything")
+    if "anyOf" in part:
+        return " or ".join(_value_text(each) for each in part["anyOf"])
+    if "const" in part:
+        return f"`{part['const']}`"
+    if "enum" in part:
+        return ", ".join("null" if each is None else f"`{each}`" for each in part["enum"])
+    kinds = part.get("type", "anything")
     text = " or ".join(
         _TYPE_NAMES.get(kind, kind) for kind in ([kinds] if isinstance(kinds, str) else kinds)
     )
-    inner = item.get("items", item.get("additionalProperties"))
+    inner = part.get("items", part.get("additionalProperties"))
     if isinstance(inner, dict) and ("$ref" in inner or "type" in inner):
         text = text.replace("list", f"list of {_value_text(inner)}", 1)
         text = text.replace("mapping", f"mapping to {_value_text(inner)}", 1)
@@ -300,10 +302,6 @@ _TYPE_NAMES = {
 }  # fmt: skip
 
 
-def _write_schema_page(path: Path) -> None:
-    """Bring the tables of a page up to date."""
-    path.write_text(updated_page(path.read_text("utf-8")), "utf-8")
-
-
 if __name__ == "__main__":
-    _write_schema_page(Path(__file__).resolve().parents[2] / "docs" / PAGE)
+    _path = Path(__file__).resolve().parents[2] / "docs" / PAGE
+    _path.write_text(updated_page(_path.read_text("utf-8")), "utf-8")

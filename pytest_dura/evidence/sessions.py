@@ -17,28 +17,28 @@ Data = Mapping[str, Any]
 OWN_ORIGIN: Data = {"session": None, "changed": None}
 """The origin of an episode that was simulated by the session itself, for the first time."""
 NO_REUSE: Data = {"mode": "none", "session": None, "searched": None}
-"""Of a session that nobody told of others."""
+"""Reuse of a session that knows of no earlier one."""
 _REUSE_MODES = ("none", "resume", "reuse")
 
 
 class ReuseRecord:
-    """What items tell of earlier sessions, beside the episodes of the record."""
+    """Collects what items report of earlier sessions, beside the episodes of the record."""
 
     def __init__(self) -> None:
         self._notes: set[str] = set()
         self._searched: dict[str, Data] = {}
 
     def add(self, report: Data) -> None:
-        """What an item told: its ``notes``, and the origins of what it ``searched``."""
+        """Take in an item's ``notes``, and the origins of the simulations that it ``searched``."""
         self._notes.update(report["notes"])
-        for item in report["searched"]:
-            self._searched.setdefault(item["run"], item)
+        for simulation in report["searched"]:
+            self._searched.setdefault(simulation["run"], simulation)
 
     def to_json(self, header: Data) -> dict[str, Any]:
-        """What the record says of reuse, what follows from its episodes apart.
+        """Build the record's key ``reuse``, apart from what follows from its episodes.
 
         Args:
-            header: What the session says of itself.
+            header: ``mode`` and ``session`` of the session itself.
         """
         searched = (
             None if header["mode"] == "none" else _search_origin_counts(self._searched.values())
@@ -47,17 +47,12 @@ class ReuseRecord:
 
 
 def _search_origin_counts(runs: Iterable[Data]) -> dict[str, Any]:
-    """What the origins of the simulations of searches come to.
-
-    Args:
-        runs: ``{origin}`` of each.
-    """
     known = list(runs)
     return {"simulations": len(known), **origin_counts(known)}
 
 
 def origin_counts(episodes: Iterable[Data]) -> dict[str, Any]:
-    """What the origins of episodes come to, fault-free twins apart.
+    """Count the origins of episodes, fault-free twins apart.
 
     Args:
         episodes: Of the record, or others with an ``origin``.
@@ -90,18 +85,18 @@ def _origin_summary(sessions: Counter[str], changes: Counter[tuple[str, ...]]) -
 
 
 def merged_reuse(parts: Iterable[Data]) -> dict[str, Any]:
-    """What the record of merged shards begins with: each of them was a session of its own."""
-    told = list(parts)
-    searched = [item["searched"] for item in told if item["searched"] is not None]
+    """Merge what shards, each a session of its own, say of reuse."""
+    shards = list(parts)
+    searched = [shard["searched"] for shard in shards if shard["searched"] is not None]
     return {
-        "mode": max((item["mode"] for item in told), key=_REUSE_MODES.index),
+        "mode": max((shard["mode"] for shard in shards), key=_REUSE_MODES.index),
         "session": None,
         "searched": _summed_origins(searched) if searched else None,
     }
 
 
 def _summed_origins(counts: Sequence[Data]) -> dict[str, Any]:
-    """The sum of several :func:`searched_counts`; no two shards make the same search."""
+    """Sum of several :func:`_search_origin_counts`; no two shards make the same search."""
     sessions: Counter[str] = Counter()
     changes: Counter[tuple[str, ...]] = Counter()
     for count in counts:
@@ -114,24 +109,24 @@ def _summed_origins(counts: Sequence[Data]) -> dict[str, Any]:
 
 
 def outdated_reason(changed: Iterable[str]) -> str:
-    """In words, why episodes of an earlier session do not count in this one."""
+    """Reason, in words, why episodes of an earlier session do not count in this one."""
     names = ", ".join(changed)
     return f"{names} changed" if names else "missing or damaged in the earlier session"
 
 
 def reuse_problems(record: SessionRecord) -> Iterator[str]:
-    """Everything in which a record contradicts what it says of earlier sessions."""
-    told, again = record["reuse"], origin_counts(record.episodes())
-    for key, value in again.items():
-        if told[key] != value:
-            yield f"reuse: {key} is {told[key]}, and its episodes say {value}"
-    if told["mode"] == "none" and (again["taken_over"] or again["outdated"]):
+    """Yield the contradictions in what a record says of earlier sessions."""
+    reuse, counted = record["reuse"], origin_counts(record.episodes())
+    for key, value in counted.items():
+        if reuse[key] != value:
+            yield f"reuse: {key} is {reuse[key]}, and its episodes say {value}"
+    if reuse["mode"] == "none" and (counted["taken_over"] or counted["outdated"]):
         yield "reuse: episodes of earlier sessions, though none was asked for"
-    if told["session"] in {session["session"] for session in again["sessions"]}:
+    if reuse["session"] in {session["session"] for session in counted["sessions"]}:
         yield "reuse: the session took over episodes from itself"
-    if (told["session"] is None) != (record["merged_from"] is not None):
+    if (reuse["session"] is None) != (record["merged_from"] is not None):
         yield "reuse: a session has an id, and merged shards have none"
-    yield from _searched_problems(told["mode"], told["session"], told["searched"])
+    yield from _searched_problems(reuse["mode"], reuse["session"], reuse["searched"])
     for episode in record.episodes():
         if episode["origin"]["session"] is not None and episode["validity"] == "missing":
             yield f"episode {episode['id']}: it was taken over, and it is missing"
@@ -140,18 +135,20 @@ def reuse_problems(record: SessionRecord) -> Iterator[str]:
 def _searched_problems(
     mode: str, session: str | None, searched: Mapping[str, Any] | None
 ) -> Iterator[str]:
-    """What contradicts itself in the counts of searches, whose episodes are in no record."""
+    """Yield the contradictions in the counts of searches, whose episodes are in no record."""
     if (mode == "none") != (searched is None):
         yield "reuse: searches are counted where earlier sessions are asked, and only there"
     if searched is None:
         return
-    taken, again = (
-        sum(item["episodes"] for item in searched[key]) for key in ("sessions", "outdated")
+    taken_over, outdated = (
+        sum(entry["episodes"] for entry in searched[key]) for key in ("sessions", "outdated")
     )
-    if searched["taken_over"] != taken:
-        yield f"reuse: {searched['taken_over']} runs of searches, and their sessions say {taken}"
-    if taken + again > searched["simulations"]:
-        yield f"reuse: {searched['simulations']} runs of searches, and {taken + again} origins"
+    if searched["taken_over"] != taken_over:
+        runs = f"{searched['taken_over']} runs of searches"
+        yield f"reuse: {runs}, and their sessions say {taken_over}"
+    if taken_over + outdated > searched["simulations"]:
+        runs = f"{searched['simulations']} runs of searches"
+        yield f"reuse: {runs}, and {taken_over + outdated} origins"
     if session in {session["session"] for session in searched["sessions"]}:
         yield "reuse: the session took over runs of searches from itself"
 
@@ -161,7 +158,7 @@ UnitKind = Literal["case", "test"]
 
 @dataclass(frozen=True)
 class ShardUnit:
-    """What no two shards share: items that look at the same episodes, or a test on its own.
+    """Unit of work that no two shards share: items on the same episodes, or a test on its own.
 
     Args:
         kind: ``case`` for the items of cases, ``test`` for a test without one.
@@ -179,7 +176,7 @@ class ShardUnit:
 
     @property
     def key(self) -> tuple[str, str]:
-        """What tells it from the other units of a session, and orders them."""
+        """Key that is unique among the units of a session, and orders them."""
         return self.kind, self.name
 
     def to_json(self) -> dict[str, Any]:
@@ -193,7 +190,7 @@ class ShardUnit:
 
     @classmethod
     def of(cls, kind: UnitKind, name: str, node_ids: Sequence[str], episodes: int) -> ShardUnit:
-        """The unit of these items."""
+        """Build the unit of these items."""
         return cls(kind, name, len(node_ids), episodes, _items_digest(node_ids))
 
 
@@ -205,18 +202,18 @@ def _items_digest(node_ids: Iterable[str]) -> str:
 def plan_digest(units: Iterable[ShardUnit]) -> str:
     """SHA-256 over the units of a whole session, whatever order they are in.
 
-    Shards with the same one are parts of the same whole; the units of all of them together have to
-    have it as well.
+    Shards with the same digest are parts of the same whole; the units of all of them together have
+    to have it as well.
     """
-    told = [
+    rows = [
         [unit.kind, unit.name, unit.items, unit.episodes, unit.digest]
         for unit in sorted(units, key=lambda unit: unit.key)
     ]
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
 
 
 def split_units(units: Iterable[ShardUnit], count: int) -> list[list[ShardUnit]]:
-    """The units in so many shards of about equal numbers of episodes; some may be empty.
+    """Split units into shards of about equal numbers of episodes; some may be empty.
 
     The largest unit first, each goes to the shard that has the fewest episodes so far, and among
     equals the fewest items: Graham's longest-processing-time rule, whose largest shard is at most
@@ -232,11 +229,11 @@ def split_units(units: Iterable[ShardUnit], count: int) -> list[list[ShardUnit]]
         episodes, items, index = loads[0]
         shards[index].append(unit)
         heapreplace(loads, (episodes + unit.episodes, items + unit.items, index))
-    return [sorted(shard, key=lambda item: item.key) for shard in shards]
+    return [sorted(shard, key=lambda unit: unit.key) for shard in shards]
 
 
 def shard_problems(record: SessionRecord) -> Iterator[str]:
-    """Everything in which a record contradicts what it says of shards."""
+    """Yield the contradictions in what a record says of shards."""
     yield from _shard_part_problems(record)
     yield from _merged_problems(record)
 
@@ -249,20 +246,20 @@ def _shard_part_problems(record: SessionRecord) -> Iterator[str]:
         yield "shard: it is a shard, and merged from shards"
     if shard["index"] > shard["count"]:
         yield f"shard: {shard['index']} of {shard['count']}"
-    held = [ShardUnit.from_json(hold) for hold in shard["holds"]]
-    keys = [unit.key for unit in held]
+    units = [ShardUnit.from_json(hold) for hold in shard["holds"]]
+    keys = [unit.key for unit in units]
     if keys != sorted(set(keys)):
         yield "shard: its units are not sorted, or one is listed twice"
     if shard["plan"] is None:
-        if held or shard["units"] is not None:
+        if units or shard["units"] is not None:
             yield "shard: it holds units of no plan"
         return
-    if shard["units"] is None or len(held) > shard["units"]:
-        yield f"shard: it holds {len(held)} units, and the whole session {shard['units']}"
-    elif len(held) == shard["units"] and plan_digest(held) != shard["plan"]:
+    if shard["units"] is None or len(units) > shard["units"]:
+        yield f"shard: it holds {len(units)} units, and the whole session {shard['units']}"
+    elif len(units) == shard["units"] and plan_digest(units) != shard["plan"]:
         yield "shard: it holds all units of the session, and they are not its plan"
-    elif shard["count"] == 1 and len(held) != shard["units"]:
-        yield f"shard: the only one holds {len(held)} of {shard['units']} units"
+    elif shard["count"] == 1 and len(units) != shard["units"]:
+        yield f"shard: the only one holds {len(units)} of {shard['units']} units"
 
 
 def _merged_problems(record: SessionRecord) -> Iterator[str]:

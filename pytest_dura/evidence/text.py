@@ -1,8 +1,8 @@
-"""Texts of users and components, made visible, bounded and harmless for whoever renders them.
+"""Texts of users and components, made visible, bounded and harmless for every report.
 
 A record may hold anything: control characters, lone surrogates, markup, a megabyte of prose. What
 these functions return is printable, encodes as UTF-8, and has only characters that XML 1.0 allows.
-They escape no HTML: that is for whoever writes HTML.
+They escape no HTML.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import re
 from itertools import accumulate
 
 LIMIT = 2000
-"""Characters of a text, where nothing else is asked for."""
+"""Default for the greatest number of characters of a text."""
 LINE = 500
 NAME = 120
 LEAST_LIMIT = 64
-"""What says that a text was shortened needs some room itself."""
+"""Room for the note that a text was shortened."""
 
 _DIGEST = 8
 _SCANNED = 16  # times the limit: a megabyte of blanks costs no more than a page
@@ -32,7 +32,7 @@ _BLANK = re.compile(r"[^\S\t\n\r\x0b\x0c\x1c-\x1f\x85\u2028\u2029]")
 
 
 def visible(text: str, limit: int = LIMIT, *, hashed: bool = False) -> str:
-    r"""The text with each character visible; ends of lines and tabs stay.
+    r"""Make each character of a text visible; ends of lines and tabs stay.
 
     What is not printable, or drawn as nothing, is written as Python would escape it:
     ``\x1b``, ``\u202e``, ``\udc80``. Blanks of any width become a space. A text that is shortened
@@ -49,11 +49,11 @@ def visible(text: str, limit: int = LIMIT, *, hashed: bool = False) -> str:
     # An escape is never shorter than its character and CR LF becomes one, so what follows cannot
     # matter but for being there.
     head = text[: 2 * limit + 2].replace("\r\n", "\n")
-    return _fitted(_pieces(head, keep="\n\t"), text, limit, hashed=hashed)
+    return _fitted(_pieces(head, unescaped="\n\t"), text, limit, hashed=hashed)
 
 
 def one_line(text: str, limit: int = LINE, *, hashed: bool = False) -> str:
-    """Like :func:`visible`, on one line: runs of blanks and ends of lines become one space.
+    """Do the same as :func:`visible` on one line: runs of blanks and ends of lines become a space.
 
     Of a text that is far longer than the limit the end is not looked at: it counts as shortened,
     even if it is all blanks.
@@ -64,18 +64,18 @@ def one_line(text: str, limit: int = LINE, *, hashed: bool = False) -> str:
 
 
 def name(text: str, limit: int = NAME) -> str:
-    r"""An identifier on one line: two that differ stay different.
+    r"""Write an identifier on one line: two that differ stay different.
 
     Ends of lines and odd blanks are escaped too, and whatever was escaped or shortened
     bears a short hash: ``a\nb (#1f0c2e4d)``.
     """
     if len(text) <= limit and text.isprintable() and not _UNSEEN.search(text):
         return text
-    return _fitted(_pieces(text[: limit + 1], blanks=False), text, limit, hashed=True, told=True)
+    return _fitted(_pieces(text[: limit + 1], blanks=False), text, limit, hashed=True, marked=True)
 
 
 def code(text: str, limit: int = LINE) -> str:
-    """A Markdown code span of one line, also for a cell of a table; nothing if there is no text.
+    """Write a Markdown code span of one line, also for a cell of a table; no text gives none.
 
     Nothing in it is a link, a mention, a reference, a formula or HTML, in any dialect.
     """
@@ -101,7 +101,7 @@ _BEGINS_BLOCK = re.compile(r"^(?:([#+=:-])|(\d{1,9})([.)]))")
 
 
 def markdown(text: str, limit: int = LINE) -> str:
-    """Prose for one line of Markdown or a cell of a table, that reads as it was written.
+    """Escape prose for one line of Markdown or a cell of a table, so that it reads as written.
 
     Text which a renderer may take for a link, a mention, a reference or a formula is set as code.
     """
@@ -117,15 +117,15 @@ def _unblocked(match: re.Match[str]) -> str:
     return f"\\{mark}" if mark else f"{number}\\{point}"
 
 
-def _pieces(text: str, *, keep: str = "", blanks: bool = True) -> list[str]:
-    """Each character, or what stands for it."""
+def _pieces(text: str, *, unescaped: str = "", blanks: bool = True) -> list[str]:
+    """Split a text into its characters, each escaped if need be."""
     if text.isprintable() and not _UNSEEN.search(text):
         return list(text)
-    return [_shown(char, keep, blanks=blanks) for char in text]
+    return [_shown(char, unescaped, blanks=blanks) for char in text]
 
 
-def _shown(char: str, keep: str, *, blanks: bool) -> str:
-    if char in keep or (char.isprintable() and not _UNSEEN.match(char)):
+def _shown(char: str, unescaped: str, *, blanks: bool) -> str:
+    if char in unescaped or (char.isprintable() and not _UNSEEN.match(char)):
         return char
     if blanks and _BLANK.match(char):
         return " "
@@ -144,17 +144,17 @@ def _fitted(
     limit: int,
     *,
     hashed: bool,
-    told: bool = False,
+    marked: bool = False,
     cut: bool = False,
 ) -> str:
-    """The pieces, as far as they fit.
+    """Join as many pieces as fit.
 
-    ``told`` adds the hash to what was not shortened too; ``cut`` says that there was more.
+    ``marked`` adds the hash also to what was not shortened; ``cut`` says that there was more.
     """
     if limit < LEAST_LIMIT:
         raise ValueError(f"a limit of {limit} characters is below {LEAST_LIMIT}")
     digest = f"#{_digest(text)}" if hashed else ""
-    note = f" ({digest})" if told else ""
+    note = f" ({digest})" if marked else ""
     if not cut and sum(map(len, pieces)) <= limit - len(note):
         return "".join(pieces) + note
     note = f"... ({len(text)} characters{', ' + digest if digest else ''})"

@@ -1,4 +1,4 @@
-"""Trace: an episode tick by tick, the name of its file, and where two of them differ first."""
+"""Trace: an episode tick by tick, the name of its file, and the first difference of two."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from pytest_dura.evidence.model import plain_data
 from pytest_dura.evidence.text import one_line
 
 TRACE_FOLDER = "episodes"
-"""In the bundle: where the traces are."""
+"""Folder of the traces in a bundle."""
 _MAX_SLUG = 80
-"""Characters of an id that a name keeps."""
+"""Greatest number of characters of an id in a file's name."""
 _NAME = re.compile(r"(?!.*\.\.)[A-Za-z0-9_][A-Za-z0-9._-]{0,79}-[0-9a-f]{8}\.mcap")
 _PATH = re.compile(rf"{TRACE_FOLDER}/({_NAME.pattern})")
-# Names of devices, which Windows sees whatever follows the first point.
+# Names of devices, which Windows recognises before the first point.
 _DEVICE = re.compile(r"(?i)(con|prn|aux|nul|com[0-9]|lpt[0-9])(\.|-|$)")
 
 
 def episode_name(about: Mapping[str, Any]) -> str:
-    """A name without suffix: the id as far as it goes, and what tells it from all others.
+    """Make a file's name without suffix: the shortened id, and a digest that is unique.
 
     Args:
         about: With ``id``, ``component``, ``seed`` and ``digest`` of the episode.
@@ -42,25 +42,25 @@ def episode_name(about: Mapping[str, Any]) -> str:
 
 
 def slug(text: str) -> str:
-    """The text as the part of a file's name; two texts may have the same one."""
-    sub = re.sub(r"[^A-Za-z0-9._-]+", "-", text[: 4 * _MAX_SLUG])
-    sub = re.sub(r"\.{2,}", ".", sub).lstrip(".-")[:_MAX_SLUG].rstrip(".-")
-    return f"_{sub}"[:_MAX_SLUG] if _DEVICE.match(sub) else sub or "episode"
+    """Turn a text into a part of a file's name; two texts may have the same one."""
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", text[: 4 * _MAX_SLUG])
+    name = re.sub(r"\.{2,}", ".", name).lstrip(".-")[:_MAX_SLUG].rstrip(".-")
+    return f"_{name}"[:_MAX_SLUG] if _DEVICE.match(name) else name or "episode"
 
 
 def trace_path(about: Mapping[str, Any]) -> str:
-    """Where the trace of an episode is in the bundle: ``episodes/<name>.mcap``."""
+    """Make the path of an episode's trace in the bundle: ``episodes/<name>.mcap``."""
     return f"{TRACE_FOLDER}/{episode_name(about)}.mcap"
 
 
 def is_trace_name(name: str) -> bool:
-    """Whether a file of this name in ``episodes`` is a trace of ours, whole or begun."""
-    begun = name.removeprefix(".").rpartition("-")[0] if name.startswith(".") else ""
-    return _NAME.fullmatch(begun or name) is not None
+    """Whether a file of this name in ``episodes`` is a trace, complete or partly written."""
+    partial = name.removeprefix(".").rpartition("-")[0] if name.startswith(".") else ""
+    return _NAME.fullmatch(partial or name) is not None
 
 
 def is_trace_path(path: Any) -> bool:
-    """Whether a record may name this path as that of a trace; none leads out of the bundle."""
+    """Whether a path may be that of a trace, which never leads out of the bundle."""
     return isinstance(path, str) and _PATH.fullmatch(path) is not None
 
 
@@ -77,8 +77,8 @@ class Trace:
             ``(ticks - 1,)``. See :class:`~pytest_dura.core.episode.Episode`.
         events: ``{tick, time, kind, subject, detail, data}`` in their order; with ``wall_clock``
             where that is true, of what depends on the machine's speed.
-        recording: What was said at each decision, and the scene. Accounts are without what does
-            not belong to the trace: the null component's, and wall-clock times.
+        recording: Texts of each decision, and the scene. Accounts are without what does not
+            belong to the trace: the null component's, and wall-clock times.
     """
 
     about: Mapping[str, Any]
@@ -90,7 +90,7 @@ class Trace:
 
     @classmethod
     def of(cls, episode: Episode) -> Trace:
-        """Of an episode, whose columns it shares."""
+        """Make the trace of an episode, with which it shares the columns."""
         about = {
             "id": episode.id,
             "case": episode.spec.case,
@@ -113,15 +113,15 @@ class Trace:
         )
 
     def without_secrets(self, redact: Callable[[Any], Any]) -> Trace:
-        """The same trace with what takes secrets out of plain data applied to all of its texts."""
+        """Apply a function that removes secrets from plain data to all texts."""
         decisions = dict(self.decisions)
         for name, column in decisions.items():
             if column.dtype.kind == "U":
-                found, places = np.unique(column, return_inverse=True)
-                texts = found.tolist()
-                told = redact(texts)
-                if told is not texts:
-                    decisions[name] = np.array(told, dtype=np.str_)[places]
+                distinct, places = np.unique(column, return_inverse=True)
+                texts = distinct.tolist()
+                redacted = redact(texts)
+                if redacted is not texts:
+                    decisions[name] = np.array(redacted, dtype=np.str_)[places]
         recording = self.recording
         return replace(
             self,
@@ -133,31 +133,24 @@ class Trace:
                 explanations=_redacted(recording.explanations, redact),
                 reasons=_redacted(recording.reasons, redact),
                 recoveries=_redacted(recording.recoveries, redact),
-                accounts=_redacted_accounts(recording.accounts, redact),
+                accounts=tuple(map(redact, recording.accounts)),
                 problem=None if recording.problem is None else redact(recording.problem),
             ),
         )
 
 
 def _redacted(texts: tuple[str, ...], redact: Callable[[Any], Any]) -> tuple[str, ...]:
-    """Texts that are the same for many ticks are looked at once."""
+    """Redact texts, each of the distinct ones once."""
     distinct = list(dict.fromkeys(texts))
-    told = redact(distinct)
-    if told is distinct:
+    redacted = redact(distinct)
+    if redacted is distinct:
         return texts
-    found = dict(zip(distinct, told, strict=True))
-    return tuple(found[text] for text in texts)
+    replacements = dict(zip(distinct, redacted, strict=True))
+    return tuple(replacements[text] for text in texts)
 
 
 def _account_data(account: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in account.items() if key not in (NULL, SECONDS)}
-
-
-def _redacted_accounts(
-    accounts: tuple[Mapping[str, Any], ...], redact: Callable[[Any], Any]
-) -> tuple[Mapping[str, Any], ...]:
-    """Those that nothing is taken out of stay what they are."""
-    return tuple(redact(account) for account in accounts)
 
 
 def _event_data(event: Event) -> dict[str, Any]:
@@ -166,21 +159,21 @@ def _event_data(event: Event) -> dict[str, Any]:
 
 
 ABSENT = "nothing"
-"""What stands for a value that one of the two does not have."""
+"""Text in place of a value that only the other trace has."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The first difference.
+    """First difference between two traces.
 
     Args:
-        column: What differs, such as ``signals.gap``, ``decisions.executed`` or ``events``.
-        recorded: What it is in the one trace, in words.
-        replayed: What it is in the other.
-        tick: From which tick on; ``None`` for what belongs to none.
+        column: Name, such as ``signals.gap``, ``decisions.executed`` or ``events``.
+        recorded: Value in the one trace, as text.
+        replayed: Value in the other.
+        tick: First tick at which they differ; ``None`` for what belongs to no tick.
         time: Simulated seconds at that tick.
         also: Further columns that differ at the same tick.
-        covered: Whether the episode's digest covers it. It leaves out what is only shown.
+        covered: Whether the episode's digest covers it, which leaves out what is only shown.
     """
 
     column: str
@@ -192,7 +185,7 @@ class Difference:
     covered: bool = True
 
     def __str__(self) -> str:
-        """One line."""
+        """Describe the difference on one line."""
         place = "" if self.tick is None else f"tick {self.tick}"
         place += "" if self.time is None else f" ({self.time:.3f} s)"
         text = f"{place}, " if place else ""
@@ -206,25 +199,27 @@ class Difference:
 def first_difference(
     recorded: Trace, replayed: Trace, *, covered: bool = False
 ) -> Difference | None:
-    """The earliest tick at which a column differs; or else events, end or what belongs to no tick.
+    """Find the earliest tick at which a column differs; else an event, the end, or the rest.
 
     Columns are compared bit by bit. Events that depend on the machine's speed are left out.
 
     Args:
-        recorded: The one.
-        replayed: The other.
-        covered: Whether to look only at what the episode's digest covers.
+        recorded: The original.
+        replayed: The repetition.
+        covered: Whether to compare only what the episode's digest covers.
     """
-    column_difference = [
-        item for item in _column_difference(recorded, replayed) if item.covered or not covered
+    differences = [
+        difference
+        for difference in _column_differences(recorded, replayed)
+        if difference.covered or not covered
     ]
-    timed = [item for item in column_difference if item.tick is not None]
+    timed = [difference for difference in differences if difference.tick is not None]
     if timed:
-        tick = min(item.tick for item in timed if item.tick is not None)
-        first, *others = [item for item in timed if item.tick == tick]
+        tick = min(difference.tick for difference in timed if difference.tick is not None)
+        first, *others = [difference for difference in timed if difference.tick == tick]
         time = _time(recorded, replayed, tick)
-        return replace(first, time=time, also=tuple(item.column for item in others))
-    return next(iter([*_other_differences(recorded, replayed), *column_difference]), None)
+        return replace(first, time=time, also=tuple(difference.column for difference in others))
+    return next(iter([*_other_differences(recorded, replayed), *differences]), None)
 
 
 def _time(recorded: Trace, replayed: Trace, tick: int) -> float | None:
@@ -234,12 +229,14 @@ def _time(recorded: Trace, replayed: Trace, tick: int) -> float | None:
     return None
 
 
-def _column_difference(recorded: Trace, replayed: Trace) -> Iterator[Difference]:
+def _column_differences(recorded: Trace, replayed: Trace) -> Iterator[Difference]:
     left, right = _all_columns(recorded), _all_columns(replayed)
     for name in dict.fromkeys([*left, *right]):
         covered = name == "time" or name.startswith(("signals.", "decisions."))
         if name not in left or name not in right:
-            own, other = ("such a column" if name in item else ABSENT for item in (left, right))
+            own, other = (
+                "such a column" if name in columns else ABSENT for columns in (left, right)
+            )
             yield Difference(name, own, other, covered=covered)
             continue
         place = _first_place(left[name], right[name])
@@ -249,7 +246,7 @@ def _column_difference(recorded: Trace, replayed: Trace) -> Iterator[Difference]
 
 
 def _first_place(left: NDArray[Any], right: NDArray[Any]) -> tuple[int | None, str, str] | None:
-    """The first place at which two columns differ, and what is there."""
+    """Find the first place at which two columns differ, and both values there."""
     if left.dtype != right.dtype and not left.dtype.kind == right.dtype.kind == "U":
         return None, str(left.dtype), str(right.dtype)
     shared = min(len(left), len(right))
@@ -257,12 +254,14 @@ def _first_place(left: NDArray[Any], right: NDArray[Any]) -> tuple[int | None, s
     place = int(places[0]) if len(places) else shared
     if place == len(left) == len(right):
         return None
-    words = [_value_text(item[place]) if place < len(item) else ABSENT for item in (left, right)]
-    return place, words[0], words[1]
+    values = [
+        _value_text(column[place]) if place < len(column) else ABSENT for column in (left, right)
+    ]
+    return place, values[0], values[1]
 
 
 def _bits(column: NDArray[Any]) -> NDArray[Any]:
-    """What is equal where the bits are: a NaN is itself, and zeros of both signs differ."""
+    """View a column so that it compares bit by bit: NaN equals itself, zeros differ by sign."""
     if column.dtype.kind == "f":
         return np.ascontiguousarray(column).view(f"u{column.dtype.itemsize}")
     return column
@@ -274,31 +273,31 @@ def _value_text(value: Any) -> str:
 
 
 def _all_columns(trace: Trace) -> dict[str, NDArray[Any]]:
-    """Every column by a name of its own: what the loop measured before what it only said."""
+    """Collect all columns by name: measured values first, then texts and the scene."""
     recording = trace.recording
-    found: dict[str, NDArray[Any]] = {"time": trace.time}
-    found |= {f"signals.{name}": column for name, column in trace.signals.items()}
-    found |= {f"decisions.{name}": column for name, column in trace.decisions.items()}
-    found |= {f"flags.{name}": column for name, column in recording.flags.items()}
+    columns: dict[str, NDArray[Any]] = {"time": trace.time}
+    columns |= {f"signals.{name}": column for name, column in trace.signals.items()}
+    columns |= {f"decisions.{name}": column for name, column in trace.decisions.items()}
+    columns |= {f"flags.{name}": column for name, column in recording.flags.items()}
     for name in ("explanations", "reasons", "recoveries"):
         texts: tuple[str, ...] = getattr(recording, name)
         # An array of texts would be as wide as its longest, and drop a NUL at the end.
-        found[name] = np.array([*texts, None], object)[:-1]
+        columns[name] = np.array([*texts, None], object)[:-1]
     accounts = (json.dumps(account, sort_keys=True) for account in recording.accounts)
-    found["accounts"] = np.array([*accounts, None], object)[:-1]
+    columns["accounts"] = np.array([*accounts, None], object)[:-1]
     if recording.scene is not None:
-        found |= _poses(recording.scene, len(trace.time))
-    return found
+        columns |= _poses(recording.scene, len(trace.time))
+    return columns
 
 
 def _poses(scene: Scene, ticks: int) -> dict[str, NDArray[Any]]:
-    """A column for each number of each thing; of one that is never there, none."""
-    found = {}
+    """Make a column for each coordinate of each object."""
+    columns = {}
     for kind, tracks in (("truth", scene.truth), ("percept", scene.percept)):
         for number, name in enumerate(tracks.ids):
             for place, what in enumerate(POSE):
-                found[f"{kind}.{name}.{what}"] = tracks.poses[:ticks, number, place]
-    return found
+                columns[f"{kind}.{name}.{what}"] = tracks.poses[:ticks, number, place]
+    return columns
 
 
 def _other_differences(recorded: Trace, replayed: Trace) -> Iterator[Difference]:

@@ -1,6 +1,7 @@
-"""Verify a bundle: hashes, schema, formats, traces, and whatever follows from the episodes.
+"""Verify a bundle: hashes, schema, formats, traces, and all that follows from the episodes.
 
 The record's own sums are checked in ``verify_record``, its verdicts in ``verify_verdicts``.
+Functions named ``..._problems`` yield a sentence for each difference.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -38,80 +40,80 @@ from pytest_dura.evidence.mcap import read_trace
 from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics, SharedViolations
 from pytest_dura.evidence.model import Counts, SessionRecord, plain_data
 from pytest_dura.evidence.redaction import count_redactions
+from pytest_dura.evidence.schema import check_record
 from pytest_dura.evidence.sessions import reuse_problems
 from pytest_dura.evidence.traces import Trace, trace_path
 from pytest_dura.evidence.verify_record import record_problems
 from pytest_dura.evidence.verify_verdicts import verdict_problems
 from pytest_dura.requirements.checks import is_function_path
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 
 def _format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
-    """Everything in which the formats differ from the record."""
-    for item in all_formats():
-        for problem in _problems_of_format(item, record, counts):
-            yield f"{item.FILE}: {problem}"
+    for report_format in all_formats():
+        for problem in _problems_of_format(report_format, record, counts):
+            yield f"{report_format.FILE}: {problem}"
 
 
-def _other_version(record: SessionRecord) -> str | None:
-    """The version that wrote the record, where it is not this one, which renders other texts."""
-    # The package's own name is loaded in any case; importing it here would reach for all of it.
-    version = str(record["tool"]["version"])
-    return None if version == import_module("pytest_dura").__version__ else version
-
-
-def _problems_of_format(item: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
+def _problems_of_format(
+    report_format: Format, record: SessionRecord, counts: Counts
+) -> Iterator[str]:
     try:
-        yield from _format_differences(item, record, counts)
+        yield from _format_differences(report_format, record, counts)
     except Exception as error:  # a damaged record may break what renders it anywhere
         yield f"cannot be read back ({type(error).__name__}: {error})"
 
 
-def _format_differences(item: Format, record: SessionRecord, counts: Counts) -> Iterator[str]:
-    text = (record.directory / item.FILE).read_bytes().decode()
-    told, held = item.read_counts(text).to_json(), counts.to_json()
-    for name in held:
-        if told[name] != held[name]:
-            yield f"states {name} = {told[name]}, and the record holds {held[name]}"
-    if _other_version(record) is None and text != _as_read_back(item.render(record)):
-        yield "not as it is rendered from the record"
-    broken = getattr(item, "broken_references", None)
+def _other_version(record: SessionRecord) -> str | None:
+    """Version that wrote the record, if it is another one, whose reports may differ."""
+    # The package is loaded already; an import by statement would look like a circle.
+    version = str(record["tool"]["version"])
+    return None if version == import_module("pytest_dura").__version__ else version
+
+
+def _format_differences(
+    report_format: Format, record: SessionRecord, counts: Counts
+) -> Iterator[str]:
+    text = (record.directory / report_format.FILE).read_bytes().decode()
+    stated, recorded = report_format.read_counts(text).to_json(), counts.to_json()
+    for name in recorded:
+        if stated[name] != recorded[name]:
+            yield f"states {name} = {stated[name]}, and the record holds {recorded[name]}"
+    if _other_version(record) is None:
+        # Surrogates are escaped in the file.
+        rendered = report_format.render(record).encode(errors="backslashreplace").decode()
+        if text != rendered:
+            yield "not as it is rendered from the record"
+    broken = getattr(report_format, "broken_references", None)
     if broken is not None:
         yield from broken(text, record)
-    for fragment in re.findall(r"report\.html#([\w.:~+%/-]+)", text):
-        if f'id="{fragment}"' not in _report_text(record):
+    fragments = re.findall(r"report\.html#([\w.:~+%/-]+)", text)
+    report = (record.directory / "report.html").read_text("utf-8") if fragments else ""
+    for fragment in fragments:
+        if f'id="{fragment}"' not in report:
             yield f"refers to report.html#{fragment}, which is not there"
-
-
-def _as_read_back(text: str) -> str:
-    """A text as it is read back from its file."""
-    return text.encode(errors="backslashreplace").decode()
-
-
-def _report_text(record: SessionRecord) -> str:
-    return (record.directory / "report.html").read_text(encoding="utf-8")
 
 
 Data = Mapping[str, Any]
 CaseKey = tuple[str, str]
 _AFTERWARDS = ("redacted", "totals")
-"""What was not there when redactions were counted."""
+"""Keys that are added after redactions are counted."""
 
 
 def recomputed_problems(record: SessionRecord) -> Iterator[str]:
-    """Everything derived in a record that does not come out of it again."""
+    """Compute what is derived in a record again, and yield the differences."""
     yield from _case_problems(record)
-    again = coverage(record["cases"], record["verdicts"], record.episodes())
-    yield from _differences("coverage", record["coverage"], again)
-    told = record["timings"]
-    spent = {name: told[name] for name in ("wall_seconds", "evidence_seconds")}
-    yield from _differences("timings", told, timings(record.episodes(), **spent))
-    hidden = count_redactions({k: v for k, v in record.head.items() if k not in _AFTERWARDS})
+    computed = coverage(record["cases"], record["verdicts"], record.episodes())
+    yield from _differences("coverage", record["coverage"], computed)
+    recorded = record["timings"]
+    measured = {name: recorded[name] for name in ("wall_seconds", "evidence_seconds")}
+    yield from _differences("timings", recorded, timings(record.episodes(), **measured))
+    redactions = count_redactions({k: v for k, v in record.head.items() if k not in _AFTERWARDS})
     for episode in record.episodes():
-        hidden += count_redactions(episode)
-    yield from _differences("redacted", record["redacted"], dict(hidden))
+        redactions += count_redactions(episode)
+    yield from _differences("redacted", record["redacted"], dict(redactions))
     cases = {(case["id"], case["component"]) for case in record["cases"]}
     for number, monitor in enumerate(record["monitors"]):
         if (monitor["case"], monitor["component"]) not in cases:
@@ -121,12 +123,10 @@ def recomputed_problems(record: SessionRecord) -> Iterator[str]:
 
 def _case_problems(record: SessionRecord) -> Iterator[str]:
     metrics: dict[CaseKey, CaseMetrics] = defaultdict(CaseMetrics)
-    heard: dict[CaseKey, set[int]] = defaultdict(set)
+    reported: dict[CaseKey, set[int]] = defaultdict(set)
     shared = SharedViolations(record["verdicts"])
-    pooled, courses = (
-        PooledMetrics(record["cases"], record["verdicts"]),
-        PairedCourses(record["verdicts"]),
-    )
+    pooled = PooledMetrics(record["cases"], record["verdicts"])
+    courses = PairedCourses(record["verdicts"])
     for episode in record.episodes():
         if episode["planned"]:
             shared.add(episode)
@@ -134,86 +134,85 @@ def _case_problems(record: SessionRecord) -> Iterator[str]:
             courses.add(episode)
             key = episode["case"], episode["component"]
             metrics[key].add(episode)
-            heard[key].add(episode["spec"]["run"])
-    also_withouts = [verdict["also_without"] for verdict in record["verdicts"]]
-    yield from _differences("verdicts: also_without", also_withouts, shared.to_json())
+            reported[key].add(episode["spec"]["run"])
+    also_without = [verdict["also_without"] for verdict in record["verdicts"]]
+    yield from _differences("verdicts: also_without", also_without, shared.to_json())
     yield from _differences("overall", record["overall"], pooled.to_json())
-    again = effectiveness(record["verdicts"], record["monitors"], courses)
-    yield from _differences("effectiveness", record["effectiveness"], again)
+    computed = effectiveness(record["verdicts"], record["monitors"], courses)
+    yield from _differences("effectiveness", record["effectiveness"], computed)
     judged = verdicts_on_cases(record["verdicts"])
     for case in record["cases"]:
         key, name = (case["id"], case["component"]), f"case {case['id']}"
-        yield from _differences(
-            f"{name}: metrics", case["metrics"], metrics[key].to_json(case["planned"])
-        )
-        missing = missing_runs(case, judged.get(key, []), heard[key])
+        own_metrics = metrics[key].to_json(case["planned"])
+        yield from _differences(f"{name}: metrics", case["metrics"], own_metrics)
+        missing = missing_runs(case, judged.get(key, []), reported[key])
         yield from _differences(name, {key: case[key] for key in missing}, missing)
         override = case["runs_override"]
         if override is not None and case["planned"] not in (0, override):
-            yield f"{name}: {case['planned']} runs planned,"
-            f" and --dura-runs={override} replaces them"
+            planned = f"{case['planned']} runs planned"
+            yield f"{name}: {planned}, and --dura-runs={override} replaces them"
 
 
-def _monitor_problems(name: str, item: Data) -> Iterator[str]:
-    again = MonitorQuality.from_json(item)
-    yield from _differences(name, item, {"case": item["case"], **again.to_json()})
-    times = again.delays if again.horizon is None else again.lead_times
-    if len(times) != again.true_positives or (again.delays and again.lead_times):
-        yield f"{name}: {again.true_positives} true positives, and {len(times)} times of them"
-    if again.late + again.early > again.false_negatives:
+def _monitor_problems(name: str, monitor: Data) -> Iterator[str]:
+    quality = MonitorQuality.from_json(monitor)
+    yield from _differences(name, monitor, {"case": monitor["case"], **quality.to_json()})
+    times = quality.delays if quality.horizon is None else quality.lead_times
+    if len(times) != quality.true_positives or (quality.delays and quality.lead_times):
+        yield f"{name}: {quality.true_positives} true positives, and {len(times)} times of them"
+    if quality.late + quality.early > quality.false_negatives:
         yield f"{name}: more late and early alarms than false negatives"
-    if again.false_positives > again.false_alarms:
+    if quality.false_positives > quality.false_alarms:
         yield f"{name}: fewer false alarms than episodes with one"
 
 
-def _differences(name: str, told: Any, again: Any) -> Iterator[str]:
-    """The first place at which two pieces of plain data differ, if there is one."""
-    for place, item, other in _element_differences(name, told, plain_data(again)):
-        yield f"{place} is {item}, and the record gives {other}"
+def _differences(name: str, recorded: Any, computed: Any) -> Iterator[str]:
+    """Yield the first place at which plain data differs from a computed value, if there is one."""
+    for place, first, second in _element_differences(name, recorded, plain_data(computed)):
+        yield f"{place} is {first}, and the record gives {second}"
         return
 
 
-def _presence(there: bool) -> str:
-    return "there" if there else "not"
+def _presence(present: bool) -> str:
+    return "there" if present else "not"
 
 
-def _element_differences(name: str, told: Any, again: Any) -> Iterator[tuple[str, str, str]]:
-    if isinstance(told, Mapping) and isinstance(again, Mapping):
-        for key in [*told, *(key for key in again if key not in told)]:
-            if key in told and key in again:
-                yield from _element_differences(f"{name}/{key}", told[key], again[key])
+def _element_differences(name: str, recorded: Any, computed: Any) -> Iterator[tuple[str, str, str]]:
+    if isinstance(recorded, Mapping) and isinstance(computed, Mapping):
+        for key in [*recorded, *(key for key in computed if key not in recorded)]:
+            if key in recorded and key in computed:
+                yield from _element_differences(f"{name}/{key}", recorded[key], computed[key])
             else:
-                yield f"{name}/{key}", _presence(key in told), _presence(key in again)
-    elif isinstance(told, list) and isinstance(again, list):
-        if len(told) != len(again):
-            yield f"{name}: its number", str(len(told)), str(len(again))
-        for number, (item, other) in enumerate(zip(told, again, strict=False)):
-            yield from _element_differences(f"{name}/{number}", item, other)
-    elif told != again or isinstance(told, bool) != isinstance(again, bool):
-        yield name, repr(told)[:80], repr(again)[:80]
+                yield f"{name}/{key}", _presence(key in recorded), _presence(key in computed)
+    elif isinstance(recorded, list) and isinstance(computed, list):
+        if len(recorded) != len(computed):
+            yield f"{name}: its number", str(len(recorded)), str(len(computed))
+        for number, (first, second) in enumerate(zip(recorded, computed, strict=False)):
+            yield from _element_differences(f"{name}/{number}", first, second)
+    elif recorded != computed or isinstance(recorded, bool) != isinstance(computed, bool):
+        yield name, repr(recorded)[:80], repr(computed)[:80]
 
 
 @dataclass
 class RejudgedCount:
-    """How many verdicts on single episodes were judged again on their traces.
+    """Verdicts on single episodes that were judged again on their traces.
 
     Args:
-        judged: Judged again, whether they were violations or not.
+        judged: How many, violations or not.
         left_out: Violations without a trace, of pairs, or by a function, which is not run here.
-        found: What was found, by the number of the verdict in the record and the episode's id.
+        verdicts: By the number of the verdict in the record and the episode's id.
     """
 
     judged: int = 0
     left_out: int = 0
-    found: dict[tuple[int, str], EpisodeVerdict] = field(default_factory=dict)
+    verdicts: dict[tuple[int, str], EpisodeVerdict] = field(default_factory=dict)
 
 
 def trace_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[str]:
-    """Everything in which traces differ from the record; counts what was judged again."""
+    """Yield the differences between traces and record; collect what was judged again."""
     requirements = {requirement["id"]: requirement for requirement in record["requirements"]}
     verdicts: dict[tuple[str, str], list[tuple[int, Data]]] = defaultdict(list)
     for number, verdict in enumerate(record["verdicts"]):
-        if verdict["requirement"] in requirements:  # another one is told as such
+        if verdict["requirement"] in requirements:  # others are reported in verify_record
             verdicts[verdict["case"], verdict["component"]].append((number, verdict))
     for episode in record.episodes():
         claims = [
@@ -236,12 +235,12 @@ def trace_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[s
 
 
 def _retention_problems(record: SessionRecord, episode: Data, *, violated: bool) -> Iterator[str]:
-    """Whether the level of the evidence and its trace go together."""
+    """Compare an episode's trace with the level of the evidence."""
     level, trace = record["evidence_level"], episode["trace"]
     if trace is None:
-        # One that could not be written is told, and so is an episode that ran differently again.
-        told = any(reason.startswith("infrastructure: ") for reason in record["gate"]["reasons"])
-        if not told and (level == "all" or (level == "violations" and violated)):
+        # The gate names traces that could not be written, and episodes that are not repeatable.
+        excused = any(reason.startswith("infrastructure: ") for reason in record["gate"]["reasons"])
+        if not excused and (level == "all" or (level == "violations" and violated)):
             yield f"it has no trace, at the evidence level {level}"
         return
     if level == "summary":
@@ -253,9 +252,10 @@ def _retention_problems(record: SessionRecord, episode: Data, *, violated: bool)
 
 
 def rests_on(verdict: Data, episode: Data) -> bool:
-    """Whether a verdict may rest on an episode of its case; that of a campaign on the first runs.
+    """Whether a verdict may rest on an episode of its case.
 
-    Further ones are those of another requirement on the same case, which needed more of them.
+    The verdict of a campaign rests on the first runs of a case; another requirement on the same
+    case may need more of them.
     """
     return bool(
         episode["planned"] and (not verdict["check"] or episode["spec"]["run"] < verdict["run"])
@@ -264,7 +264,7 @@ def rests_on(verdict: Data, episode: Data) -> bool:
 
 @dataclass(frozen=True)
 class _Claim:
-    """What a verdict says of one episode: that it is a counterexample, or that it is none."""
+    """Statement of a verdict on an episode: that it is a counterexample, or that it is none."""
 
     number: int
     requirement: Requirement | None
@@ -272,33 +272,31 @@ class _Claim:
 
     @classmethod
     def of(cls, number: int, verdict: Data, requirement: Data, episode: Data) -> _Claim:
-        """Without a requirement where it cannot be judged on a trace alone."""
-        listed = [
-            counterexample
-            for counterexample in verdict["counterexamples"]
-            if counterexample["episode"] == episode["id"]
-        ]
+        """Make it without a requirement if the verdict cannot be made on a trace alone."""
+        listed = (e for e in verdict["counterexamples"] if e["episode"] == episode["id"])
         check = verdict["check"]
         by_formula = check and not is_function_path(check) and verdict["paired"] is None
         judged_by = Requirement.from_json({**requirement, "check": check}) if by_formula else None
-        return cls(number, judged_by, listed[0] if listed else None)
+        return cls(number, judged_by, next(listed, None))
 
 
 def _problems_of_trace(
     record: SessionRecord, episode: Data, claims: list[_Claim], rejudged: RejudgedCount
 ) -> Iterator[str]:
-    told, file = episode["trace"], record.directory / episode["trace"]["file"]
-    if file_entry(file) != {"sha256": told["sha256"], "bytes": told["bytes"]}:
+    entry, file = episode["trace"], record.directory / episode["trace"]["file"]
+    if file_entry(file) != {"sha256": entry["sha256"], "bytes": entry["bytes"]}:
         yield f"not the file that the record names for {episode['id']}"
         return
     trace = read_trace(file)
     for key in ("id", "case", "component", "seed", "digest", "validity", "termination", "failure"):
         if trace.about[key] != episode[key]:
             yield f"its {key} is {trace.about[key]!r}, and the record says {episode[key]!r}"
-    if [_comparable_event(event) for event in trace.events] != episode["events"]:
+    # Only traces say which events depend on the machine's speed.
+    events = [{k: v for k, v in event.items() if k != "wall_clock"} for event in trace.events]
+    if events != episode["events"]:
         yield f"its events are not those of {episode['id']} in the record"
-    again = _trace_episode(trace, episode)
-    measured = outcome_figures(again)
+    traced = _trace_episode(trace, episode)
+    measured = outcome_figures(traced)
     for key in ("flagged", "collided", "clearance_time", "gridlock", "switching"):
         if plain_data(measured[key]) != episode["outcome"][key]:
             yield f"its {key} is {measured[key]}, and the record says {episode['outcome'][key]}"
@@ -307,38 +305,27 @@ def _problems_of_trace(
             rejudged.left_out += claim.counterexample is not None
         else:
             rejudged.judged += 1
-            found = judge_episode(claim.requirement, again)
-            rejudged.found[claim.number, episode["id"]] = found
-            yield from _rejudged_problems(found, claim.counterexample)
-
-
-def _comparable_event(event: Data) -> dict[str, Any]:
-    """An event as the record has it; a trace says of it whether it hangs on the machine's speed."""
-    return {key: value for key, value in event.items() if key != "wall_clock"}
+            verdict = judge_episode(claim.requirement, traced)
+            rejudged.verdicts[claim.number, episode["id"]] = verdict
+            yield from _rejudged_problems(verdict, claim.counterexample)
 
 
 def _rejudged_problems(verdict: EpisodeVerdict, counterexample: Data | None) -> Iterator[str]:
     if counterexample is None:
         if verdict.verdict == "violated":
-            yield (
-                f"violates {verdict.requirement} at {verdict.time} s"
-                f" by {verdict.margin}, "
-                "and the record does not say so"
-            )
+            place = f"{verdict.requirement} at {verdict.time} s by {verdict.margin}"
+            yield f"violates {place}, and the record does not say so"
     elif (verdict.verdict, verdict.time, verdict.margin) != (
         "violated", counterexample["time"], counterexample["margin"],
     ):  # fmt: skip
-        yield (
-            f"{verdict.requirement} on it is {verdict.verdict} at {verdict.time} s"
-            f" by {verdict.margin}, "
-            f"and the record says violated at {counterexample['time']} s by "
-            f"{counterexample['margin']}"
-        )
+        status = f"{verdict.verdict} at {verdict.time} s by {verdict.margin}"
+        recorded = f"violated at {counterexample['time']} s by {counterexample['margin']}"
+        yield f"{verdict.requirement} on it is {status}, and the record says {recorded}"
 
 
 def _trace_episode(trace: Trace, episode: Data) -> JudgedEpisode:
-    """The episode as far as formulas look at it."""
-    names = {item.name for item in fields(FaultRecord)}
+    """Rebuild the episode as far as formulas read it."""
+    names = {field_.name for field_ in fields(FaultRecord)}
     # Nothing is built here, and a bare instance could not be.
     roles = {name: {"path": role["path"]} for name, role in episode["spec"]["roles"].items()}
     faults = [
@@ -372,21 +359,20 @@ DAMAGE_ERRORS = (
     OSError,
     RecursionError,
 )
-"""What reading a file meets that is not as it was written."""
+"""Errors that reading a damaged file may raise."""
 
 
 @dataclass
 class Verification:
-    """What the check of a bundle came to.
+    """Result of the check of a bundle.
 
     Args:
         problems: Every difference, as ``file: what``; an intact bundle has none.
-        files: Files that were looked at.
-        counts: What the record holds, if it could be read.
-        rejudged: How much was judged again, on traces.
-        not_rendered: The version that wrote the bundle, where it is another one than this, so that
-            its formats were not rendered again: of their texts, counts and references alone were
-            compared.
+        files: Number of files that were checked.
+        counts: Counts of the record, if it could be read.
+        rejudged: Verdicts that were judged again on traces.
+        not_rendered: Version that wrote the bundle, if it is not this one; its formats were then
+            not rendered again, but their counts and references compared.
     """
 
     problems: list[str]
@@ -397,7 +383,7 @@ class Verification:
 
     @property
     def intact(self) -> bool:
-        """Whether nothing differs that was compared. It says nothing of the gate."""
+        """Whether no difference was found. The gate may have failed all the same."""
         return not self.problems
 
 
@@ -408,7 +394,7 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
 
     Args:
         directory: The evidence directory.
-        junit: The JUnit file of the same session, which lies elsewhere, if it is to be compared.
+        junit: The JUnit file of the same session, if it is to be compared.
 
     Raises:
         ConfigurationError: If there is no such directory.
@@ -422,10 +408,12 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
             remedy="name the directory that --dura-evidence named; by default dura-evidence",
         )
     names = files_below(directory)
-    odd = [name for name in names if not (directory / name).is_symlink()]
-    odd = [name for name in odd if not (directory / name).is_file()]
-    if odd:  # reading a pipe would wait for ever
-        return Verification([f"{name}: no file, where a bundle holds files only" for name in odd])
+    paths = {name: directory / name for name in names}
+    irregular = [n for n, path in paths.items() if not (path.is_symlink() or path.is_file())]
+    if irregular:  # reading a pipe would never end
+        return Verification(
+            [f"{name}: no file, where a bundle holds files only" for name in irregular]
+        )
     verification = Verification([], len(names))
     try:
         record = read_session_record(directory)
@@ -434,9 +422,10 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
         return verification
     verification.problems += manifest_problems(directory, _kept_episodes(record, names))
     try:
-        verification.problems += _schema_problems(record)
-        if any(problem.startswith(f"{RECORD_FILE}: schema") for problem in verification.problems):
-            return verification  # sums and references of what has another shape say nothing
+        mismatches = check_record(record)
+        if mismatches:
+            verification.problems += [f"{RECORD_FILE}: schema: {text}" for text in mismatches]
+            return verification  # sums need the shape of the schema
         verification.counts = Counts.of(record)
         verification.problems += record_problems(record, verification.counts)
     except DAMAGE_ERRORS as error:
@@ -461,7 +450,7 @@ def _damaged(error: Exception) -> str:
 
 
 def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
-    """The files from which a session that did not pass can be resumed; no part of its evidence."""
+    """List the files from which a failed session can be resumed, which are no evidence."""
     gate = record.head.get("gate")
     if not isinstance(gate, Mapping) or gate.get("result") == "passed":
         return []
@@ -469,27 +458,20 @@ def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
 
 
 def _extra_files(record: SessionRecord) -> Iterator[str]:
-    """Files that the manifest lists and that no bundle has."""
-    made = {RECORD_FILE, *RENDERED_FILES}
-    made.update(
-        episode["trace"]["file"] for episode in record.episodes() if episode["trace"] is not None
-    )
-    for name in sorted(set(listed_files(record.directory)) - made):
+    """Yield the files that the manifest lists and that belong to no bundle."""
+    expected = {RECORD_FILE, *RENDERED_FILES}
+    expected.update(e["trace"]["file"] for e in record.episodes() if e["trace"] is not None)
+    for name in sorted(set(listed_files(record.directory)) - expected):
         yield f"{name}: in the manifest, and no file of this bundle"
 
 
 def derived_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[str]:
-    """What follows from the episodes, computed again."""
-    for problem in recomputed_problems(record):
-        yield f"{RECORD_FILE}: {problem}"
-    for problem in reuse_problems(record):
-        yield f"{RECORD_FILE}: {problem}"
-    for problem in verdict_problems(record, rejudged.found):
-        yield f"{RECORD_FILE}: {problem}"
-
-
-def _schema_problems(record: SessionRecord) -> Iterator[str]:
-    from pytest_dura.evidence.schema import check_record
-
-    for problem in check_record(record):
-        yield f"{RECORD_FILE}: schema: {problem}"
+    """Compute what follows from the episodes again."""
+    yield from (
+        f"{RECORD_FILE}: {problem}"
+        for problem in chain(
+            recomputed_problems(record),
+            reuse_problems(record),
+            verdict_problems(record, rejudged.verdicts),
+        )
+    )

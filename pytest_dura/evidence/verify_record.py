@@ -1,4 +1,7 @@
-"""Verify that a record agrees with itself: episodes, searches, sums, references and gate."""
+"""Verify that a record agrees with itself: episodes, searches, sums, references and gate.
+
+Each function yields a sentence for every contradiction that it finds.
+"""
 
 from __future__ import annotations
 
@@ -9,42 +12,40 @@ from math import isclose
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
-from pytest_dura.core.episode import canonical
+from pytest_dura.core.episode import canonical, outcome_of
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.core.propagation import outcome_of
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.gate import (
     NOTHING_FOUND,
     VIOLATED_OUTCOMES,
-    outcome_status,
     repeat_objections,
     repeat_problems,
+    verdict_objections,
 )
-from pytest_dura.evidence.gate import outcome_objection as sentence
 from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test
 from pytest_dura.evidence.redaction import holds_redaction
 from pytest_dura.evidence.sessions import shard_problems
 from pytest_dura.provenance import digest_of
-from pytest_dura.requirements.statistics.rate_tests import EXACT_METHOD, upper_bound
+from pytest_dura.requirements.rate_tests import EXACT_METHOD, upper_bound
 
 Data = Mapping[str, Any]
 
 
 def episode_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]:
-    """Everything in which an episode contradicts itself.
+    """Yield the contradictions within an episode.
 
     Args:
         episode: Of the record.
         case: Its case.
         base_seed: From which the seeds of planned runs follow.
     """
-    own = (
+    problems = (
         *_input_problems(episode, case, base_seed),
         *_metric_problems(episode),
         *_chain_problems(episode),
     )
-    for problem in own:
+    for problem in problems:
         yield f"episode {episode['id']}: {problem}"
 
 
@@ -69,15 +70,14 @@ def _input_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]:
         episode["failure"] is None and episode["invalid_reason"] is not None
     ):
         yield f"{episode['validity']}, because {episode['invalid_reason']!r}"
-    missing = {fault["id"] for fault in spec["faults"]} - {
-        fault["id"] for fault in episode["faults"]
-    }
+    missing = {fault["id"] for fault in spec["faults"]}
+    missing -= {fault["id"] for fault in episode["faults"]}
     if missing:
         yield f"nothing is said of its faults {', '.join(sorted(missing))}"
 
 
 def _metric_problems(episode: Data) -> Iterator[str]:
-    """Whether what an episode measures agrees with its outcome, its faults and its events."""
+    """Compare what an episode measures with its outcome, its faults and its events."""
     metrics, faults = episode["metrics"], episode["faults"]
     counts = {
         "planned": len(faults),
@@ -94,73 +94,71 @@ def _metric_problems(episode: Data) -> Iterator[str]:
     if metrics["valid_proposals"] > metrics["proposals"]:
         yield "more valid proposals than there were"
     yield from _tally_problems(metrics, episode["outcome"]["switching"]["decisions"])
-    oldest, lasted = (
-        max(metrics["answer_ages"], default=0.0),
-        episode["timings"]["simulated_seconds"],
-    )
+    oldest = max(metrics["answer_ages"], default=0.0)
+    lasted = episode["timings"]["simulated_seconds"]
     if oldest > round(lasted, 9):  # as ages are
         yield f"a decision came into force {oldest} s after its percept, within {lasted} s"
     first: dict[str, float] = {}
     for event in episode["events"]:
         if event["kind"] == "fault_manifested":
             first.setdefault(event["subject"], event["time"])
-    for item in faults:
-        if item["manifested_at"] != first.get(item["id"]):
-            yield (
-                f"{item['id']} manifested at {item['manifested_at']} s, and its events "
-                f"say {first.get(item['id'])}"
-            )
+    for fault in faults:
+        if fault["manifested_at"] != first.get(fault["id"]):
+            manifested = f"{fault['id']} manifested at {fault['manifested_at']} s"
+            yield f"{manifested}, and its events say {first.get(fault['id'])}"
 
 
 def _chain_problems(episode: Data) -> Iterator[str]:
-    """Whether latencies and outcome of each fault follow from the rest of its chain."""
+    """Derive latencies and outcome of each fault from the rest of its chain again."""
     alerts = {event["time"] for event in episode["events"] if event["kind"] == "alert"}
-    for told in episode["faults"]:
-        name = told["id"]
-        fault = FaultRecord(**{key: told[key] for key in FaultRecord.__dataclass_fields__})
+    for entry in episode["faults"]:
+        name = entry["id"]
+        fault = FaultRecord(**{key: entry[key] for key in FaultRecord.__dataclass_fields__})
         for latency, seconds in fault.latencies().items():
-            if told[latency] != seconds:
-                yield f"{name}: {latency} is {told[latency]} s, and its times give {seconds}"
+            if entry[latency] != seconds:
+                yield f"{name}: {latency} is {entry[latency]} s, and its times give {seconds}"
         detected, began = fault.detected_at, fault.began_at
         if detected is not None and (not fault.success or began is None or detected < began):
             yield f"{name}: detected at {detected} s, and no alert of then can answer it"
         elif detected is not None and detected not in alerts:
             yield f"{name}: detected at {detected} s, and its events say of no alert then"
-        also = told["violated_without"]
-        if extra := sorted({*(also or ())} - {*told["violated"]}):
+        without = entry["violated_without"]
+        if extra := sorted({*(without or ())} - {*entry["violated"]}):
             yield f"{name}: {extra[0]} is violated without it, and not with it"
-        outcome = told["outcome"]
+        outcome = entry["outcome"]
         missing = episode["failure"] is not None
-        again = outcome_of(fault, told["propagation"], told["violated"], also, missing=missing)
-        if outcome is None and told["violated"]:
+        expected = outcome_of(
+            fault, entry["propagation"], entry["violated"], without, missing=missing
+        )
+        if outcome is None and entry["violated"]:
             yield f"{name}: violated, and it has no outcome"
-        if outcome not in (None, again):
-            yield f"{name}: its outcome is {outcome!r}, and its chain gives {again!r}"
+        if outcome not in (None, expected):
+            yield f"{name}: its outcome is {outcome!r}, and its chain gives {expected!r}"
 
 
 def _tally_problems(metrics: Data, decisions: int) -> Iterator[str]:
-    """Whether no more was told than there were decisions to tell of."""
+    """Check that no tally counts more than there were decisions."""
     for name, tally in metrics["tallies"].items():
         for part, whole in (("hits", "of"), ("null_hits", "null_of")):
             if not tally[part] <= tally[whole] <= decisions:
-                yield f"{tally[part]} of {tally[whole]} for {name} ({part}),"
-                f" in {decisions} decisions"
-    for key, word in (("answer_seconds", "times"), ("answer_ages", "ages")):
+                count = f"{tally[part]} of {tally[whole]}"
+                yield f"{count} for {name} ({part}), in {decisions} decisions"
+    for key, noun in (("answer_seconds", "times"), ("answer_ages", "ages")):
         if len(metrics[key]) > decisions:
-            yield f"the {word} of {len(metrics[key])} answers, in {decisions} decisions"
+            yield f"the {noun} of {len(metrics[key])} answers, in {decisions} decisions"
 
 
 _EPISODE_MARK = "@"
-"""Stands in the id of a case that a search chose, and in no name of a scenario."""
+"""Part of the id of a case that a search chose, and of no scenario's name."""
 _SILENT_SHARE = 0.2
-"""Of simulations that say nothing; with more of them a search is undecided."""
+"""Share of simulations without a result above which a search is undecided."""
 
 
 def search_problems(record: SessionRecord) -> Iterator[str]:
-    """Everything in which searches contradict themselves or the record, and what rests on them."""
+    """Yield the contradictions within searches, and between them and the rest of the record."""
     yield from _search_in_rate_problems(record)
     listed = {requirement["id"]: requirement for requirement in record["requirements"]}
-    described = {item["name"] for item in components_under_test(record)}
+    described = {component["name"] for component in components_under_test(record)}
     counter: Counter[bytes] = Counter()
     for search in record["searches"]:
         place = f"search by {search['item']} on {search['case']}"
@@ -174,7 +172,7 @@ def search_problems(record: SessionRecord) -> Iterator[str]:
 
 
 def _search_in_rate_problems(record: SessionRecord) -> Iterator[str]:
-    """Whether cases that a search chose have runs or verdicts, of which a rate is made.
+    """Check that no rate is made of cases that a search chose.
 
     A planned episode is one of the runs of its case, and named after it.
     """
@@ -190,56 +188,55 @@ def _search_in_rate_problems(record: SessionRecord) -> Iterator[str]:
                 yield f"{name}: a search chose its counterexample {counterexample['episode']}"
 
 
-def _search_count_problems(item: Data) -> Iterator[str]:
-    """Whether its sums are those of its searchers."""
-    total = item["simulations"]
-    if not 0 < total <= item["budget"]:
-        yield f"{total} simulations, and its budget is {item['budget']}"
-    if item["unknown"] > total:
-        yield f"{item['unknown']} of {total} simulations said nothing"
-    if item["idle"] > total:
-        yield f"an added fault never came to act in {item['idle']} of {total} simulations"
-    done = sum(searcher["simulations"] for searcher in item["searchers"])
+def _search_count_problems(search: Data) -> Iterator[str]:
+    total = search["simulations"]
+    if not 0 < total <= search["budget"]:
+        yield f"{total} simulations, and its budget is {search['budget']}"
+    if search["unknown"] > total:
+        yield f"{search['unknown']} of {total} simulations said nothing"
+    if search["idle"] > total:
+        yield f"an added fault never came to act in {search['idle']} of {total} simulations"
+    done = sum(searcher["simulations"] for searcher in search["searchers"])
     if done != total:
         yield f"{total} simulations, and its searchers did {done}"
-    names = [outcome["requirement"] for outcome in item["outcomes"]]
+    names = [outcome["requirement"] for outcome in search["outcomes"]]
     if not names or len(set(names)) < len(names):
         yield f"it is for the requirements {', '.join(names) or 'of nobody'}"
-    yield from _searcher_problems(item, names)
+    yield from _searcher_problems(search, names)
 
 
-def _searcher_problems(item: Data, names: Sequence[str]) -> Iterator[str]:
+def _searcher_problems(search: Data, names: Sequence[str]) -> Iterator[str]:
     for kind in ("searchers", "baselines"):
-        if len({searcher["name"] for searcher in item[kind]}) < len(item[kind]):
+        if len({searcher["name"] for searcher in search[kind]}) < len(search[kind]):
             yield f"one of its {kind} is listed twice"
-        for searcher in item[kind]:
+        for searcher in search[kind]:
             yield from (
                 f"{searcher['name']}: {each}" for each in _problems_of_searcher(searcher, names)
             )
-    for baseline in item["baselines"]:
+    for baseline in search["baselines"]:
         if not baseline["trivial"]:
             yield f"{baseline['name']} learns, and is no baseline"
-        if baseline["simulations"] > item["simulations"]:
+        if baseline["simulations"] > search["simulations"]:
             yield f"{baseline['name']}: a baseline of {baseline['simulations']} simulations"
 
 
-def _problems_of_searcher(item: Data, names: Sequence[str]) -> Iterator[str]:
-    if set(item["best"]) != set(names) or set(item["first"]) != set(names):
+def _problems_of_searcher(searcher: Data, names: Sequence[str]) -> Iterator[str]:
+    if set(searcher["best"]) != set(names) or set(searcher["first"]) != set(names):
         yield "its figures are of other requirements"
-    for name, first in item["first"].items():
-        if first is not None and first > item["simulations"]:
-            yield f"violated {name} at {first} of its {item['simulations']} simulations"
+    for name, first in searcher["first"].items():
+        if first is not None and first > searcher["simulations"]:
+            yield f"violated {name} at {first} of its {searcher['simulations']} simulations"
 
 
-def _outcome_problems(item: Data, listed: Mapping[str, Data]) -> Iterator[str]:
-    for outcome in item["outcomes"]:
+def _outcome_problems(search: Data, listed: Mapping[str, Data]) -> Iterator[str]:
+    for outcome in search["outcomes"]:
         name = outcome["requirement"]
         problems = [
-            *_outcome_status_problems(item, outcome),
-            *_first_violation_problems(item, outcome),
+            *_outcome_status_problems(search, outcome),
+            *_first_violation_problems(search, outcome),
         ]
         if outcome["counterexample"] is not None:
-            problems += _counterexample_problems(item, outcome["counterexample"])
+            problems += _counterexample_problems(search, outcome["counterexample"])
         if name not in listed:
             problems.append("the requirement is not listed")
         elif listed[name]["check"] not in ("", outcome["check"]):
@@ -247,82 +244,87 @@ def _outcome_problems(item: Data, listed: Mapping[str, Data]) -> Iterator[str]:
         yield from (f"{name}: {problem}" for problem in problems)
 
 
-def _outcome_status_problems(item: Data, outcome: Data) -> Iterator[str]:
-    """Whether what was found allows the word."""
-    word, found = outcome["word"], outcome["counterexample"]
-    if (found is not None) != (word in VIOLATED_OUTCOMES):
-        yield f"{word}, and {'a' if found is not None else 'no'} counterexample"
-    elif found is not None:
-        repeats = found["repeats"]
+def _outcome_status_problems(search: Data, outcome: Data) -> Iterator[str]:
+    """Check the status of an outcome against its counterexample and its silent simulations."""
+    status, counterexample = outcome["word"], outcome["counterexample"]
+    if (counterexample is not None) != (status in VIOLATED_OUTCOMES):
+        yield f"{status}, and {'a' if counterexample is not None else 'no'} counterexample"
+    elif counterexample is not None:
+        repeats = counterexample["repeats"]
         if not max(repeats["violated"], repeats["equal"]) <= repeats["runs"]:
             yield f"more repeats than {repeats['runs']}"
         confirmed = 0 < repeats["runs"] == repeats["violated"] == repeats["equal"]
-        if confirmed != (word == "falsified"):
+        if confirmed != (status == "falsified"):
             text = f"{repeats['violated']} violated and {repeats['equal']} equal"
-            yield f"{word}, and of {repeats['runs']} replays {text}"
-        if not item["baselines"]:
-            yield f"{word}, and no baseline stands beside it"
+            yield f"{status}, and of {repeats['runs']} replays {text}"
+        if not search["baselines"]:
+            yield f"{status}, and no baseline stands beside it"
     else:
-        silent = item["unknown"] > _SILENT_SHARE * item["simulations"]
-        if silent and word == NOTHING_FOUND:
-            text = f"{item['unknown']} of {item['simulations']}"
-            yield f"{word}, though {text} simulations said nothing of a requirement"
-        if not silent and word == "undecided":
-            yield f"{word}, and only {item['unknown']} simulations said nothing of a requirement"
+        silent = search["unknown"] > _SILENT_SHARE * search["simulations"]
+        if silent and status == NOTHING_FOUND:
+            text = f"{search['unknown']} of {search['simulations']}"
+            yield f"{status}, though {text} simulations said nothing of a requirement"
+        if not silent and status == "undecided":
+            text = f"only {search['unknown']} simulations"
+            yield f"{status}, and {text} said nothing of a requirement"
 
 
-def _first_violation_problems(item: Data, outcome: Data) -> Iterator[str]:
-    """Whether its first violation and its least robustness are those of its searchers."""
-    name, total = outcome["requirement"], item["simulations"]
-    hits, met = (_first_violations(item[kind], name) for kind in ("searchers", "baselines"))
+def _first_violation_problems(search: Data, outcome: Data) -> Iterator[str]:
+    """Compare first violation and least robustness with those of the searchers."""
+    name, total = outcome["requirement"], search["simulations"]
+    hits, baseline_hits = (
+        _first_violations(search[kind], name) for kind in ("searchers", "baselines")
+    )
     if outcome["counterexample"] is None:
         if outcome["simulations"] != total or outcome["searcher"] is not None:
             yield f"nothing violated it, in {outcome['simulations']} of {total} simulations"
         for who, first in hits.items():
             yield f"{who} violated it at its simulation {first}, and there is no counterexample"
-    elif not hits and outcome["searcher"] in met:
-        if outcome["simulations"] != met[outcome["searcher"]]:
+    elif not hits and outcome["searcher"] in baseline_hits:
+        if outcome["simulations"] != baseline_hits[outcome["searcher"]]:
             yield f"violated at simulation {outcome['simulations']} of a baseline"
     elif outcome["searcher"] not in hits:
         yield f"{outcome['searcher']} found it, and violated nothing"
     elif not hits[outcome["searcher"]] <= outcome["simulations"] <= total:
         yield f"violated at simulation {outcome['simulations']} of {total}"
-    known = [each["best"].get(name) for each in item["searchers"]]
+    known = [each["best"].get(name) for each in search["searchers"]]
     least = min((best for best in known if best is not None), default=None)
     if outcome["best"] != least:
         yield f"its least robustness is {outcome['best']}, and its searchers say {least}"
 
 
 def _first_violations(searchers: Sequence[Data], requirement: str) -> dict[str, int]:
-    """Who violated a requirement, and at which of its own simulations first."""
+    """Number of the first violating simulation of each searcher that violated a requirement."""
     firsts = {each["name"]: each["first"].get(requirement) for each in searchers}
     return {who: first for who, first in firsts.items() if first is not None}
 
 
-def _counterexample_problems(case: Data, found: Data) -> Iterator[str]:
-    if not found["case"].startswith(f"{case['scenario']}{_EPISODE_MARK}"):
-        yield f"its counterexample {found['case']} is of another scenario than {case['scenario']}"
-    told = found["scenario"].get("name"), found["scenario"].get("seed")
-    if told != (case["scenario"], found["seed"]):
-        yield f"its counterexample is {case['scenario']} with seed {found['seed']}, and says {told}"
-    paths = [change["path"] for change in found["changes"]]
+def _counterexample_problems(search: Data, counterexample: Data) -> Iterator[str]:
+    if not counterexample["case"].startswith(f"{search['scenario']}{_EPISODE_MARK}"):
+        place = f"its counterexample {counterexample['case']}"
+        yield f"{place} is of another scenario than {search['scenario']}"
+    recorded = counterexample["scenario"].get("name"), counterexample["scenario"].get("seed")
+    if recorded != (search["scenario"], counterexample["seed"]):
+        place = f"its counterexample is {search['scenario']} with seed {counterexample['seed']}"
+        yield f"{place}, and says {recorded}"
+    paths = [change["path"] for change in counterexample["changes"]]
     if len(set(paths)) < len(paths):
         yield "a parameter of its counterexample changed twice"
-    shrinking = found["shrinking"]
+    shrinking = counterexample["shrinking"]
     if shrinking is not None:
         if shrinking["simulations"] > shrinking["budget"]:
             spent = shrinking["simulations"]
             yield f"{spent} simulations to make it simpler, and {shrinking['budget']} were allowed"
         if shrinking["after"] > shrinking["before"]:
             yield f"made simpler from {shrinking['before']} to {shrinking['after']} parameters"
-    file = found["file"]
-    if (file is None) != (found["name"] is None):
-        yield f"its counterexample is kept in {file} as {found['name']}"
+    file = counterexample["file"]
+    if (file is None) != (counterexample["name"] is None):
+        yield f"its counterexample is kept in {file} as {counterexample['name']}"
     if file is not None and (
         PurePosixPath(file).is_absolute() or PureWindowsPath(file).is_absolute()
     ):
         yield f"it is kept in {file}, which is a path of one machine"
-    if file is not None and found["repeats"]["equal"] != found["repeats"]["runs"]:
+    if file is not None and counterexample["repeats"]["equal"] != counterexample["repeats"]["runs"]:
         yield f"it is kept in {file}, and was never confirmed"
 
 
@@ -331,7 +333,7 @@ _COUNTED = ("flagged", "collided", "gridlock")
 
 
 def record_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
-    """Everything in which a record contradicts itself."""
+    """Yield the contradictions within a record, each with the name of its file."""
     for problem in _all_problems(record, counts):
         yield f"{RECORD_FILE}: {problem}"
 
@@ -348,13 +350,12 @@ def _all_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
         for case in record["cases"]
         if case["repeat"] is not None
     }
-    described = {component_problem["name"] for component_problem in _component_problems(record)} | {
-        "none"
-    }
+    described = {component["name"] for component in components_under_test(record)} | {"none"}
     for episode in record.episodes():
-        ids.add((episode["id"], episode["component"]))
-        if (episode["id"], episode["component"]) in digests:
-            digests[episode["id"], episode["component"]].add(episode["digest"])
+        key = episode["id"], episode["component"]
+        ids.add(key)
+        if key in digests:
+            digests[key].add(episode["digest"])
         if episode["component"] not in described:
             yield f"component_under_test: {episode['component']} is not described"
         if (episode["case"], episode["component"]) not in cases:
@@ -393,14 +394,9 @@ def _session_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
         yield "cases: one of them is listed twice"
     if len(requirements) < len(record["requirements"]):
         yield "requirements: one of them is listed twice"
-    hashed = {(item["path"], item["sha256"]) for item in record["inputs"]}
-    for file in (
-        file
-        for component_problem in _component_problems(record)
-        for file in component_problem.get("files") or ()
-    ):
-        if (file["path"], file["sha256"]) not in hashed:
-            yield f"inputs: {file['path']} of the component is not among them"
+    hashed = {(file["path"], file["sha256"]) for file in record["inputs"]}
+    for component in components_under_test(record):
+        yield from _unhashed_problems(component, hashed)
     yield from _source_problems(record)
     for tape in (model["cassette"] for model in record["models"] if model["cassette"]):
         if (tape["file"], tape["sha256"]) not in hashed:
@@ -409,12 +405,18 @@ def _session_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
         yield "timings: the evidence took longer than the session"
 
 
+def _unhashed_problems(component: Data, hashed: set[tuple[str, str]]) -> Iterator[str]:
+    for file in component.get("files") or ():
+        if (file["path"], file["sha256"]) not in hashed:
+            yield f"inputs: {file['path']} of the component is not among them"
+
+
 def _source_problems(record: SessionRecord) -> Iterator[str]:
-    """Whether the digests of components come out of those of their files."""
+    """Compute the digests of components from those of their files again."""
     sources = record["component_under_test"].get("sources", {})
     used = set()
-    for component_problem in _component_problems(record):
-        name, digest = f"component {component_problem['name']}", component_problem.get("digest")
+    for component in components_under_test(record):
+        name, digest = f"component {component['name']}", component.get("digest")
         if digest is None:
             continue
         used.add(digest)
@@ -425,9 +427,9 @@ def _source_problems(record: SessionRecord) -> Iterator[str]:
         # Without the name that was a secret it cannot be made again.
         if not holds_redaction(list(named)) and digest_of(named) != digest:
             yield f"{name}: its digest is not that of its files"
-        if component_problem["file_count"] != len(named):
-            yield f"{name}: {component_problem['file_count']} files, and {len(named)} are listed"
-        for file in component_problem["files"]:
+        if component["file_count"] != len(named):
+            yield f"{name}: {component['file_count']} files, and {len(named)} are listed"
+        for file in component["files"]:
             if file["sha256"] not in named.values():
                 yield f"{name}: {file['path']} is none of the files that its digest is made of"
     for digest in sorted(set(sources) - used):
@@ -435,43 +437,35 @@ def _source_problems(record: SessionRecord) -> Iterator[str]:
 
 
 def _question_problems(record: SessionRecord) -> Iterator[str]:
-    """Whether each question is answered once, and is the one that its requirement asks."""
-    asked: Counter[str] = Counter()
+    """Check that each question is answered once, and is the one that its requirement asks."""
+    questions: Counter[str] = Counter()
     listed = {requirement["id"]: requirement for requirement in record["requirements"]}
     for verdict in record["verdicts"]:
         yield from _problems_of_question(verdict, listed.get(verdict["requirement"]))
         parts = [verdict[name] for name in ("requirement", "case", "component", "item", "check")]
-        asked[
-            canonical(
-                [*parts, verdict["paired"], verdict["method"], _limit_problems(verdict)]
-            ).decode()
-        ] += 1
-    for question, count in asked.items():
+        parts += [verdict["paired"], verdict["method"], _limits(verdict)]
+        questions[canonical(parts).decode()] += 1
+    for question, count in questions.items():
         if count > 1:
             yield f"verdicts: {question} is answered twice"
 
 
 def _problems_of_question(verdict: Data, requirement: Data | None) -> Iterator[str]:
-    """Whether what was asked is what the requirement says, as far as it says it."""
+    """Compare check and limits of a verdict with those of its requirement, as far as it has any."""
     if requirement is None:
         return
     name = f"verdict {verdict['requirement']} on {verdict['case']}"
     if requirement["check"] and verdict["check"] not in ("", requirement["check"]):
         yield f"{name}: judged by {verdict['check']!r}, and its check is {requirement['check']!r}"
-    if requirement["at_most"] is not None and _limit_problems(verdict) != [
+    if requirement["at_most"] is not None and _limits(verdict) != [
         requirement["at_most"], requirement["confidence"],
     ]:  # fmt: skip
-        yield f"{name}: judged by {_limit_problems(verdict)},"
-        " and its rate and confidence are others"
+        yield f"{name}: judged by {_limits(verdict)}, and its rate and confidence are others"
 
 
-def _limit_problems(verdict: Data) -> list[Any]:
+def _limits(verdict: Data) -> list[Any]:
+    """Greatest rate and confidence that a verdict was made with."""
     return [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
-
-
-def _component_problems(record: SessionRecord) -> list[Data]:
-    first = record["component_under_test"]
-    return [first, *first.get("others", ())]
 
 
 def _add_episode(sums: Counter[str], episode: Data) -> None:
@@ -486,12 +480,14 @@ def _add_episode(sums: Counter[str], episode: Data) -> None:
 
 def _case_sum_problems(case: Data, sums: Mapping[str, int]) -> Iterator[str]:
     metrics = case["metrics"]
-    told = {name: metrics[name] for name in ("run", "valid", "invalid", "missing", "ended_early")}
+    recorded = {
+        name: metrics[name] for name in ("run", "valid", "invalid", "missing", "ended_early")
+    }
     for key in _COUNTED:
         for over in ("valid", "run"):
             if metrics[key] is not None:
-                told[f"{key}.{over}"] = metrics[key][over]
-    for name, count in told.items():
+                recorded[f"{key}.{over}"] = metrics[key][over]
+    for name, count in recorded.items():
         if count != sums[name]:
             yield f"case {case['id']}: {name} is {count}, and its episodes say {sums[name]}"
 
@@ -516,7 +512,6 @@ def _verdict_problems(
 
 
 def _verdict_count_problems(name: str, verdict: Data) -> Iterator[str]:
-    """Whether the counts of a verdict go together."""
     if verdict["episodes"] + verdict["invalid"] + verdict["missing"] != verdict["run"]:
         yield f"{name}: valid, invalid and missing episodes do not add up to {verdict['run']}"
     valid = sum(counterexample["valid"] for counterexample in verdict["counterexamples"])
@@ -527,12 +522,12 @@ def _verdict_count_problems(name: str, verdict: Data) -> Iterator[str]:
     if verdict["violations"] + len(verdict["open"]) > verdict["episodes"]:
         yield f"{name}: more violations and open episodes than the {verdict['episodes']} valid ones"
     if verdict["without_effect"] > verdict["invalid"]:
-        yield f"{name}: more violations without effect than the"
-        f" {verdict['invalid']} invalid episodes"
+        invalid = f"{verdict['invalid']} invalid episodes"
+        yield f"{name}: more violations without effect than the {invalid}"
 
 
 def _bound_problems(name: str, verdict: Data) -> Iterator[str]:
-    """Whether the bound is that of the counts, and there is none of runs that are all equal."""
+    """Compute the bound from the counts again; runs that are all equal have none."""
     bound = verdict["bound"]
     if verdict["situation"] is not None:
         if bound["upper"] is not None:
@@ -547,18 +542,18 @@ def _bound_problems(name: str, verdict: Data) -> Iterator[str]:
 
 
 def _verdict_status_problems(name: str, verdict: Data) -> Iterator[str]:
-    """Whether the counts allow the word; the statistics are computed again where n is fixed."""
-    bound, word = verdict["bound"], verdict["verdict"]
+    """Check that the counts allow the status."""
+    bound, status = verdict["bound"], verdict["verdict"]
     exact = bound["method"] == EXACT_METHOD
     yield from _bound_problems(name, verdict)
     broken = verdict["violations"] or verdict["without_effect"]
-    if word == "violated" and not broken and verdict["pairs"] is None:
+    if status == "violated" and not broken and verdict["pairs"] is None:
         yield f"{name}: violated without a violation"
-    if word != "supported":
+    if status != "supported":
         return
     if verdict["missing"] or not verdict["episodes"]:
-        yield f"{name}: supported, {verdict['episodes']} episodes valid"
-        f" and {verdict['missing']} missing"
+        counts = f"{verdict['episodes']} episodes valid and {verdict['missing']} missing"
+        yield f"{name}: supported, {counts}"
     if verdict["run"] + verdict["saved"] < verdict["planned"]:
         yield f"{name}: supported with {verdict['run']} of {verdict['planned']} planned runs"
     if bound["at_most"] is None and (verdict["violations"] or verdict["open"]):
@@ -572,7 +567,7 @@ def _verdict_status_problems(name: str, verdict: Data) -> Iterator[str]:
 
 
 def _coverage_problems(record: SessionRecord) -> Iterator[str]:
-    """Whether each verdict has its cell, and each tested cell its verdict."""
+    """Compare the cells of the coverage with the verdicts."""
     decided: dict[tuple[str, str], set[str]] = defaultdict(set)
     for verdict in record["verdicts"]:
         decided[verdict["requirement"], verdict["case"]].add(verdict["verdict"])
@@ -582,26 +577,16 @@ def _coverage_problems(record: SessionRecord) -> Iterator[str]:
             cells[cell["requirement"], cell["case"]].add(cell["verdict"])
     for requirement, case in sorted(set(cells) - set(decided)):
         yield f"coverage: {requirement} on {case} counts as tested, and has no verdict"
-    for key, words in sorted(cells.items()):
-        if key in decided and not words <= decided[key]:
-            yield f"coverage: {key[0]} on {key[1]} is not {', '.join(sorted(words))}"
+    for key, statuses in sorted(cells.items()):
+        if key in decided and not statuses <= decided[key]:
+            yield f"coverage: {key[0]} on {key[1]} is not {', '.join(sorted(statuses))}"
 
 
 def _gate_problems(record: SessionRecord) -> Iterator[str]:
     gate = record["gate"]
-    accepted = {"supported"} | ({"undecided"} if gate["warn_undecided"] else set())
-    against = [
-        f"{verdict['requirement']} on {verdict['case']} is {verdict['verdict']}"
-        for verdict in record["verdicts"]
-        if verdict["verdict"] not in accepted and verdict["waiver"] is None
-    ]
-    against += [
-        sentence(outcome["requirement"], search["case"], status)
-        for search in record["searches"]
-        for outcome in search["outcomes"]
-        if search["waiver"] is None and (status := outcome_status(search, outcome)) != NOTHING_FOUND
-        if status != "undecided" or not gate["warn_undecided"]
-    ]
+    against = verdict_objections(
+        record["verdicts"], record["searches"], warn_undecided=gate["warn_undecided"]
+    )
     if gate["result"] == "passed":
         if against or record["status"] != "complete" or gate["exit_code"] != 0:
             why = against[0] if against else f"status {record['status']}"

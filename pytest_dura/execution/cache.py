@@ -1,4 +1,4 @@
-"""EpisodeCache: episodes in a directory that many processes share; pruning it."""
+"""EpisodeCache: episodes in a directory that many processes share, and pruning it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EPISODE, CLAIM, NEW = ".episode", ".claim", ".new"
 MAX_ATTEMPTS = 2
 """Processes that an episode may end before it is given up."""
 _SECONDS_OF_USE = 3600.0
-"""How exactly it is noted when an episode was used last: so it is rarely written."""
+"""How exactly the time is kept at which an episode was used last: so it is rarely written."""
 _FORMAT = 1
 _PRIVATE = 0o600
 """Mode of all files: they hold what secrets components were given, and what they made of them."""
@@ -33,15 +33,15 @@ _MAX_FILE_BYTES = _MAX_HEADER_BYTES + MAX_UNPACKED_BYTES
 
 @dataclass(frozen=True)
 class CacheEntry:
-    """What the beginning of an episode's file tells.
+    """Header of an episode's file.
 
     Args:
         id: ``case#run``.
         component: Name of the component under test.
         session: Id of the session that simulated it.
         parts: Of its :class:`Address`.
-        changed: What had changed since an earlier session simulated an episode of this name, which
-            is why this one did; ``None`` if there was no earlier one.
+        changed: Parts that had changed since an earlier session simulated an episode of this name,
+            which is why this one did; ``None`` if there was no earlier one.
     """
 
     id: str
@@ -52,10 +52,10 @@ class CacheEntry:
 
 
 class Claim:
-    """The right to simulate an episode, as long as this process holds it.
+    """Right to simulate an episode, as long as this process holds it.
 
     A process that is forked meanwhile, by a simulator for example, does not hold it as well: it
-    may outlive this one, and nobody would take the episode over.
+    may outlive this one, and no process could take the episode over.
 
     Args:
         handle: The open and locked file.
@@ -71,13 +71,13 @@ class Claim:
 
     @property
     def is_held(self) -> bool:
-        """Whether nobody closed its file, which gives the claim up."""
+        """Whether its file is still open; code that closed it has given the claim up."""
         return self._handle.is_intact
 
     def release(self) -> None:
-        """Let others have it. A second call does nothing."""
+        """Give the claim up. A second call does nothing."""
         _HELD.discard(self)
-        if not self.is_held:  # somebody closed it: by now the name may be another's
+        if not self.is_held:  # its file was closed: by now the name may be another's
             return
         # While it is locked: afterwards the name may be another's. What cannot be removed counts
         # as an attempt, no more.
@@ -92,18 +92,19 @@ class Claim:
         self._handle.close()
 
 
+# Of the process, not of a session: a fork copies the claims of all sessions that it runs, and a
+# handler of forks cannot be unregistered. It holds claims without any other reference, too.
 _HELD: set[Claim] = set()
-"""The claims of this process, also those that nobody has in hand any more."""
 
 
-def _after_fork() -> None:
+def _forget_claims() -> None:
     for claim in list(_HELD):
         claim.forget()
     _HELD.clear()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+    os.register_at_fork(after_in_child=_forget_claims)
 
 
 class EpisodeCache:
@@ -113,25 +114,25 @@ class EpisodeCache:
     another one takes the episode over. How many processes an episode has ended is kept beside it.
 
     Args:
-        directory: Where; it is made when something is first put there.
+        directory: Where they are; it is made when something is first put there.
         session: Id of the session that puts episodes there.
-        earlier: Whether those of other sessions are taken over.
+        earlier: Whether episodes of other sessions are taken over.
     """
 
     def __init__(self, directory: Path, session: str, *, earlier: bool = False) -> None:
         self.directory, self.session, self.earlier = directory, session, earlier
 
     def find(self, address: Address, spec: EpisodeSpec) -> tuple[Episode, CacheEntry] | None:
-        """An episode, and what is told of it; ``None`` if it is not there, or not whole."""
+        """An episode and its header; ``None`` if it is not there, or not whole."""
         file = self._file(address, EPISODE)
         try:
             with file.open("rb") as opened:
                 data = opened.read(_MAX_FILE_BYTES)
         except OSError:
             return None
-        head, _, packed = data.partition(b"\n")
+        header, _, packed = data.partition(b"\n")
         try:
-            entry = _entry(head, address)
+            entry = _read_header(header, address)
             episode = unpack(packed, spec)
         except DamagedEpisodeError:
             # Of a full disk or a loss of power; it is simulated again.
@@ -153,7 +154,7 @@ class EpisodeCache:
             OSError: If the directory cannot be written.
         """
         file = self._file(address, CLAIM)
-        _make_folder(file.parent)
+        _make_private(file.parent)
         while True:
             handle = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), _PRIVATE)
             try:
@@ -161,13 +162,9 @@ class EpisodeCache:
                 if not is_named(handle, file):
                     os.close(handle)  # its former holder was done with it in between
                     continue
-                partition = os.read(handle, 200).decode(errors="replace").partition(" ")
-                # Of another session it says nothing: what was wrong may be mended.
-                attempts = (
-                    int(partition[0])
-                    if partition[0].isdigit() and partition[2] == self.session
-                    else 0
-                )
+                count, _, session = os.read(handle, 200).decode(errors="replace").partition(" ")
+                # Attempts of another session do not count: what was wrong may be mended.
+                attempts = int(count) if count.isdigit() and session == self.session else 0
                 os.lseek(handle, 0, os.SEEK_SET)
                 os.ftruncate(handle, 0)
                 os.write(handle, f"{attempts + 1} {self.session}".encode())
@@ -186,18 +183,18 @@ class EpisodeCache:
         packed: bytes,
         changed: Sequence[str] | None = None,
     ) -> None:
-        """Let every process find an episode.
+        """Store an episode where every process finds it.
 
         Args:
-            address: Where.
+            address: Its address.
             spec: What it was run from.
             packed: Of :func:`pytest_dura.execution.codec.pack`.
-            changed: See :class:`Entry`.
+            changed: See :class:`CacheEntry`.
 
         Raises:
             OSError: If it cannot be written.
         """
-        head = {
+        header = {
             "format": _FORMAT,
             "id": spec.id,
             "component": spec.component,
@@ -205,9 +202,9 @@ class EpisodeCache:
             "parts": dict(address.parts),
             "changed": None if changed is None else list(changed),
         }
-        data = json.dumps(head).encode() + b"\n" + packed
+        data = json.dumps(header).encode() + b"\n" + packed
         file = self._file(address, EPISODE)
-        _make_folder(file.parent)
+        _make_private(file.parent)
         new = file.with_suffix(f".{os.getpid()}{NEW}")
         try:
             new.touch(_PRIVATE)
@@ -219,10 +216,10 @@ class EpisodeCache:
             raise
 
     def entries(self) -> Iterator[CacheEntry]:
-        """What is told of all episodes, in no order; what cannot be read is left out."""
+        """Headers of all episodes, in no order; those that cannot be read are left out."""
         for file in self.directory.glob(f"??/*{EPISODE}"):
             with suppress(OSError, DamagedEpisodeError), file.open("rb") as opened:
-                yield _entry(opened.readline(_MAX_HEADER_BYTES))
+                yield _read_header(opened.readline(_MAX_HEADER_BYTES))
 
     def count(self) -> int:
         """How many episodes there are, of whatever sessions, whole or not."""
@@ -243,7 +240,7 @@ class EpisodeCache:
                 for file in list(folder.iterdir()):
                     if file.suffix in (EPISODE, CLAIM, NEW):
                         file.unlink(missing_ok=True)
-                with suppress(OSError):  # somebody else's file lies there
+                with suppress(OSError):  # a file of other origin lies there
                     folder.rmdir()
         with suppress(OSError):
             self.directory.rmdir()
@@ -252,36 +249,36 @@ class EpisodeCache:
         return self.directory / address.name[:2] / f"{address.name}{kind}"
 
 
-def _make_folder(folder: Path) -> None:
+def _make_private(folder: Path) -> None:
     """Make a folder of episodes, which are not redacted: for the owner alone, if it is new."""
-    for item in (folder.parent, folder):
-        item.parent.mkdir(parents=True, exist_ok=True)
-        item.mkdir(mode=0o700, exist_ok=True)
+    folder.parent.parent.mkdir(parents=True, exist_ok=True)
+    for directory in (folder.parent, folder):
+        directory.mkdir(mode=0o700, exist_ok=True)
 
 
 def _mark_used(file: Path) -> None:
-    """Note that an episode of another session is of use, for who prunes the directory."""
-    with suppress(OSError):  # it is somebody else's, or gone
+    """Keep an episode of another session from being pruned as unused."""
+    with suppress(OSError):  # it belongs to another user, or is gone
         if time.time() - file.stat().st_mtime > _SECONDS_OF_USE:
             os.utime(file)
 
 
-def _entry(line: bytes, address: Address | None = None) -> CacheEntry:
+def _read_header(line: bytes, address: Address | None = None) -> CacheEntry:
     try:
-        head: Any = json.loads(line)
-        changed = head["changed"]
+        header: Any = json.loads(line)
+        changed = header["changed"]
         entry = CacheEntry(
-            head["id"],
-            head["component"],
-            head["session"],
-            dict(head["parts"]),
+            header["id"],
+            header["component"],
+            header["session"],
+            dict(header["parts"]),
             None if changed is None else tuple(changed),
         )
     except (LookupError, RecursionError, TypeError, ValueError) as error:
         raise DamagedEpisodeError(f"{type(error).__name__}: {error}") from None
-    told = [entry.id, entry.component, entry.session, *entry.parts, *entry.parts.values()]
-    told += entry.changed or ()
-    if head.get("format") != _FORMAT or not all(isinstance(item, str) for item in told):
+    texts = [entry.id, entry.component, entry.session, *entry.parts, *entry.parts.values()]
+    texts += entry.changed or ()
+    if header.get("format") != _FORMAT or not all(isinstance(text, str) for text in texts):
         raise DamagedEpisodeError("its beginning is not as we write it")
     if address is not None and entry.parts != address.parts:
         raise DamagedEpisodeError("it is not the episode of this name")
@@ -289,7 +286,7 @@ def _entry(line: bytes, address: Address | None = None) -> CacheEntry:
 
 
 _MIN_AGE = 3600.0
-"""s; what is younger may be of a session that still runs, which would simulate it again."""
+"""s; a younger episode may be of a session that still runs, which would simulate it again."""
 _AGES = {"h": 3600.0, "d": 86400.0, "w": 7 * 86400.0}
 _SIZES = {"M": 10**6, "G": 10**9, "T": 10**12}
 _ADDRESS = re.compile(r"[0-9a-f]{64}")
@@ -297,7 +294,7 @@ _ADDRESS = re.compile(r"[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Pruned:
-    """What was removed, and what is left.
+    """Result of :func:`prune`.
 
     Args:
         removed: Episodes that were removed.
@@ -322,10 +319,10 @@ def prune(
     symbolic link followed, and no file removed whose name we do not give.
 
     Args:
-        directory: Where.
-        older_than: Seconds: what no session has written or taken over for so long goes.
-        at_most: Bytes: what was used least recently goes until no more are left, except for what is
-            younger than :data:`LEAST_AGE`.
+        directory: Where they are.
+        older_than: Seconds: episodes that no session has written or taken over for so long go.
+        at_most: Bytes: the episodes used least recently go until no more are left, except for
+            those of the last hour.
 
     Raises:
         ConfigurationError: If there is no such directory.
@@ -337,20 +334,20 @@ def prune(
             expected="the directory of --dura-reuse=DIR",
         )
     now = time.time()
-    found = sorted(
-        (or_none.st_mtime, or_none.st_size, file)
+    episodes = sorted(
+        (stat.st_mtime, stat.st_size, file)
         for file in _files(directory, EPISODE)
-        if (or_none := _stat_or_none(file)) is not None
+        if (stat := _stat_or_none(file)) is not None
     )
-    left = sum(size for _, size, _ in found)
+    left = sum(size for _, size, _ in episodes)
     removed = removed_bytes = 0
-    for used, size, file in found:
-        old = older_than is not None and now - used > older_than
-        much = at_most is not None and left > at_most and now - used > _MIN_AGE
-        if (old or much) and _remove(file):
+    for used, size, file in episodes:
+        too_old = older_than is not None and now - used > older_than
+        too_much = at_most is not None and left > at_most and now - used > _MIN_AGE
+        if (too_old or too_much) and _remove(file):
             removed, removed_bytes, left = removed + 1, removed_bytes + size, left - size
     _remove_leftovers(directory, now)
-    return Pruned(removed, removed_bytes, len(found) - removed, left)
+    return Pruned(removed, removed_bytes, len(episodes) - removed, left)
 
 
 def read_age(text: str) -> float:
@@ -395,7 +392,7 @@ def _number(text: str, units: dict[str, float] | dict[str, int]) -> float | None
 
 
 def _files(directory: Path, kind: str) -> Iterator[Path]:
-    """Files of a kind that have names as we give them."""
+    """Files of a kind that have names as the cache gives them."""
     for file in directory.glob(f"??/*{kind}"):
         ours = _ADDRESS.fullmatch(file.name.partition(".")[0]) and file.name[:2] == file.parent.name
         if ours and not file.parent.is_symlink() and not file.is_symlink():
@@ -412,7 +409,7 @@ def _stat_or_none(file: Path) -> os.stat_result | None:
 def _remove(file: Path) -> bool:
     try:
         file.unlink()
-    except FileNotFoundError:  # by somebody else, who counts it
+    except FileNotFoundError:  # another process was quicker
         return True
     except OSError:  # Windows removes no file that is open
         return False
@@ -420,11 +417,11 @@ def _remove(file: Path) -> bool:
 
 
 def _remove_leftovers(directory: Path, now: float) -> None:
-    """What killed processes left: half-written files, and claims that nobody holds."""
+    """Remove what killed processes left: half-written files, and claims that none holds."""
     for kind in (NEW, CLAIM):
         for file in _files(directory, kind):
-            or_none = _stat_or_none(file)
-            if or_none is None or now - or_none.st_mtime <= _MIN_AGE:
+            stat = _stat_or_none(file)
+            if stat is None or now - stat.st_mtime <= _MIN_AGE:
                 continue
             if kind == NEW:
                 _remove(file)

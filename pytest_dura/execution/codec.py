@@ -1,4 +1,4 @@
-"""An episode as bytes and back: plain data, so that reading one runs nobody's code."""
+"""Codec of episodes: packed as plain data, so that unpacking one runs no code of others."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from pytest_dura.core.state import Event
 Data = dict[str, Any]
 
 MAX_UNPACKED_BYTES = 1 << 28
-"""What an episode may unfold to: some hundred times what a long one with a full scene takes."""
+"""Most that an episode may unpack to: some hundred times a long one with a full scene."""
 _SEAL = 32
 """Bytes at the beginning: SHA-256 of the others."""
 _KINDS = "biufU"
@@ -35,18 +35,18 @@ _DIGESTS = ("digest", "trajectory")
 
 
 class DamagedEpisodeError(DuraError):
-    """Bytes that are no episode, or not the one that was packed."""
+    """Error for bytes that are no episode, or not the one that was packed."""
 
 
 def pack(episode: Episode) -> bytes:
-    """All of an episode but its spec, compressed.
+    """Pack all of an episode but its spec, compressed.
 
     Floats come back to the bit, so that the digest is the same. Tuples in the data of events come
     back as lists.
 
     Raises:
         TypeError: For what is no plain data, in the events of a user's simulator for example.
-        ValueError: If it is larger than :data:`MOST_BYTES`.
+        ValueError: If it is larger than :data:`MAX_UNPACKED_BYTES`.
     """
     columns = _Columns()
     head = {
@@ -64,7 +64,7 @@ def pack(episode: Episode) -> bytes:
         "failure": episode.failure,
         "timeouts": list(episode.timeouts),
         "recording": None if episode.recording is None else _recording(episode.recording, columns),
-        "columns": columns.told,
+        "columns": columns.kinds,
     }
     text = json.dumps(head, default=_plain).encode()
     whole = b"%d\n" % len(text) + text + b"".join(columns.data)
@@ -75,20 +75,20 @@ def pack(episode: Episode) -> bytes:
 
 
 def unpack(data: bytes, spec: EpisodeSpec) -> Episode:
-    """The inverse of :func:`pack`.
+    """Unpack an episode, the inverse of :func:`pack`.
 
     Args:
         data: What was packed.
         spec: Of the same episode.
 
     Raises:
-        DamagedEpisodeError: For anything else, the episode of another spec included.
+        DamagedEpisodeError: For any other bytes, the episode of another spec included.
     """
     seal, inner = data[:_SEAL], data[_SEAL:]
     if hashlib.sha256(inner).digest() != seal:
         raise DamagedEpisodeError("it is not as it was written")
     try:
-        head, columns = _unfolded(inner)
+        head, columns = _split(inner)
         if head["key"] != spec.key:
             raise DamagedEpisodeError("it is the episode of another spec")
         episode = _episode(head, columns, spec)
@@ -103,27 +103,26 @@ def unpack(data: bytes, spec: EpisodeSpec) -> Episode:
 
 
 class _Columns:
-    """Arrays beside the text that names them by their number."""
+    """Arrays behind the JSON text, which refers to them by their number."""
 
     def __init__(self) -> None:
-        self.told: list[list[Any]] = []
+        self.kinds: list[list[Any]] = []
         self.data: list[bytes] = []
 
     def add(self, column: NDArray[Any]) -> int:
-        """The number under which an array is found."""
+        """Add an array, and return its number."""
         array = np.asarray(column)
-        shape = array.shape
         if array.dtype.kind not in _KINDS:
             raise TypeError(f"a column of {array.dtype} is no plain data")
-        self.told.append([array.dtype.str, list(shape)])
+        self.kinds.append([array.dtype.str, list(array.shape)])
         self.data.append(array.tobytes())
-        return len(self.told) - 1
+        return len(self.kinds) - 1
 
 
-def _unfolded(data: bytes) -> tuple[Data, list[NDArray[Any]]]:
-    unfolding = zlib.decompressobj()
-    whole = unfolding.decompress(data, MAX_UNPACKED_BYTES)
-    if not unfolding.eof:
+def _split(data: bytes) -> tuple[Data, list[NDArray[Any]]]:
+    decompressor = zlib.decompressobj()
+    whole = decompressor.decompress(data, MAX_UNPACKED_BYTES)
+    if not decompressor.eof:
         raise ValueError("it is cut short, or too large")
     size, _, rest = whole.partition(b"\n")
     if not size.isdigit():
@@ -185,21 +184,22 @@ def _row(column: NDArray[Any], kinds: str = _KINDS) -> NDArray[Any]:
 
 
 SERIES = ("performance", "wall_clock", "robustness", "processing_ns")
-"""What of an episode's metrics is measured over time: two lists by name."""
+"""Metrics of an episode that are measured over time: pairs of lists, by name."""
 _PLAIN_NUMBERS = {float: np.dtype("<f8"), int: np.dtype("<i8")}
 
 
 def _metrics(metrics: DependabilityMetrics, columns: _Columns) -> Data:
-    """Everything but the faults, which the episode tells."""
-    told = {name: value for name, value in vars(metrics).items() if name != "faults"}
+    """Everything but the faults, which the episode has itself."""
+    data = {name: value for name, value in vars(metrics).items() if name != "faults"}
     for name in SERIES:
-        told[name] = {
-            key: [_listed(item, columns) for item in two] for key, two in told[name].items()
+        data[name] = {
+            key: [_packed_list(values, columns) for values in pair]
+            for key, pair in data[name].items()
         }
-    return {**told, "tallies": {name: asdict(tally) for name, tally in metrics.tallies.items()}}
+    return {**data, "tallies": {name: asdict(tally) for name, tally in metrics.tallies.items()}}
 
 
-def _listed(values: list[Any], columns: _Columns) -> int | list[Any]:
+def _packed_list(values: list[Any], columns: _Columns) -> int | list[Any]:
     """The number of the column that holds a list, or the list itself; reading text takes longer."""
     kinds = set(map(type, values))
     kind = _PLAIN_NUMBERS.get(kinds.pop()) if len(kinds) == 1 else None
@@ -211,39 +211,39 @@ def _listed(values: list[Any], columns: _Columns) -> int | list[Any]:
         return values
 
 
-def _metrics_of(told: Data, columns: list[NDArray[Any]]) -> DependabilityMetrics:
+def _metrics_of(data: Data, columns: list[NDArray[Any]]) -> DependabilityMetrics:
     series = {
         name: {
-            key: tuple(columns[item].tolist() if isinstance(item, int) else item for item in two)
-            for key, two in told[name].items()
+            key: tuple(columns[each].tolist() if isinstance(each, int) else each for each in pair)
+            for key, pair in data[name].items()
         }
         for name in SERIES
     }
     made = {
-        "violations": Counter(told["violations"]),
-        "reactions": Counter(told["reactions"]),
-        "recoveries": [tuple(recovery) for recovery in told["recoveries"]],
-        "tallies": {name: Tally(**tally) for name, tally in told["tallies"].items()},
+        "violations": Counter(data["violations"]),
+        "reactions": Counter(data["reactions"]),
+        "recoveries": [tuple(recovery) for recovery in data["recoveries"]],
+        "tallies": {name: Tally(**tally) for name, tally in data["tallies"].items()},
     }
-    return replace(DependabilityMetrics(), **{**told, **series, **made})
+    return replace(DependabilityMetrics(), **{**data, **series, **made})
 
 
 def _recording(recording: Recording, columns: _Columns) -> Data:
-    told = dict(vars(recording))
-    told["flags"] = {name: columns.add(flag) for name, flag in recording.flags.items()}
+    data = dict(vars(recording))
+    data["flags"] = {name: columns.add(flag) for name, flag in recording.flags.items()}
     scene = recording.scene
     if scene is not None:
-        told["scene"] = {
+        data["scene"] = {
             "lines": [[line.kind, columns.add(line.points)] for line in scene.lines],
             "truth": [list(scene.truth.ids), columns.add(scene.truth.poses)],
             "percept": [list(scene.percept.ids), columns.add(scene.percept.poses)],
             "ego": scene.ego,
         }
-    return told
+    return data
 
 
-def _recording_of(told: Data, columns: list[NDArray[Any]]) -> Recording:
-    scene = told["scene"]
+def _recording_of(data: Data, columns: list[NDArray[Any]]) -> Recording:
+    scene = data["scene"]
     if scene is not None:
         tracks = {
             name: Tracks(tuple(scene[name][0]), columns[scene[name][1]])
@@ -252,9 +252,9 @@ def _recording_of(told: Data, columns: list[NDArray[Any]]) -> Recording:
         lines = tuple(Line(kind, columns[place]) for kind, place in scene["lines"])
         scene = Scene(lines, tracks["truth"], tracks["percept"], scene["ego"])
     texts = ("explanations", "reasons", "recoveries", "accounts")
-    made = {name: tuple(told[name]) for name in texts}
-    flags = {name: columns[place] for name, place in told["flags"].items()}
-    return Recording(**{**told, **made, "flags": flags, "scene": scene})
+    made = {name: tuple(data[name]) for name in texts}
+    flags = {name: columns[place] for name, place in data["flags"].items()}
+    return Recording(**{**data, **made, "flags": flags, "scene": scene})
 
 
 def _plain(value: Any) -> Any:

@@ -18,45 +18,50 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.execution.address import describe_machine
+from pytest_dura.execution.address import (
+    describe_machine,
+    machine_json,
+    refuse_differences,
+    simulate,
+)
 from pytest_dura.execution.processes import ProcessEnvironment, ProcessPool
-from pytest_dura.execution.simulation import machine_json, refuse_differences, simulate
 from pytest_dura.execution.worker import CallFailedError, ProcessLostError, reply_of, result_of
 from pytest_dura.provenance import is_installed
 
-_NAMES = ("distributed", "tornado", "asyncio")
+_LOGGERS = ("distributed", "tornado", "asyncio")
 
 
 def silence_logs() -> Callable[[], None]:
-    """Let Dask log nothing in this process, until the returned function is called.
+    """Disable the logs of Dask in this process, until the returned function is called.
 
     What matters to a session is raised; what a worker logs stands in its own log.
     """
-    silenced = [
+    loggers = [
         logging.getLogger(name)
         for name in sorted(logging.root.manager.loggerDict)
-        if name.partition(".")[0] in _NAMES
+        if name.partition(".")[0] in _LOGGERS
     ]
-    before = [item.disabled for item in silenced]
-    for entry in silenced:
-        entry.disabled = True
+    before = [logger.disabled for logger in loggers]
+    for logger in loggers:
+        logger.disabled = True
 
-    def loud() -> None:
-        for item, was in zip(silenced, before, strict=True):
-            item.disabled = was
+    def restore() -> None:
+        for logger, disabled in zip(loggers, before, strict=True):
+            logger.disabled = disabled
 
-    return loud
+    return restore
 
 
+# In a Dask worker, by the token of the session: tasks of Dask are functions, and share no object.
 _POOLS: dict[str, ProcessPool] = {}
 _LOCK = threading.Lock()
 
 
 def _reply_with_machine(client: Mapping[str, Any]) -> bytes:
-    """The reply to the question what every episode that is simulated here depends on.
+    """Describe the machine of a Dask worker, as a reply.
 
     Args:
-        client: Who asks: ``token``, and the ``path`` and ``folder`` where it finds components.
+        client: The session: ``token``, and the ``path`` and ``folder`` where it finds components.
     """
     return reply_of(lambda: _pool(client).submit(machine_json).result())
 
@@ -64,18 +69,18 @@ def _reply_with_machine(client: Mapping[str, Any]) -> bytes:
 def _reply_with_episode(
     client: Mapping[str, Any], task: str, conditions: Mapping[str, Any] | None, seconds: float
 ) -> bytes:
-    """The reply to a call of :func:`pytest_dura.execution.simulation.simulate`.
+    """Simulate an episode on a Dask worker, as a reply.
 
     Args:
-        client: Who asks, see :func:`look_here`.
-        task: What is simulated.
-        conditions: What has to be equal here.
-        seconds: What it may take.
+        client: See :func:`_reply_with_machine`.
+        task: See :func:`pytest_dura.execution.address.simulate`.
+        conditions: See the same, but for ``where``.
+        seconds: Limit of the episode.
     """
     from distributed import get_worker
 
-    told = conditions and {**conditions, "where": f"the Dask worker {get_worker().address}"}
-    return reply_of(lambda: _pool(client).submit(simulate, task, told, seconds=seconds).result())
+    here = conditions and {**conditions, "where": f"the Dask worker {get_worker().address}"}
+    return reply_of(lambda: _pool(client).submit(simulate, task, here, seconds=seconds).result())
 
 
 def _end_session(token: str) -> None:
@@ -87,7 +92,7 @@ def _end_session(token: str) -> None:
 
 
 def _pool(client: Mapping[str, Any]) -> ProcessPool:
-    """The processes of a session; they end by themselves when it asks for nothing any more."""
+    """The processes of a session on this worker; they end by themselves when they have no calls."""
     from distributed import get_worker
 
     token = client["token"]
@@ -98,9 +103,9 @@ def _pool(client: Mapping[str, Any]) -> ProcessPool:
 
 
 def _process_environment(client: Mapping[str, Any]) -> ProcessEnvironment:
-    """What the worker finds, after those folders of the client's project that are here as well."""
+    """That of the worker, after those folders of the client's project that are here as well."""
     own = ProcessEnvironment.here()
-    shared = [item for item in client["path"] if Path(item).exists()]
+    shared = [entry for entry in client["path"] if Path(entry).exists()]
     folder = client["folder"] if Path(client["folder"]).is_dir() else own.folder
     return ProcessEnvironment(list(dict.fromkeys([*shared, *own.path])), folder)
 
@@ -114,7 +119,7 @@ _RETRY_SECONDS, _SHORT_POLL_SECONDS = 0.2, 0.05
 
 
 def _open_client(address: str) -> tuple[Any, Callable[[], None]]:
-    """A client of the scheduler at this address, and what lets Dask log again when it is done.
+    """A client of the scheduler at this address, and the function that restores Dask's logs.
 
     Raises:
         ConfigurationError: If Dask is not installed, or no scheduler answers.
@@ -122,26 +127,26 @@ def _open_client(address: str) -> tuple[Any, Callable[[], None]]:
     connect(address)
     import distributed
 
-    loud = silence_logs()
-    client: Any = distributed.Client
+    restore_logs = silence_logs()
+    client_class: Any = distributed.Client
     try:
         with _ignore_dask_warnings():
-            made = client(
+            client = client_class(
                 address, timeout=SECONDS_TO_CONNECT, set_as_default=False, name="pytest-dura"
             )
     except BaseException as error:  # also on ctrl-C; it is raised again
-        loud()
+        restore_logs()
         if isinstance(error, (OSError, ValueError, TypeError)):
             raise _no_scheduler_error(address, error) from None
         raise
-    return made, loud
+    return client, restore_logs
 
 
 def connect(address: str) -> None:
-    """Find out whether anybody listens, without Dask, which tries for long and logs a lot.
+    """Connect to an address and disconnect, without Dask, which tries for long and logs a lot.
 
     Raises:
-        ConfigurationError: If Dask is not installed, or nobody does.
+        ConfigurationError: If Dask is not installed, or no server listens there.
     """
     if find_spec("distributed") is None:
         raise ConfigurationError(
@@ -164,16 +169,16 @@ def connect(address: str) -> None:
             return
 
 
-def _compare_workers(client: Any, address: str, told: Mapping[str, Any]) -> int:
-    """Compare the scheduler and every worker with this process; how many threads workers have.
+def _compare_workers(client: Any, address: str, session: Mapping[str, Any]) -> int:
+    """Compare the scheduler and every worker with this process; returns the threads of workers.
 
     Args:
-        client: Of the scheduler.
-        address: Of the same.
-        told: See :func:`pytest_dura.execution.dask.reply_with_machine`.
+        client: Client of the scheduler.
+        address: Its address.
+        session: See :func:`_reply_with_machine`.
 
     Raises:
-        ConfigurationError: If one differs, or there is no worker.
+        ConfigurationError: If the scheduler or a worker differs, or there is no worker.
     """
     from distributed.versions import get_versions
 
@@ -187,28 +192,30 @@ def _compare_workers(client: Any, address: str, told: Mapping[str, Any]) -> int:
         except (TimeoutError, asyncio.TimeoutError):  # two classes on Python 3.10
             raise _no_workers_error(address, SECONDS_TO_FIRST_WORKER) from None
         threads: dict[str, int] = client.nthreads()
-        asked = {
-            thread: client.submit(
+        tasks = {
+            worker: client.submit(
                 _reply_with_machine,
-                told,
-                workers=[thread],
+                session,
+                workers=[worker],
                 key=f"dura-look-{uuid.uuid4().hex}",
                 pure=False,
             )
-            for thread in threads
+            for worker in threads
         }
         equal = [
-            item for item, task in asked.items() if _is_equal(client, address, item, task, end)
+            worker
+            for worker, task in tasks.items()
+            if _is_equal(client, address, worker, task, end)
         ]
         if equal:
-            return sum(threads[item] for item in equal)
+            return sum(threads[worker] for worker in equal)
 
 
 def _is_equal(client: Any, address: str, worker: str, task: Any, end: float) -> bool:
-    """Whether a worker is as this process; not if it is gone, and nothing is simulated there.
+    """Whether a worker equals this process; false if it is gone.
 
     Raises:
-        ConfigurationError: If it differs, or says nothing in time.
+        ConfigurationError: If it differs, or does not answer in time.
     """
     where = f"the Dask worker {worker}"
     try:
@@ -227,7 +234,7 @@ def _is_equal(client: Any, address: str, worker: str, task: Any, end: float) -> 
 
 
 def _answer(client: Any, worker: str, task: Any, end: float) -> bytes:
-    """What a task comes to that only this worker may carry out, as long as it is there.
+    """Result of a task that only this worker may carry out, as long as it is there.
 
     Raises:
         TimeoutError: If the worker is gone, or the time is over.
@@ -241,15 +248,16 @@ def _answer(client: Any, worker: str, task: Any, end: float) -> bytes:
     return cast("bytes", task.result(timeout=_SECONDS_TO_FETCH))
 
 
-def _dask_versions(told: Mapping[str, Any]) -> dict[str, str]:
-    """What a client and a scheduler have to have in common to understand each other."""
-    packages = told["packages"]
-    found = {name: str(packages[name]) for name in ("dask", "distributed")}
-    return {"Python": ".".join(str(packages["python"]).split(".")[:2]), **found}
+def _dask_versions(versions: Mapping[str, Any]) -> dict[str, str]:
+    """Versions that a client and a scheduler must have in common to understand each other."""
+    packages = versions["packages"]
+    return {
+        "Python": ".".join(str(packages["python"]).split(".")[:2]),
+        **{name: str(packages[name]) for name in ("dask", "distributed")},
+    }
 
 
 def _no_scheduler_error(address: str, error: Exception) -> ConfigurationError:
-    """Nobody answers, or it is no scheduler."""
     return ConfigurationError(
         "there is no Dask scheduler at this address, or it does not answer",
         key=KEY,
@@ -260,7 +268,6 @@ def _no_scheduler_error(address: str, error: Exception) -> ConfigurationError:
 
 
 def _no_workers_error(address: str, seconds: float) -> ConfigurationError:
-    """There has been no worker for so long."""
     return ConfigurationError(
         f"the Dask scheduler has had no worker for {seconds:g} s",
         key=KEY,
@@ -271,7 +278,6 @@ def _no_workers_error(address: str, seconds: float) -> ConfigurationError:
 
 
 def _scheduler_lost_error(address: str) -> ConfigurationError:
-    """The scheduler is gone."""
     return ConfigurationError(
         "the connection to the Dask scheduler is lost",
         key=KEY,
@@ -282,7 +288,7 @@ def _scheduler_lost_error(address: str) -> ConfigurationError:
 
 @contextmanager
 def _ignore_dask_warnings() -> Iterator[None]:
-    """Dask warns of versions that differ, which are compared anyway, and of loops at its end."""
+    """Dask warns of versions that differ, which are compared here, and of loops at its end."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
@@ -292,22 +298,22 @@ T = TypeVar("T")
 P = ParamSpec("P")
 
 SECONDS_WITHOUT_WORKERS = 300.0
-"""How long a session waits for workers, when the last one is gone."""
+"""How long a session waits for workers when the last one is gone."""
 SECONDS_WITHOUT_ANSWER = 60.0
-"""How long the scheduler may leave a question open that it answers at once otherwise."""
+"""How long the scheduler may take for an answer that it usually gives at once."""
 _SECONDS_TO_END = 5.0
 _POLL_SECONDS = 1.0
 
 
 class DaskExecutor(Executor):
-    """Simulates on the workers of a Dask cluster.
+    """Executor that simulates on the workers of a Dask cluster.
 
     Specs and episodes travel as plain data. Each worker is compared with this process at the
     beginning, and again, with the code of the components, before each episode. Dask gives what a
     lost worker had to another one; its own limit says how many workers one episode may take along.
 
     Args:
-        address: Of the scheduler, such as ``tcp://localhost:8786``.
+        address: Address of the scheduler, such as ``tcp://localhost:8786``.
 
     Raises:
         ConfigurationError: If there is no scheduler or no worker, or one that differs from this
@@ -317,31 +323,32 @@ class DaskExecutor(Executor):
     def __init__(self, address: str) -> None:
         self.address = address
         here = ProcessEnvironment.here()
-        shared = [item for item in here.path if not is_installed(Path(item))]
-        self._told = {"token": uuid.uuid4().hex, "path": shared, "folder": here.folder}
-        self._asked: dict[Future[Any], Any] = {}
-        self._lock, self._landing = threading.Lock(), threading.Lock()
+        shared = [entry for entry in here.path if not is_installed(Path(entry))]
+        self._session = {"token": uuid.uuid4().hex, "path": shared, "folder": here.folder}
+        self._tasks: dict[Future[Any], Any] = {}
+        self._lock, self._resolving = threading.Lock(), threading.Lock()
         self._closed = threading.Event()
         self._lost: ConfigurationError | None = None
         self.is_lost = False
         """Whether nothing can be simulated there, for all that is known now."""
-        self._client, self._loud = _open_client(address)
+        self._client, self._restore_logs = _open_client(address)
         try:
-            self.width = _compare_workers(self._client, address, self._told)
+            self.width = _compare_workers(self._client, address, self._session)
         except BaseException:  # also on ctrl-C; it is raised again
             self._close()
             raise
-        self._watch = threading.Thread(target=self._keep_watch, name="dura-dask", daemon=True)
-        self._watch.start()
+        self._monitor = threading.Thread(
+            target=self._monitor_workers, name="dura-dask", daemon=True
+        )
+        self._monitor.start()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """The future of an episode.
+        """Begin an episode, and return its future.
 
         Args:
-            fn: :func:`pytest_dura.execution.simulation.simulate`; there is nothing else
-                that a cluster is asked for.
-            args: Of the same.
-            kwargs: Of the same.
+            fn: :func:`pytest_dura.execution.address.simulate`; a cluster takes no other calls.
+            args: Its arguments.
+            kwargs: Its arguments.
         """
         if fn is not simulate:
             raise TypeError("a cluster simulates episodes, and nothing else")
@@ -353,78 +360,78 @@ class DaskExecutor(Executor):
             return future
         task = self._client.submit(
             _reply_with_episode,
-            self._told,
+            self._session,
             *args,
             **kwargs,
             key=f"dura-{uuid.uuid4().hex}",
             pure=False,
         )
         with self._lock:
-            self._asked[future] = task
-        future.add_done_callback(self._forget)
-        task.add_done_callback(lambda _: self._land(future, task))
+            self._tasks[future] = task
+        future.add_done_callback(self._cancel_task)
+        task.add_done_callback(lambda _: self._resolve(future, task))
         return cast("Future[T]", future)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Leave the cluster, which stays as it is.
 
         Args:
-            wait: Whether what was asked for is waited for.
-            cancel_futures: Whether it is given up before that.
+            wait: Whether to wait for the episodes that were begun.
+            cancel_futures: Whether to give them up before that.
         """
         with self._lock:
-            asked = list(self._asked)
-        for future in asked:
+            futures = list(self._tasks)
+        for future in futures:
             if cancel_futures or not wait:
                 future.cancel()
             else:
-                with suppress(Exception):  # told where the result is asked for
+                with suppress(Exception):  # raised where the result is taken
                     future.exception()
         if not self._closed.is_set():
             self._closed.set()
-            self._watch.join(_SECONDS_TO_END)
+            self._monitor.join(_SECONDS_TO_END)
             self._close()
-            # Whoever waited for an episode has done by then what it does with it.
-            if self._landing.acquire(timeout=_SECONDS_TO_END):
-                self._landing.release()
+            # The callbacks of an episode that has just come are over by then.
+            if self._resolving.acquire(timeout=_SECONDS_TO_END):
+                self._resolving.release()
 
     def _close(self) -> None:
         """End our processes on all workers, and the connection; without a scheduler, in vain."""
 
         def leave() -> None:
             with suppress(Exception):
-                self._client.run(_end_session, self._told["token"], on_error="ignore")
+                self._client.run(_end_session, self._session["token"], on_error="ignore")
 
-        last = threading.Thread(target=leave, daemon=True)
+        leaving = threading.Thread(target=leave, daemon=True)
         if self._client.status == "running":
-            last.start()
-            last.join(_SECONDS_TO_END)
+            leaving.start()
+            leaving.join(_SECONDS_TO_END)
         with _ignore_dask_warnings(), suppress(Exception):
             self._client.close(timeout=_SECONDS_TO_END)
-        self._loud()
+        self._restore_logs()
 
-    def _forget(self, future: Future[Any]) -> None:
-        """Nobody waits for it any more; what is queued, or has no worker, is cancelled."""
+    def _cancel_task(self, future: Future[Any]) -> None:
+        """Cancel the task of a future that is done, if it is queued, or has no worker."""
         with self._lock:
-            task = self._asked.pop(future, None)
+            task = self._tasks.pop(future, None)
         if task is not None and not task.done():
             with suppress(Exception):  # the connection may be lost
                 task.cancel()
 
-    def _land(self, future: Future[Any], task: Any) -> None:
-        """Tell what came of a task, unless nobody wants to know."""
+    def _resolve(self, future: Future[Any], task: Any) -> None:
+        """Give a future the result of its task, unless it is done by now."""
         if future.done():
             return
-        with self._landing:
+        with self._resolving:
             try:
-                result = result_of(task.result())  # raises what befell it
-            except BaseException as error:  # told where the result is asked for
-                self._settle(future, self._told_as(error))
+                result = result_of(task.result())
+            except BaseException as error:  # raised where the result is taken
+                self._set(future, self._episode_error(error))
             else:
-                self._settle(future, None, result)
+                self._set(future, None, result)
 
-    def _told_as(self, error: BaseException) -> BaseException:
-        """What an error of Dask's means for an episode."""
+    def _episode_error(self, error: BaseException) -> BaseException:
+        """The error of an episode for an error of Dask's."""
         kind = type(error).__name__
         if kind == "KilledWorker":
             return ProcessLostError(f"it ended {getattr(error, 'allowed_failures', 0) + 1} workers")
@@ -433,44 +440,42 @@ class DaskExecutor(Executor):
                 self.address, getattr(error, "timeout", SECONDS_WITHOUT_WORKERS)
             )
         if kind in ("CancelledError", "FutureCancelledError", "CommClosedError"):
-            self.is_lost = True  # the watch finds out later
+            self.is_lost = True  # before the monitor sees it
             return _scheduler_lost_error(self.address)
         if isinstance(error, (ConfigurationError, ProcessLostError, CallFailedError)):
             return error
         return CallFailedError(f"a Dask worker failed: {describe_error(error)}")
 
-    def _settle(
-        self, future: Future[Any], error: BaseException | None, result: bytes = b""
-    ) -> None:
+    def _set(self, future: Future[Any], error: BaseException | None, result: bytes = b"") -> None:
         with suppress(InvalidStateError):  # it was cancelled in the meantime
             if error is None:
                 future.set_result(result)
             else:
                 future.set_exception(error)
 
-    def _keep_watch(self) -> None:
-        """Follow how many workers there are; nobody waits for ever where there is none."""
+    def _monitor_workers(self) -> None:
+        """Count the workers, and give up what waits where there has been none for long."""
         without = 0.0
         while not self._closed.wait(_POLL_SECONDS):
             try:
                 # As `Client.nthreads`, which would wait for a scheduler that is stopped for ever.
-                sync = self._client.sync(
+                cores = self._client.sync(
                     self._client.scheduler.ncores, callback_timeout=SECONDS_WITHOUT_ANSWER
                 )
-                self.width = max(1, sum(sync.values()))
+                self.width = max(1, sum(cores.values()))
             except Exception:  # whatever Dask raises then: the scheduler does not answer
                 if not self._closed.is_set():
                     self._lost, self.is_lost = _scheduler_lost_error(self.address), True
                     self._give_up(self._lost)
                 return
-            without = 0.0 if sync else without + _POLL_SECONDS
+            without = 0.0 if cores else without + _POLL_SECONDS
             self.is_lost = without >= SECONDS_WITHOUT_WORKERS
             if self.is_lost:
-                # Whoever asks from now on until there is one does not wait as long once more.
+                # An episode that is submitted before there is a worker does not wait as long again.
                 self._give_up(_no_workers_error(self.address, without))
 
     def _give_up(self, error: ConfigurationError) -> None:
         with self._lock:
-            asked = list(self._asked)
-        for future in asked:
-            self._settle(future, error)
+            futures = list(self._tasks)
+        for future in futures:
+            self._set(future, error)

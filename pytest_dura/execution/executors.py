@@ -1,4 +1,4 @@
-"""Executors: which one the user chose, and how many episodes it takes at a time."""
+"""Executors: which one the user chose, and how episodes are handed to it."""
 
 from __future__ import annotations
 
@@ -7,31 +7,30 @@ import re
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Literal, ParamSpec, TypeVar
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.execution.address import Address
-from pytest_dura.execution.simulation import Conditions, simulate
+from pytest_dura.execution.address import Address, simulate
 from pytest_dura.execution.task import EpisodeTask, reason_not_portable
 
 KEY = "--dura-executor"
 MAX_SECONDS = 3600.0
-"""What an episode may take in another process, beside the time that its component is given."""
+"""Limit of an episode in another process, beside the time that its component is given."""
 Kind = Literal["in-process", "processes", "dask"]
 _LAST_PORT = 65535
 
 
 @dataclass(frozen=True)
 class ExecutorChoice:
-    """Who is to simulate.
+    """Choice of an executor.
 
     Args:
-        kind: In which way.
+        kind: Which executor.
         count: How many processes; by default one for each core that may be used.
         address: Of Dask's scheduler.
-        seconds: What an episode may take in another process, beside its component's time budgets.
+        seconds: Limit of an episode in another process, beside its component's time budgets.
     """
 
     kind: Kind = "in-process"
@@ -41,7 +40,7 @@ class ExecutorChoice:
 
     @classmethod
     def parse(cls, text: str | None) -> ExecutorChoice:
-        """From ``in-process``, ``processes``, ``processes:N`` or ``dask://HOST:PORT``.
+        """Parse ``in-process``, ``processes``, ``processes:N`` or ``dask://HOST:PORT``.
 
         Raises:
             ConfigurationError: For anything else.
@@ -71,11 +70,11 @@ class ExecutorChoice:
 
         return self.count or usable_cores()
 
-    def knock(self) -> None:
-        """Find out whether a cluster is there, without using it.
+    def connect(self) -> None:
+        """Connect to the cluster and disconnect again, where the choice is one.
 
         Raises:
-            ConfigurationError: If Dask is not installed, or nobody listens at the address.
+            ConfigurationError: If Dask is not installed, or no server listens at the address.
         """
         if self.address is not None:
             from pytest_dura.execution.dask import connect
@@ -83,7 +82,7 @@ class ExecutorChoice:
             connect(self.address)
 
     def execution(self) -> Execution:
-        """What simulates; a cluster is connected to, and compared with this process.
+        """Make the executor; a cluster is connected to, and compared with this process.
 
         Raises:
             ConfigurationError: If the cluster cannot be used.
@@ -100,7 +99,7 @@ class ExecutorChoice:
 
 
 def execution_of(text: str | None) -> Execution:
-    """The execution that an option names; see :class:`Choice`.
+    """Make the executor that an option names; see :class:`ExecutorChoice`.
 
     Raises:
         ConfigurationError: If there is no such executor, or it cannot be used.
@@ -113,7 +112,7 @@ P = ParamSpec("P")
 
 
 class InProcessExecutor(Executor):
-    """Carries out each call at once, in this process."""
+    """Executor that carries out each call at once, in this process."""
 
     width = 1
 
@@ -123,19 +122,19 @@ class InProcessExecutor(Executor):
         future.set_running_or_notify_cancel()
         try:
             future.set_result(fn(*args, **kwargs))
-        except BaseException as error:  # also ctrl-C is told where the result is asked for
+        except BaseException as error:  # also ctrl-C is raised where the result is taken
             future.set_exception(error)
         return future
 
 
 @dataclass(frozen=True)
 class Execution:
-    """Who simulates episodes.
+    """Executor of episodes.
 
     Args:
         name: As users and the evidence call it.
         executor: Takes a function with plain data, and returns plain data.
-        seconds: What an episode may take elsewhere, beside the time that its component is given.
+        seconds: Limit of an episode elsewhere, beside the time that its component is given.
         here: Episodes that were simulated in this process though there is another executor, by
             component and reason.
     """
@@ -147,12 +146,12 @@ class Execution:
 
     @property
     def width(self) -> int:
-        """Episodes that it works on at the same time, by now."""
+        """How many episodes it works on at the same time, by now."""
         return int(getattr(self.executor, "width", 1))
 
     @property
     def is_lost(self) -> bool:
-        """Whether whoever simulates is gone."""
+        """Whether the cluster is gone."""
         return bool(getattr(self.executor, "is_lost", False))
 
     @property
@@ -163,17 +162,17 @@ class Execution:
     def submit(
         self, task: EpisodeTask, address: Address | None = None
     ) -> Future[Episode] | Future[bytes]:
-        """The future of an episode, or of a packed one that another process makes.
+        """Begin an episode; the future is of the episode, or of a packed one from elsewhere.
 
-        What is not portable is simulated here, whoever simulates the others.
+        An episode that is not portable is simulated here, wherever the others are.
 
         Args:
-            task: What it is had by.
-            address: What has to be equal wherever it is simulated.
+            task: The episode to simulate.
+            address: Its address here, which it must have wherever it is simulated.
         """
         if self.inside or not task.portable:
             return InProcessExecutor().submit(self.run_here, task)
-        conditions = None if address is None else Conditions.of(address).to_json()
+        conditions = None if address is None else asdict(address)
         return self.executor.submit(
             simulate,
             json.dumps(task.to_json()),
@@ -182,7 +181,7 @@ class Execution:
         )
 
     def run_here(self, task: EpisodeTask) -> Episode:
-        """The episode, simulated in this process; noted where that is the exception.
+        """Simulate an episode in this process; counted in `here` where that is the exception.
 
         Raises:
             ConfigurationError: If a part cannot be built.
@@ -193,16 +192,16 @@ class Execution:
         return task.run()
 
     def close(self) -> None:
-        """Give up whatever is still under way, and end the processes that simulate."""
+        """Give up episodes that are still under way, and end the processes that simulate."""
         self.executor.shutdown(wait=False, cancel_futures=True)
 
 
 def time_limit_of(spec: EpisodeSpec, seconds: float) -> float:
-    """Seconds of wall-clock time that an episode may take.
+    """Limit of an episode, in seconds of wall-clock time.
 
     Args:
         spec: What it is run from; the component may use up its time budget in each proposal.
-        seconds: What it may take beside that.
+        seconds: Limit of everything else.
     """
     decisions = spec.termination.last_index(spec.time_step) + 1
     if spec.termination.iterations is not None:

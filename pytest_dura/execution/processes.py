@@ -1,4 +1,4 @@
-"""ProcessPool: an executor of processes, which outlives them."""
+"""ProcessPool: an executor whose processes may end in the middle of a call."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ _START = (
 SECONDS_TO_START = 300.0
 """Imports from a disk that many processes read at once are slow."""
 _SECONDS_TO_END = 10.0
-"""How long a process is waited for that was killed, or closed its output."""
+"""How long the pool waits for a process that was killed, or closed its output."""
 _POLL_SECONDS = 1.0
-"""Seconds after which it is looked whether a process still exists."""
+"""Seconds from one check to the next whether a process still exists."""
 
 
 @dataclass(frozen=True)
 class ProcessEnvironment:
-    """What a process needs to find what this one finds.
+    """Import path and folder of a process.
 
     Args:
         path: Where it imports from: ``sys.path``.
@@ -54,13 +54,13 @@ class ProcessEnvironment:
 
     @classmethod
     def here(cls) -> ProcessEnvironment:
-        """As they are in this process now."""
+        """Those of this process, as they are now."""
         folder = Path.cwd()
-        return cls([str(folder / item) for item in sys.path], str(folder))
+        return cls([str(folder / entry) for entry in sys.path], str(folder))
 
 
 class WorkerEndedError(Exception):
-    """The process ended before it replied. ``seconds`` is the limit that it overran, if it did."""
+    """Error for a process that ended before its reply; ``seconds`` is the limit it overran."""
 
     def __init__(self, how: str, seconds: float | None = None) -> None:
         self.seconds = seconds
@@ -74,19 +74,19 @@ class WorkerProcess:
     for it rests on the end of its output alone, which a process that it left behind may hold open.
 
     Args:
-        surroundings: What it finds.
+        environment: Where it imports from and works.
 
     Raises:
         CallFailedError: If it cannot be started.
     """
 
-    def __init__(self, surroundings: ProcessEnvironment) -> None:
+    def __init__(self, environment: ProcessEnvironment) -> None:
         command = [sys.executable, *["-O"] * sys.flags.optimize, "-c", _START]
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `end`
         try:
             self._process = subprocess.Popen(
-                [*command, json.dumps(list(surroundings.path))],
-                cwd=surroundings.folder,
+                [*command, json.dumps(list(environment.path))],
+                cwd=environment.folder,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
@@ -110,7 +110,7 @@ class WorkerProcess:
         """Wait until it takes calls.
 
         Raises:
-            CallFailedError: If it does not get there; then it is ended.
+            CallFailedError: If it never does; then it is ended.
         """
         try:
             with self._limited(SECONDS_TO_START) as late:
@@ -132,7 +132,7 @@ class WorkerProcess:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it has not ended, as far as it is known."""
+        """Whether it has not ended, as far as is known."""
         return not self._over and self._process.poll() is None
 
     def call(
@@ -146,7 +146,7 @@ class WorkerProcess:
             kwargs: Plain data; ``seconds`` is the limit of the call.
 
         Raises:
-            ChildEndedError: If there is no reply: the process ended, or was ended after so long.
+            WorkerEndedError: If there is no reply: the process ended, or was ended after so long.
         """
         request = {"function": function, "args": list(args), "kwargs": dict(kwargs)}
         data, seconds = json.dumps(request).encode(), kwargs.get("seconds")
@@ -166,7 +166,7 @@ class WorkerProcess:
         self._process.kill()
 
     def end(self) -> None:
-        """End it, and let go of whatever it holds here. A second call does nothing."""
+        """End it, and close its pipes and files here. A second call does nothing."""
         if self._over:
             return
         self._over = True
@@ -179,19 +179,19 @@ class WorkerProcess:
         self._errors.close()
 
     def _read(self, stream: IO[bytes]) -> None:
-        """Take in what it writes, in a thread of its own, which alone touches the stream."""
+        """Queue what it writes, in a thread of its own, which alone touches the stream."""
         with stream:
-            found: bytes | None = b""
-            while found is not None:
+            frame: bytes | None = b""
+            while frame is not None:
                 try:
-                    found = read_frame(stream)
+                    frame = read_frame(stream)
                 except Exception:  # whatever is written there that is no reply
-                    found = None
-                self._replies.put(found)
+                    frame = None
+                self._replies.put(frame)
 
     @contextmanager
     def _limited(self, seconds: float | None) -> Iterator[threading.Event]:
-        """End the process after so long; the event tells that this happened."""
+        """Context that ends the process after so many seconds, and then sets the event."""
         late = threading.Event()
 
         def kill_late() -> None:
@@ -211,14 +211,14 @@ class WorkerProcess:
 
     def _reply(self, seconds: float | None, late: threading.Event) -> bytes:
         over = False
-        while (found := self._next()) == b"" and not over:
+        while (frame := self._next()) == b"" and not over:
             over = late.is_set() or not self.is_alive  # what it wrote by then is on its way
-        if not found:  # also if what it left behind holds its output open
+        if not frame:  # also if a process that it left behind holds its output open
             raise self._ended(seconds, late)
-        return found
+        return frame
 
     def _next(self) -> bytes | None:
-        """The next frame; ``None`` behind the last one, and nothing if none comes for a while."""
+        """The next frame; ``None`` behind the last one, and ``b""`` if none comes for a while."""
         try:
             return self._replies.get(timeout=_POLL_SECONDS)
         except Empty:
@@ -230,7 +230,6 @@ class WorkerProcess:
         return WorkerEndedError(self._how_it_ended())
 
     def _how_it_ended(self) -> str:
-        """In words."""
         try:
             code = self._process.wait(_SECONDS_TO_END)
         except subprocess.TimeoutExpired:  # it closed its output, and goes on
@@ -249,8 +248,8 @@ P = ParamSpec("P")
 _MAX_LOST = 2
 """Processes that a call may end before it is given up."""
 MAX_STARTS = 3
-"""How often a process is started for a call before the call fails: one may be killed, or find no
-memory, before it takes any call. No call is to blame for that."""
+"""How often a process is started for a call before the call fails: it may be killed, or get no
+memory, before it takes any call, which says nothing about the call."""
 _IDLE_SECONDS = 60.0
 """Seconds without a call after which a process ends; the next call starts another."""
 _SESSION_ENDED = "the session ended before the episode did"
@@ -265,7 +264,7 @@ def usable_cores() -> int:
 
 @dataclass
 class _Call:
-    """A call, and who waits for it."""
+    """A call, and the future of its reply."""
 
     function: str
     args: tuple[Any, ...]
@@ -274,7 +273,7 @@ class _Call:
 
 
 class ProcessPool(Executor):
-    """Processes that each carry out one call at a time, looked after by a thread of this one.
+    """Pool of processes that each carry out one call at a time, each with a thread of this one.
 
     A process that ends in the middle takes nothing with it but its own call, which another process
     is given. So it is known which call ended which process: one that ended two is given up, and so
@@ -283,12 +282,12 @@ class ProcessPool(Executor):
 
     Args:
         width: How many processes at most; they are started when they are needed.
-        surroundings: What they find; by default what this process finds at the first call.
+        environment: Where they import from and work; by default as this process at the first call.
     """
 
-    def __init__(self, width: int, surroundings: ProcessEnvironment | None = None) -> None:
+    def __init__(self, width: int, environment: ProcessEnvironment | None = None) -> None:
         self.width = width
-        self._surroundings = surroundings
+        self._environment = environment
         self._calls: SimpleQueue[_Call | None] = SimpleQueue()
         self._lock = threading.Lock()
         self._threads: list[threading.Thread] = []
@@ -314,12 +313,12 @@ class ProcessPool(Executor):
         with self._lock:
             if self._closed:
                 raise RuntimeError("the pool is closed")
-            if self._surroundings is None:
-                self._surroundings = ProcessEnvironment.here()
+            if self._environment is None:
+                self._environment = ProcessEnvironment.here()
             self._unfinished += 1
             self._calls.put(call)
             if len(self._threads) < min(self.width, self._unfinished):
-                thread = threading.Thread(target=self._look_after, name="dura-pool", daemon=True)
+                thread = threading.Thread(target=self._serve, name="dura-pool", daemon=True)
                 self._threads.append(thread)
                 thread.start()
         return cast("Future[T]", call.future)
@@ -354,15 +353,15 @@ class ProcessPool(Executor):
             if call is not None:
                 call.future.cancel()
 
-    def _look_after(self) -> None:
-        """What a thread does: hand calls to a process, one after the other."""
+    def _serve(self) -> None:
+        """Hand calls to a process, one after the other, in a thread of the pool."""
         child: WorkerProcess | None = None
         try:
             while True:
                 try:
                     call = self._calls.get(timeout=_IDLE_SECONDS)
                 except Empty:
-                    if self._leaves():
+                    if self._retire():
                         return
                     continue
                 if call is None:
@@ -374,8 +373,8 @@ class ProcessPool(Executor):
         finally:
             self._end(child)
 
-    def _leaves(self) -> bool:
-        """Whether nothing is left to do, under the lock under which calls come."""
+    def _retire(self) -> bool:
+        """Take this thread out of the pool if no call is left, under the lock of `submit`."""
         with self._lock:
             if self._closed or not self._calls.empty():
                 return False
@@ -387,26 +386,26 @@ class ProcessPool(Executor):
         lost = 0
         while True:
             try:
-                child = self._started(child)
+                child = self._ready(child)
                 reply, stays = child.call(call.function, call.args, call.kwargs)
             except WorkerEndedError as ended:
                 self._end(child)
                 child, lost = None, lost + 1
-                error = self._verdict(ended, lost)
+                error = self._error_of(ended, lost)
                 if error is None:
                     continue
                 call.future.set_exception(error)
             except Exception as error:  # none can be started, an argument is no plain data
                 call.future.set_exception(error)
             else:
-                _settle(call.future, reply)
+                _resolve(call.future, reply)
                 if not stays:
                     self._end(child)
                     child = None
             return child
 
-    def _verdict(self, ended: WorkerEndedError, lost: int) -> Exception | None:
-        """What a call comes to that lost its process; ``None`` if another process is given it."""
+    def _error_of(self, ended: WorkerEndedError, lost: int) -> Exception | None:
+        """The error of a call that lost its process; ``None`` if another process gets the call."""
         if self._killing:
             return CallFailedError(_SESSION_ENDED)
         if ended.seconds is not None:
@@ -415,7 +414,7 @@ class ProcessPool(Executor):
             return ProcessLostError(f"it ended {lost} processes that simulated it: {ended}")
         return None
 
-    def _started(self, child: WorkerProcess | None) -> WorkerProcess:
+    def _ready(self, child: WorkerProcess | None) -> WorkerProcess:
         """A process that takes calls: the one at hand, or a fresh one.
 
         Raises:
@@ -425,30 +424,30 @@ class ProcessPool(Executor):
             return child
         self._end(child)
         for left in reversed(range(MAX_STARTS)):
-            made = None
+            fresh = None
             try:
-                made = self._begun()
-                made.wait_until_ready()
+                fresh = self._start()
+                fresh.wait_until_ready()
             except CallFailedError:
-                self._end(made)
+                self._end(fresh)
                 if self._killing or not left:
                     raise
             else:
-                return made
+                return fresh
         raise AssertionError("unreachable")
 
-    def _begun(self) -> WorkerProcess:
-        """A process that starts; known at once, so that the end of the pool reaches it."""
-        assert self._surroundings is not None
+    def _start(self) -> WorkerProcess:
+        """Start a process; it is known at once, so that the end of the pool reaches it."""
+        assert self._environment is not None
         with self._lock:
             if self._killing:
                 raise CallFailedError(_SESSION_ENDED)
-        made = WorkerProcess(self._surroundings)
+        child = WorkerProcess(self._environment)
         with self._lock:
-            self._children[threading.current_thread()] = made
+            self._children[threading.current_thread()] = child
             if self._killing:
-                made.kill()
-        return made
+                child.kill()
+        return child
 
     def _end(self, child: WorkerProcess | None) -> None:
         if child is not None:
@@ -457,7 +456,7 @@ class ProcessPool(Executor):
             child.end()
 
 
-def _settle(future: Future[bytes], reply: bytes) -> None:
+def _resolve(future: Future[bytes], reply: bytes) -> None:
     try:
         result = result_of(reply)
     except DuraError as error:

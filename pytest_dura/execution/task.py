@@ -1,4 +1,4 @@
-"""EpisodeTask: an episode to be simulated, and whether another process can do it."""
+"""EpisodeTask: an episode to be simulated, and whether another process can simulate it."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING, Event
 from pytest_dura.library.roles import LocalRole, local_object
-from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements.checks import RequirementJudge
 from pytest_dura.requirements.model import Requirement
 
 
 def reason_not_portable(task: EpisodeTask) -> str | None:
-    """Why an episode is simulated in the process that wants it; ``None`` for one that need not be.
+    """Reason why no other process can simulate an episode; ``None`` if one can.
 
     A component that asks a language model stays where its exchanges are counted and recorded.
     """
@@ -48,7 +48,7 @@ def _reasons(task: EpisodeTask) -> Iterator[str]:
 
 
 def stated_model(role: RoleSpec) -> tuple[str, str] | None:
-    """Model and fingerprint of the server, if the settled parameters of a role state them."""
+    """Model and fingerprint of the server, if the resolved parameters of a role state them."""
     server = role.params.get("server")
     place = server if isinstance(server, Mapping) else role.params
     model, fingerprint = role.params.get("model"), place.get("fingerprint")
@@ -58,7 +58,7 @@ def stated_model(role: RoleSpec) -> tuple[str, str] | None:
 
 
 def is_named(function: Callable[..., Any]) -> bool:
-    """Whether its name in its file says which one it is, and nothing is bound to it."""
+    """Whether a function or class stands at the top of its module, and closes over nothing."""
     name = getattr(function, "__qualname__", "<")
     is_plain = inspect.isclass(function) or inspect.isfunction(function)
     return is_plain and "<" not in name and getattr(function, "__closure__", None) is None
@@ -83,15 +83,14 @@ def _is_plain(params: Mapping[str, Any]) -> bool:
 
 
 _PRIVATE = ("conftest", "__main__")
-
-
+"""Modules that are others in another process."""
 Metrics = Mapping[str, Callable[[Episode], float]]
 Data = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class EpisodeTask:
-    """One episode to be had.
+    """One episode to be simulated.
 
     Args:
         spec: What it is run from.
@@ -111,7 +110,7 @@ class EpisodeTask:
     role_timeout: float | None = field(default=ROLE_TIMEOUT, compare=False)
 
     def run(self) -> Episode:
-        """The episode, simulated here and now.
+        """Simulate the episode in this process.
 
         Raises:
             ConfigurationError: If a part cannot be built.
@@ -126,7 +125,7 @@ class EpisodeTask:
         )
 
     def repeated(self) -> EpisodeTask:
-        """The same once more, to be compared with the first."""
+        """The next repetition, to be compared with the first."""
         return replace(self, again=self.again + 1)
 
     @property
@@ -136,7 +135,7 @@ class EpisodeTask:
 
     @cached_property
     def local(self) -> tuple[Any, ...]:
-        """What gives it a meaning in this process only: bare instances, classes of a function."""
+        """Objects that exist in this process only: bare instances, classes of a function."""
         parts = [
             local_target
             for part in self.parts.values()
@@ -146,7 +145,7 @@ class EpisodeTask:
 
     @cached_property
     def portable(self) -> bool:
-        """Whether plain data says all, so that another process can simulate it."""
+        """Whether plain data holds all of it, so that another process can simulate it."""
         return reason_not_portable(self) is None
 
     def to_json(self) -> Data:
@@ -173,7 +172,7 @@ class EpisodeTask:
         """
         return cls(
             EpisodeSpec.from_json(data["spec"]),
-            tuple(Requirement.from_json(item) for item in data["judging"]),
+            tuple(map(Requirement.from_json, data["judging"])),
             {name: RoleSpec(path).resolve() for name, path in data["metrics"].items()},
             data["recorded"],
             data["again"],
@@ -189,7 +188,7 @@ def run_episode(
     recorded: bool = False,
     role_timeout: float | None = ROLE_TIMEOUT,
 ) -> Episode:
-    """The episode of a spec: the same spec gives the same trace, on any machine, in any order.
+    """Run the episode of a spec: the same spec gives the same trace, on any machine, in any order.
 
     Args:
         spec: What determines it.
@@ -215,14 +214,13 @@ def run_episode(
 
 
 def _process_local_target(part: RoleSpec) -> Any:
-    """What makes a part mean something here only; a class at the top of a conftest does not."""
-    found = local_object(part)
+    """The object of a part that no name leads to; none for a class at the top of a conftest."""
     named = isinstance(part, LocalRole) and is_named(part.target)
-    return None if named else found
+    return None if named else local_object(part)
 
 
 class UpcomingTasks:
-    """Tasks step by step; each is made once, and only if somebody looks that far.
+    """Tasks step by step; each is made once, when the iteration first gets there.
 
     Args:
         steps: How many steps there are.
@@ -249,11 +247,11 @@ class UpcomingTasks:
 
 
 def missing_episode(spec: EpisodeSpec, cause: str) -> Episode:
-    """An episode without a single tick, which is missing.
+    """Make an episode without a single tick, whose validity is missing.
 
     Args:
         spec: What it would have been run from.
-        cause: Why there is nothing.
+        cause: Why it was not run.
     """
     failure = f"infrastructure: {cause}"
     faults = tuple(

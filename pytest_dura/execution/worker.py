@@ -1,6 +1,7 @@
-"""The process that simulates for another one: calls on its input, replies on its output.
+"""Worker: the process that simulates for another one; calls on its input, replies on its output.
 
-A reply is plain data, errors included. Imports nothing of the package at its top but errors.
+A reply is plain data, errors included. The module imports nothing of the package but errors, so
+that a worker starts quickly.
 """
 
 from __future__ import annotations
@@ -20,18 +21,20 @@ from typing import IO, Any
 from pytest_dura.core.errors import ConfigurationError, DuraError, describe_error, shorten
 
 _RESULT, _CONFIGURATION, _LOST, _FAILED = b"r", b"c", b"l", b"f"
+_FIELDS = ("problem", "file", "line", "key", "found", "expected", "remedy")
+"""Attributes of a ConfigurationError."""
 
 
 class ProcessLostError(DuraError):
-    """An episode ended every process that it was given to, or never came back from one."""
+    """Error for an episode that ended every process that it was given to, or overran its limit."""
 
 
 class CallFailedError(DuraError):
-    """What was called in another process raised something that nobody expected there."""
+    """Error for a call in another process that raised anything unexpected there."""
 
 
 class _Shown:
-    """Stands for a value of another process, and looks like it."""
+    """Stand-in for a value of another process, with the same ``repr``."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -41,31 +44,30 @@ class _Shown:
 
 
 def reply_of(function: Callable[..., bytes], *args: Any, **kwargs: Any) -> bytes:
-    """What a call comes to: its result, or what it raised."""
+    """Call a function, and return its result, or what it raised, as a reply."""
     try:
         return _RESULT + function(*args, **kwargs)
-    except BaseException as error:  # whatever user code raises is told to who asked
+    except BaseException as error:  # whatever user code raises is raised where the call came from
         return _reply_of_error(error)
 
 
 def _reply_of_error(error: BaseException) -> bytes:
-    """What stands for an error."""
     if isinstance(error, ConfigurationError):
-        told = {name: getattr(error, name) for name in _FIELDS}
+        fields = {name: getattr(error, name) for name in _FIELDS}
         if error.found is not None:
-            told["found"] = shorten(error.found)
-        return _CONFIGURATION + json.dumps(told).encode()
+            fields["found"] = shorten(error.found)
+        return _CONFIGURATION + json.dumps(fields).encode()
     if isinstance(error, ProcessLostError):
         return _LOST + str(error).encode()
     return _FAILED + describe_error(error).encode()
 
 
 def result_of(reply: bytes) -> bytes:
-    """The result of a call.
+    """Take the result of a call out of its reply.
 
     Raises:
-        ConfigurationError: As it was raised there, its values apart, which look like they did.
-        ProcessLostError: If no process could tell.
+        ConfigurationError: As it was raised there; its ``found`` only looks like the value there.
+        ProcessLostError: If the episode ended the processes that it was given to.
         CallFailedError: For anything else that was raised there.
     """
     kind, body = reply[:1], reply[1:]
@@ -81,25 +83,22 @@ def result_of(reply: bytes) -> bytes:
     raise CallFailedError(f"a process that simulates failed: {body.decode(errors='replace')}")
 
 
-_FIELDS = ("problem", "file", "line", "key", "found", "expected", "remedy")
-
-
 _MAX_CALLS = 1000
 """Calls after which a process gives way to a fresh one, so that what a role leaves behind goes."""
 MAX_MEMORY_GROWTH = 512 * 2**20
-"""Bytes by which its memory may grow before it gives way, against a role that leaks."""
+"""Bytes by which its memory may grow before it gives way: roles may leak."""
 READY, STAYS, RETIRES = b"+", b"s", b"x"
 """The first byte of what it writes: that it is ready, or a reply, the last one or not."""
 _LENGTH = 8
 _MARGIN = 60.0
-"""Seconds after its limit when a call ends the process by itself: nobody is there to do it."""
+"""Seconds after its limit at which a call ends the process by itself: its parent is gone."""
 
 
 def write_frame(stream: IO[bytes], *parts: bytes) -> None:
     """Write one message.
 
     Raises:
-        OSError: If nobody reads it any more.
+        OSError: If the pipe is closed.
     """
     stream.write(sum(map(len, parts)).to_bytes(_LENGTH, "big"))
     stream.writelines(parts)
@@ -130,13 +129,13 @@ def main() -> None:
         os.dup2(null, number)
     first: int | None = None
     for count in range(1, _MAX_CALLS + 1):
-        reply = _carried_out(json.loads(requests.get()))
+        reply = _reply_to(json.loads(requests.get()))
         memory = _memory()
         first = memory if first is None else first
         stays = count < _MAX_CALLS and memory - first <= MAX_MEMORY_GROWTH
         try:
             write_frame(replies, STAYS if stays else RETIRES, reply)
-        except OSError:  # nobody is interested any more
+        except OSError:  # the parent is gone
             os._exit(1)
         if not stays:
             os._exit(0)  # also with threads that roles left behind
@@ -145,13 +144,13 @@ def main() -> None:
 def _read(calls: IO[bytes], requests: SimpleQueue[bytes]) -> None:
     while (request := read_frame(calls)) is not None:
         requests.put(request)
-    # Whatever the main thread is doing, and whatever it has started: nobody waits for it.
+    # Whatever the main thread is doing, and whatever it has started: the parent is gone.
     if hasattr(os, "killpg") and os.getpgrp() == os.getpid():
         os.killpg(0, signal.SIGKILL)
     os._exit(0)
 
 
-def _carried_out(request: dict[str, Any]) -> bytes:
+def _reply_to(request: dict[str, Any]) -> bytes:
     seconds = request["kwargs"].get("seconds")
     if seconds is not None:
         # Also out of code that never lets another thread run.
@@ -166,11 +165,11 @@ def _carried_out(request: dict[str, Any]) -> bytes:
 
 
 def _memory() -> int:
-    """Bytes of memory that this process has; 0 where that is not told."""
+    """Bytes of memory that this process has; 0 where the system does not tell."""
     try:
         # The peak that getrusage tells is on Linux that of whoever started this process, if higher.
-        split = Path("/proc/self/statm").read_bytes().split()
-        return int(split[1]) * os.sysconf("SC_PAGE_SIZE")
+        pages = Path("/proc/self/statm").read_bytes().split()[1]
+        return int(pages) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
         pass
     if sys.platform == "win32":

@@ -1,11 +1,16 @@
-"""Activation and duration of faults: times, conditions on the channels, how long a fault acts."""
+"""Activation and duration of faults: times, conditions on the channels, how long a fault acts.
+
+The FaultInjector activates faults by it; an :class:`AttackPlan` says when a SecurityAssessor
+directs its attacks.
+"""
 
 from __future__ import annotations
 
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections import ChainMap
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,9 +20,18 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.state import Lazy
-from pytest_dura.faults.parameters import FaultPart, NotNegative, Positive, RefusedError, Share
-from pytest_dura.faults.targets import AbsentRowError, Target
+from pytest_dura.core.roles import Injection
+from pytest_dura.core.state import Lazy, RoleView
+from pytest_dura.faults.parts import (
+    PROPOSAL,
+    AbsentRowError,
+    FaultPart,
+    NotNegative,
+    Positive,
+    RefusedError,
+    Share,
+    Target,
+)
 
 _COMPARISONS: Mapping[str, Callable[[float, float], bool]] = {
     ">=": operator.ge,
@@ -31,7 +45,7 @@ _TERM = re.compile(
 )
 TIME = "time"
 COUNT = "count"
-"""A field of every channel that has a length: how many entries it has."""
+"""Field of every channel that has a length: its number of entries."""
 
 
 class _Term(NamedTuple):
@@ -43,18 +57,18 @@ class _Term(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """Comparisons of numbers in channels, all of which must hold; see :func:`parse_condition`."""
+    """Comparisons of numbers in channels, joined by "and"; see :func:`parse_condition`."""
 
     text: str
     terms: tuple[_Term, ...]
 
     @property
     def targets(self) -> tuple[Target, ...]:
-        """The channels and fields that it reads; ``time`` is none of them."""
+        """Channels and fields that it reads, without ``time``."""
         return tuple(term.target for term in self.terms if term.target.channel != TIME)
 
     def check(self, channels: Mapping[str, Any]) -> None:
-        """Refuse channels that do not have all that it reads.
+        """Refuse channels that lack a target of the condition.
 
         Raises:
             ConfigurationError: For a channel or field that is not there, or is not a number.
@@ -118,14 +132,9 @@ def parse_condition(text: str) -> Condition:
 
 
 def _number(target: Target, channels: Mapping[str, Any]) -> float:
-    value = channels.get(target.channel)
-    # The usual case at once: conditions are looked at in each tick.
-    if target.field in getattr(type(value), "_fields", ()):
-        found = getattr(value, target.field)
-        if type(found) is float:
-            return found
     value = target.channel_of(channels)
-    if target.field == COUNT and not (isinstance(value, Mapping) and COUNT in value):
+    names = value if isinstance(value, Mapping) else getattr(type(value), "_fields", ())
+    if target.field == COUNT and COUNT not in names:
         value = value.get() if type(value) is Lazy else value
         if hasattr(value, "__len__"):
             return float(len(value))
@@ -208,7 +217,7 @@ class Activation(FaultPart):
         return text
 
     @model_validator(mode="after")
-    def _one_of_them(self) -> Activation:
+    def _check_trigger(self) -> Activation:
         given = [name for name in TRIGGERS if getattr(self, name) is not None]
         directed = self.by == "security_assessor"
         if len(given) > 1:
@@ -271,13 +280,13 @@ class Activation(FaultPart):
 
     @property
     def by_chance(self) -> bool:
-        """Whether it is drawn whether the fault becomes active at all."""
+        """Whether chance decides if the fault becomes active at all."""
         drawn = self.probability is not None and 0.0 < self.probability < 1.0
         return drawn or self.rate is not None
 
     @property
     def limit(self) -> int | None:
-        """The greatest number of activations; ``None`` for no limit."""
+        """Greatest number of activations; ``None`` for no limit."""
         if self.times is not None:
             return self.times
         repeated = self.every is not None or self.probability is not None or self.rate is not None
@@ -295,7 +304,7 @@ class Activation(FaultPart):
         return self.next_planned(since) <= time + TOLERANCE
 
     def next_planned(self, since: float) -> float:
-        """The first time after ``since`` of an activation by ``at`` and ``every``; or infinity."""
+        """First time after ``since`` of an activation by ``at`` and ``every``; or infinity."""
         if self.at is None:
             return math.inf
         if since < self.at - TOLERANCE:
@@ -310,7 +319,7 @@ TRIGGERS = ("at", "when", "probability", "rate", "after")
 
 
 def planned_at(activation: Any) -> float | None:
-    """The planned time of an activation in plain data, if it has one."""
+    """Planned time of an activation in plain data, if it has one."""
     return (activation or {}).get("at")
 
 
@@ -386,11 +395,11 @@ Duration: TypeAlias = Annotated[
 """Seconds; ``once`` (one tick); ``{min, max}``; ``{until, at_most}``; or ``{on, off, lasting}``."""
 
 DURATIONS = "seconds above 0, once, {min, max}, {until, at_most}, {on, off, lasting}, or null"
-"""All that a duration can be, for messages."""
+"""Forms of a duration, for messages."""
 
 
 class Lifetime:
-    """One activation's duration, drawn at its beginning. It lasts for one tick at least."""
+    """Duration of one activation, drawn at its beginning; at least one tick."""
 
     __slots__ = ("_duration", "_limit", "_until", "since")
 
@@ -421,3 +430,105 @@ class Lifetime:
         if isinstance(self._duration, Intermittent):
             return self._duration.acts(time - self.since)
         return True
+
+
+class AttackPlan:
+    """Plan of the faults of an episode with ``by: security_assessor``.
+
+    An assessor calls :meth:`due` once per tick and returns the ids as its directives. Faults on
+    sensors take effect at the next percept, those on the command at once. The plan depends on the
+    assessor's own view: simulated time (``at``, ``every``), the percept and the component's
+    proposal (``when``), and the FaultInjector's outputs so far (``after``).
+
+    Args:
+        faults: All faults of the episode, as in ``RoleContext.faults``.
+        role: Name of the assessor's role.
+    """
+
+    def __init__(self, faults: Sequence[Mapping[str, Any]], role: str) -> None:
+        self._attacks = [_Attack(fault) for fault in faults if fault["activation"]["by"] == role]
+        self._unchecked = True
+
+    def due(self, view: RoleView, proposal: Callable[[], Mapping[str, float]]) -> tuple[str, ...]:
+        """Ids of the faults to activate, in planned order.
+
+        Args:
+            view: The assessor's view of this tick.
+            proposal: Returns the numbers of the component's proposal by name, which conditions
+                read as ``proposal.<name>``; called if one does and there is a valid proposal.
+
+        Raises:
+            ConfigurationError: At the first tick, if a condition reads what no channel has.
+        """
+        if not self._attacks:
+            return ()
+        if self._unchecked:
+            for attack in self._attacks:
+                attack.check(view.percept)
+            self._unchecked = False
+        channels: Mapping[str, Any] = view.percept
+        if view.proposal is not None and any(attack.reads_proposal for attack in self._attacks):
+            # A chain, since a copy would read every channel of the percept.
+            channels = ChainMap({PROPOSAL: proposal()}, view.percept)  # type: ignore[arg-type]
+        return tuple(attack.id for attack in self._attacks if attack.due(view, channels))
+
+
+class _Attack:
+    def __init__(self, fault: Mapping[str, Any]) -> None:
+        self.id: str = fault["id"]
+        self.activation = Activation.model_validate(fault["activation"])
+        when = self.activation.when
+        self.condition: Condition | None = parse_condition(when) if when else None
+        targets = self.condition.targets if self.condition else ()
+        self.reads_proposal = any(target.channel == PROPOSAL for target in targets)
+        self._on_command = Target.parse(fault["target"]).is_command
+        self._last = -1.0
+        self._held = False
+        self._pending: list[float] = []
+        self._reports = 0
+
+    def check(self, percept: Mapping[str, Any]) -> None:
+        """Refuse a condition before anything has moved, also one whose window comes later."""
+        if self.condition is None or self.reads_proposal:
+            return
+        try:
+            self.condition.check(percept)
+        except ConfigurationError as error:
+            raise ConfigurationError(
+                f"the fault {self.id!r} cannot be used: {error.problem}",
+                key="activation.when",
+                found=self.activation.when,
+                expected=error.expected,
+                remedy=error.remedy,
+            ) from None
+
+    def due(self, view: RoleView, channels: Mapping[str, Any]) -> bool:
+        effect = view.time if self._on_command else view.time + view.dt
+        since, self._last = self._last, effect
+        activation = self.activation
+        if activation.after is not None:
+            self._follow(view)
+            waiting = [time for time in self._pending if time > effect + TOLERANCE]
+            is_due, self._pending = len(waiting) < len(self._pending), waiting
+            return is_due
+        if self.condition is not None:
+            last = math.inf if activation.not_after is None else activation.not_after
+            held = self._held
+            self._held = (
+                (view.proposal is not None or not self.reads_proposal)
+                and activation.not_before - TOLERANCE <= view.time <= last + TOLERANCE
+                and self.condition.holds(channels, view.time)
+            )
+            return self._held and not held
+        return activation.due(effect, since)
+
+    def _follow(self, view: RoleView) -> None:
+        """Schedule activations after the events that the injector reported since the last tick."""
+        after = self.activation.after
+        reports = view.history.get("fault_injector", ())
+        for time, report in reports[self._reports :]:
+            if after is not None and isinstance(report, Injection):
+                names = report.activated if after.event == "activated" else report.deactivated
+                if after.fault in names:
+                    self._pending.append(time + after.delay)
+        self._reports = len(reports)

@@ -1,10 +1,9 @@
-"""Catalogue of faults: types by name, faults from plain data, and refusals that help."""
+"""Catalogue of faults: types by name, and faults from plain data, with errors that name the key."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -14,43 +13,43 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.faults.activation import DURATIONS, TRIGGERS
 from pytest_dura.faults.model import Fault
-from pytest_dura.faults.parameters import RefusedError
+from pytest_dura.faults.parts import RefusedError
 
 _PREFIX = "Input should be "
 _OF_ANOTHER_TYPE = ("float_type", "literal_error", "model_type", "model_attributes_type")
 _TAGGED = 2
-"""Parts of the place of a duration as a whole: its key, and the tag of what it was taken for."""
+"""Parts of the place of a duration as a whole: its key, and the tag of its form."""
 
 
 def _fault_error(
     kind: type[Fault], data: Mapping[str, Any], error: ValidationError
 ) -> ConfigurationError:
-    """The first thing that is wrong with a fault; ``key`` is the path within it."""
+    """Convert the most helpful of pydantic's errors; ``key`` is the path within the fault."""
     errors = error.errors()
-    # A misspelt key is also a missing one; the misspelling is what helps.
-    first = next((item for item in errors if item["type"] == "extra_forbidden"), errors[0])
+    # A misspelt key is also a missing one; the misspelling helps more.
+    first = next((entry for entry in errors if entry["type"] == "extra_forbidden"), errors[0])
     place = _place(data, first)
-    # Where a value may be of several types, each tells what is wrong; the one that fits has more
-    # to say than that its type is another one.
-    same_place = [item for item in errors if _place(data, item) == place]
-    first = next((item for item in same_place if not item["type"].endswith("_type")), first)
+    # A value that may be of several types has an error for each; the one that is not about the
+    # type is of the type that fits.
+    same_place = [entry for entry in errors if _place(data, entry) == place]
+    first = next((entry for entry in same_place if not entry["type"].endswith("_type")), first)
     problem, expected, remedy = _described(kind, first, place[-1] if place else "")
     value = first["input"]
-    shown = first["type"] != "missing" and not isinstance(value, Mapping)
+    is_shown = first["type"] != "missing" and not isinstance(value, Mapping)
     return ConfigurationError(
         f"the fault {data['id']!r} cannot be used: {problem}",
         key=".".join(place) or None,
-        found=value if shown else None,
+        found=value if is_shown else None,
         expected=expected,
         remedy=remedy,
     )
 
 
 def _place(data: Any, error: Any) -> list[str]:
-    """The keys that lead to an error, without the names that pydantic gives to types."""
+    """Keys that lead to an error, without the names that pydantic gives to types."""
     place, value = [], data
     for part in error["loc"]:
-        if _leads_on(value, part):
+        if _has_part(value, part):
             value = value[part]
         elif not (error["type"] == "missing" and part == error["loc"][-1]):
             continue
@@ -58,14 +57,14 @@ def _place(data: Any, error: Any) -> list[str]:
     return place
 
 
-def _leads_on(value: Any, part: object) -> bool:
+def _has_part(value: Any, part: object) -> bool:
     if isinstance(value, Mapping):
         return part in value
     return isinstance(value, (list, tuple)) and isinstance(part, int) and part < len(value)
 
 
 def _described(kind: type[Fault], error: Any, name: str) -> tuple[str, str | None, str]:
-    """What is wrong, what would have been accepted, and what to do about it."""
+    """Problem, expected values, and remedy."""
     sort, path = error["type"], error["loc"]
     holder = _holder(kind, path[:-1])
     if sort == "extra_forbidden":
@@ -85,12 +84,12 @@ def _described(kind: type[Fault], error: Any, name: str) -> tuple[str, str | Non
         return f"{name!r} is no duration", DURATIONS, "correct the value"
     if sort in ("model_type", "model_attributes_type"):
         below = _holder(kind, path)
-        wanted = "a mapping with keys of " + ", ".join(below.model_fields if below else ())
+        required = "a mapping with keys of " + ", ".join(below.model_fields if below else ())
     else:
-        wanted = error["msg"].removeprefix(_PREFIX)
+        required = error["msg"].removeprefix(_PREFIX)
     meaning = _meaning(holder, name)
-    expected = f"{wanted} ({meaning})" if meaning else wanted
-    return f"{name!r} must be {wanted}", expected, "correct the value"
+    expected = f"{required} ({meaning})" if meaning else required
+    return f"{name!r} must be {required}", expected, "correct the value"
 
 
 def _missing(
@@ -106,7 +105,7 @@ def _missing(
 
 
 def _is_tag(part: object) -> bool:
-    """Whether pydantic put it into a place to say which kind of duration it took."""
+    """Whether a part of a place is pydantic's tag of the form of a duration."""
     return isinstance(part, str) and part.startswith("<")
 
 
@@ -116,7 +115,7 @@ def _meaning(holder: type[BaseModel] | None, name: str) -> str:
 
 
 def _holder(kind: type[BaseModel], path: Sequence[Any]) -> type[BaseModel] | None:
-    """The model whose keys stand at a path; ``None`` where no model says which they are."""
+    """Model whose keys stand at a path; ``None`` without any."""
     options = [kind]
     for part in path:
         if _is_tag(part):
@@ -130,7 +129,7 @@ def _holder(kind: type[BaseModel], path: Sequence[Any]) -> type[BaseModel] | Non
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The models that an annotation mentions."""
+    """Models that an annotation mentions."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inner in get_args(annotation):
@@ -166,38 +165,38 @@ FAULT_TYPES: dict[str, str] = {
     "salt-and-pepper": "pytest_dura.faults.types.image:SaltAndPepper",
     "patch": "pytest_dura.faults.types.image:Patch",
     "perturbation": "pytest_dura.faults.types.perturbation:Perturbation",
-    "ghost-obstacle": "pytest_dura.driving.faults.objects:GhostObstacle",
-    "trajectory-spoof": "pytest_dura.driving.faults.objects:TrajectorySpoof",
-    "object-miss": "pytest_dura.driving.faults.objects:ObjectMiss",
-    "position-noise": "pytest_dura.driving.faults.objects:PositionNoise",
-    "range-cut": "pytest_dura.driving.faults.objects:RangeCut",
-    "class-change": "pytest_dura.driving.faults.objects:ClassChange",
-    "id-switch": "pytest_dura.driving.faults.objects:IdSwitch",
-    "moved-obstacle": "pytest_dura.driving.faults.objects:MovedObstacle",
-    "gnss-jump": "pytest_dura.driving.faults.channels:GnssJump",
-    "gnss-drag-off": "pytest_dura.driving.faults.channels:GnssDragOff",
-    "gnss-jam": "pytest_dura.driving.faults.channels:GnssJam",
-    "prompt-text": "pytest_dura.driving.faults.channels:PromptText",
+    "ghost-obstacle": "pytest_dura.driving.object_faults:GhostObstacle",
+    "trajectory-spoof": "pytest_dura.driving.object_faults:TrajectorySpoof",
+    "object-miss": "pytest_dura.driving.object_faults:ObjectMiss",
+    "position-noise": "pytest_dura.driving.object_faults:PositionNoise",
+    "range-cut": "pytest_dura.driving.object_faults:RangeCut",
+    "class-change": "pytest_dura.driving.object_faults:ClassChange",
+    "id-switch": "pytest_dura.driving.object_faults:IdSwitch",
+    "moved-obstacle": "pytest_dura.driving.object_faults:MovedObstacle",
+    "gnss-jump": "pytest_dura.driving.channel_faults:GnssJump",
+    "gnss-drag-off": "pytest_dura.driving.channel_faults:GnssDragOff",
+    "gnss-jam": "pytest_dura.driving.channel_faults:GnssJam",
+    "prompt-text": "pytest_dura.driving.channel_faults:PromptText",
     "prompt-drop": "pytest_dura.llm.faults:PromptDrop",
     "prompt-reorder": "pytest_dura.llm.faults:PromptReorder",
     "prompt-paraphrase": "pytest_dura.llm.faults:PromptParaphrase",
     "model-failure": "pytest_dura.llm.faults:ModelFailure",
     "model-delay": "pytest_dura.llm.faults:ModelDelay",
 }
-"""Type name to import path; a domain's faults are imported when one is used."""
+"""Type name to import path; a type is imported when it is used."""
 
 BY_CHANCE = "by_chance"
-"""Key of a fault's plain data that says whether its effect is drawn; derived, never given."""
+"""Key of a fault's plain data that says whether chance decides its effect; derived, not given."""
 
 
 def fault_class(name: str) -> type[Fault]:
-    """The class of a fault type: a name of the catalogue, or ``package.module:Class``.
+    """Import the class of a fault type: a name of the catalogue, or ``package.module:Class``.
 
     Raises:
         ConfigurationError: For an unknown type, and for a class that is no fault.
     """
     if isinstance(name, str) and name in FAULT_TYPES:
-        return _imported_once(FAULT_TYPES[name])
+        return _import(FAULT_TYPES[name])
     if not isinstance(name, str) or ":" not in name:
         near = difflib.get_close_matches(str(name), FAULT_TYPES, n=1)
         raise ConfigurationError(
@@ -207,33 +206,27 @@ def fault_class(name: str) -> type[Fault]:
             expected="package.module:Class, or one of " + ", ".join(sorted(FAULT_TYPES)),
             remedy=f"did you mean {near[0]!r}?" if near else "choose a type of the catalogue",
         )
-    return _imported(name)
+    return _import(name)
 
 
-@cache
-def _imported_once(path: str) -> type[Fault]:
-    """The class of a type of the catalogue: a grid asks for it in every case."""
-    return _imported(path)
-
-
-def _imported(path: str) -> type[Fault]:
-    found = RoleSpec(path).resolve()
-    if not (isinstance(found, type) and issubclass(found, Fault)):
+def _import(path: str) -> type[Fault]:
+    kind = RoleSpec(path).resolve()
+    if not (isinstance(kind, type) and issubclass(kind, Fault)):
         raise ConfigurationError(
             f"{path} is not a fault",
             key="type",
             found=path,
             expected="a subclass of pytest_dura.faults.model.Fault",
         )
-    return found
+    return kind
 
 
 def load_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> Fault:
-    """A fault from plain data, with defaults for ``id`` (the type) and ``target``.
+    """Make a fault of plain data, with defaults for ``id`` (the type) and ``target``.
 
     Args:
-        data: As in a scenario file; or what :func:`parse_fault` returned.
-        targets: Where a fault acts that names no target, by what its type can act on.
+        data: As in a scenario file; or the result of :func:`parse_fault`.
+        targets: Default target of each kind that a type can act on.
 
     Raises:
         ConfigurationError: For an unknown type or key, or a value out of range; ``key`` is the
@@ -252,15 +245,15 @@ def load_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) ->
 
 
 def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:
-    """Plain data with every default filled in; see :func:`load_fault`."""
+    """Fill every default into plain data; see :func:`load_fault`."""
     return plain_fault(load_fault(data, targets))
 
 
 def plain_fault(fault: Fault) -> dict[str, Any]:
-    """A fault as plain data, from which :func:`load_fault` makes an equal one."""
+    """Dump a fault as plain data, from which :func:`load_fault` makes an equal one."""
     return {**fault.model_dump(mode="json"), BY_CHANCE: fault.by_chance}
 
 
 def default_fault(name: str, targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:
-    """A fault of the catalogue with its default activation and parameters, by its type's name."""
+    """Plain data of a type of the catalogue, with its default activation and parameters."""
     return parse_fault({"type": name, **fault_class(name).example()}, targets)

@@ -21,21 +21,20 @@ from pytest_dura.core.state import NOTHING, RoleView
 from pytest_dura.faults.activation import TOLERANCE, Lifetime, Until, parse_condition
 from pytest_dura.faults.catalogue import load_fault
 from pytest_dura.faults.model import Fault, Moment
-from pytest_dura.faults.targets import AbsentRowError, resolved
+from pytest_dura.faults.parts import AbsentRowError, resolved
 
 BLOCK = 256
 """Ticks that are drawn at once."""
 
 
 class Chance:
-    """One draw per tick from one stream, made in advance.
+    """Hits of a probability, one draw per tick from one stream, made in advance.
 
-    Whether it happens at a tick rests on the tick's index alone, so that it does not matter at
-    which ticks somebody asks.
+    Whether a tick is hit depends on its index alone, not on the ticks of the calls.
 
     Args:
-        probability: Of its happening at a tick.
-        rng: The stream; nobody else may draw from it.
+        probability: Probability of a hit at a tick.
+        rng: The stream, for these draws alone.
     """
 
     __slots__ = ("_drawn", "_hits", "_probability", "_rng")
@@ -45,12 +44,12 @@ class Chance:
         self._hits: list[int] = []
         self._drawn = 0
 
-    def happens(self, tick: int) -> bool:
-        """Whether it happens at this tick, counted from 0."""
+    def hits(self, tick: int) -> bool:
+        """Whether this tick, counted from 0, is hit."""
         return self.next(tick) == tick
 
     def next(self, tick: int) -> int:
-        """The first tick from this one on at which it happens, or to which nothing is known yet."""
+        """First tick from this one on that is hit, or that is not drawn yet."""
         while self._drawn <= tick:
             hits = np.flatnonzero(self._rng.random(BLOCK) < self._probability)
             self._hits += (hits + self._drawn).tolist()
@@ -103,13 +102,13 @@ NEVER, NOW = math.inf, -math.inf
 
 
 class FaultLife:
-    """Decides when its fault is active and lets it act. It looks at no other fault's effects.
+    """Activations of one fault in an episode, independent of the effects of other faults.
 
-    All its random numbers come from streams of its own, so that adding or removing another fault
+    All random numbers come from streams of its own, so that adding or removing another fault
     shifts none of them.
 
     ``wake`` is the time in s before which :meth:`ends` and :meth:`begins` need not be called,
-    unless an event that it follows happens; to call them is no mistake.
+    unless an event that it follows happens.
     """
 
     def __init__(self, fault: Fault, seed: int, dt: float) -> None:
@@ -135,14 +134,14 @@ class FaultLife:
         self._limit = activation.limit
         self._first = activation.not_before - TOLERANCE
         self._final = NEVER if activation.not_after is None else activation.not_after + TOLERANCE
-        self.keeps = fault.memory > 0.0
+        self.keeps_history = fault.memory > 0.0
         self._history: deque[tuple[float, Any]] = deque(
-            maxlen=math.ceil(fault.memory / dt - TOLERANCE) + 1 if self.keeps else 1
+            maxlen=math.ceil(fault.memory / dt - TOLERANCE) + 1 if self.keeps_history else 1
         )
         self.wake = self._next()
 
     def check(self, channels: Mapping[str, Any]) -> None:
-        """Refuse a target or a condition that these channels do not have.
+        """Refuse a target or a condition on channels that do not exist.
 
         Raises:
             ConfigurationError: With the fault's id.
@@ -174,35 +173,35 @@ class FaultLife:
 
     @property
     def acts_now(self) -> bool:
-        """Whether it must be asked at this tick: it is active, or keeps a history."""
-        return self.lifetime is not None or self.keeps
+        """Whether :meth:`act` must be called at this tick: it is active, or keeps a history."""
+        return self.lifetime is not None or self.keeps_history
 
     def follow(self, time: float) -> None:
-        """An event that it waits for has happened at this time."""
+        """Schedule the activation after an event that the fault follows."""
         after = self.fault.activation.after
         delay = after.delay if after is not None else 0.0
         self._pending.append(time + max(delay, self._dt))
         self.wake = self._next()
 
     def ends(self, time: float, channels: Mapping[str, Any]) -> bool:
-        """End it if it is over; whether it was."""
+        """End the activation if its duration is over; returns whether it was."""
         if self.lifetime is None or not self.lifetime.over(time, channels):
             return False
         self.lifetime, self._memory = None, None
         return True
 
     def begins(self, time: float, channels: Mapping[str, Any]) -> bool:
-        """Activate it if its plan says so; whether it was. To be asked once per tick."""
+        """Activate it if it is due; returns whether it was. Call it once per tick."""
         due = self._due(time, channels)
         self._last = time
         began = due and self.activate(time)
-        # A condition in its window is looked at in each tick; that it was last time says so.
+        # Within its window, a condition is checked at each tick, so that `wake` stays.
         if self._condition is None or began or self._spent or time > self._final:
             self.wake = self._next()
         return began
 
     def activate(self, time: float) -> bool:
-        """Activate it from this time on; whether it was, being inactive and not spent."""
+        """Activate it from this time on, unless it is active or spent; returns whether it was."""
         if self.active or self._spent:
             return False
         drawn = stream(self._seed, f"fault:duration:{self._count}:{self.fault.id}")
@@ -212,7 +211,7 @@ class FaultLife:
         return True
 
     def act(self, whole: Any, time: float, channels: Mapping[str, Any]) -> Any:
-        """The channel, or the command, after the fault; the very same if nothing was changed.
+        """Return the channel, or the command, after the fault; the same object if unchanged.
 
         A row that an array or list does not have at this tick is left alone.
         """
@@ -220,14 +219,14 @@ class FaultLife:
             value = self.target.of(whole)
         except AbsentRowError:
             return whole
-        if self.keeps:
+        if self.keeps_history:
             value = resolved(value)
             self._history.append((time, value))
         if self.lifetime is None or not self.lifetime.acts(time):
             return whole
         moment = self._moment(time, self._began, channels)
         if self._memory is None:
-            # One stream serves both, lest `apply` draw the numbers of `begin` again.
+            # One moment, and so one stream, lest `apply` draw the numbers of `begin` again.
             moment = self._moment(time, time, channels)
             self._memory = self.fault.begin(value, moment)
             self._began = time
@@ -242,13 +241,13 @@ class FaultLife:
 
     def _due(self, time: float, channels: Mapping[str, Any]) -> bool:
         if self._chance is not None:
-            return self._in_window(time) and self._chance.happens(self._index(time))
+            return self._in_window(time) and self._chance.hits(self._index(time))
         if self._condition is not None:
             held = self._held
             self._held = self._in_window(time) and self._condition.holds(channels, time)
             return self._held and not held
         if self._pending:
-            waiting = [item for item in self._pending if item > time + TOLERANCE]
+            waiting = [at for at in self._pending if at > time + TOLERANCE]
             reached = len(waiting) < len(self._pending)
             self._pending = waiting
             return reached
@@ -259,7 +258,7 @@ class FaultLife:
         return self._first <= time <= self._final
 
     def _next(self) -> float:
-        """The time before which it neither ends nor begins by itself."""
+        """Time before which it neither ends nor begins by itself."""
         if self.lifetime is not None:
             return NOW
         if self._spent:
@@ -286,12 +285,12 @@ class FaultLife:
 
 
 class CampaignInjector(FaultInjector):
-    """Applies the faults of the episode in declared order, each with random streams of its own.
+    """Injector of the faults of the episode, in declared order, with separate random streams.
 
-    What is due at time t is in the percept at t, and in the command at t. What the
+    A fault that is due at time t changes the percept and the command at t. One that the
     SecurityAssessor directs takes effect at the next percept, or in the command at once; that
-    counts towards the fault's greatest number of activations, and one that is active or spent
-    stays as it is.
+    counts towards its greatest number of activations. A directive to a fault that is active or
+    spent has no effect.
     """
 
     def reset(self, context: RoleContext) -> None:
@@ -301,8 +300,8 @@ class CampaignInjector(FaultInjector):
             ConfigurationError: For two faults of one id.
         """
         self._lives: dict[str, FaultLife] = {}
-        for item in context.faults:
-            fault = load_fault(item)
+        for data in context.faults:
+            fault = load_fault(data)
             if fault.id in self._lives:
                 raise ConfigurationError(
                     f"two faults have the id {fault.id!r}",
@@ -317,7 +316,7 @@ class CampaignInjector(FaultInjector):
         self._messages: list[FaultLife] = []
         self._followers: dict[tuple[str, str], list[FaultLife]] = {}
         for life in self._lives.values():
-            self._acting_where(life).append(life)
+            self._lives_at(life).append(life)
             after = life.fault.activation.after
             if after is not None and not life.fault.activation.directed:
                 self._followers.setdefault((after.fault, after.event), []).append(life)
@@ -326,22 +325,22 @@ class CampaignInjector(FaultInjector):
         self._ended: list[str] = []
         self._channels: Mapping[str, Any] = NOTHING
         self._unchecked = True
-        self._keeping = any(life.keeps for life in self._sensors)
+        self._keeps_history = any(life.keeps_history for life in self._sensors)
         self._wake = self._next()
 
     def run(self, view: RoleView) -> Injection:
-        """Take the SecurityAssessor's directives; say what has begun and ended at this tick.
+        """Take the SecurityAssessor's directives; report what began and ended at this tick.
 
         Raises:
             ValueError: For a directive that names no fault of an episode that has faults.
         """
         if not self._lives:
-            return _IDLE
+            return _NO_CHANGE
         directed = getattr(view.outputs.get("security_assessor"), "directives", ())
         if directed:
             self._direct(directed, view.time)
         if not self._started and not self._ended:
-            return _IDLE
+            return _NO_CHANGE
         injection = Injection(tuple(self._started), tuple(self._ended))
         self._started.clear()
         self._ended.clear()
@@ -373,7 +372,7 @@ class CampaignInjector(FaultInjector):
     def _changed(
         self, lives: Sequence[FaultLife], value: Any, time: float
     ) -> tuple[Any, tuple[str, ...]]:
-        """A value on its way after the faults that act on it, and the ids of those that did."""
+        """Value after the faults that act on it, and the ids of those that changed it."""
         if not lives:
             return value, ()
         sent, tampered = value, list[str]()
@@ -388,14 +387,14 @@ class CampaignInjector(FaultInjector):
             return sent, ()
         return value, tuple(tampered)
 
-    def _acting_where(self, life: FaultLife) -> list[FaultLife]:
-        """The faults that act at the same point of the loop."""
+    def _lives_at(self, life: FaultLife) -> list[FaultLife]:
+        """Faults that act at the same point of the loop."""
         if life.target.is_command:
             return self._commands
         return self._messages if life.target.is_message else self._sensors
 
     def manifested(self, faults: Sequence[str], time: float) -> None:
-        """Faults that the orchestrator saw reach the component or the plant."""
+        """Schedule the faults that follow a manifestation."""
         for name in faults:
             self._chain("manifested", name, time)
 
@@ -408,16 +407,16 @@ class CampaignInjector(FaultInjector):
             ended = life.ends(time, channels)
             begins = life.begins(time, channels)
             if begins or (directed and life.activate(time)):
-                self._tell("activated", name, time)  # at its end anew: that is no end
+                self._report("activated", name, time)  # also at its end, which is no end then
             elif ended:
-                self._tell("deactivated", name, time)
+                self._report("deactivated", name, time)
         self._directed.clear()
         self._wake = self._next()
 
     def _apply(
         self, channels: Mapping[str, Any], time: float
     ) -> tuple[Mapping[str, Any], Mapping[str, tuple[str, ...]]]:
-        """The channels after the active sensor faults, and which faults changed them."""
+        """Channels after the active sensor faults, and by channel the ids that changed it."""
         acting = [life for life in self._sensors if life.acts_now]
         if not acting:
             return channels, NOTHING
@@ -439,7 +438,7 @@ class CampaignInjector(FaultInjector):
         return changed, tampered
 
     def _check(self, channels: Mapping[str, Any]) -> None:
-        """At the first tick: a misspelt target shows before anything has moved."""
+        """Refuse a misspelt target at the first tick, before anything has moved."""
         for life in self._lives.values():
             life.check(channels)
         self._unchecked = False
@@ -456,12 +455,12 @@ class CampaignInjector(FaultInjector):
             if not life.target.is_command:
                 self._directed.add(name)
             elif life.activate(time):
-                if name in self._ended:  # at its end anew: that is no end
+                if name in self._ended:  # activated at its end, which is no end then
                     self._ended.remove(name)
-                self._tell("activated", name, time)
+                self._report("activated", name, time)
         self._wake = self._next()
 
-    def _tell(self, event: str, name: str, time: float) -> None:
+    def _report(self, event: str, name: str, time: float) -> None:
         (self._started if event == "activated" else self._ended).append(name)
         self._chain(event, name, time)
 
@@ -470,12 +469,10 @@ class CampaignInjector(FaultInjector):
             follower.follow(time)
 
     def _next(self) -> float:
-        """The time before which there is nothing to do, in s."""
-        if self._directed:
-            return NOW
-        if self._keeping:
+        """Time before which there is nothing to do, in s."""
+        if self._directed or self._keeps_history:
             return NOW
         return min((life.wake for life in self._lives.values()), default=NEVER)
 
 
-_IDLE = Injection()
+_NO_CHANGE = Injection()

@@ -1,4 +1,4 @@
-"""Fault: type x target x activation x duration x parameters, and what each type can act on."""
+"""Fault: type x target x activation x duration x parameters, and the targets of each type."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ from pydantic import Field
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.faults.activation import Activation, Duration
-from pytest_dura.faults.parameters import FaultPart
-from pytest_dura.faults.targets import MESSAGES, PROPOSAL, Target
+from pytest_dura.faults.parts import MESSAGES, PROPOSAL, FaultPart, Target
 
 Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs", "prompt", "model"]
-"""What a type of fault can act on: a number in a channel or command, any value at all, a command,
-a list of objects, a picture, a pose, the texts of signs, what is put before a model, or how that
+"""Kind of value that a type of fault acts on: a number in a channel or command, any value, a number
+of the command, a list of objects, a picture, a pose, the texts of signs, a model's prompt, or how a
 model is reached."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What a fault may look at when it acts.
+    """Inputs of a fault at a tick at which it acts.
 
     Args:
         time: Simulated seconds.
@@ -34,10 +33,10 @@ class Moment:
         elapsed: Seconds since this activation.
         channels: All channels, after the faults that were declared earlier. For a command fault,
             as the component saw them.
-        history: What stood at the target at earlier ticks, as ``(time, value)``, the present tick
-            last; as far back as :attr:`Fault.memory` says.
+        history: The target's values at earlier ticks, as ``(time, value)``, the present tick last;
+            as far back as :attr:`Fault.memory` says.
         random: Makes the fault's random numbers of this tick. Each tick has a stream of its own,
-            so that what is drawn at one shifts no other.
+            so that draws at one tick do not shift those of another.
     """
 
     time: float
@@ -49,16 +48,16 @@ class Moment:
 
     @cached_property
     def rng(self) -> np.random.Generator:
-        """The random numbers of this fault at this tick."""
+        """Random numbers of this fault at this tick."""
         return self.random()
 
 
 class Fault(FaultPart, ABC):
-    """One entry of the catalogue. Subclasses add ``parameters`` and say what they do to a value.
+    """Entry of the catalogue. Subclasses add ``parameters`` and implement :meth:`apply`.
 
-    ``acts_on`` is what the type can act on, ``default_target`` where it does so unless told
-    otherwise (``None``: the domain says), and ``reference`` the entry of a threat or failure
-    catalogue that it corresponds to, where that was read.
+    ``acts_on`` is the kind of value that the type acts on, ``default_target`` its target if none is
+    given (``None``: the domain has one), and ``reference`` the corresponding entry of a threat or
+    failure catalogue, if any.
     """
 
     type: str
@@ -78,53 +77,53 @@ class Fault(FaultPart, ABC):
     @classmethod
     @abstractmethod
     def example(cls) -> dict[str, Any]:
-        """Activation and duration of the fault where only its name is given."""
+        """Return activation and duration of the fault if only its name is given."""
 
     @property
     def by_chance(self) -> bool:
-        """Whether it is drawn whether the fault has any effect."""
+        """Whether chance decides if the fault has any effect."""
         return self.activation.by_chance or self.hits_by_chance
 
     @property
     def hits_by_chance(self) -> bool:
-        """Whether an active fault may leave every value as it is, because its hits are drawn."""
+        """Whether an active fault may change no value at all, because its hits are drawn."""
         return False
 
     @property
     def memory(self) -> float:
-        """Seconds before the present of which it needs the target's values; 0 for none."""
+        """Seconds of the target's earlier values that it needs; 0 for none."""
         return 0.0
 
     @property
     def place(self) -> Target:
-        """The target, read."""
+        """Parsed target."""
         return Target.parse(self.target)
 
     def check_parameters(self, channel: Channel) -> None:
-        """Refuse parameters that do not suit the channel, which the target does.
+        """Refuse parameters that do not suit the channel of the target.
 
         Raises:
-            ConfigurationError: With what would.
+            ConfigurationError: With the values that do.
         """
 
     def begin(self, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - for those who override it
-        """What the fault remembers from its activation on: ``None`` if it cannot act yet.
+        """Return what the fault remembers from its activation on, ``None`` if it cannot act yet.
 
-        It is asked again at each tick until it can.
+        It is called again at each tick until it can.
         """
         return True
 
     @abstractmethod
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:
-        """The target's new value. The very object that was there means that nothing was changed.
+        """Return the target's new value, or the same object if nothing is changed.
 
-        Values are not to be written into; ``memory`` may be.
+        Do not write into values; ``memory`` may be changed.
         """
 
 
 @dataclass(frozen=True)
 class Channel:
-    """What a channel holds.
+    """Content of a channel.
 
     Args:
         kind: ``numbers`` and ``pose`` have named fields, ``array`` has rows; lists of objects,
@@ -149,18 +148,18 @@ _HOLDS: Mapping[Kind, tuple[str, ...]] = {
     "model": ("model",),
 }
 _MESSAGE_CHANNELS: Mapping[str, Channel] = {"prompt": Channel("prompt"), "model": Channel("model")}
-"""The channels of messages, which every domain has: it is the component that sends them."""
+"""Channels of messages, which every domain has, since the component sends them."""
 _COUNTED = ("objects", "array", "signs")
 
 
 def check_target(fault: Fault, channels: Mapping[str, Channel]) -> Channel:
-    """Refuse a target that is not there, or that the fault's type or parameters do not suit.
+    """Refuse a target that does not exist, or that does not suit the fault's type or parameters.
 
     Returns:
         The target's channel.
 
     Raises:
-        ConfigurationError: With the targets that it can act on, or what the parameters may be.
+        ConfigurationError: With the targets that it can act on, or the parameters that it takes.
     """
     channels = {**channels, **_MESSAGE_CHANNELS}
     target, possible = fault.place, possible_targets(fault.acts_on, channels)
@@ -199,13 +198,13 @@ _KIND_MEANINGS: Mapping[Kind, str] = {
     "prompt": "what is put before a model",
     "model": "how a model is reached",
 }
-"""What the kinds mean, for messages."""
+"""Descriptions of the kinds, for messages."""
 
 
 def check_condition_targets(
     targets: tuple[Target, ...], channels: Mapping[str, Channel], key: str
 ) -> None:
-    """Refuse a condition on what is not there.
+    """Refuse a condition on targets that do not exist.
 
     Raises:
         ConfigurationError: With the fields that hold numbers.
@@ -229,7 +228,7 @@ def check_condition_targets(
 
 
 def with_proposal(channels: Mapping[str, Channel]) -> Mapping[str, Channel]:
-    """The channels, and the numbers of the component's proposal, which are those of the command."""
+    """Add the channel of the proposal, which has the numbers of the command."""
     command = channels.get(COMMAND)
     if command is None:
         return channels
@@ -261,7 +260,7 @@ def _acts_on_rows(acts_on: Kind, target: Target, channel: Channel) -> bool:
 
 
 def _rows(channels: Mapping[str, Channel]) -> list[str]:
-    """The numbers in arrays, as messages show them."""
+    """Targets of numbers in arrays, as messages show them."""
     return [
         f"{name}.<row>" + (f".<0 to {channel.columns - 1}>" if channel.columns else "")
         for name, channel in channels.items()
@@ -270,7 +269,7 @@ def _rows(channels: Mapping[str, Channel]) -> list[str]:
 
 
 def possible_targets(acts_on: Kind, channels: Mapping[str, Channel]) -> list[str]:
-    """All targets on which faults of a kind can act, in the order of the channels."""
+    """List all targets on which faults of a kind can act, in the order of the channels."""
     numbers = [f"{name}.{field}" for name, channel in channels.items() for field in channel.fields]
     if acts_on == "number":
         return numbers

@@ -1,4 +1,4 @@
-"""The reference page of the catalogue; ``python -m pytest_dura.faults.reference`` writes it."""
+"""Reference page of the catalogue; ``python -m pytest_dura.faults.reference`` writes it."""
 
 from __future__ import annotations
 
@@ -22,12 +22,18 @@ from pytest_dura.faults.activation import (
 )
 from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.faults.model import Fault, Kind
-from pytest_dura.faults.parameters import PARAMETERS, Span, declared_span, parameters_of, spans_of
-from pytest_dura.faults.targets import Target
+from pytest_dura.faults.parts import (
+    PARAMETERS,
+    Span,
+    Target,
+    declared_span,
+    parameters_of,
+    spans_of,
+)
 
 PAGE = "faults.md"
 _DOMAIN = "pytest_dura.driving.sensors:FAULT_TARGETS"
-"""Where the committed page has its default targets from."""
+"""Default targets of the committed page."""
 
 _ACTS_ON: Mapping[Kind, str] = {
     "number": "a number",
@@ -44,11 +50,10 @@ _DURATIONS: tuple[type[BaseModel], ...] = (Sampled, Until, Intermittent)
 
 
 def reference_page(targets: Mapping[str, str] = NOTHING) -> str:
-    """The page in Markdown, the same text for the same catalogue.
+    """Render the page in Markdown, the same text for the same catalogue.
 
     Args:
-        targets: Where a fault acts that names no target, by what its type can act on, as a domain
-            has it.
+        targets: A domain's default target of each kind that a type can act on.
     """
     families: dict[str, list[str]] = {}
     for name, path in FAULT_TYPES.items():
@@ -77,10 +82,10 @@ def write_page(path: Path, targets: Mapping[str, str] = NOTHING) -> None:
 
 
 def domain_targets(path: str = _DOMAIN) -> Mapping[str, str]:
-    """A domain's default targets, by the import path of the mapping."""
+    """Import a domain's default targets by the path of the mapping."""
     module, _, name = path.partition(":")
-    found: Mapping[str, str] = getattr(importlib.import_module(module), name)
-    return found
+    targets: Mapping[str, str] = getattr(importlib.import_module(module), name)
+    return targets
 
 
 def _family(module: str, names: list[str], targets: Mapping[str, str]) -> Iterator[str]:
@@ -104,38 +109,39 @@ def _family(module: str, names: list[str], targets: Mapping[str, str]) -> Iterat
 def _parameters(name: str, kind: type[Fault]) -> Iterator[str]:
     model: Any = parameters_of(kind)
     for (parameter, field), row in zip(model.model_fields.items(), _fields(model), strict=True):
-        tried = _tried(declared_span(field), f"{PARAMETERS}.{parameter}" in spans_of(kind))
-        yield _row([f"`{name}`", *row[:-1], tried, row[-1]])
+        search = _search(declared_span(field), f"{PARAMETERS}.{parameter}" in spans_of(kind))
+        yield _row([f"`{name}`", *row[:-1], search, row[-1]])
 
 
-def _tried(span: Span | None, chosen: bool) -> str:
-    """What a search tries, in words."""
+def _search(span: Span | None, chosen: bool) -> str:
+    """Describe the values that a search tries."""
     if span is None:
         return "each" if chosen else "as it is"
-    return f"{span.low:g} to {span.high:g}, mildest {span.mildest:g}"
+    return f"{span.low:g} to {span.high:g}, neutral {span.neutral:g}"
 
 
 def _fields(model: type[BaseModel]) -> Iterator[list[str]]:
     schema = model.model_json_schema()
-    for name, item in schema.get("properties", {}).items():
-        default = "required" if name in schema.get("required", ()) else _value(item.get("default"))
-        values = _values(item, schema.get("$defs", {}))
-        yield [f"`{name}`", values, default, _cell(item.get("description", ""))]
+    required = schema.get("required", ())
+    for name, field in schema.get("properties", {}).items():
+        default = "required" if name in required else _value(field.get("default"))
+        values = _values(field, schema.get("$defs", {}))
+        yield [f"`{name}`", values, default, _cell(field.get("description", ""))]
 
 
 def _values(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """What a field takes, in words, from its JSON Schema."""
+    """Describe the values of a field from its JSON Schema."""
     if "$ref" in schema:
         named = definitions[schema["$ref"].rpartition("/")[2]]
         return "{" + ", ".join(named.get("properties", {})) + "}"
     if "anyOf" in schema:
-        return ", ".join(dict.fromkeys(_values(item, definitions) for item in schema["anyOf"]))
+        return ", ".join(dict.fromkeys(_values(option, definitions) for option in schema["anyOf"]))
     if "enum" in schema or "const" in schema:
         choices = schema.get("enum") or [schema["const"]]
         return ", ".join(f"`{choice}`" for choice in choices)
     if schema.get("type") == "array":
-        items = schema.get("prefixItems") or [schema.get("items", {})]
-        inner = ", ".join(dict.fromkeys(_values(item, definitions) for item in items))
+        entries = schema.get("prefixItems") or [schema.get("items", {})]
+        inner = ", ".join(dict.fromkeys(_values(entry, definitions) for entry in entries))
         count = f"{schema['maxItems']} of " if "maxItems" in schema else "list of "
         return count + inner
     if schema.get("type") == "object":
@@ -154,12 +160,12 @@ _BOUNDS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusi
 
 
 def _range(schema: Mapping[str, Any]) -> str:
-    found = [f"{sign} {schema[key]:g}" for key, sign in _BOUNDS.items() if key in schema]
-    return " " + ", ".join(found) if found else ""
+    bounds = [f"{sign} {schema[key]:g}" for key, sign in _BOUNDS.items() if key in schema]
+    return " " + ", ".join(bounds) if bounds else ""
 
 
 def _when_and_where() -> Iterator[str]:
-    """What the models say of activation, duration, targets and conditions."""
+    """Describe activation, duration, targets and conditions from their models."""
     yield from ("## Targets", "")
     yield _text(Fault.model_fields["target"].description)
     yield _text(Target.__doc__)
@@ -174,8 +180,8 @@ def _when_and_where() -> Iterator[str]:
 
 
 def _described(function: Any) -> list[str]:
-    said = (inspect.getdoc(function) or "").partition("\nRaises:")[0]
-    return said.strip().split("\n")
+    text = (inspect.getdoc(function) or "").partition("\nRaises:")[0]
+    return text.strip().split("\n")
 
 
 def _table(model: type[BaseModel]) -> Iterator[str]:
@@ -202,13 +208,13 @@ def _value(default: Any) -> str:
     return "`{}`" if default == {} else f"`{default}`"
 
 
-def _text(said: str | None) -> str:
-    return inspect.cleandoc(said or "").replace("``", "`")
+def _text(docstring: str | None) -> str:
+    return inspect.cleandoc(docstring or "").replace("``", "`")
 
 
-def _cell(said: str) -> str:
-    """A text on one line, with paragraphs kept apart, that cannot end a table's cell."""
-    paragraphs = inspect.cleandoc(said).split("\n\n")
+def _cell(text: str) -> str:
+    """Put a text on one line, with breaks between paragraphs and no end of the table's cell."""
+    paragraphs = inspect.cleandoc(text).split("\n\n")
     return "<br>".join(" ".join(_text(paragraph).split()) for paragraph in paragraphs).replace(
         "|", "\\|"
     )

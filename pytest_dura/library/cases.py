@@ -1,6 +1,6 @@
 """Cases: scenario x fault campaign, with stable ids, and the specs of their episodes.
 
-A SearchedCase is a case in which everything is fixed, chosen by a search or a strategy.
+A SearchedCase is a case without variation, chosen by a search or a strategy.
 """
 
 from __future__ import annotations
@@ -14,15 +14,13 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination, canonical
-from pytest_dura.core.error_messages import did_you_mean, list_names
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, list_names
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.core.state import NOTHING
-from pytest_dura.domains import check_role_name, domain_of, role_spec, simulator_spec
+from pytest_dura.domains import check_role_name, domain_of, role_spec
 from pytest_dura.faults.catalogue import BY_CHANCE
-from pytest_dura.library import variation
 from pytest_dura.library.fault_campaigns import (
     NO_FAULTS,
     FaultCampaign,
@@ -33,7 +31,13 @@ from pytest_dura.library.fault_campaigns import (
 )
 from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
 from pytest_dura.library.roles import ParameterResolver
-from pytest_dura.library.scenario import Scenario, check_world
+from pytest_dura.library.scenario import (
+    Scenario,
+    check_world,
+    draw_value,
+    replace_value,
+    split_path,
+)
 
 
 def may_match_scenario(scenario: str, globs: Sequence[str]) -> bool:
@@ -42,14 +46,14 @@ def may_match_scenario(scenario: str, globs: Sequence[str]) -> bool:
 
 
 def select_cases(cases: list[Case], globs: Sequence[str]) -> list[Case]:
-    """The cases whose id or scenario any of the globs matches; all of them without a glob.
+    """Select the cases whose id or scenario any of the globs matches; all without a glob.
 
     Raises:
         ConfigurationError: For a glob that matches nothing.
     """
     if not globs:
         return cases
-    kept: set[str] = set()
+    selected: set[str] = set()
     for glob in globs:
         ids = {
             case.id
@@ -58,12 +62,12 @@ def select_cases(cases: list[Case], globs: Sequence[str]) -> list[Case]:
         }
         if not ids:
             raise no_match_error(glob, [case.id for case in cases], "case")
-        kept |= ids
-    return [case for case in cases if case.id in kept]
+        selected |= ids
+    return [case for case in cases if case.id in selected]
 
 
 def no_match_error(glob: str, names: Sequence[str], what: str) -> ConfigurationError:
-    """The error for a name or glob that fits nothing."""
+    """Make the error for a name or glob that matches nothing."""
     return ConfigurationError(
         f"no {what} matches {glob!r}",
         found=glob,
@@ -73,7 +77,7 @@ def no_match_error(glob: str, names: Sequence[str], what: str) -> ConfigurationE
 
 
 SWITCHED_OFF_MARK = "~"
-"""Stands before a role that a case switches off."""
+"""In a case's id, before each role that is switched off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +89,7 @@ class Case:
         scenario: The scenario.
         faults: The planned faults as plain data, defaults filled in.
         requirements: Ids of the requirements that apply.
-        without: Roles that are switched off, for the second runs of pairs.
+        without: Roles that are switched off, for the second run of each pair.
     """
 
     id: str
@@ -95,7 +99,7 @@ class Case:
     without: tuple[str, ...] = ()
 
     def switched_off(self, role: str) -> Case:
-        """The same case without a role, such as ``intersection/nominal~recovery_planner``.
+        """Return the case without a role, such as ``intersection/nominal~recovery_planner``.
 
         Raises:
             ConfigurationError: For an unknown role, and for the component under test.
@@ -121,14 +125,14 @@ class Case:
         )
 
     def without_faults(self) -> Case:
-        """The same case without any fault, such as ``intersection/ghost-obstacle+none``."""
+        """Return the case without any fault, such as ``intersection/ghost-obstacle+none``."""
         bare = case_with_faults(self.scenario, NO_FAULTS)
         for role in self.without:
             bare = bare.switched_off(role)
         return bare
 
     def seed(self, run: int, base_seed: int) -> int:
-        """The seed of a run. Cases of one scenario share it, which makes their runs pairs."""
+        """Derive the seed of a run; it is equal for all cases of a scenario, to make pairs."""
         own = self.scenario.seed
         if own is not None:
             return own if run == 0 else derive_seed(own, self.scenario.name, run)
@@ -145,7 +149,7 @@ class Case:
         seed: int | None = None,
         resolver: ParameterResolver | None = None,
     ) -> EpisodeSpec:
-        """All that determines one episode.
+        """Make the spec of an episode: all that determines it.
 
         Args:
             run: Number of the run, from 0.
@@ -154,15 +158,14 @@ class Case:
             simulator: Replaces the scenario's simulator.
             policy: Replaces the scenario's policy.
             seed: Seed of the episode, instead of the one that follows from ``base_seed``.
-            resolver: Resolves parameters of roles, each once; by default anew.
+            resolver: Resolves the parameters of roles; by default a new one.
 
         Raises:
             ConfigurationError: If a role is unknown or none is the component under test.
         """
         scenario = self.scenario
-        entry = scenario.simulator
         seed = self.seed(run, base_seed) if seed is None else seed
-        simulator = simulator or simulator_spec(entry.path, entry.params)
+        simulator = simulator or scenario.simulator_spec()
         world, faults = self._varied(simulator, seed)
         resolve = (resolver or ParameterResolver()).resolve
         return EpisodeSpec(
@@ -186,17 +189,17 @@ class Case:
 
     @property
     def policy(self) -> str:
-        """The scenario's policy; ``log_only`` for ``recover`` without anybody to recover."""
+        """The scenario's policy; ``log_only`` for ``recover`` without a recovery planner."""
         off = "recovery_planner" in self.without
         return "log_only" if off and self.scenario.policy == "recover" else self.scenario.policy
 
     def roles_off(self, overrides: Mapping[str, RoleSpec | None]) -> list[str]:
-        """Roles that an override or the scenario switches off for all runs, sorted by name."""
+        """List the roles that an override or the scenario switches off for all runs, sorted."""
         given: dict[str, object] = {**self.scenario.roles, **overrides}
         return sorted(role for role, chosen in given.items() if chosen is None)
 
     def roles(self, overrides: Mapping[str, RoleSpec | None]) -> dict[str, RoleSpec]:
-        """Overrides before the scenario's roles before the domain's defaults, by name.
+        """Choose each role: an override, else the scenario's, else the domain's default.
 
         Raises:
             ConfigurationError: For an unknown name, and if there is no generator.
@@ -242,19 +245,19 @@ class Case:
     def _varied(
         self, simulator: RoleSpec, seed: int
     ) -> tuple[dict[str, Any], tuple[dict[str, Any], ...]]:
-        """World and faults of the run with this seed."""
+        """Draw the world and the faults of the run with this seed."""
         world = check_world(self.scenario, simulator, self.scenario.world)
         faults = {fault["id"]: fault for fault in self.faults}
         varied: set[str] = set()
         for path, spread in self.scenario.variation.items():
-            # A path into a fault that this case leaves out has a stream of its own: nothing shifts.
-            fault, inner = variation.split_path(path)
-            value = variation.draw_value(path, spread, seed)
+            # Each path has a stream of its own: a fault that this case leaves out shifts no other.
+            fault, inner = split_path(path)
+            value = draw_value(path, spread, seed)
             if not fault:
-                world = variation.replace_value(world, inner, value, create=True)
+                world = replace_value(world, inner, value, create=True)
             elif fault in faults:
-                faults[fault] = variation.replace_value(faults[fault], inner, value)
-                # Values that are possible each may contradict each other.
+                faults[fault] = replace_value(faults[fault], inner, value)
+                # Values that are possible on their own may contradict each other.
                 varied.add(fault)
         for fault in sorted(varied):
             faults[fault] = parse_fault(self.scenario, faults[fault])
@@ -267,24 +270,24 @@ def expand_cases(
     select: Sequence[str] = (),
     read: Mapping[str, ScenarioFaults] = NOTHING,
 ) -> list[Case]:
-    """The cases of scenarios, sorted by scenario, then in the order of the fault campaigns.
+    """Make the cases of scenarios, sorted by scenario, then in the order of fault campaigns.
 
     Args:
         scenarios: The scenarios.
         faults: Fault campaigns that replace the scenarios' own; ``None`` keeps those. See
             ``pytest_dura.library.fault_campaigns`` for what an entry may be.
-        select: Globs of case ids or scenario names; a case that matches any of them stays.
-        read: The scenarios' own faults, by the scenario's name, where they have been read before.
+        select: Globs of case ids or scenario names; cases that match none are left out.
+        read: Faults of scenarios that have been read before, by the scenario's name.
 
     Raises:
         ConfigurationError: For an unknown fault, and for a glob that matches nothing.
     """
     chosen = list(scenarios.values() if isinstance(scenarios, Mapping) else scenarios)
     if faults is not None and select:
-        # Faults that are given need to fit the scenarios that are chosen, not all of them.
-        chosen = [item for item in chosen if may_match_scenario(item.name, select)] or chosen
+        # The given faults need to fit the selected scenarios only.
+        chosen = [each for each in chosen if may_match_scenario(each.name, select)] or chosen
     cases: dict[str, Case] = {}
-    for scenario in sorted(chosen, key=lambda item: item.name):
+    for scenario in sorted(chosen, key=lambda each: each.name):
         known = read.get(scenario.name)
         if known is None:
             own = tuple(parse_scenario_fault(scenario, i) for i in range(len(scenario.faults)))
@@ -306,7 +309,7 @@ def expand_cases(
 
 
 def case_with_faults(scenario: Scenario, faults: FaultCampaign) -> Case:
-    """The case of a scenario with these faults.
+    """Make the case of a scenario with these faults.
 
     Raises:
         ConfigurationError: For an unknown fault, and for a campaign of several cases.
@@ -329,17 +332,17 @@ def _planned(
     campaigns: Sequence[FaultCampaign] | None,
     known: ScenarioFaults | None,
 ) -> list[Faults]:
-    """What is given, or the scenario's own campaigns, or its own faults together."""
+    """List the faults of each case: of the given campaigns, else of the scenario's own."""
     chosen = campaigns if campaigns is not None else scenario.campaigns
     if campaigns is None and not chosen:
         return [own]
     if campaigns is None and known is not None:
-        return [faults for each in known.campaigns for faults in each]
-    found: list[Faults] = []
-    for item in chosen:
-        found += expand_campaign(scenario, own, item)
-        check_case_count(len(found), "faults")
-    return found
+        return [faults for campaign in known.campaigns for faults in campaign]
+    planned: list[Faults] = []
+    for campaign in chosen:
+        planned += expand_campaign(scenario, own, campaign)
+        check_case_count(len(planned), "faults")
+    return planned
 
 
 def _case(scenario: Scenario, own: Mapping[str, dict[str, Any]], planned: Faults) -> Case:
@@ -352,17 +355,17 @@ def _case(scenario: Scenario, own: Mapping[str, dict[str, Any]], planned: Faults
 
 
 SEARCHED_MARK = "@"
-"""Stands between a scenario's name and the digest of what was chosen."""
+"""In a searched case's id, between the scenario's name and the digest of the case."""
 
 
 @dataclass(frozen=True, slots=True)
 class SearchedCase(Case):
-    """A case without variation, with a seed of its own. No campaign takes it for a rate."""
+    """A case without variation, with a seed of its own. Campaigns refuse it: it gives no rate."""
 
     def __repr__(self) -> str:
-        """What was chosen, and not what every case of the scenario has."""
+        """Show what differs between the searched cases of a scenario."""
         faults = [
-            {key: _without_none(item) for key, item in fault.items() if key != BY_CHANCE}
+            {key: _without_none(part) for key, part in fault.items() if key != BY_CHANCE}
             for fault in self.faults
         ]
         scenario = self.scenario
@@ -372,29 +375,29 @@ class SearchedCase(Case):
         )
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:  # noqa: ARG002 - a protocol
-        """Hypothesis shows the fields of a dataclass, unless told otherwise by this."""
+        """Have Hypothesis print the repr in place of the fields of the dataclass."""
         printer.text(repr(self))
 
     @property
     def data(self) -> dict[str, Any]:
-        """Its scenario as plain data, of which a scenario file can be made."""
+        """The scenario as plain data, of which a scenario file can be made."""
         return self.scenario.plain()
 
 
 def make_searched_case(
     case: Case, world: Mapping[str, Any], faults: Iterable[Mapping[str, Any]], seed: int
 ) -> SearchedCase:
-    """The case with this world and these faults instead of what its scenario varies.
+    """Make a case with this world and these faults instead of what its scenario varies.
 
     Args:
-        case: Says everything else: simulator, roles, duration, requirements.
+        case: Gives everything else: simulator, roles, duration, requirements.
         world: The world, with nothing left to draw but what follows from the seed.
         faults: The planned faults as plain data.
-        seed: Of the episode.
+        seed: Seed of the episode.
 
     Raises:
-        ConfigurationError: If the faults cannot be used, or not together. What is wrong with a
-            world is told when the episode's spec is made.
+        ConfigurationError: If the faults cannot be used, or not together. An invalid world is
+            refused when the episode's spec is made.
     """
     own = case.scenario.plain()
     planned = [parse_fault(case.scenario, fault) for fault in faults]
@@ -415,13 +418,12 @@ def make_searched_case(
 
 
 def _writable_fault(fault: Mapping[str, Any]) -> dict[str, Any]:
-    """What a file may say of a fault: not an id that is its type, which need not be a name."""
+    """Remove what a file cannot hold: an id that is the fault's type need not be a valid name."""
     named = fault["id"] != fault["type"]
     return {key: fault[key] for key in fault if key != BY_CHANCE and (named or key != "id")}
 
 
 def _without_none(value: Any) -> Any:
-    """A part of a fault without what it does not have."""
     if isinstance(value, Mapping):
-        return {key: item for key, item in value.items() if item is not None}
+        return {key: inner for key, inner in value.items() if inner is not None}
     return value

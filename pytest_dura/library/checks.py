@@ -1,4 +1,4 @@
-"""Check what a scenario promises beyond its form: simulator, world, roles, faults."""
+"""Check a scenario beyond its form: simulator, world, roles, faults, variation."""
 
 from __future__ import annotations
 
@@ -7,27 +7,32 @@ from collections.abc import Callable
 from itertools import islice, product
 from typing import Any
 
-from pytest_dura.core.error_messages import did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
-from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec, simulator_spec
-from pytest_dura.library import variation
+from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec
 from pytest_dura.library.fault_campaigns import MAX_CASES, Faults, ScenarioFaults, expand_campaign
 from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
-from pytest_dura.library.scenario import Scenario, check_world, world_checker
+from pytest_dura.library.scenario import (
+    Scenario,
+    check_world,
+    extreme_values,
+    replace_value,
+    split_path,
+    world_checker,
+)
 
 
 def scenario_problems(scenario: Scenario) -> list[ConfigurationError]:
-    """Everything that would keep the scenario from running, each with its file, line and key."""
+    """List all that keeps the scenario from running, each error with its file, line and key."""
     return check_scenario(scenario)[0]
 
 
 def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], ScenarioFaults | None]:
-    """What :func:`problems_of` says, and the scenario's faults, which are read on the way.
+    """List the scenario's problems, and return its faults, which the checks read anyway.
 
-    The faults are ``None`` if one of them cannot be used, and if there are too many to keep: then
-    expanding the scenario says so.
+    The faults are ``None`` if one of them cannot be used, and if they make too many cases: then
+    :func:`~pytest_dura.library.cases.expand_cases` raises an error.
     """
     errors: list[ConfigurationError] = []
 
@@ -35,7 +40,7 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
         try:
             return check(*args)
         except ConfigurationError as error:
-            errors.append(_place(scenario, error, key))
+            errors.append(_error_at(scenario, error, key))
             return None
 
     simulator = attempt("simulator", _simulator, scenario)
@@ -60,35 +65,35 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
 def _own_faults(
     scenario: Scenario, attempt: Callable[..., Any]
 ) -> dict[str, dict[str, Any]] | None:
-    """The scenario's faults by id; ``None`` if one of them cannot be used."""
-    found = {
+    """Read the scenario's faults by id; ``None`` if one of them cannot be used."""
+    faults = {
         entry.name: attempt(f"faults.{index}", parse_scenario_fault, scenario, index)
         for index, entry in enumerate(scenario.faults)
     }
-    if None in found.values():
+    if None in faults.values():
         return None
     # With campaigns, the faults act in those combinations only.
     if not scenario.campaigns:
-        attempt("faults", check_chains, list(found.values()))
-    return found
+        attempt("faults", check_chains, list(faults.values()))
+    return faults
 
 
 def _campaigns(
     scenario: Scenario, own: Faults, attempt: Callable[..., Any]
 ) -> ScenarioFaults | None:
-    """The faults of all cases; each entry is looked at, however many there are."""
+    """Expand the scenario's campaigns; each is checked, also if there are too many cases."""
     faults: list[list[Faults]] = []
     cases, complete = 0, True
     for index, campaign in enumerate(scenario.campaigns):
-        made = attempt(f"campaigns.{index}", expand_campaign, scenario, own, campaign)
-        cases += len(made or ())
-        complete = complete and made is not None and cases <= MAX_CASES
+        expanded = attempt(f"campaigns.{index}", expand_campaign, scenario, own, campaign)
+        cases += len(expanded or ())
+        complete = complete and expanded is not None and cases <= MAX_CASES
         if complete:
-            faults.append(made)
+            faults.append(expanded)
     return ScenarioFaults(own, tuple(faults)) if complete else None
 
 
-def _place(scenario: Scenario, error: ConfigurationError, key: str) -> ConfigurationError:
+def _error_at(scenario: Scenario, error: ConfigurationError, key: str) -> ConfigurationError:
     if error.file:
         return error
     if error.key and error.key.startswith(f"{key}."):
@@ -97,8 +102,7 @@ def _place(scenario: Scenario, error: ConfigurationError, key: str) -> Configura
 
 
 def _simulator(scenario: Scenario) -> RoleSpec:
-    entry = scenario.simulator
-    spec = simulator_spec(entry.path, entry.params)
+    spec = scenario.simulator_spec()
     _check_parameters(spec)
     return spec
 
@@ -131,11 +135,11 @@ def _check_role(scenario: Scenario, role: str, domain: Domain | None) -> None:
 
 
 def _check_parameters(spec: RoleSpec) -> None:
-    """Refuse parameters that the class does not take, without building anything."""
+    """Refuse parameters that the class does not accept, without building anything."""
     factory = spec.factory()
     try:
         signature = inspect.signature(factory)
-    except ValueError:  # some classes written in C tell no signature
+    except ValueError:  # some classes written in C have no signature
         return
     try:
         signature.bind(**spec.params)
@@ -155,8 +159,8 @@ def _check_variation(
     faults: dict[str, dict[str, Any]],
     path: str,
 ) -> None:
-    fault, inner = variation.split_path(path)
-    values = variation.extreme_values(scenario.variation[path])
+    fault, inner = split_path(path)
+    values = extreme_values(scenario.variation[path])
     if fault:
         if fault not in faults:
             raise ConfigurationError(
@@ -166,11 +170,11 @@ def _check_variation(
                 remedy=did_you_mean(fault, faults),
             )
         for value in values:
-            _try_fault(scenario, variation.replace_value(faults[fault], inner, value), path, value)
+            _try_fault(scenario, replace_value(faults[fault], inner, value), path, value)
         return
     create = world_checker(simulator) is not None
     for value in values:
-        varied = variation.replace_value(world, inner, value, create=create)
+        varied = replace_value(world, inner, value, create=create)
         try:
             check_world(scenario, simulator, varied)
         except ConfigurationError as error:
@@ -178,14 +182,14 @@ def _check_variation(
 
 
 def _check_together(scenario: Scenario, fault: dict[str, Any]) -> None:
-    """Refuse values of one fault that are possible each and contradict each other."""
-    mark = f"faults.{fault['id']}."
-    paths = [path for path in scenario.variation if path.startswith(mark)]
-    corners = product(*(variation.extreme_values(scenario.variation[path]) for path in paths))
+    """Refuse values of a fault that are possible on their own and contradict each other."""
+    prefix = f"faults.{fault['id']}."
+    paths = [path for path in scenario.variation if path.startswith(prefix)]
+    corners = product(*(extreme_values(scenario.variation[path]) for path in paths))
     for values in islice(corners, 256) if len(paths) > 1 else ():
         varied = fault
         for path, value in zip(paths, values, strict=True):
-            varied = variation.replace_value(varied, path.removeprefix(mark), value)
+            varied = replace_value(varied, path.removeprefix(prefix), value)
         try:
             parse_fault(scenario, varied)
         except ConfigurationError as error:

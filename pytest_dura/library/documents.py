@@ -14,8 +14,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from pytest_dura.core.error_messages import combine_errors, did_you_mean
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, combine_errors, did_you_mean
 
 MAX_BYTES = 1024 * 1024
 _MAX_NODES = 50_000
@@ -28,9 +27,9 @@ _TAG = "tag:yaml.org,2002:"
 
 @dataclass(frozen=True)
 class Document:
-    """One YAML file: its data, and the one-based line of each dotted key (``faults.0.type``).
+    """A YAML file: its data, and the line, from 1, of each dotted key (``faults.0.type``).
 
-    Documents are equal whatever file they came from: where data stood is no part of what it says.
+    Documents are always equal: a place in a file is no part of a value that was read from it.
     """
 
     file: str = field(default="", compare=False)
@@ -38,14 +37,14 @@ class Document:
     lines: Mapping[str, int] = field(default_factory=dict, compare=False)
 
     def line_of(self, key: str) -> int | None:
-        """The line of a key, or of the nearest key above it that stands in the file."""
+        """Return the line of a key, or of the nearest key above it that is in the file."""
         while key and key not in self.lines:
             key = key.rpartition(".")[0]
         return self.lines.get(key)
 
 
 def read_yaml(path: Path) -> Document:
-    """Read one file.
+    """Read a file.
 
     Raises:
         ConfigurationError: If it is missing, empty, binary, too large, malformed, nested too
@@ -56,7 +55,7 @@ def read_yaml(path: Path) -> Document:
 
 
 def parse_yaml(text: str, file: str) -> Document:
-    """As :func:`read_yaml`, from text; ``file`` is what the messages call it."""
+    """Read text as :func:`read_yaml` reads a file; ``file`` is its name in messages."""
     loader: _Loader | None = None
     try:
         loader = _Loader(text, file)
@@ -156,7 +155,7 @@ def _refuse_syntax(error: yaml.YAMLError, file: str) -> NoReturn:
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes and keeps count, so that a bomb is refused before it costs anything."""
+    """Composes nodes and counts them, so that aliases which explode are refused beforehand."""
 
     def __init__(self, text: str, file: str) -> None:
         super().__init__(text)
@@ -165,7 +164,7 @@ class _Loader(yaml.SafeLoader):
         self._sizes: dict[int, int] = {}
 
     def only_document(self) -> Node | None:
-        """The root of the only document, or ``None`` if there is none."""
+        """Compose the root of the only document; ``None`` if there is none."""
         self.get_event()  # type: ignore[no-untyped-call]
         if self.check_event(yaml.StreamEndEvent):
             return None
@@ -248,7 +247,7 @@ _Loader.add_implicit_resolver(
 
 
 class _Reader:
-    """Turns composed nodes into plain data, and notes the line of every key."""
+    """Turns composed nodes into plain data, and records the line of every key."""
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -309,12 +308,12 @@ class _Reader:
         )
 
     def _sequence(self, node: SequenceNode, path: str) -> list[Any]:
-        items = []
-        for i, item in enumerate(node.value):
+        values = []
+        for i, entry in enumerate(node.value):
             inner = f"{path}.{i}" if path else str(i)
-            self.lines.setdefault(inner, item.start_mark.line + 1)
-            items.append(self.value(item, inner))
-        return items
+            self.lines.setdefault(inner, entry.start_mark.line + 1)
+            values.append(self.value(entry, inner))
+        return values
 
     def _scalar(self, node: ScalarNode, kind: str, path: str) -> Any:
         try:
@@ -360,24 +359,24 @@ _SCALARS: dict[str, Callable[[str], Any]] = {
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def validate(model: type[Model], document: Document, data: object = None, at: str = "") -> Model:
-    """An instance of the model from a document's data, or from the part of it that stands at a key.
+def validate(model: type[Model], document: Document) -> Model:
+    """Make an instance of the model from a document's data.
 
     Raises:
-        ConfigurationError: One for all that is wrong, with file, lines, keys and remedies.
+        ConfigurationError: One for all errors, with file, lines, keys and remedies.
     """
     try:
-        return model.model_validate(document.data if data is None else data)
+        return model.model_validate(document.data)
     except ValidationError as error:
-        raise translate(error, model, document, at) from None
+        raise translate(error, model, document) from None
 
 
 def translate(
     error: ValidationError, model: type[BaseModel], document: Document, at: str = ""
 ) -> ConfigurationError:
-    """One message for all that pydantic found in a document, or in its part at a key."""
-    found = [_translate(model, document, at, problem) for problem in error.errors()]
-    return combine_errors(sorted(found, key=lambda item: (item.line or 0, item.key or "")))
+    """Make one error of all that pydantic reports on a document, or on its part at a key."""
+    errors = [_translate(model, document, at, problem) for problem in error.errors()]
+    return combine_errors(sorted(errors, key=lambda each: (each.line or 0, each.key or "")))
 
 
 def _translate(
@@ -385,31 +384,31 @@ def _translate(
 ) -> ConfigurationError:
     parts = [str(part) for part in problem["loc"] if not _is_tag(part)]
     key = ".".join([at, *parts] if at else parts)
-    kind, found = problem["type"], problem["input"]
+    kind, value = problem["type"], problem["input"]
     holder = _model_at(model, parts[:-1])
     name = parts[-1] if parts else ""
     expected: str | None
     if kind == "extra_forbidden":
         text, expected = f"unknown key {name!r}", "one of " + ", ".join(holder.model_fields)
-        found, remedy = name, did_you_mean(name, holder.model_fields)
+        value, remedy = name, did_you_mean(name, holder.model_fields)
     elif kind == "missing":
-        text, expected, found = f"the key {name!r} is missing", _meaning(holder, name), None
+        text, expected, value = f"the key {name!r} is missing", _meaning(holder, name), None
         remedy = f"add `{name}: ...`"
     elif kind == "value_error":
         text = str(problem["ctx"]["error"])
         expected, remedy = _meaning(holder, name) or None, "correct the value"
     else:
         message = problem["msg"]
-        wanted = message.removeprefix("Input should be ")
-        text = f"{name!r} must be {wanted}" if wanted != message else f"{name!r}: {message}"
+        form = message.removeprefix("Input should be ")
+        text = f"{name!r} must be {form}" if form != message else f"{name!r}: {message}"
         meaning = _meaning(holder, name)
-        expected, remedy = f"{wanted} ({meaning})" if meaning else wanted, "correct the value"
+        expected, remedy = f"{form} ({meaning})" if meaning else form, "correct the value"
     return ConfigurationError(
         text,
         file=document.file or None,
         line=document.line_of(key) or (1 if document.file else None),
         key=key or None,
-        found=found if not isinstance(found, Mapping) else None,
+        found=value if not isinstance(value, Mapping) else None,
         expected=expected,
         remedy=remedy,
     )
@@ -425,7 +424,7 @@ def _meaning(holder: type[BaseModel], name: str) -> str:
 
 
 def _model_at(model: type[BaseModel], parts: list[str]) -> type[BaseModel]:
-    """The model whose fields stand under a path; the nearest one above for free mappings."""
+    """Find the model whose fields are under a path; above free mappings, the nearest one."""
     annotation: Any = model
     candidate = model
     for part in parts:
@@ -439,7 +438,7 @@ def _model_at(model: type[BaseModel], parts: list[str]) -> type[BaseModel]:
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The models that an annotation mentions."""
+    """Yield the models that an annotation mentions."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     elif get_origin(annotation) in (Union, types.UnionType) or get_args(annotation):

@@ -12,12 +12,13 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import AfterValidator, Field, JsonValue, ValidationError
 
-from pytest_dura.core.error_messages import did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.library import variation
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
+from pytest_dura.domains import domain_of
+from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+from pytest_dura.faults.model import possible_targets
 from pytest_dura.library.documents import MAX_DEPTH, Document, read_yaml, translate
 from pytest_dura.library.planned_faults import FaultReader, check_chains, parse_fault
-from pytest_dura.library.scenario import Entry, Scenario, Variation, not_empty
+from pytest_dura.library.scenario import Entry, Scenario, Variation, draw_value, not_empty
 
 MAX_CASES = 10_000
 """Cases that the fault campaigns of one scenario may make, all together."""
@@ -48,7 +49,7 @@ class FaultSample(Entry):
 
 
 def expand_grid(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The faults of a :class:`FaultGrid` in plain data, the last key varying fastest.
+    """Yield the faults of a :class:`FaultGrid` in plain data, the last key varying fastest.
 
     Raises:
         ConfigurationError: For too many of them, and for one that cannot be used.
@@ -60,7 +61,7 @@ def expand_grid(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[st
 
 
 def _expand_sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The faults of a :class:`FaultSample` in plain data; each value has a stream of its own.
+    """Yield the faults of a :class:`FaultSample` in plain data; each value has its own stream.
 
     Raises:
         ConfigurationError: For one that cannot be used.
@@ -70,7 +71,7 @@ def _expand_sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict
     reader = FaultReader(scenario)
     for number in range(given.count):
         values = {
-            path: variation.draw_value(f"{number}:{path}", spread, given.seed)
+            path: draw_value(f"{number}:{path}", spread, given.seed)
             for path, spread in given.sample.items()
         }
         fault: Any = _with_id(given.fault)
@@ -81,7 +82,7 @@ def _expand_sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict
 
 
 def check_case_count(cases: int, key: str) -> None:
-    """Refuse more cases than could be looked at.
+    """Refuse more than ``MAX_CASES`` cases.
 
     Raises:
         ConfigurationError: With the key.
@@ -96,33 +97,33 @@ def check_case_count(cases: int, key: str) -> None:
         )
 
 
-def _check_keys(word: str, keys: Iterable[str]) -> None:
-    """Refuse keys of which one would overwrite what another one sets, and none at all."""
+def _check_keys(kind: str, keys: Iterable[str]) -> None:
+    """Refuse an empty mapping, and keys of which one overwrites another."""
     paths = {key: key.split(".") for key in keys}
     if not paths:
         raise ConfigurationError(
-            f"the {word} varies nothing",
-            key=word,
+            f"the {kind} varies nothing",
+            key=kind,
             expected="keys of the fault with their values",
-            remedy=f"for example {word}: {{parameters.offset: "
-            + ("[1, 2]}" if word == "grid" else "{min: 1, max: 2}}"),
+            remedy=f"for example {kind}: {{parameters.offset: "
+            + ("[1, 2]}" if kind == "grid" else "{min: 1, max: 2}}"),
         )
     for key, path in paths.items():
         if len(path) > MAX_DEPTH:
             raise ConfigurationError(
-                f"a key of the {word} is nested too deeply",
-                key=word,
+                f"a key of the {kind} is nested too deeply",
+                key=kind,
                 found=f"{len(path)} parts",
                 expected=f"at most {MAX_DEPTH} parts",
                 remedy="name a key of the fault, such as parameters.offset",
             )
         within = [
-            item for item, longer in paths.items() if item != key and longer[: len(path)] == path
+            inner for inner, longer in paths.items() if inner != key and longer[: len(path)] == path
         ]
         if within:
             raise ConfigurationError(
-                f"the {word} sets {key!r}, and {within[0]!r} within it",
-                key=f"{word}.{key}",
+                f"the {kind} sets {key!r}, and {within[0]!r} within it",
+                key=f"{kind}.{key}",
                 found=key,
                 expected="keys of which none is part of another",
                 remedy="leave out one of them",
@@ -148,7 +149,7 @@ def _with_id(fault: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_value(data: Any, path: Sequence[str], value: Any) -> Any:
-    """A copy with the value at a path; mappings on the way are made."""
+    """Copy data with the value at a path, and create mappings on the way."""
     if not path:
         return value
     inner = data if isinstance(data, Mapping) else {}
@@ -156,7 +157,7 @@ def _with_value(data: Any, path: Sequence[str], value: Any) -> Any:
 
 
 def _short_names(paths: Sequence[str]) -> list[str]:
-    """The last part of each path; the whole of it where two end alike."""
+    """Return the last part of each path; all of it where two end alike."""
     last = [path.rpartition(".")[2] for path in paths]
     return [path if last.count(name) > 1 else name for path, name in zip(paths, last, strict=True)]
 
@@ -165,7 +166,7 @@ def _id_part(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}"
     text = str(value).lower() if isinstance(value, bool) else str(value)
-    return "".join(item if item.isalnum() or item in "_.-" else "_" for item in text)
+    return "".join(char if char.isalnum() or char in "_.-" else "_" for char in text)
 
 
 def _model(model: type[Any], data: Mapping[str, Any]) -> Any:
@@ -177,17 +178,18 @@ def _model(model: type[Any], data: Mapping[str, Any]) -> Any:
 
 SingleFault: TypeAlias = str | Mapping[str, Any]
 FaultCampaign: TypeAlias = SingleFault | Sequence[SingleFault]
-"""What stands in a list of fault campaigns; see the module."""
+"""An entry of a list of fault campaigns: a name, a fault as data, a list of these, a grid or a
+sample; see :func:`expand_campaign`."""
 Faults: TypeAlias = tuple[dict[str, Any], ...]
 
 
 @dataclass(frozen=True)
 class ScenarioFaults:
-    """The faults of a scenario as plain data with defaults filled in, once they are checked.
+    """The checked faults of a scenario as plain data with defaults filled in.
 
     Args:
         own: Those of its key ``faults``.
-        campaigns: Of each entry of its ``campaigns``, the faults of each case.
+        campaigns: For each entry of its ``campaigns``, the faults of each case.
     """
 
     own: Faults
@@ -212,16 +214,16 @@ class FileEntry:
         return str(self.campaign)
 
     def error(self, error: ConfigurationError) -> ConfigurationError:
-        """The same error at its place in the file."""
+        """Return the error with its place in the file."""
         key = f"campaigns.{self.index}"
-        # `faults` is where entries stand in a marker; here that is the entry itself.
+        # In a marker entries are below `faults`; here that is the entry itself.
         place = f"{key}.{error.key}" if error.key not in (None, "faults") else key
         line = self.document.line_of(place)
         return error_at(error, file=self.document.file, line=line, key=place)
 
 
 def read_campaigns(path: Path) -> list[FileEntry]:
-    """The fault campaigns of a YAML file: a mapping with the key ``campaigns``.
+    """Read the fault campaigns of a YAML file: a mapping with the key ``campaigns``.
 
     Raises:
         ConfigurationError: If the file cannot be read, or has another form.
@@ -238,14 +240,14 @@ def read_campaigns(path: Path) -> list[FileEntry]:
             expected="the key `campaigns` alone, with a list",
             remedy="for example campaigns: [none, ghost-obstacle]",
         )
-    return [FileEntry(item, document, index) for index, item in enumerate(campaigns)]
+    return [FileEntry(campaign, document, i) for i, campaign in enumerate(campaigns)]
 
 
 def expand_campaign(scenario: Scenario, own: Faults, campaign: object) -> list[Faults]:
-    """The faults of each case that an entry stands for, as plain data with defaults filled in.
+    """List the faults of each case of an entry, as plain data with defaults filled in.
 
     Args:
-        scenario: To whose domain the faults belong.
+        scenario: Gives the domain of the faults.
         own: The scenario's own faults, which come before the catalogue's of the same name.
         campaign: The entry.
 
@@ -260,14 +262,9 @@ def expand_campaign(scenario: Scenario, own: Faults, campaign: object) -> list[F
     if isinstance(campaign, str):
         return _by_name(scenario, own, campaign)
     if isinstance(campaign, Mapping):
-        if "grid" in campaign:
-            return [
-                _single_fault(scenario, own, fault) for fault in expand_grid(scenario, campaign)
-            ]
-        if "sample" in campaign:
-            return [
-                _single_fault(scenario, own, fault) for fault in _expand_sample(scenario, campaign)
-            ]
+        for key, expand in (("grid", expand_grid), ("sample", _expand_sample)):
+            if key in campaign:
+                return [_single_fault(scenario, own, fault) for fault in expand(scenario, campaign)]
         campaign = [campaign]
     if not isinstance(campaign, Sequence) or not _are_faults(campaign):
         raise ConfigurationError(
@@ -281,8 +278,8 @@ def expand_campaign(scenario: Scenario, own: Faults, campaign: object) -> list[F
 
 
 def _are_faults(campaign: Sequence[Any]) -> bool:
-    # An empty list would read as a campaign, and be a run without any fault.
-    return bool(campaign) and all(isinstance(item, (str, Mapping)) for item in campaign)
+    # An empty list would be a run without any fault, which is `none`.
+    return bool(campaign) and all(isinstance(fault, (str, Mapping)) for fault in campaign)
 
 
 def _single_fault(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> Faults:
@@ -292,7 +289,7 @@ def _single_fault(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> Fau
 
 
 def _check_not_varied(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> None:
-    """Refuse a fault whose values the scenario's variation of another one would overwrite."""
+    """Refuse a fault whose values the variation of the scenario's own fault would overwrite."""
     paths = [path for path in scenario.variation if path.startswith(f"faults.{fault['id']}.")]
     if paths and fault not in own:
         raise ConfigurationError(
@@ -316,27 +313,20 @@ def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
 
 
 def catalogue_for(scenario: Scenario) -> list[str]:
-    """The types of the catalogue that can act in the scenario's domain as they are by default."""
-    from pytest_dura.faults.catalogue import FAULT_TYPES
-
+    """List the types of the catalogue whose defaults can act in the scenario's domain."""
     return [name for name in sorted(FAULT_TYPES) if _usable(scenario, name)]
 
 
 def _usable(scenario: Scenario, name: str) -> bool:
-    from pytest_dura.domains import domain_of
-    from pytest_dura.faults.catalogue import fault_class
-    from pytest_dura.faults.model import possible_targets
-    from pytest_dura.library.scenario import channel_kinds, fault_targets
-
     domain, kind = domain_of(scenario.simulator.path), fault_class(name)
-    channels = channel_kinds(domain)
-    if channels is None or kind.acts_on not in fault_targets(domain):
+    channels = None if domain is None else domain.channel_kinds()
+    if domain is None or channels is None or kind.acts_on not in domain.default_targets():
         return False
     return bool(possible_targets(kind.acts_on, channels))
 
 
 def _matching(scenario: Scenario, text: str) -> list[str] | None:
-    """The types that ``catalogue`` or a glob stands for; ``None`` for anything else."""
+    """List the types that ``catalogue`` or a glob stands for; ``None`` for anything else."""
     if text != _CATALOGUE and not set(text) & set(GLOB):
         return None
     usable = catalogue_for(scenario)
@@ -348,8 +338,10 @@ def _matching(scenario: Scenario, text: str) -> list[str] | None:
             expected="faults with a `target`, since the domain of its simulator is not known",
             remedy="name each fault as data: {type: ..., target: ..., activation: {at: ...}}",
         )
-    found = usable if text == _CATALOGUE else [item for item in usable if fnmatchcase(item, text)]
-    if not found:
+    if text == _CATALOGUE:
+        return usable
+    matched = [name for name in usable if fnmatchcase(name, text)]
+    if not matched:
         raise ConfigurationError(
             f"no fault of the catalogue matches {text!r}",
             key="faults",
@@ -357,7 +349,7 @@ def _matching(scenario: Scenario, text: str) -> list[str] | None:
             expected="a glob of: " + ", ".join(usable),
             remedy=did_you_mean(text, usable),
         )
-    return found
+    return matched
 
 
 def _joint_faults(scenario: Scenario, own: Faults, names: Sequence[SingleFault]) -> Faults:
@@ -382,8 +374,6 @@ def _joint_faults(scenario: Scenario, own: Faults, names: Sequence[SingleFault])
 
 
 def _fault_of_name(scenario: Scenario, own: Faults, name: str) -> dict[str, Any]:
-    from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
-
     for fault in own:
         if fault["id"] == name:
             return fault

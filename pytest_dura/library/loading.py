@@ -1,18 +1,18 @@
-"""Library: find and read scenario and requirement files; the library in use."""
+"""Library: the scenarios and requirements of files, and the library that a session uses."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
-from pytest_dura.core.error_messages import combine_errors
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, combine_errors
 from pytest_dura.library.cases import no_match_error
 from pytest_dura.library.checks import check_scenario
 from pytest_dura.library.documents import Document, read_yaml
@@ -26,11 +26,10 @@ from pytest_dura.library.requirements import (
     unmatched_globs,
     unused_requirements,
 )
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.library.scenario import SCHEMA_FILE, Scenario
 from pytest_dura.requirements.model import Requirement
 
 _SUFFIXES = (".yaml", ".yml")
-SCHEMA_FILE = "scenario.schema.json"
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -43,10 +42,10 @@ class Library:
     Args:
         scenarios: By name, each with the requirements that apply to it.
         requirements: By id.
-        warnings: Messages on what is allowed but probably not meant.
-        unused: Ids of the user's requirements that no scenario uses, and where each is defined.
+        warnings: Messages on what is allowed but probably a slip.
+        unused: Places ``file:line`` of the user's requirements that no scenario uses, by id.
         defined_in: The file of each requirement, by id.
-        faults: Of the scenarios, by their names, as they were read to be checked.
+        faults: The scenarios' faults as they were read for the checks, by the scenario's name.
     """
 
     scenarios: dict[str, Scenario]
@@ -58,79 +57,68 @@ class Library:
 
 
 def builtin_paths() -> list[Path]:
-    """The folder of the built-in scenarios, in a wheel and in an editable install alike.
+    """Find the folder of the built-in scenarios, in a wheel and in an editable install alike.
 
     Raises:
         ConfigurationError: If the installation has none.
     """
     package = Path(__file__).resolve().parents[1]
     candidates = [package / "scenarios", package.parent / "scenarios"]
-    found = [folder for folder in candidates if (folder / SCHEMA_FILE).is_file()]
-    if not found:
+    folders = [folder for folder in candidates if (folder / SCHEMA_FILE).is_file()]
+    if not folders:
         raise ConfigurationError(
             "the built-in scenarios are missing from this installation",
             found=", ".join(map(str, candidates)),
             expected=f"a folder with {SCHEMA_FILE}",
             remedy="install pytest-dura again",
         )
-    return found[:1]
+    return folders[:1]
 
 
 def load_library(paths: Sequence[Path | str], *, builtin: bool = True) -> Library:
-    """Everything below the given paths, and the built-in files.
+    """Read everything below the given paths, and the built-in files.
 
     Raises:
-        ConfigurationError: One for all that is wrong in any file.
+        ConfigurationError: One for all errors in all files.
     """
     own = [Path(path) for path in paths]
-    everything = [*builtin_paths(), *own] if builtin else own
-    documents = _documents(everything)
+    documents = _documents([*builtin_paths(), *own] if builtin else own)
     scenarios, faults = _scenarios(documents)
-    requirements = _requirements(documents)
-    scenarios = apply_requirements(scenarios, requirements)
+    located = _requirements(documents)
+    scenarios = apply_requirements(scenarios, located)
     _map_collecting_errors(
-        lambda reference: check_reference(*reference, requirements),
+        lambda reference: check_reference(*reference, located),
         [
             (scenario, index)
             for scenario in scenarios.values()
             for index in range(len(scenario.requirements))
         ],
     )
-    theirs = {str(file) for path in own for file in _files(path)}
-    plain = {name: requirement.requirement for name, requirement in requirements.items()}
-    unused = unused_requirements(scenarios, requirements, theirs)
-    warnings = [
-        *unmatched_globs(scenarios, requirements, theirs),
-    ]
-    defined_in = {name: requirement.document.file for name, requirement in requirements.items()}
-    return Library(scenarios, plain, tuple(warnings), unused, defined_in, faults)
+    user_files = {str(file) for path in own for file in _files(path)}
+    return Library(
+        scenarios,
+        requirements={name: each.requirement for name, each in located.items()},
+        warnings=tuple(unmatched_globs(scenarios, located, user_files)),
+        unused=unused_requirements(scenarios, located, user_files),
+        defined_in={name: each.document.file for name, each in located.items()},
+        faults=faults,
+    )
 
 
 def load_scenarios(paths: Sequence[Path | str]) -> dict[str, Scenario]:
-    """The scenarios in files and below folders, by name, sorted.
+    """Read the scenarios in files and below folders, by name, sorted.
 
-    Hidden files and folders, and requirement files, are passed over.
+    Hidden files and folders, and requirement files, are skipped.
 
     Raises:
-        ConfigurationError: One for all that is wrong in any file, two scenarios of one name, a
-            path that does not exist, and a folder without YAML files.
+        ConfigurationError: One for all errors in all files, two scenarios of the same name, a path
+            that does not exist, and a folder without YAML files.
     """
     return _scenarios(_documents([Path(path) for path in paths]))[0]
 
 
-def load_requirements(paths: Sequence[Path | str]) -> dict[str, Requirement]:
-    """The requirements in files and below folders, by id, sorted; scenario files are passed over.
-
-    Raises:
-        ConfigurationError: One for all that is wrong in any requirement file, and two
-            requirements of one id.
-    """
-    requirements = _requirements(_documents([Path(path) for path in paths]))
-    return {name: verdict.requirement for name, verdict in requirements.items()}
-
-
 def select_names(names: Iterable[str], globs: Sequence[str]) -> list[str]:
-    """The names that match any of the globs, sorted; all of them without a glob.
+    """Select the names that match any of the globs, sorted; all of them without a glob.
 
     Raises:
         ConfigurationError: For a glob that matches nothing.
@@ -145,34 +133,33 @@ def select_names(names: Iterable[str], globs: Sequence[str]) -> list[str]:
 
 
 def _documents(paths: Sequence[Path]) -> list[Document]:
-    """Each YAML file once, sorted by path below each given path."""
+    """Read each YAML file once, sorted by path below each given path."""
     files: dict[Path, Path] = {}
     for path in paths:
-        found = _files(path)
-        for file in found:
+        for file in _files(path):
             files.setdefault(file.resolve(), file)
     return _map_collecting_errors(read_yaml, files.values())
 
 
 def _files(path: Path) -> list[Path]:
     if not path.is_dir():
-        return [path]  # reading it tells what is wrong with it
-    found = []
+        return [path]  # reading it raises the error of a missing file
+    files: list[Path] = []
     for folder, inner, names in os.walk(path):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
-        found += [
+        files += [
             Path(folder, name)
             for name in sorted(names)
             if name.endswith(_SUFFIXES) and not name.startswith(".")
         ]
-    if not found:
+    if not files:
         raise ConfigurationError(
             "there is no scenario file in this folder",
             file=str(path),
             expected="files that end in .yaml or .yml",
             remedy="check the path, or remove it from the options",
         )
-    return found
+    return files
 
 
 def _scenarios(
@@ -200,21 +187,21 @@ def _scenarios(
 
 
 def _requirements(documents: Sequence[Document]) -> dict[str, LocatedRequirement]:
-    found: dict[str, LocatedRequirement] = {}
+    requirements: dict[str, LocatedRequirement] = {}
 
     def add(document: Document) -> None:
-        for requirement in read_requirements(document):
-            name = requirement.requirement.id
-            before = found.setdefault(name, requirement)
-            if before is not requirement:
+        for located in read_requirements(document):
+            name = located.requirement.id
+            before = requirements.setdefault(name, located)
+            if before is not located:
                 raise _duplicate_error(
-                    "requirement", name, (before.document, before.key), (document, requirement.key)
+                    "requirement", name, (before.document, before.key), (document, located.key)
                 )
 
     _map_collecting_errors(
         add, [document for document in documents if is_requirement_file(document)]
     )
-    return dict(sorted(found.items()))
+    return dict(sorted(requirements.items()))
 
 
 def _duplicate_error(
@@ -233,43 +220,44 @@ def _duplicate_error(
     )
 
 
-def _map_collecting_errors(action: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """The action's result for every item; all errors are collected into one."""
+def _map_collecting_errors(action: Callable[[T], R], arguments: Iterable[T]) -> list[R]:
+    """Call the action with every argument; raise all errors as one."""
     results, errors = [], []
-    for item in items:
+    for argument in arguments:
         try:
-            results.append(action(item))
-        except ConfigurationError as error:  # noqa: PERF203 - all errors are told at once
+            results.append(action(argument))
+        except ConfigurationError as error:  # noqa: PERF203 - all errors are raised as one
             errors.append(error)
     if errors:
         raise combine_errors(errors)
     return results
 
 
-_sources: list[Callable[[], Library]] = []
-"""Where it comes from, the innermost session last."""
+_source: ContextVar[Callable[[], Library] | None] = ContextVar("library_source", default=None)
+"""Where the library in use comes from: strategies are made while modules of tests are imported, and
+have no session at hand. A session sets it, and resets it at its end."""
 
 
 @contextmanager
 def use_library(source: Callable[[], Library]) -> Iterator[None]:
-    """Within it, :func:`current_library` is what the source gives."""
-    _sources.append(source)
+    """Within it, :func:`current_library` returns what the source returns."""
+    token = _source.set(source)
     try:
         yield
     finally:
-        _sources.remove(source)
+        _source.reset(token)
 
 
 def current_library() -> Library:
-    """The library of the session that runs; without one, the built-in files alone.
+    """Return the library of the running session; without one, the built-in files alone.
 
     Raises:
         ConfigurationError: For files that cannot be used.
     """
-    return _sources[-1]() if _sources else _builtin_library()
+    source = _source.get()
+    return _builtin_library() if source is None else source()
 
 
 @cache
 def _builtin_library() -> Library:
-
     return load_library([])

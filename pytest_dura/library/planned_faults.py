@@ -4,48 +4,50 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pytest_dura.core.episode import Termination
-from pytest_dura.core.error_messages import did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.domains import domain_of
 from pytest_dura.faults.activation import TOLERANCE, Until, parse_condition
 from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
-from pytest_dura.faults.model import check_condition_targets, check_target, with_proposal
-from pytest_dura.faults.targets import PROPOSAL
-from pytest_dura.library.scenario import Scenario, channel_kinds, fault_targets
-
-if TYPE_CHECKING:
-    from pytest_dura.faults.model import Channel, Fault
-
+from pytest_dura.faults.model import (
+    Channel,
+    Fault,
+    check_condition_targets,
+    check_target,
+    with_proposal,
+)
+from pytest_dura.faults.parts import PROPOSAL
+from pytest_dura.library.scenario import Scenario
 
 _RESERVED = ("none", "catalogue")
 """Names of fault campaigns, which no fault may have."""
 _MAX_ID = 200
-"""Characters of an id, which stands in the names of tests and in commands."""
+"""Characters of an id, which is part of the names of tests and of commands."""
 _MISREAD = re.compile(r"[+~#*?\[]|::")
 
 
 class FaultReader:
-    """Reads the faults of one scenario; what their domain allows is looked up once for all.
+    """Reads faults of a scenario; what its domain allows is looked up once for all of them.
 
     Args:
-        scenario: To whose domain and duration the faults belong.
+        scenario: Gives the domain and the duration.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         domain = domain_of(scenario.simulator.path)
-        self._targets, self._channels = fault_targets(domain), channel_kinds(domain)
+        self._targets = {} if domain is None else domain.default_targets()
+        self._channels = None if domain is None else domain.channel_kinds()
         last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
         self._duration, self._end = scenario.lasts, last * scenario.time_step
         self._places: dict[tuple[str, str], Channel] = {}
-        """The channels of targets that suit a type."""
+        """The channels of types and targets that fit each other."""
         self._conditions: set[tuple[str, str, bool]] = set()
-        """Keys and texts of conditions on what is there, and whether they may read a proposal."""
+        """Keys and texts of valid conditions, and whether they may read a proposal."""
 
     def read(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        """A fault as plain data, with the defaults of its type and of the scenario's domain.
+        """Read a fault as plain data, with the defaults of its type and of the domain.
 
         Args:
             data: The fault.
@@ -56,7 +58,7 @@ class FaultReader:
         fault = load_fault(data, self._targets)
         filled = plain_fault(fault)
         if fault.type not in FAULT_TYPES:
-            # Whether what a user's own type tells of itself makes a fault again, we cannot know.
+            # The plain data of a user's own type need not make a fault again.
             fault = load_fault(filled)
         if self._channels is not None:
             self._check_place(fault, self._channels)
@@ -85,7 +87,7 @@ class FaultReader:
             self._conditions.add(checked)
 
     def _check_times(self, fault: Fault) -> None:
-        """Refuse what could only happen when the last decision of the episode has been made."""
+        """Refuse faults that can only begin after the last decision of the episode."""
         activation, end = fault.activation, self._end
         times = {"at": activation.at, "not_before": activation.not_before or None}
         if activation.after is not None:
@@ -105,12 +107,12 @@ class FaultReader:
 
 
 def parse_fault(scenario: Scenario, data: Mapping[str, Any]) -> dict[str, Any]:
-    """One fault of a scenario; see :meth:`FaultReader.read`."""
+    """Read one fault; see :meth:`FaultReader.read`."""
     return FaultReader(scenario).read(data)
 
 
 def _check_id(name: str) -> None:
-    """Refuse an id that would read as something else in the id of a case, or on a command line."""
+    """Refuse an id that means something else in the id of a case, or on a command line."""
     plain = name.isprintable() and name == name.strip() and len(name) <= _MAX_ID
     misread = _MISREAD.search(name) or name.endswith(".py")
     if name in _RESERVED or misread or not plain:
@@ -125,7 +127,7 @@ def _check_id(name: str) -> None:
 
 
 def parse_scenario_fault(scenario: Scenario, index: int) -> dict[str, Any]:
-    """One of the scenario's own faults; see :func:`parsed`.
+    """Read one of the scenario's own faults; see :meth:`FaultReader.read`.
 
     Raises:
         ConfigurationError: At its place in the file.
@@ -140,30 +142,30 @@ def parse_scenario_fault(scenario: Scenario, index: int) -> dict[str, Any]:
 
 
 def check_chains(faults: Sequence[Mapping[str, Any]]) -> None:
-    """Refuse faults that wait for what does not happen.
+    """Refuse faults that wait for an event that cannot happen.
 
-    That is: a fault that is not there, the end of one that has none, or each other.
+    That is: an event of a fault that is not planned, the end of a permanent one, or each other's.
 
     Raises:
         ConfigurationError: With the key ``faults.<index>.activation.after.fault``, or ``.event``.
     """
     by_id = {fault["id"]: fault for fault in faults}
     after = {name: fault["activation"].get("after") for name, fault in by_id.items()}
-    waits = {name: item["fault"] for name, item in after.items() if item is not None}
+    waits = {name: event["fault"] for name, event in after.items() if event is not None}
     for index, name in enumerate(by_id):
         if name not in waits:
             continue
         first, key = waits[name], f"faults.{index}.activation.after"
         if first not in by_id:
-            others = [item for item in by_id if item != name]
-            near = did_you_mean(first, others) if others else ""
+            others = [other for other in by_id if other != name]
+            suggestion = did_you_mean(first, others) if others else ""
             raise ConfigurationError(
                 f"the fault {name!r} waits for {first!r}, which is not planned with it",
                 key=f"{key}.fault",
                 found=first,
                 expected="one of " + ", ".join(others) if others else "another fault beside it",
-                remedy=near
-                if near.startswith("did")
+                remedy=suggestion
+                if suggestion.startswith("did")
                 else f"plan {first!r} as well, or name both"
                 f" where the faults are chosen: {first}+{name}",
             )
@@ -196,7 +198,7 @@ def _check_circle(waits: Mapping[str, str], name: str, key: str) -> None:
 
 
 def _can_end(fault: Mapping[str, Any]) -> bool:
-    """Whether a fault in plain data can end."""
+    """Whether a fault's duration, in plain data, has an end."""
     duration = fault["duration"]
     if isinstance(duration, Mapping) and "on" in duration:
         return duration.get("lasting") is not None

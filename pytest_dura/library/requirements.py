@@ -1,4 +1,4 @@
-"""Read requirement files, and tell which requirements apply to which scenarios."""
+"""Requirement files: read them, and match their requirements with scenarios."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pytest_dura.core.error_messages import combine_errors, did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, combine_errors, did_you_mean, error_at
 from pytest_dura.core.loop_signals import LOOP_SIGNALS, PROPOSAL_PREFIX
 from pytest_dura.domains import Domain, check_role_name, domain_of
 from pytest_dura.library.documents import Document, validate
@@ -19,15 +18,12 @@ from pytest_dura.library.scenario import (
     Entry,
     Scenario,
     not_empty,
-    percept_signal_names,
-    proposal_signal_names,
-    signal_names,
 )
+from pytest_dura.requirements.campaign_judge import CampaignJudge, method_of
 from pytest_dura.requirements.checks import Check, is_function_path, load_function, read_formula
 from pytest_dura.requirements.model import FAULTS, Kind, Method, Paired, Requirement
 from pytest_dura.requirements.pairs import check_comparison
 from pytest_dura.requirements.stl.formula import Formula, check_time_step
-from pytest_dura.requirements.verdicts.judging import CampaignJudge, method_of
 
 
 class PairedEntry(Entry):
@@ -48,7 +44,7 @@ class PairedEntry(Entry):
 
 
 class RequirementEntry(Entry):
-    """One requirement."""
+    """A requirement in a file."""
 
     id: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
     """Unique name, such as `SAF-1`."""
@@ -77,7 +73,7 @@ class RequirementEntry(Entry):
     """For a requirement on pairs of runs: what the second run of each pair lacks."""
 
     def requirement(self) -> Requirement:
-        """The requirement."""
+        """Make the requirement."""
         data = self.model_dump()
         paired = data.pop("paired")
         return Requirement(**data, paired=None if paired is None else Paired(**paired))
@@ -111,7 +107,7 @@ class LocatedRequirement:
         return self.document.line_of(self.key)
 
     def error(self, error: ConfigurationError, key: str = "check") -> ConfigurationError:
-        """An error of its check, or of another key, told at its place in the file."""
+        """Return an error of its check, or of another key, with its place in the file."""
         key = f"requirements.{self.index}.{key}"
         return error_at(error, file=self.document.file, line=self.document.line_of(key), key=key)
 
@@ -127,23 +123,23 @@ def is_requirement_file(document: Document) -> bool:
 
 
 def read_requirements(document: Document) -> list[LocatedRequirement]:
-    """The requirements of a file, each with a check that can be read.
+    """Read the requirements of a file, and check that each can be judged.
 
     Raises:
-        ConfigurationError: One for all that is wrong with the file.
+        ConfigurationError: One for all errors in the file.
     """
-    found, errors = [], []
+    requirements, errors = [], []
     for index, entry in enumerate(validate(RequirementFile, document).requirements):
         located = LocatedRequirement(entry.requirement(), document, index)
-        found.append(located)
+        requirements.append(located)
         errors += _problems(located)
     if errors:
         raise combine_errors(errors)
-    return found
+    return requirements
 
 
 def _problems(located: LocatedRequirement) -> list[ConfigurationError]:
-    """What would keep the requirement from being judged, each at its place."""
+    """List what keeps the requirement from being judged, each error at its place."""
     requirement = located.requirement
     paired = requirement.paired
     functions = {"paired.measure": paired.measure} if paired is not None else {}
@@ -164,7 +160,7 @@ def _problems(located: LocatedRequirement) -> list[ConfigurationError]:
         try:
             if path:
                 load_function(path)
-        except ConfigurationError as error:  # noqa: PERF203 - all errors are told at once
+        except ConfigurationError as error:  # noqa: PERF203 - all errors are raised as one
             errors.append(located.error(error, key))
     return errors
 
@@ -172,30 +168,30 @@ def _problems(located: LocatedRequirement) -> list[ConfigurationError]:
 def apply_requirements(
     scenarios: Mapping[str, Scenario], requirements: Mapping[str, LocatedRequirement]
 ) -> dict[str, Scenario]:
-    """The scenarios, each with the requirements that name it in ``applies_to`` after its own."""
-    found = dict(scenarios)
+    """Add to each scenario, after its own, the requirements that name it in ``applies_to``."""
+    applied = dict(scenarios)
     for name, located in requirements.items():
         for glob in located.requirement.applies_to:
-            for scenario in found.values():
+            for scenario in applied.values():
                 if fnmatchcase(scenario.name, glob) and name not in scenario.requirements:
                     added = (*scenario.requirements, name)
-                    found[scenario.name] = scenario.model_copy(update={"requirements": added})
-    return found
+                    applied[scenario.name] = scenario.model_copy(update={"requirements": added})
+    return applied
 
 
 def unmatched_globs(
     scenarios: Mapping[str, Scenario],
     requirements: Mapping[str, LocatedRequirement],
-    theirs: set[str],
+    user_files: set[str],
 ) -> list[str]:
-    """Globs under ``applies_to`` in ``theirs`` files that match no scenario: a misspelt one."""
+    """Make a warning for each glob under ``applies_to`` in the user's files without a match."""
     return [
-        f"{requirement.document.file}:"
-        f"{requirement.document.line_of(f'requirements.{requirement.index}.applies_to.{i}')}: "
+        f"{located.document.file}:"
+        f"{located.document.line_of(f'requirements.{located.index}.applies_to.{i}')}: "
         f"the requirement {name!r} applies to {glob!r}, which matches no scenario"
-        for name, requirement in requirements.items()
-        if requirement.document.file in theirs
-        for i, glob in enumerate(requirement.requirement.applies_to)
+        for name, located in requirements.items()
+        if located.document.file in user_files
+        for i, glob in enumerate(located.requirement.applies_to)
         if not any(fnmatchcase(scenario, glob) for scenario in scenarios)
     ]
 
@@ -206,7 +202,7 @@ def check_reference(
     """Refuse a requirement that does not exist, or cannot be judged in this scenario.
 
     Raises:
-        ConfigurationError: At the place that has to be mended, in either file.
+        ConfigurationError: At the place of the mistake, in either file.
     """
     name = scenario.requirements[index]
     key = f"requirements.{index}"
@@ -263,12 +259,12 @@ def _check_paired(scenario: Scenario, located: LocatedRequirement) -> None:
 
 
 def check_formula(scenario: Scenario, check: Check) -> None:
-    """Refuse a formula that could not be judged on this scenario's episodes; pass over functions.
+    """Refuse a formula that this scenario's episodes cannot decide; functions are not checked.
 
     Raises:
         ConfigurationError: For a formula that cannot be read, a signal that the scenario's domain
             does not have, a window that is no multiple of the time step, and windows that reach
-        beyond the scenario's duration: its episodes could not decide them.
+            beyond the scenario's duration.
     """
     if not isinstance(check, str) or not check or is_function_path(check):
         return
@@ -277,12 +273,12 @@ def check_formula(scenario: Scenario, check: Check) -> None:
     if known is not None:
         read_formula(check, known)
     check_time_step(formula, scenario.time_step)
-    ahead = formula.horizon
-    if ahead is not None and ahead > scenario.lasts * (1 + 1e-9):
+    horizon = formula.horizon
+    if horizon is not None and horizon > scenario.lasts * (1 + 1e-9):
         raise ConfigurationError(
             f"the windows of the formula reach beyond the episodes of {scenario.name!r}",
             key="check",
-            found=f"{formula}, which looks {ahead:g} s ahead",
+            found=f"{formula}, which looks {horizon:g} s ahead",
             expected=f"windows that end within the scenario's duration of {scenario.lasts:g} s",
             remedy="shorten the windows, or lengthen the scenario's `duration`"
             + (" and its `iterations`" if scenario.lasts < scenario.duration else ""),
@@ -290,17 +286,17 @@ def check_formula(scenario: Scenario, check: Check) -> None:
 
 
 def _known_signals(domain: Domain | None, formula: Formula) -> tuple[str, ...] | None:
-    """Every signal that a formula may read; ``None`` where only the simulator will tell."""
-    truth = None if domain is None else signal_names(domain)
+    """List every signal that a formula may read; ``None`` where only the simulator knows them."""
+    truth = None if domain is None else domain.signal_names()
     if domain is None or truth is None:
         return None
-    later = {
-        "percept.": percept_signal_names(domain),
-        PROPOSAL_PREFIX: proposal_signal_names(domain),
+    prefixed = {
+        "percept.": domain.percept_signal_names(),
+        PROPOSAL_PREFIX: domain.proposal_signal_names(),
     }
     named = [
         name
-        for prefix, names in later.items()
+        for prefix, names in prefixed.items()
         for name in (
             [signal for signal in formula.signals if signal.startswith(prefix)]
             if names is None
@@ -313,12 +309,12 @@ def _known_signals(domain: Domain | None, formula: Formula) -> tuple[str, ...] |
 def unused_requirements(
     scenarios: Mapping[str, Scenario],
     requirements: Mapping[str, LocatedRequirement],
-    theirs: set[str],
+    user_files: set[str],
 ) -> dict[str, str]:
-    """The ids of the requirements in ``theirs`` files that no scenario uses, with their places."""
+    """Map the requirements in the user's files that no scenario uses to their ``file:line``."""
     used = {name for scenario in scenarios.values() for name in scenario.requirements}
     return {
-        name: f"{requirement.document.file}:{requirement.line}"
-        for name, requirement in requirements.items()
-        if name not in used and requirement.document.file in theirs
+        name: f"{located.document.file}:{located.line}"
+        for name, located in requirements.items()
+        if name not in used and located.document.file in user_files
     }

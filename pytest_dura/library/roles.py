@@ -1,4 +1,4 @@
-"""Make a RoleSpec of what a user names or hands over, and resolve its parameters."""
+"""Roles: make RoleSpecs of names, classes and fixtures, and resolve their parameters."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 
 from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.episode import canonical
-from pytest_dura.core.error_messages import did_you_mean, error_at
-from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role
 from pytest_dura.core.simulator import Simulator
@@ -18,10 +17,10 @@ from pytest_dura.domains import DOMAINS
 
 
 class LocalRole(RoleSpec):
-    """A RoleSpec whose class or factory is at hand, since no import path leads to it.
+    """A RoleSpec that holds its class or factory, which no import path leads to.
 
-    Several ``conftest.py`` may be loaded, all as the module ``conftest``. So the path of what is
-    defined in one names the file, relative to the project's root: ``tests/conftest.py:Planner``.
+    Several ``conftest.py`` may be loaded, all as the module ``conftest``. So the path of a class in
+    such a file names the file, relative to the project's root: ``tests/conftest.py:Planner``.
     """
 
     target: Callable[..., Any]
@@ -34,33 +33,33 @@ class LocalRole(RoleSpec):
 
     @property
     def label(self) -> str:
-        """The name, and the folder unless it is the root: two of them may share a name."""
+        """The name, and the folder unless it is the root: two files may hold the same name."""
         file, _, name = self.path.rpartition(":")
         folder = file.rpartition("/")[0]
         return f"{name} ({folder})" if folder else name
 
     def resolve(self) -> Callable[..., Any]:
-        """The class or factory that was given."""
+        """Return the class or factory."""
         return self.target
 
     def with_params(self, params: Mapping[str, Any]) -> LocalRole:
-        """The same with other parameters."""
+        """Return the spec with other parameters."""
         return LocalRole(self.path, self.target, params)
 
 
 def local_object(spec: RoleSpec) -> Any:
-    """What makes a spec mean something in this process only; ``None`` if nothing does."""
+    """Return the object that binds a spec to this process; ``None`` for a portable spec."""
     return spec.target if isinstance(spec, LocalRole) else spec.instance
 
 
 def role_of_fixture(role: str, value: Any, file: str | None = None) -> RoleSpec | None:
-    """The RoleSpec of what a role's fixture returned; ``None`` switches the role off.
+    """Make the RoleSpec of what a role's fixture returned; ``None`` switches the role off.
 
     Args:
         role: Name of the role, or ``simulator``.
         value: A RoleSpec, a class, an importable factory, an import path, a bare instance or None.
         file: The ``conftest.py`` that defines the class or factory, relative to the project's
-            root, if it is one that no import path leads to.
+            root, if no import path leads to it.
 
     Raises:
         ConfigurationError: If it cannot serve as this role.
@@ -100,7 +99,7 @@ def role_of_fixture(role: str, value: Any, file: str | None = None) -> RoleSpec 
 
 
 def generator_of_option(text: str) -> RoleSpec:
-    """The component that ``--dura-generator`` names: a short name or ``package.module:Name``.
+    """Make the RoleSpec that ``--dura-generator`` names: a short name or an import path.
 
     Raises:
         ConfigurationError: If there is none, or it is no Generator.
@@ -159,13 +158,16 @@ def _check_class(factory: type[Any], spec: RoleSpec) -> None:
 
 
 class ParameterResolver:
-    """Resolves role specs, each class once for the same parameters, also where that fails."""
+    """Resolves the parameters of role specs, once for the same class and parameters.
+
+    A session owns it: resolving may be slow, and an error that is raised again is the same error.
+    """
 
     def __init__(self) -> None:
         self._resolved: dict[tuple[Callable[..., Any], bytes], RoleSpec | ConfigurationError] = {}
 
     def resolve(self, spec: RoleSpec) -> RoleSpec:
-        """The spec with the parameters that :meth:`pytest_dura.core.roles.Role.settled` returns.
+        """The spec with the parameters that the class's ``resolve_parameters`` returns.
 
         Bare instances and factories stay as they are, and so does a path that leads nowhere:
         building the role reports that. Resolved parameters resolve to themselves.
@@ -201,13 +203,13 @@ class ParameterResolver:
 def _has_resolver(factory: Callable[..., Any]) -> bool:
     if not (inspect.isclass(factory) and issubclass(factory, Role)):
         return False
-    return factory.settled.__func__ is not Role.settled.__func__  # type: ignore[attr-defined]
+    return factory.resolve_parameters.__func__ is not Role.resolve_parameters.__func__  # type: ignore[attr-defined]
 
 
 def _resolve(spec: RoleSpec, factory: Callable[..., Any]) -> RoleSpec:
-    settle: Callable[[Mapping[str, Any]], Any] = factory.settled  # type: ignore[attr-defined]
+    resolve: Callable[[Mapping[str, Any]], Any] = factory.resolve_parameters  # type: ignore[attr-defined]
     try:
-        params = settle(dict(spec.params))
+        params = resolve(dict(spec.params))
         canonical(params)
     except ConfigurationError:
         raise
@@ -217,13 +219,13 @@ def _resolve(spec: RoleSpec, factory: Callable[..., Any]) -> RoleSpec:
             f"{spec.path} cannot resolve its parameters: {describe_error(error)}",
             found=dict(spec.params),
             expected="plain data",
-            remedy="correct its method `settled`",
+            remedy="correct its method `resolve_parameters`",
         ) from error
     if not isinstance(params, Mapping):
         raise ConfigurationError(
             f"{spec.path} resolves its parameters to something else",
             found=params,
             expected="a mapping of the parameters",
-            remedy="correct its method `settled`",
+            remedy="correct its method `resolve_parameters`",
         )
     return spec.with_params(params)

@@ -1,12 +1,14 @@
-"""Scenario: the model of a scenario file, and its world as the simulator checks it.
+"""Scenario: the model of a scenario file, its world, its variation, and its JSON Schema.
 
-The descriptions of the fields are what editors show.
+The descriptions of the fields are what editors show: after a change of them, run
+``python -m pytest_dura.library.scenario``, which writes the schema.
 """
 
 from __future__ import annotations
 
-import importlib
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -24,19 +26,20 @@ from pydantic import (
 )
 
 from pytest_dura.core.episode import Policy
-from pytest_dura.core.error_messages import error_at
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.domains import Domain, domain_of
-from pytest_dura.faults.model import Channel
+from pytest_dura.core.seeding import stream
+from pytest_dura.domains import DOMAINS, domain_of, simulator_spec
+from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.library.documents import Document, translate, validate
 
+SCHEMA_FILE = "scenario.schema.json"
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]*(/[A-Za-z0-9][A-Za-z0-9_.-]*)*$"
 _IDENTIFIER = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
 
 def not_empty(values: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Refuse an empty list. Pydantic's own check would also tell of entries that are in error."""
+    """Refuse an empty list; pydantic's own check would count entries that are invalid."""
     if not values:
         raise ValueError("the list is empty; it must have at least one entry")
     return values
@@ -227,14 +230,22 @@ class Scenario(Entry):
 
     @classmethod
     def from_document(cls, document: Document) -> Scenario:
-        """The scenario that a YAML file holds.
+        """Make the scenario of a YAML file.
 
         Raises:
-            ConfigurationError: One for all that is wrong with the file's keys and values.
+            ConfigurationError: One for all errors of keys and values.
         """
         scenario = validate(cls, document)
         scenario._source = document  # noqa: SLF001 - our own
         return scenario
+
+    def simulator_spec(self) -> RoleSpec:
+        """Make the RoleSpec of the scenario's own simulator.
+
+        Raises:
+            ConfigurationError: For a name that is neither an alias nor an import path.
+        """
+        return simulator_spec(self.simulator.path, self.simulator.params)
 
     @property
     def lasts(self) -> float:
@@ -255,7 +266,7 @@ class Scenario(Entry):
 
     @property
     def source(self) -> Document:
-        """Where it was read from; an empty document if it was made otherwise."""
+        """The document it was read from; an empty one if it was made otherwise."""
         return self._source
 
     @property
@@ -264,18 +275,18 @@ class Scenario(Entry):
         return self._source.file
 
     def line_of(self, key: str) -> int | None:
-        """The line of a dotted key in that file."""
+        """Return the line of a dotted key in that file."""
         return self._source.line_of(key)
 
     def plain(self) -> dict[str, Any]:
-        """Plain data, from which an equal scenario can be read again."""
+        """Return plain data, from which an equal scenario can be read."""
         return self.model_dump(mode="json", exclude_unset=True)
 
 
 def check_world(
     scenario: Scenario, simulator: RoleSpec, world: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The world with defaults filled in, where the simulator's class has a ``check_scenario``.
+    """Fill in a world's defaults, if the simulator's class has a ``check_scenario``.
 
     Raises:
         ConfigurationError: If the simulator cannot be imported or refuses the world.
@@ -287,7 +298,7 @@ def check_world(
         return dict(check(world))
     except ValidationError as error:
         domain = domain_of(simulator.path)
-        model = world_model(domain) if domain is not None else None
+        model = None if domain is None else domain.world_model()
         raise translate(error, model or BaseModel, scenario.source, "world") from None
     except ConfigurationError as error:
         key = error.key or "world"
@@ -296,7 +307,7 @@ def check_world(
 
 
 def world_checker(simulator: RoleSpec) -> Any:
-    """``check_scenario`` of the simulator's class, if it has one.
+    """Return ``check_scenario`` of the simulator's class, ``None`` if it has none.
 
     Raises:
         ConfigurationError: If the class cannot be imported.
@@ -305,51 +316,126 @@ def world_checker(simulator: RoleSpec) -> Any:
     return getattr(factory, "check_scenario", None)
 
 
-def world_model(domain: Domain) -> type[BaseModel] | None:
-    """The pydantic model of a domain's world, imported now."""
-    return None if domain.world is None else _import_attribute(domain.world)
+def draw_value(path: str, variation: Range | Choice, seed: int) -> Any:
+    """Draw the value of a path in the run with this seed, independent of other paths."""
+    numbers = stream(seed, f"variation:{path}")
+    if isinstance(variation, Range):
+        drawn = numbers.uniform(variation.min, variation.max, variation.pieces)
+        return float(drawn) if variation.pieces is None else drawn.tolist()
+    return variation.choice[int(numbers.integers(len(variation.choice)))]
 
 
-def signal_names(domain: Domain) -> tuple[str, ...] | None:
-    """The names of a domain's ground-truth signals, imported now."""
-    return None if domain.signals is None else tuple(_import_attribute(domain.signals))
+def extreme_values(variation: Range | Choice) -> list[Any]:
+    """List the values of a variation that are checked before any run."""
+    if isinstance(variation, Range):
+        ends = [variation.min, variation.max]
+        return ends if variation.pieces is None else [[end] * variation.pieces for end in ends]
+    return list(variation.choice)
 
 
-def percept_signal_names(domain: Domain) -> tuple[str, ...] | None:
-    """The names of a domain's percept signals, without their prefix, imported now."""
-    path = domain.percept_signals
-    return None if path is None else tuple(_import_attribute(path))
+def split_path(path: str) -> tuple[str, str]:
+    """Split ``world.x.y`` to ``("", "x.y")``, and ``faults.id.x.y`` to ``("id", "x.y")``.
 
-
-def proposal_signal_names(domain: Domain) -> tuple[str, ...] | None:
-    """The names of what accounts come to in a domain, without their prefix, imported now."""
-    path = domain.proposal_signals
-    return None if path is None else tuple(_import_attribute(path))
-
-
-def channel_kinds(domain: Domain | None) -> Mapping[str, Channel] | None:
-    """What a domain's channels hold; ``None`` where that is not known before an episode runs."""
-    return _import_attribute(domain.channels) if domain is not None and domain.channels else None
-
-
-def fault_targets(domain: Domain | None) -> Mapping[str, str]:
-    """Where a domain's faults act that name no target, by what their type can act on."""
-    return (
-        _import_attribute(domain.fault_targets)
-        if domain is not None and domain.fault_targets
-        else {}
+    Raises:
+        ConfigurationError: For any other path.
+    """
+    head, _, rest = path.partition(".")
+    if head == "world" and rest:
+        return "", rest
+    fault, _, inner = rest.partition(".")
+    if head == "faults" and fault and inner:
+        return fault, inner
+    raise ConfigurationError(
+        f"{path!r} cannot be varied",
+        key=f"variation.{path}",
+        found=path,
+        expected="a path such as world.traffic.headway or faults.<id>.activation.at",
+        remedy=did_you_mean(head, ("world", "faults")),
     )
 
 
-def concrete_world(
-    domain: Domain, world: Mapping[str, Any], duration: float, seed: int
-) -> dict[str, Any]:
-    """An equal world in which nothing is left to the seed, where the domain can tell one."""
-    if domain.concrete is None:
-        return dict(world)
-    return dict(_import_attribute(domain.concrete)(world, duration, seed))
+def replace_value(data: Any, path: str, value: Any, *, create: bool = False) -> Any:
+    """Copy plain data with the value at a dotted path replaced; lists are indexed from 0.
+
+    Raises:
+        ConfigurationError: If the path does not exist. ``create`` allows the last key to be new.
+    """
+    head, _, rest = path.partition(".")
+    if isinstance(data, Mapping):
+        if head not in data and not (create and not rest):
+            raise _no_such(head, data)
+        inner = replace_value(data[head], rest, value, create=create) if rest else value
+        return {**data, head: inner}
+    if isinstance(data, (list, tuple)):
+        if not (head.isdecimal() and int(head) < len(data)):
+            raise _no_such(head, map(str, range(len(data))))
+        copied = list(data)
+        i = int(head)
+        copied[i] = replace_value(copied[i], rest, value, create=create) if rest else value
+        return copied
+    raise _no_such(head, ())
 
 
-def _import_attribute(path: str) -> Any:
-    module, _, name = path.partition(":")
-    return getattr(importlib.import_module(module), name)
+def _no_such(key: str, known: Any) -> ConfigurationError:
+    names = sorted(map(str, known))
+    return ConfigurationError(
+        f"there is no {key!r} to vary",
+        found=key,
+        expected="one of " + ", ".join(names) if names else "nothing below a single value",
+        remedy=did_you_mean(key, names),
+    )
+
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def scenario_schema() -> dict[str, Any]:
+    """Make the schema: a scenario's keys, each domain's world, each fault type's parameters."""
+    from pydantic.json_schema import models_json_schema
+
+    models_by_alias = {alias: domain.world_model() for alias, domain in DOMAINS.items()}
+    worlds = {alias: model for alias, model in models_by_alias.items() if model is not None}
+    faults = {name: fault_class(name) for name in sorted(FAULT_TYPES)}
+    models = [Scenario, FaultEntry, *worlds.values(), *faults.values()]
+    references, combined = models_json_schema([(model, "validation") for model in models])
+    definitions = combined["$defs"]
+
+    def definition(model: Any) -> Any:
+        return definitions[_name(references[model, "validation"])]
+
+    scenario = definitions.pop(_name(references[Scenario, "validation"]))
+    scenario["allOf"] = [
+        _when_clause("simulator", alias, {"world": references[model, "validation"]})
+        for alias, model in worlds.items()
+    ]
+    entry = definition(FaultEntry)
+    entry["properties"]["type"]["enum"] = list(faults)
+    entry["allOf"] = [
+        _when_clause("type", name, _parts_of_type(definition(model)))
+        for name, model in faults.items()
+    ]
+    for model in faults.values():
+        definitions.pop(_name(references[model, "validation"]))
+    return {"$schema": _DIALECT, **scenario, "$defs": definitions}
+
+
+def write_schema(path: Path) -> None:
+    """Write the schema to a file; equal schemas give equal bytes."""
+    path.write_text(json.dumps(scenario_schema(), indent=2, sort_keys=True) + "\n", "utf-8")
+
+
+def _name(reference: dict[str, Any]) -> str:
+    return str(reference["$ref"]).rpartition("/")[2]
+
+
+def _when_clause(key: str, value: str, properties: dict[str, Any]) -> dict[str, Any]:
+    condition = {"properties": {key: {"const": value}}, "required": [key]}
+    return {"if": condition, "then": {"properties": properties}}
+
+
+def _parts_of_type(fault: dict[str, Any]) -> dict[str, Any]:
+    return {part: fault["properties"][part] for part in ("activation", "parameters")}
+
+
+if __name__ == "__main__":
+    write_schema(Path(__file__).resolve().parents[2] / "scenarios" / SCHEMA_FILE)

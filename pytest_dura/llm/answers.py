@@ -44,10 +44,10 @@ FAILURE_MEANINGS: Mapping[Failure, str] = {
 
 
 LONGEST = 20_000
-"""Characters of a text that is read at all."""
+"""Characters of the longest text that is read."""
 
 OBSERVATIONS, REASONING = 160, 240
-"""Characters of what a model may say. llama.cpp's server refuses strings without a bound."""
+"""Bounds of an answer's texts, in characters. llama.cpp's server refuses strings without one."""
 IDS, ID_LENGTH = 3, 16
 """Ids that may be cited, and their characters."""
 
@@ -82,17 +82,17 @@ def answer_schema(actions: Sequence[str], intents: Sequence[str]) -> dict[str, A
 
 @dataclass(frozen=True)
 class Reading:
-    """What an answer says.
+    """Result of reading an answer.
 
     Args:
         outcome: ``answered``, or the class of the failure.
         detail: What is wrong, in a few words.
-        said: The answer's object, where there is one that keeps to the schema.
+        content: The answer's object, where there is one that keeps to the schema.
     """
 
     outcome: Outcome
     detail: str = ""
-    said: Mapping[str, Any] = NOTHING
+    content: Mapping[str, Any] = NOTHING
 
     @property
     def answered(self) -> bool:
@@ -101,12 +101,12 @@ class Reading:
 
 
 def read_answer(answer: Answer, schema: Mapping[str, Any]) -> Reading:
-    """An answer, read strictly: the whole text is one JSON object that keeps to the schema.
+    """Read an answer strictly: the whole text is one JSON object that keeps to the schema.
 
     Nothing is mended: no text around the object, no code fence, no repeated key, no NaN.
 
     Args:
-        answer: What came back.
+        answer: The answer of the server.
         schema: Of :func:`answer_schema`.
     """
     if answer.failure:
@@ -117,7 +117,7 @@ def read_answer(answer: Answer, schema: Mapping[str, Any]) -> Reading:
         return Reading("malformed", f"a text of {len(answer.text)} characters")
     try:
         data = json.loads(
-            answer.text, object_pairs_hook=_without_repeats, parse_constant=_no_number
+            answer.text, object_pairs_hook=_without_repeats, parse_constant=refuse_constant
         )
         answer.text.encode()
         json.dumps(data, ensure_ascii=False).encode()  # escapes may hide half a character
@@ -128,19 +128,19 @@ def read_answer(answer: Answer, schema: Mapping[str, Any]) -> Reading:
     return _checked(data, schema)
 
 
-def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
+def _checked(content: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
     try:
-        _answer_model(canonical(schema)).model_validate(said)
+        _answer_model(canonical(schema)).model_validate(content)
     except ValidationError as error:
         problems = error.errors(include_url=False)
     else:
-        return Reading(ANSWERED, said=said)
+        return Reading(ANSWERED, content=content)
     unknown = all(
         problem["loc"] == ("maneuver",) and problem["type"] == "literal_error"
         for problem in problems
     )
-    if unknown and isinstance(said["maneuver"], str):
-        return Reading("unknown_action", _shortened(f"maneuver {said['maneuver']!r}"))
+    if unknown and isinstance(content["maneuver"], str):
+        return Reading("unknown_action", _shortened(f"maneuver {content['maneuver']!r}"))
     first = problems[0]
     place = ".".join(map(str, first["loc"]))
     return Reading("schema_violation", _shortened(f"{_shortened(place, 60)}: {first['msg']}"))
@@ -148,17 +148,17 @@ def _checked(said: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
 
 @lru_cache(maxsize=16)
 def _answer_model(schema: bytes) -> type[BaseModel]:
-    """A schema of an object whose values are bounded, for reading.
+    """A model of pydantic for the schema of an object whose values are bounded.
 
     The library jsonschema reads any schema, and takes seconds to import where its optional
     dependencies are installed.
     """
     data = json.loads(schema)
     properties = data.get("properties")
-    fields: Any = {name: _value_type(item) for name, item in (properties or {}).items()}
+    fields: Any = {name: _value_type(value) for name, value in (properties or {}).items()}
     config = ConfigDict(extra="allow" if properties is None else "forbid", strict=True)
-    form: type[BaseModel] = create_model("Answer", __config__=config, **fields)
-    return form
+    model: type[BaseModel] = create_model("Answer", __config__=config, **fields)
+    return model
 
 
 def _value_type(schema: Mapping[str, Any]) -> Any:
@@ -181,13 +181,18 @@ def _whole(value: Any) -> Any:
 
 
 def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    values = dict(pairs)
+    if len(values) < len(pairs):
         raise ValueError("a key stands there twice")
-    return found
+    return values
 
 
-def _no_number(name: str) -> float:
+def refuse_constant(name: str) -> float:
+    """Refuse NaN and infinities, which Python's reader of JSON takes.
+
+    Raises:
+        ValueError: Always.
+    """
     raise ValueError(f"{name} is no number of JSON")
 
 

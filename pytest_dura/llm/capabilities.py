@@ -1,4 +1,4 @@
-"""What a server and its model can do, found by a few requests, whatever it says it can do."""
+"""Capabilities of a server and its model, measured by a few requests."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ LEVELS: tuple[Structured, ...] = get_args(Structured)
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a server and its model can do. Nothing here depends on when or where it was asked.
+    """Capabilities of a server and its model, whenever and from wherever they are measured.
 
     Args:
         model: Name of the model.
-        fingerprint: SHA-256 of what the server tells of itself and the model, without times.
-        structured: The level at which it is asked for structured answers.
-        enforced: Whether it kept to that level when it was tempted not to: to the schema, or at
-            ``json_object`` to any JSON object.
-        vision: Whether it read a code in a picture, and did not tell it without the picture.
+        fingerprint: SHA-256 of the server's entry for the model, without times.
+        structured: The strongest level of structured answers that it takes.
+        enforced: Whether it kept to that level when the prompt demanded prose: to the schema, or
+            at ``json_object`` to any JSON object.
+        vision: Whether it read a code in a picture, and had no answer without the picture.
         seed: Whether two answers with the same seed at temperature 1 were equal.
-        context: Tokens of prompt and answer together, where the server tells.
+        context: Tokens of prompt and answer together, where the server lists them.
         attempts: Tries until the first answer.
-        requests: How often it was asked in all.
-        words: For each of these what happened, in a few words.
+        requests: All requests that were made.
+        words: A sentence on each of these, by name.
     """
 
     model: str
@@ -70,7 +70,7 @@ class Capabilities:
             raise _refused(unknown[0], data[unknown[0]], "one of " + ", ".join(_KINDS))
         if data["structured"] not in LEVELS:
             raise _refused("structured", data["structured"], "one of " + ", ".join(LEVELS))
-        if not all(isinstance(item, str) for pair in data["words"].items() for item in pair):
+        if not all(isinstance(text, str) for pair in data["words"].items() for text in pair):
             raise _refused("words", data["words"], "texts by name")
         return cls(**{**data, "words": dict(data["words"])})
 
@@ -114,50 +114,53 @@ _STABLE = (
     "context_length",
     "context_window",
 )
-"""What of a model's entry stays across restarts; not ``created``, ``permission``, ``status``."""
+"""Keys of a model's entry that stay across restarts, unlike ``created`` or ``status``."""
 _CONTEXTS = ("max_model_len", "context_length", "context_window")
 _MOST_MODELS = 20
 
 
 @dataclass(frozen=True)
 class ServerListing:
-    """What the server told of itself.
+    """A server's list of models, and the fingerprint in its answers.
 
     Args:
         entry: Of the model in the list of models; empty where there is none.
         models: The names in that list.
-        said: The fingerprint that it gives with each answer; empty if it varies, or gives none.
-        words: What happened.
+        answer_fingerprint: Of its answers; empty if it varies, or there is none.
+        words: A sentence on what the list has of the model.
     """
 
     entry: Mapping[str, Any]
     models: tuple[str, ...]
-    said: str
+    answer_fingerprint: str
     words: str
 
     @classmethod
-    def of(cls, listing: str, why_not: str, model: str, said: Iterable[str]) -> ServerListing:
-        """From the body of ``GET /models``, or why there is none, and the answers' fingerprints."""
+    def of(
+        cls, listing: str, why_not: str, model: str, fingerprints: Iterable[str]
+    ) -> ServerListing:
+        """Read the body of ``GET /models``, or why there is none, and the answers' fingerprints."""
         entries = _entries(listing)
         models = tuple(str(entry["id"]) for entry in entries)
         entry = next((entry for entry in entries if entry["id"] == model), {})
-        told = set(said)
+        distinct = set(fingerprints)
         names = [name for name in _STABLE if name in entry]
         words = f"the list of models tells {', '.join(names)}" if entry else (
             why_not or f"the list of models does not name it, but {len(models)} others"
         )  # fmt: skip
-        if len(told) > 1:
+        if len(distinct) > 1:
             words += "; the fingerprint of its answers varies, and is left out"
-        return cls(entry, models[:_MOST_MODELS], told.pop() if len(told) == 1 else "", words)
+        fingerprint = distinct.pop() if len(distinct) == 1 else ""
+        return cls(entry, models[:_MOST_MODELS], fingerprint, words)
 
     def fingerprint(self, model: str) -> str:
         """SHA-256, in hexadecimal."""
         stable = {name: self.entry[name] for name in _STABLE if name in self.entry}
-        return hashlib.sha256(canonical([model, stable, self.said])).hexdigest()
+        return hashlib.sha256(canonical([model, stable, self.answer_fingerprint])).hexdigest()
 
     @property
     def context(self) -> int | None:
-        """Tokens that it takes at once, where it tells."""
+        """Tokens that it takes at once, where its list has them."""
         meta = self.entry.get("meta")
         places = [self.entry.get(name) for name in _CONTEXTS]
         places.append(meta.get("n_ctx") if isinstance(meta, dict) else None)
@@ -166,14 +169,14 @@ class ServerListing:
 
 def _entries(listing: str) -> list[dict[str, Any]]:
     try:
-        found = json.loads(listing)
-    except (ValueError, RecursionError):  # such a server has no list; `words` tells it
+        body = json.loads(listing)
+    except (ValueError, RecursionError):  # `words` has it
         return []
-    data = found.get("data") if isinstance(found, dict) else None
+    data = body.get("data") if isinstance(body, dict) else None
     return [
-        item
-        for item in (data if isinstance(data, list) else [])
-        if isinstance(item, dict) and isinstance(item.get("id"), str)
+        entry
+        for entry in (data if isinstance(data, list) else [])
+        if isinstance(entry, dict) and isinstance(entry.get("id"), str)
     ]
 
 
@@ -187,7 +190,7 @@ _SCALE, _MARGIN, _GAP = 8, 40, 3
 
 
 def canary() -> Image:
-    """The code in black on white, in the built-in bitmap font, the same pixels everywhere.
+    """Draw the code in black on white, in the built-in bitmap font, the same pixels everywhere.
 
     Shape about ``(170, 500, 3)``. The enlarged bitmap does not depend on a font library's version.
     """
@@ -211,12 +214,12 @@ def holds_code(text: str) -> bool:
 
 
 _ATTEMPTS = 3
-_DEAD = ("unavailable", "timeout", "malformed")
-_FOR_GOOD = (401, 403, 404)
+_NO_ANSWER = ("unavailable", "timeout", "malformed")
+_PERMANENT = (401, 403, 404)
 
 
 class ProbePort(ChatPort, Protocol):
-    """A port whose server tells of its models."""
+    """Port of a server that lists its models."""
 
     def listing(self, budget: float) -> Answer:
         """The body of ``GET /models`` as the text; see :class:`ChatPort` for failures."""
@@ -226,8 +229,8 @@ class ProbeCalls:
     """The calls of one probe.
 
     Args:
-        port: Who is asked.
-        endpoint: Whose model, for the messages.
+        port: The server.
+        endpoint: Its endpoint, for the messages.
         budget: Seconds for each call.
         pause: Seconds before a second try, and twice that before the third.
     """
@@ -239,7 +242,7 @@ class ProbeCalls:
         self.fingerprints: set[str] = set()
 
     def ask(self, request: Request) -> Answer:
-        """One call."""
+        """Make one call, and count it."""
         self.requests += 1
         answer = self._port.ask(request, self._budget)
         if answer.fingerprint:
@@ -247,7 +250,7 @@ class ProbeCalls:
         return answer
 
     def first(self, request: Request) -> tuple[Answer, Request]:
-        """The first answer, and the request that got it: without a seed if it was refused so.
+        """The first answer, and the request that got it: without a seed where seeds are refused.
 
         Raises:
             ConfigurationError: If there is no answer after :data:`_ATTEMPTS` tries, or the server
@@ -256,24 +259,24 @@ class ProbeCalls:
         while True:
             self.attempts += 1
             answer = self.ask(request)
-            if answer.failure not in _DEAD:
+            if answer.failure not in _NO_ANSWER:
                 return answer, request
             status = _status_of(answer)
-            if status in _FOR_GOOD or self.attempts == _ATTEMPTS:
-                raise self._given_up(answer, status)
+            if status in _PERMANENT or self.attempts == _ATTEMPTS:
+                raise self._no_answer_error(answer, status)
             if status in (400, 422):
                 request = replace(request, seed=None)
             else:
                 time.sleep(self._pause * self.attempts)
 
     def server(self) -> ServerListing:
-        """What the server tells of itself; best asked last."""
+        """The server's listing; called last, it covers the fingerprints of all answers."""
         self.requests += 1
         listing = self._port.listing(self._budget)
         why_not = f"there is no list of models: {listing.detail}" if listing.failure else ""
         return ServerListing.of(listing.text, why_not, self._endpoint.model, self.fingerprints)
 
-    def _given_up(self, answer: Answer, status: int | None) -> ConfigurationError:
+    def _no_answer_error(self, answer: Answer, status: int | None) -> ConfigurationError:
         tries = "1 try" if self.attempts == 1 else f"{self.attempts} tries"
         return ConfigurationError(
             f"the language model {self._endpoint.model!r} at {self._endpoint.public} gave no"
@@ -315,7 +318,7 @@ SCHEMA: Mapping[str, Any] = {
     "required": ["words", "sentence", "mood"],
     "additionalProperties": False,
 }
-"""What each server that enforces schemas can enforce; llama.cpp leaves out bounds of numbers."""
+"""A schema that each server can enforce that enforces any; llama.cpp ignores bounds of numbers."""
 _VARIED = "Write twelve random words on one line, and nothing else."
 _TEMPTING = (
     "Describe the sea in one sentence of plain prose. Do not write JSON, and no braces. Begin with"
@@ -327,26 +330,26 @@ def probe(
     port: ProbePort, endpoint: Endpoint, budget: float, *, pause: float = 0.5,
     schema: Mapping[str, Any] = SCHEMA,
 ) -> Capabilities:  # fmt: skip
-    """Find out what a server and its model can do, in 5 to 8 requests.
+    """Measure the capabilities of a server and its model, in 5 to 8 requests.
 
     Args:
-        port: Who is asked.
+        port: The server.
         endpoint: Names the model; its public URL stands in the message of an error.
         budget: Seconds for each request.
         pause: Seconds before the first request is tried again; it is tried three times.
-        schema: Of the structured answers that are asked for, as
+        schema: Of the structured answers, as
             :func:`~pytest_dura.llm.answers.read_answer` reads it.
 
     Raises:
         ConfigurationError: If the server gives no answer at all.
     """
-    asking = ProbeCalls(port, endpoint, budget, pause)
+    calls = ProbeCalls(port, endpoint, budget, pause)
     plain = Request(endpoint.model, (), max_tokens=700)
-    seed, seed_words = _seed(asking, plain)
+    seed, seed_words = _seed(calls, plain)
     plain = replace(plain, seed=SEED if seed else None)
-    structured, enforced, structured_words = _structured(asking, plain, schema)
-    vision, vision_words = _vision(asking, plain)
-    server = asking.server()
+    structured, enforced, structured_words = _structured(calls, plain, schema)
+    vision, vision_words = _vision(calls, plain)
+    server = calls.server()
     context = server.context
     return Capabilities(
         model=endpoint.model,
@@ -356,8 +359,8 @@ def probe(
         vision=vision,
         seed=seed,
         context=context,
-        attempts=asking.attempts,
-        requests=asking.requests,
+        attempts=calls.attempts,
+        requests=calls.requests,
         words={
             "structured": structured_words,
             "vision": vision_words,
@@ -368,14 +371,14 @@ def probe(
     )
 
 
-def _seed(asking: ProbeCalls, plain: Request) -> tuple[bool, str]:
+def _seed(calls: ProbeCalls, plain: Request) -> tuple[bool, str]:
     """Whether equal seeds give equal answers where the sampling is free."""
-    wanted = replace(plain, messages=(Message("user", _VARIED),), temperature=1.0, seed=SEED,
-                     max_tokens=200)  # fmt: skip
-    first, used = asking.first(wanted)
+    request = replace(plain, messages=(Message("user", _VARIED),), temperature=1.0, seed=SEED,
+                      max_tokens=200)  # fmt: skip
+    first, used = calls.first(request)
     if used.seed is None:
         return False, "a request with a seed was refused"
-    second = asking.ask(wanted)
+    second = calls.ask(request)
     if not first.text.strip() or not second.text.strip():
         failure = (first if not first.text.strip() else second).failure
         return False, f"there was nothing to compare ({failure})"
@@ -387,7 +390,7 @@ def _seed(asking: ProbeCalls, plain: Request) -> tuple[bool, str]:
 
 
 def _structured(
-    asking: ProbeCalls, plain: Request, schema: Mapping[str, Any]
+    calls: ProbeCalls, plain: Request, schema: Mapping[str, Any]
 ) -> tuple[Structured, bool, str]:
     """The strongest level that is enforced; else the strongest that is taken at all."""
     taken: list[Structured] = []
@@ -395,7 +398,7 @@ def _structured(
     tempting = replace(plain, messages=(Message("user", _TEMPTING),))
     for level in LEVELS[:-1]:
         kept = {"type": "object"} if level == "json_object" else schema
-        answer = asking.ask(replace(tempting, structured=level, schema=schema))
+        answer = calls.ask(replace(tempting, structured=level, schema=schema))
         reading = read_answer(answer, kept)
         if reading.answered:
             words.append(f"{level}: kept to it when asked for prose")
@@ -406,12 +409,12 @@ def _structured(
     return (taken[0] if taken else "none"), False, "; ".join(words)
 
 
-def _vision(asking: ProbeCalls, plain: Request) -> tuple[bool, str]:
+def _vision(calls: ProbeCalls, plain: Request) -> tuple[bool, str]:
     """Whether a code in a picture comes back, and does not without the picture."""
-    seen = asking.ask(replace(plain, messages=(Message("user", _QUESTION, (canary(),)),)))
+    seen = calls.ask(replace(plain, messages=(Message("user", _QUESTION, (canary(),)),)))
     if not holds_code(seen.text):
         return False, f"the code in the picture did not come back: {_answer_text(seen)}"
-    blind = asking.ask(replace(plain, messages=(Message("user", _QUESTION),)))
+    blind = calls.ask(replace(plain, messages=(Message("user", _QUESTION),)))
     if holds_code(blind.text):
         return False, f"the code {CODE} came back without the picture, too"
     return True, f"the code {CODE} in the picture came back, and not without the picture"

@@ -1,6 +1,7 @@
-"""The cassette: one SQLite file with what a language model was asked and what it answered.
+"""Cassette: one SQLite file with requests to language models, and their answers.
 
-Several processes may share it. What it holds is checked before anything rests on it.
+Several processes may share it. All that is read from it is checked first. Where it has no answer to
+a request, :func:`explain_miss` names what differs from the nearest request that it has.
 """
 
 from __future__ import annotations
@@ -9,12 +10,14 @@ import hashlib
 import json
 import math
 import os
+import re
 import sqlite3
 import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from threading import RLock
 from typing import Any, get_args
@@ -24,6 +27,7 @@ from pytest_dura.core.errors import (
     ComponentEnvironmentError,
     ConfigurationError,
     report_environment_error,
+    shorten,
 )
 from pytest_dura.llm.port import Answer, Request, WireFailure
 
@@ -33,10 +37,10 @@ _FAILURES = get_args(WireFailure)
 
 
 def _answer_of(data: Mapping[str, Any]) -> Answer:
-    """The answer that plain data holds.
+    """Make an answer of plain data.
 
     Raises:
-        ValueError: If it is none.
+        ValueError: If the data is no answer.
     """
     _need(set(data) == set(_ANSWER), "an answer has other entries")
     for name, usual in _ANSWER.items():
@@ -46,16 +50,16 @@ def _answer_of(data: Mapping[str, Any]) -> Answer:
     seconds, usage = data["seconds"], data["usage"]
     fits = type(seconds) in (int, float) and math.isfinite(seconds) and seconds >= 0.0
     _need(fits, "seconds of an answer are no time")
-    counts = isinstance(usage, dict) and all(type(item) is int for item in usage.values())
+    counts = isinstance(usage, dict) and all(type(count) is int for count in usage.values())
     _need(counts, "usage of an answer holds no counts")
     return Answer.from_json(data)
 
 
 def _check_request(data: Mapping[str, Any]) -> None:
-    """See that plain data is a request whose texts are digests or texts.
+    """Check that plain data is a request, with texts or their digests.
 
     Raises:
-        ValueError: If it is none.
+        ValueError: If it is not.
     """
     _need(set(data) == set(_REQUEST), "a request has other entries")
     _need(isinstance(data["messages"], list), "a request has no list of messages")
@@ -71,7 +75,7 @@ def _check_request(data: Mapping[str, Any]) -> None:
 
 
 def _check_description(data: Mapping[str, Any]) -> None:
-    """See that plain data describes a model.
+    """Check that plain data describes a model.
 
     Raises:
         ValueError: If it does not.
@@ -82,18 +86,18 @@ def _check_description(data: Mapping[str, Any]) -> None:
     _need("model" in data and "base_url" in data, "a model has no name or no server")
 
 
-def _need(met: bool, otherwise: str) -> None:
+def _need(met: bool, problem: str) -> None:
     if not met:
-        raise ValueError(otherwise)
+        raise ValueError(problem)
 
 
 _APPLICATION = 0x44555241
 """``DURA`` in ASCII: what tells a cassette from other SQLite files."""
 VERSION = 1
 PATIENCE = 60.0
-"""Seconds for which a process waits until another one has written."""
+"""Seconds for which a process waits while another one writes."""
 LONG = 0.5
-"""Seconds after which what is done with the file was held up by others."""
+"""Seconds after which an operation on the file counts as held up by other processes."""
 _TABLES = """
 CREATE TABLE texts (sha256 TEXT PRIMARY KEY, text TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE exchanges (id INTEGER PRIMARY KEY, key TEXT NOT NULL UNIQUE, model TEXT NOT NULL,
@@ -101,16 +105,16 @@ CREATE TABLE exchanges (id INTEGER PRIMARY KEY, key TEXT NOT NULL UNIQUE, model 
 CREATE TABLE models (id INTEGER PRIMARY KEY, model TEXT NOT NULL, base_url TEXT NOT NULL,
     session TEXT NOT NULL, description TEXT NOT NULL, UNIQUE (model, base_url, session))
 """
-_MADE_OF = "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name"
+_CONTENTS = "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY name"
 
 
 class CassetteFile:
-    """The file behind a cassette.
+    """File of a cassette.
 
     Args:
-        file: Where it is.
-        writable: Whether it is recorded into; it is made if it is missing. Else nothing about the
-            file is changed, but that a write is undone in whose middle its process was ended.
+        file: Its path.
+        writable: Whether it is recorded into; it is made if it is missing. Otherwise the file stays
+            as it is, but for a write that its process did not finish, which is undone.
 
     Raises:
         ConfigurationError: If it is missing, damaged, another program's or a newer version's.
@@ -131,36 +135,36 @@ class CassetteFile:
             if writable:
                 file.parent.mkdir(parents=True, exist_ok=True)
             else:
-                self._undo_half_a_write()
+                self._undo_write()
             self._open = self._connected("rwc" if writable else "ro")
         # Also of a cassette that is dropped, whose connection Python 3.13 would warn of.
-        self._let_go = weakref.finalize(self, self._open.close)
+        self._close = weakref.finalize(self, self._open.close)
         try:
             with self.errors():
                 # Waiting for the disk at each exchange takes longer than many a model. A process
                 # that dies leaves a whole file all the same; a machine without power may not.
                 self._open.execute("PRAGMA synchronous = OFF")
-                self._begin()
+                self._check()
         except BaseException:  # also on ctrl-C; it is raised again
             self.close()
             raise
 
     def close(self) -> None:
-        """Let go of the file."""
-        self._let_go()
+        """Close the file; what was recorded is on the disk then."""
+        self._close()
         if self.writable and self.file.is_file():
             with self.file.open("rb") as stream:
                 os.fsync(stream.fileno())
 
     def _connected(self, mode: str) -> sqlite3.Connection:
-        # Letters of a file's name may mean something in a URI.
+        # `as_uri` escapes what has a meaning in URIs.
         return sqlite3.connect(
             f"{self.file.absolute().as_uri()}?mode={mode}",
             timeout=PATIENCE, isolation_level=None, check_same_thread=False, uri=True,
         )  # fmt: skip
 
-    def _undo_half_a_write(self) -> None:
-        """Let SQLite put right what a process left that was ended while it wrote, if one was."""
+    def _undo_write(self) -> None:
+        """Let SQLite undo the write of a process that was ended in the middle of it."""
         journal = Path(f"{self.file.resolve()}-journal")
         if not journal.is_file() or not journal.stat().st_size:
             return
@@ -175,9 +179,10 @@ class CassetteFile:
                 remedy=f"copy it and {journal.name} to where they can be written, and name that",
             ) from None
 
-    def _begin(self) -> None:
-        known = self._open.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]
-        if self.writable and not known:
+    def _check(self) -> None:
+        """Make the tables of a new file, and check those of any other."""
+        tables = self._open.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]
+        if self.writable and not tables:
             with self.transaction() as execute:
                 # Another process may have been quicker.
                 if not execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]:
@@ -199,18 +204,18 @@ class CassetteFile:
                 expected=f"version {VERSION}",
                 remedy="use the version of pytest-dura that recorded it, or record it again",
             )
-        # What only bears a table's name may do anything, such as never end.
-        with closing(sqlite3.connect(":memory:")) as usual:
-            usual.executescript(_TABLES)
-            if self._open.execute(_MADE_OF).fetchall() != usual.execute(_MADE_OF).fetchall():
+        # A view with a table's name may do anything, such as never end.
+        with closing(sqlite3.connect(":memory:")) as empty:
+            empty.executescript(_TABLES)
+            if self._open.execute(_CONTENTS).fetchall() != empty.execute(_CONTENTS).fetchall():
                 raise self.damaged("it is made of other tables than a cassette")
-        sound = self._open.execute("PRAGMA quick_check(1)").fetchone()[0]
-        if sound != "ok":
-            raise self.damaged(str(sound))
+        result = self._open.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if result != "ok":
+            raise self.damaged(str(result))
 
     @contextmanager
     def transaction(self) -> Iterator[Callable[..., Any]]:
-        """Context in which all is written or nothing; gives what carries out a statement."""
+        """Context that writes all of its statements or none; gives the function to execute them."""
         with self._lock:
             try:
                 self._open.execute("BEGIN IMMEDIATE")
@@ -222,7 +227,7 @@ class CassetteFile:
                 raise
 
     def rows(self, statement: str, *values: Any) -> list[tuple[Any, ...]]:
-        """What a statement finds.
+        """Rows of a query.
 
         Raises:
             ConfigurationError: If the file cannot be read.
@@ -231,10 +236,10 @@ class CassetteFile:
             return self._open.execute(statement, values).fetchall()
 
     def value(self, text: Any) -> Any:
-        """What a column of JSON holds.
+        """Value of a column of JSON.
 
         Raises:
-            ConfigurationError: If it holds something else.
+            ConfigurationError: If it is no JSON.
         """
         try:
             return json.loads(text)
@@ -242,10 +247,10 @@ class CassetteFile:
             raise self.damaged(str(error)) from None
 
     def object(self, text: Any) -> Mapping[str, Any]:
-        """What a column of JSON holds that is to be an object.
+        """Object of a column of JSON.
 
         Raises:
-            ConfigurationError: If it holds something else.
+            ConfigurationError: If it is no JSON object.
         """
         value = self.value(text)
         if not isinstance(value, dict):
@@ -254,10 +259,10 @@ class CassetteFile:
 
     @contextmanager
     def errors(self) -> Iterator[None]:
-        """Context in which what SQLite and the system say against the file is one error of ours.
+        """Context that turns errors of SQLite and the system into one of ours.
 
-        A wait for other processes takes the component's time, too: where that ends meanwhile, it is
-        not the component that was slow.
+        A wait for other processes takes the component's time, too: where that ends meanwhile, an
+        environment error is reported, since the component was not slow.
 
         Raises:
             ConfigurationError: In place of theirs.
@@ -274,11 +279,11 @@ class CassetteFile:
                 report_environment_error(ComponentEnvironmentError("cassette", str(self._locked())))
             raise
 
-    def damaged(self, what: str) -> ConfigurationError:
-        """The error for a file that is not as it was written, or cannot be got at."""
-        deed = "written" if self.writable else "read"
+    def damaged(self, detail: str) -> ConfigurationError:
+        """Make the error for a file that is damaged, or cannot be opened."""
+        verb = "written" if self.writable else "read"
         return self._error(
-            f"the cassette cannot be {deed}: {what[:200]}",
+            f"the cassette cannot be {verb}: {detail[:200]}",
             expected="a file that --dura-llm=record wrote, and the right to use it",
             remedy="restore it, or record it again into another file",
         )
@@ -298,14 +303,14 @@ Data = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Exchange:
-    """What was asked and answered.
+    """Request and its answer.
 
     Args:
         key: Of :meth:`pytest_dura.llm.port.Request.key`.
         fingerprint: Of the server that answered.
         request: ``Request.to_json()``, without secrets.
-        answer: What came back.
-        created: When, in ISO 8601.
+        answer: The answer.
+        created: Time, in ISO 8601.
     """
 
     key: str
@@ -316,7 +321,7 @@ class Exchange:
 
 
 class Cassette(CassetteFile):
-    """Exchanges by key. What was stored first under a key stays.
+    """Exchanges by key. The first exchange that is stored under a key stays.
 
     Texts and schemas are stored once each, by their SHA-256; of images there is the SHA-256 alone.
     Every text is kept as JSON in ASCII: models answer what no encoding takes, such as half a
@@ -363,31 +368,31 @@ class Cassette(CassetteFile):
         return stored
 
     def describe(self, description: Data, session: str) -> Data:
-        """Store what a model's server is, unless this session has it already.
+        """Store the description of a model and its server, unless this session has one already.
 
         Args:
             description: Plain data with at least ``model`` and ``base_url``.
             session: The session's id.
 
         Returns:
-            What is stored now.
+            The description that is stored now.
 
         Raises:
             ConfigurationError: If the file cannot be written.
         """
-        told = _json(description["model"]), _json(description["base_url"]), session
+        key = _json(description["model"]), _json(description["base_url"]), session
         with self.errors(), self.transaction() as execute:
             execute(
                 "INSERT OR IGNORE INTO models (model, base_url, session, description)"
                 " VALUES (?, ?, ?, ?)",
-                (*told, _json(description)),
+                (*key, _json(description)),
             )
         stored = self.described(description["model"], description["base_url"], session)
         assert stored is not None
         return stored
 
     def described(self, model: str, base_url: str, session: str) -> Data | None:
-        """What the session stored of a model, if it did.
+        """The description that the session stored of a model, if any.
 
         Raises:
             ConfigurationError: If the file cannot be read.
@@ -401,7 +406,7 @@ class Cassette(CassetteFile):
         return self._description(rows[0][0]) if rows else None
 
     def descriptions(self) -> list[Data]:
-        """What is stored of all models, in the order in which it was.
+        """Descriptions of all models, in the order in which they were stored.
 
         Raises:
             ConfigurationError: If the file cannot be read.
@@ -453,14 +458,13 @@ class Cassette(CassetteFile):
         messages = [
             {**message, "text": self.text(message["text"])} for message in request["messages"]
         ]
-        found = {**request, "messages": messages, "schema": self.text(request["schema"])}
-        return self._checked(found, _check_request)
+        whole = {**request, "messages": messages, "schema": self.text(request["schema"])}
+        return self._checked(whole, _check_request)
 
     def _description(self, text: Any) -> Data:
         return self._checked(self.object(text), _check_description)
 
     def _checked(self, data: Data, check: Callable[[Data], Any]) -> Data:
-        """The same data, seen to be what it should be."""
         try:
             check(data)
         except ValueError as error:
@@ -495,24 +499,151 @@ def _json(value: Any) -> str:
 def cassette_lines(file: Path) -> Iterator[str]:
     """Lines of JSON in ASCII: the models that were described, then the exchanges, in their order.
 
-    Whatever a model answered, no character of it acts on a terminal.
+    No character of a model's answer acts on a terminal.
 
     Args:
         file: The cassette, which stays as it is.
 
     Raises:
-        ConfigurationError: If it is none, or cannot be read.
+        ConfigurationError: If it is no cassette, or cannot be read.
     """
     cassette = Cassette(file, writable=False)
     try:
         for description in cassette.descriptions():
             yield _line({"described": description})
         for exchange in cassette.exchanges():
-            told = {key: value for key, value in vars(exchange).items() if key != "answer"}
-            yield _line({**told, "answer": exchange.answer.to_json()})
+            yield _line({**vars(exchange), "answer": exchange.answer.to_json()})
     finally:
         cassette.close()
 
 
 def _line(value: Any) -> str:
     return json.dumps(value, sort_keys=True)
+
+
+_MOST_COMPARED = 5000
+"""Exchanges of a model that are compared with a request; a miss must not take minutes."""
+LONGEST_MISS = 900
+_LONGEST_SHOWN = 90
+_PARAMETERS = ("structured", "temperature", "max_tokens", "seed", "sample")
+_HEADING = re.compile(r"[\W_]*([A-Z][A-Z_]{2,29})(?:\W|$)")
+
+
+class CassetteMissError(ComponentEnvironmentError):
+    """Error for a request to which the cassette has no answer: in replay no server is asked."""
+
+    def __init__(self, problem: str) -> None:
+        super().__init__("cassette", problem)
+
+
+def explain_miss(cassette: Cassette, request: Data, fingerprint: str) -> str:
+    """Name what differs from the nearest recorded request, on one line of bounded length.
+
+    The nearest one has the most messages in common, then the sample, then the most lines of the
+    message that differs first. The text depends on the file and the request alone.
+
+    Args:
+        cassette: The cassette without the request.
+        request: ``Request.to_json()``, without secrets as the recorded ones.
+        fingerprint: Of the server that was to answer.
+
+    Raises:
+        ConfigurationError: If the cassette cannot be read.
+    """
+    best: Exchange | None = None
+    best_score: tuple[int, ...] = ()
+    compared = 0
+    for exchange in cassette.exchanges(request["model"]):
+        score = _likeness(exchange, request, fingerprint)
+        if best is None or score > best_score:
+            best, best_score = exchange, score
+        compared += 1
+        if compared == _MOST_COMPARED:
+            break
+    text = f"the cassette {cassette.file.name} has no answer to a request to {request['model']!r}"
+    if best is None:
+        models = sorted({str(description["model"]) for description in cassette.descriptions()})
+        known = f"it knows {shorten(models)}" if len(cassette) else "it is empty"
+        return _bounded(f"{text}: of this model it has none; {known}")
+    differences = list(_differences(best, request, fingerprint))
+    differs = "; ".join(differences) or "what was taken out of it as a secret"
+    return _bounded(f"{text}; from the nearest of {compared} recorded ones it differs in {differs}")
+
+
+def _bounded(text: str) -> str:
+    return text if len(text) <= LONGEST_MISS else text[: LONGEST_MISS - 1] + "…"
+
+
+def _likeness(exchange: Exchange, request: Data, fingerprint: str) -> tuple[int, ...]:
+    recorded = exchange.request
+    pairs = list(zip(recorded["messages"], request["messages"], strict=False))
+    equal = sum(old == new for old, new in pairs)
+    lines = next((_common(old, new) for old, new in pairs if old != new), 0)
+    same = sum(recorded[name] == request[name] for name in (*_PARAMETERS, "schema"))
+    sample = recorded["sample"] == request["sample"]
+    return equal, sample, lines, same, exchange.fingerprint == fingerprint
+
+
+def _common(old: Data, new: Data) -> int:
+    """Number of lines that two messages have in common."""
+    return len({*old["text"].splitlines()} & {*new["text"].splitlines()})
+
+
+def _differences(exchange: Exchange, request: Data, fingerprint: str) -> Iterator[str]:
+    recorded = exchange.request
+    if exchange.fingerprint != fingerprint:
+        yield f"the server's fingerprint ({_was(exchange.fingerprint, fingerprint)})"
+    for name in _PARAMETERS:
+        if recorded[name] != request[name]:
+            yield f"{name} ({_was(recorded[name], request[name])})"
+    if recorded["schema"] != request["schema"]:
+        yield "the schema of the answer"
+    before, now = recorded["messages"], request["messages"]
+    if len(before) != len(now):
+        yield f"the number of messages ({_was(len(before), len(now))})"
+    for number, (old, new) in enumerate(zip(before, now, strict=False), start=1):
+        if old != new:
+            yield f"message {number} ({new['role']}), {_in_message(old, new)}"
+            return
+
+
+def _in_message(old: Data, new: Data) -> str:
+    """What differs first in a message."""
+    if old["role"] != new["role"]:
+        return f"its role ({_was(old['role'], new['role'])})"
+    if old["images"] != new["images"]:
+        names = [
+            str((image or other)["name"])
+            for image, other in zip_longest(new["images"], old["images"])
+            if image != other
+        ]
+        where = f"image {shorten(names[0])}"
+        return where if old["text"] == new["text"] else f"{where}, and {_in_text(old, new)}"
+    return _in_text(old, new)
+
+
+def _in_text(old: Data, new: Data) -> str:
+    before, now = old["text"].splitlines(), new["text"].splitlines()
+    for number, (was, is_now) in enumerate(zip_longest(before, now)):
+        if was != is_now:
+            headings = (_HEADING.match(line) for line in reversed(now[: number + 1]))
+            block = next((f", block {heading[1]}" for heading in headings if heading), "")
+            return f"line {number + 1}{block} ({_was(*_from_difference(was, is_now))})"
+    return "the ends of its lines"
+
+
+def _from_difference(was: str | None, now: str | None) -> tuple[str | None, str | None]:
+    """Two lines from shortly before their first difference, if that is far from the beginning."""
+    if was is None or now is None:
+        return was, now
+    ends = (i for i, (old, new) in enumerate(zip(was, now, strict=False)) if old != new)
+    begin = next(ends, min(len(was), len(now))) - _LONGEST_SHOWN // 3
+    return (was, now) if begin <= 0 else (f"…{was[begin:]}", f"…{now[begin:]}")
+
+
+def _was(recorded: Any, now: Any) -> str:
+    return f"recorded {_shown(recorded)}, asked {_shown(now)}"
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is None else shorten(value, _LONGEST_SHOWN)

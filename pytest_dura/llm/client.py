@@ -19,12 +19,13 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.llm.answers import refuse_constant
 from pytest_dura.llm.endpoint import Endpoint
 from pytest_dura.llm.port import Answer, Image, Message, Request, ServerFault, WireFailure
 
 
 def import_extra(name: str) -> Any:
-    """A module of a package that the extra ``llm`` installs.
+    """Import a module that the extra ``llm`` installs, or that needs it.
 
     Raises:
         ConfigurationError: If it is not installed.
@@ -39,29 +40,29 @@ def import_extra(name: str) -> Any:
 
 
 _LONGEST_DETAIL = 300
-_LONGEST_WORD = 100
+_LONGEST_CODE = 100
 _FILTERED = ("content_filter", "content_policy_violation", "ResponsibleAIPolicyViolation")
 """Codes with which a server says that a content filter declined."""
 
 
 def refusal_of(status: int, body: bytes) -> Answer:
-    """The answer where a server tells of an error, with whatever status."""
-    strip, code = _error(body)
-    strip = strip.strip() or _phrase(status)
-    shown = f" ({code})" if code and code not in strip else ""
-    detail = _short_text(f"HTTP {status}: {strip}{shown}")
+    """The answer for the body of an error, with whatever status."""
+    message, code = _error(body)
+    message = message.strip() or _phrase(status)
+    shown = f" ({code})" if code and code not in message else ""
+    detail = _short_text(f"HTTP {status}: {message}{shown}")
     return Answer(failure="refused" if code in _FILTERED else "unavailable", detail=detail)
 
 
 def _short_text(text: str) -> str:
-    """What others said, on one line that acts on no terminal; :data:`_LONGEST_DETAIL` at most."""
+    """A text of a server's on one line that acts on no terminal, bounded."""
     line = " ".join("".join(char if char.isprintable() else " " for char in text).split())
     return line if len(line) <= _LONGEST_DETAIL else line[: _LONGEST_DETAIL - 1] + "…"
 
 
-def _short_word(found: Any) -> str:
+def _short_code(value: Any) -> str:
     """A short text of a server's on one line; empty for anything else."""
-    return _short_text(found)[:_LONGEST_WORD] if isinstance(found, str) else ""
+    return _short_text(value)[:_LONGEST_CODE] if isinstance(value, str) else ""
 
 
 def _phrase(status: int) -> str:
@@ -81,13 +82,14 @@ def _error(body: bytes) -> tuple[str, str]:
     error = data.get("error") or data if isinstance(data, dict) else data
     if not isinstance(error, dict):
         return (error if isinstance(error, str) else text), ""
-    told = next((error[key] for key in ("message", "detail", "title") if error.get(key)), text)
-    codes = (_short_word(error.get(key)) for key in ("code", "type"))
-    return told if isinstance(told, str) else json.dumps(told), next(filter(None, codes), "")
+    message = next((error[key] for key in ("message", "detail", "title") if error.get(key)), text)
+    codes = (_short_code(error.get(key)) for key in ("code", "type"))
+    shown = message if isinstance(message, str) else json.dumps(message)
+    return shown, next(filter(None, codes), "")
 
 
 class BadBodyError(Exception):
-    """A body that is no chat completion.
+    """Error for a body that is no chat completion.
 
     Args:
         failure: Its class.
@@ -100,7 +102,7 @@ class BadBodyError(Exception):
 
 
 def _object_of(body: bytes) -> dict[str, Any]:
-    """The JSON object that a body is: UTF-8, and numbers that JSON knows.
+    """Parse the JSON object in a body: UTF-8, and no numbers but JSON's.
 
     Raises:
         BadBodyError: ``truncated`` for the beginning of an object, ``empty`` for nothing at all,
@@ -110,7 +112,7 @@ def _object_of(body: bytes) -> dict[str, Any]:
         raise BadBodyError("empty", "the body of the response is empty")
     text = _decoded(body)
     try:
-        data = json.loads(text, parse_constant=_no_number)
+        data = json.loads(text, parse_constant=refuse_constant)
     except json.JSONDecodeError as error:
         if _ends_early(text, error):
             raise _cut(body) from None
@@ -136,16 +138,12 @@ def _cut(body: bytes) -> BadBodyError:
 
 
 def _ends_early(text: str, error: json.JSONDecodeError) -> bool:
-    """Whether a text is the beginning of a JSON object, for all that can be seen."""
+    """Whether a text looks like the beginning of a JSON object."""
     whole = text.strip()
     if not whole.startswith("{"):
         return False
     at_end = error.pos >= len(text.rstrip())
     return at_end or error.msg.startswith("Unterminated string") or not whole.endswith("}")
-
-
-def _no_number(name: str) -> float:
-    raise ValueError(f"{name} is no number of JSON")
 
 
 LONGEST_TEXT = 64_000
@@ -155,22 +153,22 @@ _COUNTED = ("prompt_tokens", "completion_tokens", "total_tokens")
 
 
 def read_completion(body: bytes) -> Answer:
-    """The answer in a body; a body that holds none is a failure of its class."""
+    """Read the answer in a body; a body that holds none is a failure of its class."""
     try:
-        found = _object_of(body)
-        if found.get("error") or found.get("object") == "error":
+        completion = _object_of(body)
+        if completion.get("error") or completion.get("object") == "error":
             return refusal_of(200, body)
-        return _answer(found)
+        return _answer(completion)
     except BadBodyError as error:
         return Answer(failure=error.failure, detail=error.detail)
 
 
-def _answer(found: dict[str, Any]) -> Answer:
-    choice, message = _first_choice(found)
+def _answer(completion: dict[str, Any]) -> Answer:
+    choice, message = _first_choice(completion)
     content, refusal = message.get("content"), message.get("refusal")
     if content is not None and not isinstance(content, str):
         raise BadBodyError("malformed", "no chat completion: the content is no text")
-    finish = _short_word(choice.get("finish_reason"))
+    finish = _short_code(choice.get("finish_reason"))
     text = _encodable(content or "")
     failure, detail = _failure(text, refusal, finish)
     return Answer(
@@ -178,13 +176,13 @@ def _answer(found: dict[str, Any]) -> Answer:
         failure,
         _short_text(_encodable(detail)),
         finish=finish,
-        usage=_usage(found.get("usage")),
-        fingerprint=_short_word(found.get("system_fingerprint")),
+        usage=_usage(completion.get("usage")),
+        fingerprint=_short_code(completion.get("system_fingerprint")),
     )
 
 
 def _failure(text: str, refusal: Any, finish: str) -> tuple[WireFailure, str]:
-    """The class of an answer that is none, and why."""
+    """The class of failure of an answer, and why; both empty for a whole text."""
     if refusal:
         return "refused", f"refusal: {refusal}"
     if finish == "content_filter":
@@ -198,11 +196,11 @@ def _failure(text: str, refusal: Any, finish: str) -> tuple[WireFailure, str]:
     return "", ""
 
 
-def _first_choice(found: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def _first_choice(completion: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """The first choice, and its message."""
-    if "choices" not in found:
+    if "choices" not in completion:
         raise BadBodyError("malformed", "no chat completion: it has no choices")
-    choices = found["choices"] or []
+    choices = completion["choices"] or []
     if not isinstance(choices, list):
         raise BadBodyError("malformed", "no chat completion: choices is no list")
     if not choices:
@@ -214,13 +212,12 @@ def _first_choice(found: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]
     return choice, message
 
 
-def _usage(found: Any) -> dict[str, int]:
-    given = found if isinstance(found, dict) else {}
-    counts = {name: given.get(name) for name in _COUNTED}
+def _usage(usage: Any) -> dict[str, int]:
+    counts = usage if isinstance(usage, dict) else {}
     return {
-        name: count
-        for name, count in counts.items()
-        if type(count) is int and 0 <= count < _MOST_TOKENS
+        name: counts[name]
+        for name in _COUNTED
+        if type(counts.get(name)) is int and 0 <= counts[name] < _MOST_TOKENS
     }
 
 
@@ -230,7 +227,7 @@ def _encodable(text: str) -> str:
 
 
 def body_of(request: Request, base_url: str) -> dict[str, Any]:
-    """What is sent, as plain data.
+    """Body of a request to a server, as plain data.
 
     OpenAI's own servers refuse ``max_tokens`` for their newer models; other servers know it alone.
     """
@@ -260,8 +257,7 @@ def _response_format(request: Request) -> dict[str, Any]:
 
 
 def _message_body(message: Message) -> dict[str, Any]:
-    """Text alone stays plain text: many servers read nothing else."""
-    if not message.images:
+    if not message.images:  # many servers read nothing but plain text
         return {"role": message.role, "content": message.text}
     parts: list[dict[str, Any]] = [
         {"type": "image_url", "image_url": {"url": data_url(image)}} for image in message.images
@@ -278,7 +274,7 @@ def data_url(image: Image) -> str:
 
 
 class OpenAiClient:
-    """An OpenAI-compatible server behind the port; it may be asked from many threads.
+    """Client of an OpenAI-compatible server; it may be called from many threads.
 
     Every call makes a connection of its own, goes to the base URL alone, ends within its budget and
     is never repeated. Nothing but the endpoint is taken from the environment: no proxy, no other
@@ -295,13 +291,12 @@ class OpenAiClient:
         self._openai, self._http = import_extra("openai"), import_extra("httpx2")
         if find_spec("PIL") is None:
             import_extra("PIL")
-        self._wires = import_extra("pytest_dura.llm.transport")
-        self._failing = import_extra("pytest_dura.llm.transport").failing
+        self._transport = import_extra("pytest_dura.llm.transport")
         self.endpoint = endpoint
-        self._live = self._sdk(import_extra("pytest_dura.llm.transport").Network)
+        self._live = self._sdk(self._transport.Network)
 
     def ask(self, request: Request, budget: float, fault: ServerFault = "") -> Answer:
-        """One call; see :class:`~pytest_dura.llm.port.ChatPort`. An injected failure takes 0 s."""
+        """Make one call; see :class:`~pytest_dura.llm.port.ChatPort`. A fault takes 0 s."""
 
         def call(sdk: Any) -> Any:
             body = body_of(request, self.endpoint.base_url)
@@ -314,11 +309,11 @@ class OpenAiClient:
 
         if not fault:
             return self._timed(call, self._live, budget, read_completion)
-        sdk = self._sdk(partial(self._failing, fault))
+        sdk = self._sdk(partial(self._transport.failing, fault))
         return replace(self._timed(call, sdk, budget, read_completion), seconds=0.0)
 
     def listing(self, budget: float) -> Answer:
-        """What the server tells of its models: the text is the body of ``GET /models``."""
+        """The server's list of models: the text is the body of ``GET /models``."""
 
         def call(sdk: Any) -> Any:
             return sdk.models.with_streaming_response.list(timeout=budget)
@@ -329,7 +324,7 @@ class OpenAiClient:
         return self._timed(call, self._live, budget, read)
 
     def _sdk(self, network: Any) -> Any:
-        """The SDK on a network. What it would read from the environment is given to it."""
+        """The SDK on a network. All that it would read from the environment is given to it."""
         return self._openai.OpenAI(
             api_key=self.endpoint.key,
             admin_api_key="",
@@ -339,7 +334,7 @@ class OpenAiClient:
             base_url=self.endpoint.base_url,
             max_retries=0,
             http_client=self._http.Client(
-                transport=self._wires.Wire(self.endpoint.key, network),
+                transport=self._transport.Wire(self.endpoint.key, network),
                 trust_env=False,
                 follow_redirects=False,
             ),
@@ -367,7 +362,7 @@ class OpenAiClient:
         self, call: Callable[[Any], Any], sdk: Any, read: Callable[[bytes], Answer]
     ) -> Answer:
         """The answer of one call, whatever happens in it."""
-        limit = self._wires.LONGEST_BODY
+        limit = self._transport.LONGEST_BODY
         try:
             with call(sdk) as response:
                 body = b"".join(response.iter_bytes())
@@ -377,7 +372,7 @@ class OpenAiClient:
         except self._openai.APIStatusError as error:
             return refusal_of(error.status_code, self._without_key(error.response.content))
         except Exception as error:
-            # A call never raises: what is wrong with a request is told where answers are read.
+            # A call never raises: its failure is an answer.
             failure, detail = self._failed(error)
             return Answer(failure=failure, detail=_short_text(self.endpoint.scrub(detail)))
 
@@ -387,7 +382,7 @@ class OpenAiClient:
         return self.endpoint.scrub(text).encode(errors="surrogateescape")
 
     def _failed(self, error: Exception) -> tuple[WireFailure, str]:
-        """Class and words of an error that came instead of a response, or within it."""
+        """Class and message of an error that came instead of a response, or within it."""
         openai, http = self._openai, self._http
         if isinstance(error, openai.APITimeoutError | http.TimeoutException):
             return "timeout", "no whole answer within the budget"

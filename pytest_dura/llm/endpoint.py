@@ -1,4 +1,4 @@
-"""Endpoint: which server and which model is asked, and how its key is kept out of all texts."""
+"""Endpoint: a server, a model of it, and its key, which is kept out of all texts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SCRUBBED = "[key]"
 
 
 class Scrubber:
-    """Takes a key out of texts: as it is, percent-encoded, escaped in JSON, and in base64.
+    """Scrubber of a key out of texts: as it is, percent-encoded, escaped in JSON, and in base64.
 
     In JSON any of its characters may be written by its number.
 
@@ -37,7 +37,7 @@ class Scrubber:
 
     def __init__(self, key: str) -> None:
         forms = sorted(set(_forms(key)), key=len, reverse=True) if len(key) >= _SHORTEST else []
-        spelt = "".join(rf"(?:{re.escape(item)}|\\u(?i:{ord(item):04x}))" for item in key)
+        spelt = "".join(rf"(?:{re.escape(char)}|\\u(?i:{ord(char):04x}))" for char in key)
         self._pattern = re.compile("|".join([*map(re.escape, forms), spelt])) if forms else None
 
     def scrub(self, text: str) -> str:
@@ -46,10 +46,9 @@ class Scrubber:
 
 
 def _forms(key: str) -> Iterator[str]:
-    """Every way in which the key may be written down."""
     yield key
     for encoded in (quote(key, safe=""), quote(key), quote_plus(key)):
-        yield from (encoded, re.sub("%..", lambda found: found[0].lower(), encoded))
+        yield from (encoded, re.sub("%..", lambda match: match[0].lower(), encoded))
     escaped = json.dumps(key)[1:-1]
     yield from (escaped, escaped.replace("/", "\\/"), json.dumps(escaped)[1:-1])
     for encode in (base64.b64encode, base64.urlsafe_b64encode):
@@ -68,7 +67,7 @@ def _inner(encoded: str, offset: int, length: int) -> str:
 URL, MODEL, KEY = "DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY"
 """The environment variables."""
 ABOUT = "DURA_LLM_ABOUT"
-"""The environment variable with what the model is in words, for header, record and cassette."""
+"""The environment variable that describes the model in words, for header, record and cassette."""
 _NO_KEY = "none"
 """The key where the server needs none; the SDK wants one that is not empty."""
 _EXAMPLE = "http://127.0.0.1:11434/v1"
@@ -148,7 +147,7 @@ class Endpoint:
 
 
 def model_about(environ: Mapping[str, str]) -> str:
-    """What the model is in words, of ``DURA_LLM_ABOUT``; empty if it is not set.
+    """The description of the model in ``DURA_LLM_ABOUT``; empty if it is not set.
 
     Raises:
         ConfigurationError: If it is too long for a line, or cannot be printed.

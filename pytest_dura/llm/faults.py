@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, NotNegative, RefusedError, Span
+from pytest_dura.faults.parts import FaultPart, NotNegative, RefusedError, Span
 from pytest_dura.faults.types.base import ListedFault
 from pytest_dura.llm.driving.blocks import BLOCKS
 from pytest_dura.llm.port import Delivery, ServerFault
@@ -20,7 +20,7 @@ How = Literal["refused", "http_429", "http_500", "cut", "garbage", "error_text"]
 
 
 class ModelFailureParameters(FaultPart):
-    """In which way it fails."""
+    """How the server fails."""
 
     how: How = Field(
         "http_500",
@@ -49,7 +49,7 @@ class ModelFailure(ListedFault):
 
 
 class ModelDelayParameters(FaultPart):
-    """How late it is."""
+    """How much later answers come."""
 
     # Twice the time that a scenario gives the component, unless it says otherwise.
     seconds: Annotated[NotNegative, Span(0.0, 10.0)] = Field(
@@ -95,7 +95,7 @@ class DropParameters(FaultPart):
     @field_validator("blocks")
     @classmethod
     def _are_known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        """A misspelt block would be dropped from no prompt, and nobody would notice."""
+        """Refuse misspelt names: such a fault would change no prompt."""
         for name in names:
             if name not in cls.KNOWN:
                 near = difflib.get_close_matches(name.upper(), cls.KNOWN, n=1)
@@ -127,7 +127,7 @@ class PromptDrop(PromptFault):
 
 
 class ReorderParameters(FaultPart):
-    """What changes its place."""
+    """Parts whose order changes."""
 
     objects: bool = Field(True, description="Whether the objects within each block do.")
     blocks: bool = Field(False, description="Whether the blocks themselves do.")
@@ -153,7 +153,7 @@ class PromptReorder(PromptFault):
 
 
 class ParaphraseParameters(FaultPart):
-    """Which wording is used."""
+    """The wording to use."""
 
     wording: Literal["own", "paraphrased"] = Field(
         "paraphrased", description="A folder of the templates; `own` changes nothing."

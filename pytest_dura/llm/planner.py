@@ -23,7 +23,7 @@ EVERYTHING: tuple[Beside, ...] = ("reordered", "paraphrased", "injected", "confl
 
 
 class KnownServer(BaseModel):
-    """What of a server determines its answers, or how it is asked; from the capability probe."""
+    """Properties of a server that determine requests and answers; from the capability probe."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -99,13 +99,13 @@ class Settings(BaseModel):
 
         Args:
             params: As they were given.
-            maneuvers: What the fallback may be.
+            maneuvers: Those that the fallback may be.
 
         Raises:
             ConfigurationError: For a parameter that is unknown, or a value that cannot be used.
         """
         try:
-            found = cls.model_validate(dict(params))
+            settings = cls.model_validate(dict(params))
         except ValidationError as error:
             first = error.errors()[0]
             key = ".".join(map(str, first["loc"]))
@@ -119,15 +119,15 @@ class Settings(BaseModel):
                 remedy="correct it where the generator is given",
             ) from None
         allowed = (*maneuvers, "last", "none")
-        if found.fallback not in allowed:
+        if settings.fallback not in allowed:
             raise ConfigurationError(
-                f"the parameter 'fallback' cannot be {found.fallback!r}",
+                f"the parameter 'fallback' cannot be {settings.fallback!r}",
                 key="fallback",
-                found=found.fallback,
+                found=settings.fallback,
                 expected="one of " + ", ".join(allowed),
                 remedy="correct it where the generator is given",
             )
-        return found
+        return settings
 
     @classmethod
     def _described(cls, name: str) -> str:
@@ -136,16 +136,16 @@ class Settings(BaseModel):
 
     def deadline(self, budget: float | None) -> float | None:
         """Seconds for one answer, where a proposal has this time budget."""
-        return min((item for item in (self.budget, budget) if item is not None), default=None)
+        return min((each for each in (self.budget, budget) if each is not None), default=None)
 
     @property
     def known_server(self) -> KnownServer:
-        """What is known of the server; the least if it was never asked."""
+        """Properties of the server; the weakest if it was never probed."""
         return self.server or KnownServer()
 
     @property
     def again(self) -> tuple[str, ...]:
-        """Names of the samples that are asked beside a deciding request."""
+        """Names of the further samples of a deciding request."""
         return tuple(
             "again" if number == 1 else f"again_{number}" for number in range(1, self.samples)
         )
@@ -157,15 +157,15 @@ _PENDING = "pending"
 
 @dataclass(frozen=True)
 class Decision:
-    """What the model decided, or why it did not.
+    """Decision of the model, or its failure to make one.
 
     Args:
         at: Index of the tick whose percept it rests on.
         time: Simulated seconds of that tick.
-        reading: What the answer says.
+        reading: Of the answer.
         seconds: Wall-clock seconds that the answer took.
         ids: Ids of all objects in the prompt.
-        beside: What was answered to the requests beside it, by variant.
+        beside: Readings of the answers to the requests beside it, by variant.
     """
 
     at: int
@@ -180,27 +180,25 @@ class Decision:
         """``answered``, or the class of the failure."""
         return self.reading.outcome
 
-    def told(self) -> dict[str, Any]:
-        """The decision as an account tells it."""
-        said = self.reading.said
-        names = {"intent": said["intent"], "maneuver": said["maneuver"]} if said else {}
-        cited = list(said["threat_ids"]) if said else []
-        perceived = list(self.ids)
+    def account(self, *, fresh: bool) -> dict[str, Any]:
+        """Entries of an account: at the tick where the decision is fresh, with the variants."""
+        content = self.reading.content
         return {
-            "outcome": self.outcome, "at": self.at, "perceived": perceived, "cited": cited, **names
-        }  # fmt: skip
-
-    def told_anew(self) -> dict[str, Any]:
-        """The same where it was made anew, with what was answered beside it."""
-        return {**self.told(), "beside": dict(self.beside)}
+            "outcome": self.outcome,
+            "at": self.at,
+            "perceived": list(self.ids),
+            "cited": list(content["threat_ids"]) if content else [],
+            **({key: content[key] for key in ("intent", "maneuver")} if content else {}),
+            **({"beside": dict(self.beside)} if fresh else {}),
+        }
 
 
 class LlmGenerator(Generator):
-    """Asks a language model every few ticks, and holds what it decided in between.
+    """Generator that calls a language model every few ticks, and holds its decision in between.
 
-    A domain's subclass says what the prompt is, how it is put into words, and what an answer's
-    words mean. What a call comes to is never an exception: it is read strictly, and a failure of
-    any class leads to the fallback policy, counts as a failed proposal and stands in the account.
+    A domain's subclass defines the prompt, how it is put into words, and the meaning of an answer's
+    terms. No call raises: answers are read strictly, and a failure of any class leads to the
+    fallback policy, counts as a failed proposal and stands in the account.
 
     Args:
         **params: See :class:`pytest_dura.llm.planner.Settings`.
@@ -216,19 +214,19 @@ class LlmGenerator(Generator):
         self.settings = Settings.of(params, self.MANEUVERS)
 
     @classmethod
-    def settled(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The parameters with the model, what its server can do, and a digest of the templates."""
+    def resolve_parameters(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The parameters with the model, properties of its server, and the templates' digest."""
         settings = Settings.of(params, cls.MANEUVERS)
-        told: dict[str, Any] = {"prompts": cls.templates_digest(settings)}
+        resolved: dict[str, Any] = {"prompts": cls.templates_digest(settings)}
         if settings.server is None:
-            describe = session.current().describe(settings.model)
+            description = session.current().describe(settings.model)
             keys = ("structured", "vision", "seed")
-            server = {key: describe.capabilities[key] for key in keys}
-            told |= {
-                "model": describe.model,
-                "server": {"fingerprint": describe.fingerprint, **server},
+            server = {key: description.capabilities[key] for key in keys}
+            resolved |= {
+                "model": description.model,
+                "server": {"fingerprint": description.fingerprint, **server},
             }
-        return {**params, **told}
+        return {**params, **resolved}
 
     @classmethod
     @abstractmethod
@@ -237,11 +235,11 @@ class LlmGenerator(Generator):
 
     @abstractmethod
     def prompt(self, view: GeneratorView, past: Sequence[PastDecision]) -> Prompt:
-        """What is put before the model.
+        """The prompt of a tick.
 
         Args:
             view: What the component sees.
-            past: Its latest decisions and what became of them, oldest first.
+            past: Its latest decisions and their outcomes, oldest first.
         """
 
     @abstractmethod
@@ -259,47 +257,49 @@ class LlmGenerator(Generator):
     def extrapolated(self, maneuver: str, view: GeneratorView, *, fresh: bool) -> Any:  # noqa: ARG002 - for those who override it
         """The action at this tick, where actions are extrapolated between two decisions.
 
-        Asked at each tick at which a decision of the model is in force.
+        Called at each tick at which a decision of the model is in force.
 
         Args:
-            maneuver: What the model decided.
+            maneuver: Of the decision.
             view: What the component sees.
             fresh: Whether the decision comes into force at this tick.
         """
         return self.command(maneuver)
 
-    def told(self, action: Any) -> Mapping[str, Any]:  # noqa: ARG002 - for those who override it
-        """What an account tells of an extrapolated action, beside the maneuver that it serves."""
+    def action_account(self, action: Any) -> Mapping[str, Any]:  # noqa: ARG002 - for overrides
+        """Entries of an account on an extrapolated action, beside its maneuver."""
         return {}
 
     def time_limit(self, budget: float | None) -> float | None:
         """Enough for all requests of a tick, each within its own deadline, and a second more."""
         deadline = self.settings.deadline(budget)
-        asked = self.settings.samples + len(self.settings.beside)
-        return None if deadline is None else asked * deadline + 1.0
+        requests = self.settings.samples + len(self.settings.beside)
+        return None if deadline is None else requests * deadline + 1.0
 
     def reset(self, context: RoleContext) -> None:
         """Begin an episode."""
         self._context = context
         self._deadline = self.settings.deadline(context.time_budget)
         self._session = session.current()
-        self._made: list[Decision] = []
-        self._since: list[float] = []
-        self._anew: list[Decision] = []
-        self._landing: tuple[float, Decision] | None = None
+        self._decisions: list[Decision] = []
+        self._decision_times: list[float] = []
+        """Times at which a decision came into force, each once."""
+        self._latest: list[Decision] = []
+        """Decisions that came into force at the last of these times."""
+        self._pending: tuple[float, Decision] | None = None
         self._next = 0
-        self._asked = 0
+        self._prompts = 0
 
     def propose(self, view: GeneratorView) -> Proposal:
         """The decision in force, made anew where one is due."""
         realtime = self.settings.clock == "realtime"
         fresh = self._land(view) if realtime else False
-        again = bool(view.feedback) and not realtime
-        if again or (view.index >= self._next and self._landing is None):
+        refused = bool(view.feedback) and not realtime
+        if refused or (view.index >= self._next and self._pending is None):
             decision = self._decide(view)
             self._next = view.index + self.settings.decide_every
             if realtime:
-                self._landing = (view.time + decision.seconds, decision)
+                self._pending = (view.time + decision.seconds, decision)
                 fresh = self._land(view) or fresh
             else:
                 self._enforce(decision, view)
@@ -308,31 +308,32 @@ class LlmGenerator(Generator):
 
     def _land(self, view: GeneratorView) -> bool:
         """Put a decision into force whose answer has come by now, in simulated time."""
-        if self._landing is None or view.time < self._landing[0] - view.dt * 1e-6:
+        if self._pending is None or view.time < self._pending[0] - view.dt * 1e-6:
             return False
-        self._enforce(self._landing[1], view)
-        self._landing = None
+        self._enforce(self._pending[1], view)
+        self._pending = None
         return True
 
     def _enforce(self, decision: Decision, view: GeneratorView) -> None:
-        """From now on it is in force; at one tick several may follow each other."""
-        self._made.append(decision)
-        if self._since[-1:] != [view.time]:
-            self._since.append(view.time)
-            self._anew = []
-        self._anew.append(decision)
+        """Put a decision into force; at one tick several may follow each other."""
+        self._decisions.append(decision)
+        if self._decision_times[-1:] != [view.time]:
+            self._decision_times.append(view.time)
+            self._latest = []
+        self._latest.append(decision)
 
     def _decide(self, view: GeneratorView) -> Decision:
-        """Ask the model, and beside it what the settings say."""
-        remembered = self._since[max(len(self._since) - self.settings.history, 0) :]
+        """Make the deciding request, and the requests beside it that the settings demand."""
+        times = self._decision_times
+        remembered = times[max(len(times) - self.settings.history, 0) :]
         past = [decision for decision in view.past if decision.time in remembered]
         prompt = view.transmit("prompt", self.prompt(view, past))
         delivery = view.transmit("model", Delivery())
         answer = self._ask(prompt, 0, delivery)
         beside = {}
-        if self._asked % self.settings.beside_every == 0:
-            beside = self._asked_beside(prompt)
-        self._asked += 1
+        if self._prompts % self.settings.beside_every == 0:
+            beside = self._answers_beside(prompt)
+        self._prompts += 1
         reading = read_answer(answer, self.SCHEMA)
         return Decision(view.index, view.time, reading, answer.seconds, prompt.ids, beside)
 
@@ -343,7 +344,7 @@ class LlmGenerator(Generator):
         return self._session.ask(request, self._deadline, delivery, fingerprint=fingerprint)
 
     def request(self, prompt: Prompt, sample: int = 0) -> Request:
-        """What is sent to the model for a prompt."""
+        """The request for a prompt."""
         server = self.settings.known_server
         return Request(
             model=self.settings.model or "",
@@ -356,60 +357,60 @@ class LlmGenerator(Generator):
             sample=sample,
         )
 
-    def _asked_beside(self, prompt: Prompt) -> dict[str, dict[str, str]]:
-        """What is answered to the same request once more, and to variants of it, by name.
+    def _answers_beside(self, prompt: Prompt) -> dict[str, dict[str, str]]:
+        """Answers to further samples of a request, and to variants of it, by name.
 
-        A variant that is no other prompt, such as one without pictures where there are none, could
+        A variant that equals the prompt, such as one without pictures where there are none, could
         show nothing and is left out.
         """
-        found = {}
+        beside = {}
         for number, name in enumerate(self.settings.again, start=1):
-            found[name] = self._said(self._ask(prompt, number, Delivery()))
+            beside[name] = self._read(self._ask(prompt, number, Delivery()))
         for name in self.settings.beside:
             variant = self.variant(name, prompt)
             if variant != prompt:
-                found[name] = self._said(self._ask(variant, 0, Delivery()))
-        return found
+                beside[name] = self._read(self._ask(variant, 0, Delivery()))
+        return beside
 
-    def _said(self, answer: Answer) -> dict[str, str]:
+    def _read(self, answer: Answer) -> dict[str, str]:
         reading = read_answer(answer, self.SCHEMA)
-        said = {key: reading.said[key] for key in ("intent", "maneuver") if reading.said}
-        return {"outcome": reading.outcome, **said}
+        decided = {key: reading.content[key] for key in ("intent", "maneuver") if reading.content}
+        return {"outcome": reading.outcome, **decided}
 
     def _proposal(self, view: GeneratorView, *, fresh: bool) -> Proposal:
-        decision = self._made[-1] if self._made else None
+        decision = self._decisions[-1] if self._decisions else None
         # Proposed once more at the same tick, it is still the decision that was made there.
-        anew = self._since[-1:] == [view.time]
-        account: dict[str, Any] = {"decided": anew}
+        decided = self._decision_times[-1:] == [view.time]
+        account: dict[str, Any] = {"decided": decided}
         if decision is None:
             account |= {"outcome": _PENDING, "at": view.index, "age": 0.0, "fallback": True}
             return self._fallback(account, "no answer has come yet")
-        account |= {"age": view.time - decision.time, **decision.told()}
+        account |= {"age": view.time - decision.time, **decision.account(fresh=False)}
         account["fallback"] = not decision.reading.answered
-        if anew:
+        if decided:
             null = {**account, **self.NULL, "outcome": "answered", "cited": [], "fallback": False}
             null["beside"] = {
                 name: {"outcome": "answered", **self.NULL} for name in decision.beside
             }
-            account |= {**decision.told_anew(), "seconds": decision.seconds, "null": null}
-            replaced = [item.told_anew() for item in self._anew[:-1]]
+            account |= {"beside": dict(decision.beside), "seconds": decision.seconds, "null": null}
+            replaced = [earlier.account(fresh=True) for earlier in self._latest[:-1]]
             account |= {"replaced": replaced} if replaced else {}
         if not decision.reading.answered:
-            why = f"{decision.outcome}: {decision.reading.detail}"
-            return self._fallback(account, why)
-        said = decision.reading.said
+            return self._fallback(account, f"{decision.outcome}: {decision.reading.detail}")
+        content = decision.reading.content
         if self.settings.between == "extrapolate":
-            action = self.extrapolated(said["maneuver"], view, fresh=fresh)
-            account |= self.told(action)
+            action = self.extrapolated(content["maneuver"], view, fresh=fresh)
+            account |= self.action_account(action)
         else:
-            action = self.command(said["maneuver"])
-        return Proposal(action, said["reasoning"], account=account)
+            action = self.command(content["maneuver"])
+        return Proposal(action, content["reasoning"], account=account)
 
-    def _fallback(self, account: Mapping[str, Any], why: str) -> Proposal:
-        """What is proposed without a decision of the model's own."""
+    def _fallback(self, account: Mapping[str, Any], failure: str) -> Proposal:
+        """The proposal without a decision of the model's own."""
         policy, last = self.settings.fallback, None
         if policy == "last":
-            last = next((item for item in reversed(self._made) if item.reading.answered), None)
-            policy = "none" if last is None else last.reading.said["maneuver"]
+            answered = (each for each in reversed(self._decisions) if each.reading.answered)
+            last = next(answered, None)
+            policy = "none" if last is None else last.reading.content["maneuver"]
         action = None if policy == "none" else self.command(policy)
-        return Proposal(action, failure=why, account=account)
+        return Proposal(action, failure=failure, account=account)

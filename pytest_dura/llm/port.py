@@ -1,4 +1,4 @@
-"""The port to a language model: what is asked, what is answered, and how the way there fails."""
+"""The port to a language model: requests, answers, and faults on the way there."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Structured = Literal["json_schema", "json_object_schema", "json_object", "none"]
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """A picture in a message.
+    """Picture in a message.
 
     Args:
         name: The channel that it comes from, such as ``camera_front``.
@@ -53,7 +53,7 @@ class Image:
 
 @dataclass(frozen=True)
 class Message:
-    """One message of a conversation; ``images`` come before the text."""
+    """Message of a conversation; ``images`` come before the text."""
 
     role: Literal["system", "user", "assistant"]
     text: str
@@ -62,7 +62,7 @@ class Message:
 
 @dataclass(frozen=True)
 class Request:
-    """All that determines an answer, as far as a client can.
+    """Request: all that determines an answer, as far as a client can.
 
     Args:
         model: Name of the model.
@@ -72,7 +72,7 @@ class Request:
         temperature: Of the sampling; 0 takes the most likely token.
         max_tokens: Longest answer.
         seed: Of the sampling; ``None`` where the server takes none.
-        sample: Number of the sample, where one thing is asked several times.
+        sample: Number of the sample, where the same request is made several times.
     """
 
     model: str
@@ -85,7 +85,7 @@ class Request:
     sample: int = 0
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, with images by their digests. It holds no key and no address."""
+        """Return plain data, with images by their digests. It holds no key and no address."""
         return {
             "model": self.model,
             "messages": [
@@ -113,16 +113,16 @@ class Request:
 
 @dataclass(frozen=True)
 class Answer:
-    """What came back. A call never raises: that it failed is an answer, too.
+    """Answer of a server. A call never raises: its failure is an answer, too.
 
     Args:
         text: The raw text, of bounded length.
         failure: Why there is no whole text, if so.
-        detail: What the server or the connection said of the failure, in a few words.
+        detail: Message of the server or the connection on the failure, shortened.
         seconds: Wall-clock seconds that it took.
-        finish: Why the model ended, in the server's word.
+        finish: Why the model ended, as the server has it.
         usage: Tokens, as the server counted them.
-        fingerprint: What the server says of itself with each answer, if it does.
+        fingerprint: Of the server, if it sends one with each answer.
     """
 
     text: str = ""
@@ -173,10 +173,10 @@ class ChatPort(Protocol):
     """A language model behind some wire."""
 
     def ask(self, request: Request, budget: float, fault: ServerFault = "") -> Answer:
-        """One call, without retries, that ends within the budget.
+        """Make one call, without retries, that ends within the budget.
 
         Args:
-            request: What is asked.
+            request: The request.
             budget: Seconds of wall-clock time.
             fault: How the server is made to fail; then nothing is sent to the real one.
         """

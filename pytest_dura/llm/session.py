@@ -1,4 +1,4 @@
-"""ModelSession: who answers what a session asks of language models: a server, or a cassette."""
+"""ModelSession: what answers the requests of a session to language models, server or cassette."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
-from functools import cache
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
@@ -20,10 +20,9 @@ from pytest_dura.core.errors import (
     ConfigurationError,
     report_environment_error,
 )
-from pytest_dura.llm.cassette import Cassette, Exchange
-from pytest_dura.llm.cassette_miss import CassetteMissError, explain_miss
-from pytest_dura.llm.endpoint import model_about
-from pytest_dura.llm.port import Answer, Delivery, Request, ServerFault
+from pytest_dura.llm.cassette import Cassette, CassetteMissError, Exchange, explain_miss
+from pytest_dura.llm.endpoint import MODEL, model_about
+from pytest_dura.llm.port import Answer, Delivery, Request
 
 if TYPE_CHECKING:
     from pytest_dura.llm.client import OpenAiClient
@@ -35,29 +34,8 @@ def _scrub_request(request: Request, scrub: Callable[[str], str]) -> Request:
     return request if messages == request.messages else replace(request, messages=messages)
 
 
-def _inject_fault(request: Request, limit: float, fault: ServerFault) -> Answer:
-    """How a request fails at a server that has this fault. No server is asked or needed.
-
-    Args:
-        request: What is asked.
-        limit: Seconds for the answer.
-        fault: How the server fails.
-
-    Raises:
-        ConfigurationError: If the extra ``llm`` is not installed.
-    """
-    # In live and in replay alike: what it says must not depend on which server there is.
-    return replace(_offline_client().ask(request, limit, fault), seconds=0.0)
-
-
 def _deliver(answer: Answer, delay: float, limit: float) -> Answer:
-    """The answer as it arrives: later by the delay, and not at all beyond the limit.
-
-    Args:
-        answer: What came back.
-        delay: Seconds that it takes longer.
-        limit: Seconds for the answer.
-    """
+    """The answer as it arrives: later by the delay, and not at all beyond the limit."""
     seconds = answer.seconds + delay
     if seconds <= limit and delay < limit:
         return answer if delay == 0.0 else replace(answer, seconds=seconds)
@@ -66,26 +44,18 @@ def _deliver(answer: Answer, delay: float, limit: float) -> Answer:
     return Answer(failure="timeout", detail=f"no answer within {limit:g} s", seconds=limit)
 
 
-@cache
-def _offline_client() -> OpenAiClient:
-    from pytest_dura.llm.client import OpenAiClient
-    from pytest_dura.llm.endpoint import Endpoint
-
-    return OpenAiClient(Endpoint("http://127.0.0.1/v1", "none"))
-
-
 @dataclass(frozen=True)
 class ModelDescription:
-    """A model and the server behind it, as plain data that holds no secret.
+    """Description of a model and its server, as plain data that holds no secret.
 
     Args:
         model: Name of the model.
         base_url: Of the server, without user, password and query.
-        fingerprint: What tells this server and model from others.
-        capabilities: What the server can do, as the probe found it.
-        tool: Version of pytest-dura that asked.
-        created: When, in ISO 8601.
-        about: What the model is, in the words of who named it; empty if nobody says.
+        fingerprint: Digest that differs between servers and models.
+        capabilities: See :class:`pytest_dura.llm.capabilities.Capabilities`.
+        tool: Version of pytest-dura that probed the server.
+        created: Time, in ISO 8601.
+        about: Words on the model, of ``DURA_LLM_ABOUT``; may be empty.
     """
 
     model: str
@@ -98,7 +68,7 @@ class ModelDescription:
 
     @property
     def spoken_of(self) -> str:
-        """What the model is in words, or else its name."""
+        """Words on the model, or else its name."""
         return self.about or self.model
 
     def to_json(self) -> dict[str, Any]:
@@ -120,29 +90,29 @@ def _choose_description(
     Of several descriptions the last one counts: the answers of that server came last.
 
     Args:
-        known: All that the cassette holds, in their order.
-        model: Which one is wanted; if nobody says, the only one there is, or the usual one.
-        usual: What the environment names.
+        known: All descriptions of the cassette, in their order.
+        model: Name of the model; by default the only one there is, or the usual one.
+        usual: The model of the environment.
         file: The cassette, for messages.
 
     Raises:
         ConfigurationError: If there is none, or it is not clear which.
     """
     names = sorted({description.model for description in known})
-    wanted = model or (names[0] if len(names) == 1 else usual)
-    descriptions = [description for description in known if description.model == wanted]
+    name = model or (names[0] if len(names) == 1 else usual)
+    descriptions = [description for description in known if description.model == name]
     if descriptions:
         return descriptions[-1]
-    problem = f"the cassette knows no model {wanted!r}"
+    problem = f"the cassette knows no model {name!r}"
     if not names:
         problem = "the cassette knows no model at all"
-    elif wanted is None:
+    elif name is None:
         problem = "the cassette knows several models, and none of them is named"
     raise ConfigurationError(
         problem,
         file=file,
         key="--dura-cassette",
-        found=wanted,
+        found=name,
         expected=", ".join(names[:10]) or "a cassette that --dura-llm=record wrote",
         remedy="name another model, or record it with --dura-llm=record",
     )
@@ -153,17 +123,17 @@ _PROBE_BUDGET = 60.0
 
 
 class ModelServer(Protocol):
-    """A server, and one model of it."""
+    """Server of one model."""
 
     model: str
     base_url: str
     """Without user, password and query."""
 
     def ask(self, request: Request, budget: float) -> Answer:
-        """One call within so many seconds; a failure is an answer."""
+        """Make one call within so many seconds; a failure is an answer."""
 
     def probe(self) -> tuple[str, Mapping[str, Any]]:
-        """Its fingerprint, and what it can do as plain data.
+        """Probe its fingerprint, and its capabilities as plain data.
 
         Raises:
             ConfigurationError: If it cannot be used at all.
@@ -174,10 +144,10 @@ class ModelServer(Protocol):
 
 
 class Connect(Protocol):
-    """How a server is found."""
+    """Maker of connections to servers."""
 
     def __call__(self, environ: Mapping[str, str], model: str | None) -> ModelServer:
-        """The server that an environment names.
+        """Connect to the server that an environment names.
 
         Args:
             environ: The environment.
@@ -188,12 +158,8 @@ class Connect(Protocol):
         """
 
 
-_PROBING = 60.0
-"""Seconds for each request of the probe: a server may load its model at the first one."""
-
-
 class OpenAiServer:
-    """A server that speaks the API of OpenAI.
+    """Server that speaks the API of OpenAI.
 
     Args:
         environ: Names it; see :class:`pytest_dura.llm.endpoint.Endpoint`.
@@ -205,7 +171,7 @@ class OpenAiServer:
 
     def __init__(self, environ: Mapping[str, str], model: str | None) -> None:
         from pytest_dura.llm.client import OpenAiClient
-        from pytest_dura.llm.endpoint import MODEL, Endpoint
+        from pytest_dura.llm.endpoint import Endpoint
 
         chosen = environ if model is None else {**environ, MODEL: model}
         self.endpoint = Endpoint.from_environment(chosen)
@@ -213,23 +179,23 @@ class OpenAiServer:
         self.client = OpenAiClient(self.endpoint)
 
     def ask(self, request: Request, budget: float) -> Answer:
-        """See :class:`Server`."""
+        """See :class:`ModelServer`."""
         return self.client.ask(request, budget)
 
     def probe(self) -> tuple[str, Mapping[str, Any]]:
-        """See :class:`Server`."""
+        """See :class:`ModelServer`."""
         from pytest_dura.llm.capabilities import probe
 
-        found = probe(self.client, self.endpoint, _PROBING).to_json()
-        return str(found["fingerprint"]), found
+        capabilities = probe(self.client, self.endpoint, _PROBE_BUDGET)
+        return capabilities.fingerprint, capabilities.to_json()
 
     def scrub(self, text: str) -> str:
-        """See :class:`Server`."""
+        """See :class:`ModelServer`."""
         return self.endpoint.scrub(text)
 
 
 def connect(environ: Mapping[str, str], model: str | None) -> ModelServer:
-    """The server that the environment names; see :class:`Connect`."""
+    """Connect to the server that the environment names; see :class:`Connect`."""
     return OpenAiServer(environ, model)
 
 
@@ -237,7 +203,7 @@ Mode = Literal["live", "record", "replay"]
 Scrub = Callable[[Any], Any]
 
 _WITHOUT_LIMIT = 600.0
-"""Seconds for an answer where nobody says how long it may take."""
+"""Seconds for an answer where the scenario gives the component no time budget."""
 
 
 def _unchanged(value: Any) -> Any:
@@ -245,19 +211,19 @@ def _unchanged(value: Any) -> Any:
 
 
 class ModelSession:
-    """What asks, records or replays.
+    """Access to language models in one of three modes.
 
-    In mode ``live`` the server of the environment is asked each time. In mode ``record`` an equal
-    request is asked once: what the cassette has answers it, so that paired runs and reruns see the
-    same. In mode ``replay`` nothing but the cassette answers: no environment is needed, and no
-    connection is made.
+    In mode ``live`` each request goes to the server of the environment. In mode ``record`` the
+    first of equal requests does, and the cassette answers the others, so that paired runs and
+    reruns see the same. In mode ``replay`` nothing but the cassette answers: no environment is
+    needed, and no connection is made.
 
     Args:
-        mode: One of the three.
+        mode: ``live``, ``record`` or ``replay``.
         cassette: The file, for the last two.
         environ: Names the server; by default the process's environment, when it is first needed.
-        session: Id that all processes of one pytest session share: what one of them found out of
-            a server holds for the others, and for no later session.
+        session: Id that all processes of one pytest session share: what one of them probes of a
+            server holds for the others, and for no later session.
         scrub: Takes secrets out of plain data, beside the key of the server: out of answers before
             they are used, and out of all that is stored.
         connect: Makes the connection to the server of an environment.
@@ -285,8 +251,8 @@ class ModelSession:
                 )
             self.cassette = Cassette(cassette, writable=mode == "record")
         self.counts: Counter[tuple[str, str, str]] = Counter()
-        """How often, by model, fingerprint and what was done: ``asked`` of the server, ``reused``
-        from the cassette, ``injected`` as a fault, ``missed``."""
+        """Number of requests by model, fingerprint and what answered them: ``asked`` of the server,
+        ``reused`` from the cassette, ``injected`` as a fault, ``missed`` in the cassette."""
         self._environ = os.environ if environ is None else environ
         self._session = session or secrets.token_hex(8)
         self._scrub, self._connect = scrub, connect
@@ -295,12 +261,12 @@ class ModelSession:
         self._lock = RLock()
 
     def close(self) -> None:
-        """Let go of the cassette."""
+        """Close the cassette."""
         if self.cassette is not None:
             self.cassette.close()
 
     def describe(self, model: str | None = None) -> ModelDescription:
-        """What a model and its server are; found out once per process.
+        """Describe a model and its server, which is probed once per process.
 
         Args:
             model: Its name; by default the environment's, or the only one of the cassette.
@@ -323,18 +289,16 @@ class ModelSession:
         return known
 
     def know(self, described: Iterable[Mapping[str, Any]]) -> None:
-        """Take over what another process of this session found out, instead of asking again."""
-        self._described |= {item["model"]: self._description(item) for item in described}
+        """Take over descriptions of another process of this session, instead of probing again."""
+        self._described |= {data["model"]: self._description(data) for data in described}
 
     @property
     def descriptions(self) -> list[ModelDescription]:
         """Every model that was described in this process, by name."""
-        found = {
-            item.model: item
-            for item in self._described.values()
-            if isinstance(item, ModelDescription)
-        }
-        return [found[name] for name in sorted(found)]
+        described = self._described.values()
+        return _latest_descriptions([
+            description for description in described if isinstance(description, ModelDescription)
+        ])  # fmt: skip
 
     @property
     def replayed(self) -> list[ModelDescription]:
@@ -346,14 +310,14 @@ class ModelSession:
         return _latest_descriptions(self._recorded()) if self.mode == "replay" else []
 
     def known(self, model: str, fingerprint: str) -> ModelDescription | None:
-        """What was found out of a model at the server with this fingerprint, if anything was.
+        """The latest description of a model at the server with this fingerprint, if there is one.
 
         Raises:
             ConfigurationError: If the cassette cannot be read.
         """
-        found = self._recorded() + self.descriptions
-        fitting = (item for item in reversed(found) if item.model == model)
-        return next((item for item in fitting if item.fingerprint == fingerprint), None)
+        known = reversed(self._recorded() + self.descriptions)
+        key = model, fingerprint
+        return next((each for each in known if (each.model, each.fingerprint) == key), None)
 
     def ask(
         self,
@@ -363,28 +327,28 @@ class ModelSession:
         *,
         fingerprint: str | None = None,
     ) -> Answer:
-        """What the model answers, or how that fails.
+        """The answer of a model to a request, which may be a failure.
 
         A fault on the way is injected by the client and never recorded, and takes no time but the
         delay. A delay adds to the seconds that the answer took and is not waited for; an answer
         that is later than the budget allows is none.
 
         Args:
-            request: What is asked.
-            budget: Seconds for the answer; ``None`` if nobody says.
+            request: The request.
+            budget: Seconds for the answer; ``None`` where there is no limit.
             delivery: How the request reaches the model.
             fingerprint: Of the server that is to answer; by default that of :meth:`describe`.
 
         Raises:
-            OutsideError: If nobody can be asked, which says nothing about the component: the
-                cassette misses the request (:class:`CassetteMissError`) or cannot be used, or the
-                server is another than the given fingerprint says.
+            ComponentEnvironmentError: If there can be no answer, which says nothing about the
+                component: the cassette misses the request (:class:`CassetteMissError`) or cannot be
+                used, or the server has another fingerprint than the one given.
         """
         limit = _WITHOUT_LIMIT if budget is None else budget
         try:
             if delivery.fault:
                 self._count(request, fingerprint or "", "injected")
-                answer = _inject_fault(request, limit, delivery.fault)
+                answer = self._offline_client.ask(request, limit, delivery.fault)
             elif delivery.delay >= limit:
                 answer = Answer()  # whatever it would be, it comes too late
             else:
@@ -394,6 +358,14 @@ class ModelSession:
                 ComponentEnvironmentError("language model", str(error))
             ) from None
         return _deliver(answer, delivery.delay, limit)
+
+    @cached_property
+    def _offline_client(self) -> OpenAiClient:
+        """The client for injected faults, whose answers must not depend on any server."""
+        from pytest_dura.llm.client import OpenAiClient
+        from pytest_dura.llm.endpoint import Endpoint
+
+        return OpenAiClient(Endpoint("http://127.0.0.1/v1", "none"))
 
     def _answer(self, request: Request, limit: float, fingerprint: str | None) -> Answer:
         server = None if self.mode == "replay" else self._server(request.model)
@@ -411,7 +383,7 @@ class ModelSession:
             )
         if self.cassette is None:
             assert server is not None
-            return self._asked(server, request, limit, fingerprint)
+            return self._ask_server(server, request, limit, fingerprint)
         key = request.key(fingerprint)
         stored = self.cassette.find(key)
         if stored is not None:
@@ -423,10 +395,10 @@ class ModelSession:
             raise report_environment_error(
                 CassetteMissError(explain_miss(self.cassette, plain, fingerprint))
             )
-        answer = self._asked(server, request, limit, fingerprint)
+        answer = self._ask_server(server, request, limit, fingerprint)
         return self.cassette.add(Exchange(key, fingerprint, plain, answer, _now()))
 
-    def _asked(
+    def _ask_server(
         self, server: ModelServer, request: Request, limit: float, fingerprint: str
     ) -> Answer:
         self._count(request, fingerprint, "asked")
@@ -435,9 +407,9 @@ class ModelSession:
         texts = {name: self._scrub(server.scrub(getattr(answer, name))) for name in names}
         return replace(answer, **texts)
 
-    def _count(self, request: Request, fingerprint: str, deed: str) -> None:
+    def _count(self, request: Request, fingerprint: str, answered_by: str) -> None:
         with self._lock:
-            self.counts[request.model, fingerprint, deed] += 1
+            self.counts[request.model, fingerprint, answered_by] += 1
 
     def _server(self, model: str | None) -> ModelServer:
         with self._lock:
@@ -454,28 +426,27 @@ class ModelSession:
             shared = self.cassette.described(server.model, server.base_url, self._session)
             if shared is not None:
                 return self._description(shared)
-        words = server.scrub(model_about(self._environ))
+        about = server.scrub(model_about(self._environ))
         fingerprint, capabilities = server.probe()
-        found = ModelDescription(
+        description = ModelDescription(
             server.model,
             server.base_url,
             fingerprint,
             capabilities,
             version("pytest-dura"),
             _now(),
-            words,
-        ).to_json()
-        found = {key: self._scrub(value) for key, value in found.items()}
+            about,
+        )
+        data = {key: self._scrub(value) for key, value in description.to_json().items()}
         if self.cassette is not None:
             # That of another process, if it was quicker.
-            found = dict(self.cassette.describe(found, self._session))
-        return self._description(found)
+            data = dict(self.cassette.describe(data, self._session))
+        return self._description(data)
 
     def _replayed(self, model: str | None) -> ModelDescription:
         assert self.cassette is not None
-        known = self._recorded()
-        usual = self._environ.get("DURA_LLM_MODEL")
-        return _choose_description(known, model, usual, str(self.cassette.file))
+        usual = self._environ.get(MODEL)
+        return _choose_description(self._recorded(), model, usual, str(self.cassette.file))
 
     def _recorded(self) -> list[ModelDescription]:
         """Every description that the cassette holds, in its order."""
@@ -495,20 +466,24 @@ def _now() -> str:
 
 
 class _Process:
-    """What is in use in this process."""
+    """The model session in use.
+
+    One per process and not per context: a thread that a component starts must reach the cassette of
+    the session. With a context of its own it would connect to a server in the middle of a replay.
+    """
 
     session: ModelSession | None = None
 
 
 def current() -> ModelSession:
-    """The session that is in use in this process; a live one, unless another was put to use."""
+    """The session in use in this process; a live one, unless another was put to use."""
     if _Process.session is None:
         _Process.session = ModelSession()
     return _Process.session
 
 
 def in_use() -> ModelSession | None:
-    """The session that is in use in this process, if one is by now."""
+    """The session in use in this process, if one is by now."""
     return _Process.session
 
 
@@ -516,7 +491,7 @@ def use(session: ModelSession | None) -> ModelSession | None:
     """Put a session to use; ``None`` for a live one when it is first needed.
 
     Returns:
-        What was in use before, to be put back.
+        The session that was in use before, to be put back.
     """
     before, _Process.session = _Process.session, session
     return before

@@ -1,4 +1,4 @@
-"""The SDK's transport of our own, which ends with the deadline of a whole exchange.
+"""Transport of the SDK that ends with the deadline of a whole exchange.
 
 With it simulated networks on which every server fails in one way.
 
@@ -38,14 +38,14 @@ class Deadline:
 
     @classmethod
     def within(cls, seconds: float) -> Deadline:
-        """So many seconds from now; a day at most."""
+        """The moment that many seconds from now; a day at most."""
         return cls(time.monotonic() + min(seconds, _LONGEST))
 
     def left(self) -> float:
         """Seconds that are left.
 
         Raises:
-            TimeoutError: If none are.
+            TimeoutError: If there are none.
         """
         left = self.at - time.monotonic()
         if left <= 0.0:
@@ -54,7 +54,7 @@ class Deadline:
 
 
 class Network(httpcore2.NetworkBackend):
-    """Connections of the machine's network that end with a deadline."""
+    """The machine's network, whose connections end with a deadline."""
 
     def __init__(self, deadline: Deadline) -> None:
         self._deadline = deadline
@@ -142,17 +142,17 @@ def _addresses(host: str, port: int, deadline: Deadline) -> list[tuple[Any, ...]
         pass
     else:
         return list(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM))
-    found: queue.SimpleQueue[list[tuple[Any, ...]] | OSError] = queue.SimpleQueue()
+    answers: queue.SimpleQueue[list[tuple[Any, ...]] | OSError] = queue.SimpleQueue()
 
     def look_up() -> None:
         try:
-            found.put(list(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)))
+            answers.put(list(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)))
         except (OSError, UnicodeError) as error:
-            found.put(OSError(f"{host} has no address: {error}"))
+            answers.put(OSError(f"{host} has no address: {error}"))
 
     threading.Thread(target=look_up, name="dura-look-up", daemon=True).start()
     try:
-        answer = found.get(timeout=deadline.left())
+        answer = answers.get(timeout=deadline.left())
     except queue.Empty:
         raise TimeoutError("the deadline has passed while the host was looked up") from None
     if isinstance(answer, OSError):
@@ -162,7 +162,7 @@ def _addresses(host: str, port: int, deadline: Deadline) -> list[tuple[Any, ...]
 
 @contextmanager
 def _socket_errors(late: type[Exception], failed: type[Exception]) -> Iterator[None]:
-    """Errors of sockets as the HTTP library knows them."""
+    """Context that turns errors of sockets into those of the HTTP library."""
     try:
         yield
     except TimeoutError as error:
@@ -180,7 +180,7 @@ NetworkFactory = Callable[[Deadline], httpcore2.NetworkBackend]
 
 
 class Wire(httpx2.BaseTransport):
-    """One request on one new connection: HTTP/1.1, no proxy, no redirect, no cookie.
+    """Transport of one request on a new connection: HTTP/1.1, no proxy, no redirect, no cookie.
 
     What the SDK reads from the environment (organisation, project, headers) stays here: the
     headers are our own. The read timeout that the SDK asks for is the time for the whole exchange.
@@ -222,7 +222,7 @@ class Wire(httpx2.BaseTransport):
             raise
         # An encoding was not asked for, and is not undone: a small body could become a huge one.
         headers = [pair for pair in response.headers if pair[0].lower() != b"content-encoding"]
-        stream = _Body(response, pool, told=response.status >= 300)
+        stream = _Body(response, pool, is_error=response.status >= 300)
         return httpx2.Response(response.status, headers=headers, stream=stream)
 
     def _headers(self, request: httpx2.Request) -> list[tuple[str, str]]:
@@ -241,16 +241,16 @@ class _Body(httpx2.SyncByteStream):
     """The bytes of a response.
 
     Args:
-        told: The status tells what happened; the body is read as far as it comes.
+        is_error: Whether the status is that of an error, whose body is read as far as it comes.
     """
 
     def __init__(
-        self, response: httpcore2.Response, pool: httpcore2.ConnectionPool, *, told: bool
+        self, response: httpcore2.Response, pool: httpcore2.ConnectionPool, *, is_error: bool
     ) -> None:
-        self._response, self._pool, self._told = response, pool, told
+        self._response, self._pool, self._is_error = response, pool, is_error
 
     def __iter__(self) -> Iterator[bytes]:
-        size, limit = 0, _LONGEST_ERROR if self._told else LONGEST_BODY
+        size, limit = 0, _LONGEST_ERROR if self._is_error else LONGEST_BODY
         try:
             with _sdk_errors():
                 for chunk in self._response.iter_stream():
@@ -259,7 +259,7 @@ class _Body(httpx2.SyncByteStream):
                     if size > limit:
                         return
         except httpx2.TransportError:
-            if not self._told:
+            if not self._is_error:
                 raise
 
     def close(self) -> None:
@@ -269,7 +269,7 @@ class _Body(httpx2.SyncByteStream):
 
 @contextmanager
 def _sdk_errors() -> Iterator[None]:
-    """Errors of the connection as the SDK knows them."""
+    """Context that turns errors of the connection into those of the SDK."""
     try:
         yield
     except httpcore2.TimeoutException as error:
@@ -281,11 +281,11 @@ def _sdk_errors() -> Iterator[None]:
 
 
 def response(status: str, body: bytes, *, size: int | None = None) -> bytes:
-    """A whole HTTP response.
+    """Make an HTTP response.
 
     Args:
         status: Code and phrase, such as ``500 Internal Server Error``.
-        body: What is sent of the body.
+        body: The part of the body that is sent.
         size: The length that is announced, where it is another.
     """
     length = len(body) if size is None else size
@@ -311,7 +311,7 @@ RESPONSES: Mapping[ServerFault, bytes] = {
         "200 OK", b'{"error": {"message": "The model is overloaded", "type": "server_error"}}'
     ),
 }
-"""What the servers answer; one that refuses the connection answers nothing."""
+"""Responses of the servers; one that refuses the connection has none."""
 
 
 class _Refusing(httpcore2.MockBackend):
@@ -320,9 +320,9 @@ class _Refusing(httpcore2.MockBackend):
 
 
 def failing(fault: ServerFault, _deadline: Deadline) -> httpcore2.NetworkBackend:
-    """A network whose servers fail like that.
+    """A network whose servers all have a fault.
 
     Raises:
-        KeyError: For a way to fail that there is not.
+        KeyError: For a fault that there is not.
     """
     return _Refusing([]) if fault == "refused" else httpcore2.MockBackend([RESPONSES[fault]])

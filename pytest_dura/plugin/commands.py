@@ -57,7 +57,7 @@ def _fault_line(name: str) -> str:
 
 
 def _show_list(session: DuraSession) -> int:
-    from pytest_dura.campaign.reasons import describe_check
+    from pytest_dura.campaign.reporting import describe_check
     from pytest_dura.domains import DOMAINS
     from pytest_dura.faults.catalogue import FAULT_TYPES
 
@@ -137,7 +137,7 @@ class RecordedEpisode:
             recorded: Whether to keep what a viewer shows of it.
         """
         from pytest_dura.execution.task import run_episode
-        from pytest_dura.requirements.early_end import RequirementJudge
+        from pytest_dura.requirements.checks import RequirementJudge
 
         end = self.spec.termination
         judge = RequirementJudge(self.requirements) if end.violation or end.decided else None
@@ -446,7 +446,7 @@ def _write_player(recorded: RecordedEpisode, episode: Episode, trace: Trace, evi
 
 def _verdicts(recorded: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
     """Judge the replayed episode by the requirements of its case."""
-    from pytest_dura.requirements.verdicts.episodes import judge_episode
+    from pytest_dura.requirements.episode_verdicts import judge_episode
 
     verdicts: list[dict[str, Any]] = []
     for requirement in recorded.requirements:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.language_models import LanguageModels
-    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 
 _SIMULATED_HERE_KEY = "dura_simulated_here"
@@ -79,7 +79,7 @@ class SessionExecutor:
         """
         choice = self.context.options.executor
         if choice is not None and not self.context.is_worker:
-            choice.knock()
+            choice.connect()
 
     def start(self) -> None:
         """Start the executor once all is collected: processes inherit what is imported by then.

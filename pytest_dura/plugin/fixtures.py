@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.markers import Target
-    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode
     from pytest_dura.runner import Runner
 
 

@@ -75,7 +75,7 @@ class SessionInputs:
         """Add what a report of :class:`pytest_dura.evidence.gather.ItemReport` names."""
         self.add_item(report["item"])
         for component in report["components"]:
-            self.inputs.add_told("component", component["files"])
+            self.inputs.add_reported("component", component["files"])
             self._add_imports("component", component["path"])
         for case in (*report["cases"], *(claim["case"] for claim in report["claims"])):
             self._add_scenario(case["scenario"])

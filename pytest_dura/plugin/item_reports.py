@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
 
 
 Properties = list[tuple[str, str]]
@@ -149,7 +149,7 @@ def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
     counterexamples = (result.verdict or {}).get("counterexamples")
     if episode is None and counterexamples and result.case is not None:
         run = int(counterexamples[0]["episode"].rpartition("#")[2])
-        episode = context.runner.again(result.case, run)
+        episode = context.runner.fetch(result.case, run)
     if episode is None:
         return []
     return [
@@ -377,13 +377,13 @@ def _worst_episode(context: SessionContext, result: ItemResult) -> Episode | Non
     spoilt = verdict.get("spoilt")
     shown = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
     run = int(shown[0]["episode"].rpartition("#")[2]) if shown else 0
-    return context.runner.again(result.case, run)
+    return context.runner.fetch(result.case, run)
 
 
 def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
     """Judge this episode by the requirement: from the item's outcome, or by the check."""
     from pytest_dura.core.errors import ConfigurationError
-    from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
+    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
 
     if result.outcome is not None:
         names = EpisodeVerdict.__dataclass_fields__
@@ -407,7 +407,7 @@ def _show_loop(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, ch
         if step is steps[-1] and judged is not None:
             line = one_line(f"{judged.verdict}: {judged.detail}")
             verdict = {one_line(judged.requirement, 100): line}
-        with _step(step.name, {**step.told, **verdict}):
+        with _step(step.name, {**step.details, **verdict}):
             pass
 
 

@@ -108,7 +108,7 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
 
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> None:
     """Judge the requirement of the item on its case: the function that each item runs."""
-    from pytest_dura.campaign.reasons import explain_verdict
+    from pytest_dura.campaign.reporting import explain_verdict
     from pytest_dura.plugin.item_reports import ending_events
     from pytest_dura.plugin.outcomes import ItemResult
 

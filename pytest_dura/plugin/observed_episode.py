@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.core.episode import Episode
 from pytest_dura.evidence.text import one_line
 from pytest_dura.requirements.checks import Check, check_name, read_formula
-from pytest_dura.requirements.verdicts.episodes import (
+from pytest_dura.requirements.episode_verdicts import (
     JudgedEpisode,
     SealedColumns,
     evaluate_episode,

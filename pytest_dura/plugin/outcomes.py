@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.requirements.model import Requirement
-    from pytest_dura.requirements.verdicts.episodes import (
+    from pytest_dura.requirements.episode_verdicts import (
         EpisodeStatus,
         EpisodeVerdict,
         JudgedEpisode,
     )
+    from pytest_dura.requirements.model import Requirement
     from pytest_dura.runner import Runner
 
 
@@ -63,12 +63,12 @@ class UsedEpisodes:
         """Return the episode of this id that the item looked at last, if any."""
         if name not in self._seeds:
             return None
-        return runner.again(self.case, int(name.rpartition("#")[2]), self._seeds[name])
+        return runner.fetch(self.case, int(name.rpartition("#")[2]), self._seeds[name])
 
     @property
     def undecided_reason(self) -> str | None:
         """Why they leave a campaign without a verdict undecided, if they do."""
-        from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
+        from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 
         if len(self._invalid) <= MAX_INVALID_SHARE * len(self._seeds):
             return None
@@ -175,7 +175,7 @@ def target_of(item: pytest.Item) -> Any:
 
 def episode_of(item: pytest.Item) -> JudgedEpisode | None:
     """Return the episode that the item looks at, if there is one."""
-    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
     episode = getattr(item, "funcargs", {}).get("episode")
     return episode if isinstance(episode, JudgedEpisode) else None
@@ -230,7 +230,7 @@ def _undecided_result(
     case = None if target is None else target.case
     if case is None or "episode" in parameters_of(item):
         return ItemResult(requirement, case, episode=episode_of(item))
-    from pytest_dura.requirements.verdicts.judging import judge_campaign
+    from pytest_dura.requirements.campaign_judge import judge_campaign
 
     campaign = getattr(item, "funcargs", {}).get("campaign")
     verdict = judge_campaign(
@@ -273,7 +273,7 @@ def outcome_of_test(
         failed: Which of its own assertions failed, of :func:`failed_assertion`; empty if none did.
     """
     from pytest_dura.plugin.observed_episode import observations_of
-    from pytest_dura.requirements.verdicts.episodes import EARLY_ENDS, is_unseen_crash
+    from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, is_unseen_crash
 
     status, detail = status_of_test(episode, error)
     failed = failed if status == "violated" else ""
@@ -297,7 +297,7 @@ def outcome_of_test(
         "proposals": episode.metrics.proposals,
         "valid_proposals": episode.metrics.valid_proposals,
         "vacuous": vacuous,
-        "idle": list(episode.idle_faults),
+        "idle": list(episode.not_manifested),
         "without_effect": status == "violated" and episode.validity == "invalid",
         "ended": episode.termination if episode.termination in EARLY_ENDS else "",
         "unseen_crash": status != "violated" and is_unseen_crash(episode, requirements),
@@ -331,7 +331,7 @@ def _judged_by_own_check(requirement: Requirement, episode: JudgedEpisode) -> Ep
     """Judge by the requirement's own check; ``None`` where it has none that applies."""
     if not requirement.check or requirement.paired is not None:
         return None
-    from pytest_dura.requirements.verdicts.episodes import judge_episode
+    from pytest_dura.requirements.episode_verdicts import judge_episode
 
     try:
         return judge_episode(requirement, episode)
@@ -376,7 +376,7 @@ def check_passed(
         decided: Requirement and case of the verdicts that it asked for.
     """
     from pytest_dura.campaign.campaign import Campaign
-    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
     for episode in used.values():
         if episode.failure:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_dura.campaign.progress import CampaignProgress
+from pytest_dura.campaign.reporting import CampaignProgress
 from pytest_dura.plugin import progress_display
 from pytest_dura.plugin.progress_display import (
     DisplayMode,
@@ -35,7 +35,7 @@ from pytest_dura.plugin.progress_display import (
 if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
-    from pytest_dura.campaign.progress import RunningCampaign
+    from pytest_dura.campaign.reporting import RunningCampaign
     from pytest_dura.plugin.context import SessionContext
 
 

@@ -66,7 +66,7 @@ def counterexample_store(context: SessionContext) -> CounterexampleStore:
             requirement,
             objective.check,
             defined=known.get(requirement.id) == requirement,
-            told=[str(context.redact(line)) for line in lines],
+            heading=[str(context.redact(line)) for line in lines],
         )
         return stored, os.path.relpath(stored.file, context.config.rootpath)
 
@@ -215,7 +215,7 @@ class PropertyTests:
             if (
                 requirement.check
                 and not requirement.paired
-                and objective.judge(episode).word == "violated"
+                and objective.judge(episode).status == "violated"
             ):
                 return objective
         return None
@@ -233,7 +233,7 @@ class PropertyTests:
         original = runner.case(case.scenario.name)
         trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [objective])
         confirmed = confirm_violation(trials, objective, case, 0)
-        repeats = confirmed.found.repeats
+        repeats = confirmed.counterexample.repeats
         if not repeats.confirmed:
             yield (
                 f"{case.id} violates {name}, and again in {repeats.violated} of {repeats.runs} "

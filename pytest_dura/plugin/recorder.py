@@ -29,7 +29,7 @@ from pytest_dura.plugin.outcomes import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pytest_dura.campaign.causal_chains import CausalChain
+    from pytest_dura.campaign.fault_tracing import CausalChain
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.episodes import ItemReport
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.plugin.markers import Target
     from pytest_dura.plugin.property_tests import PropertyTests
+    from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.monitoring.quality import MonitorQuality
-    from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-    from pytest_dura.requirements.verdicts.episodes import JudgedEpisode, SearchedEpisode
 
 
 def case_record(
@@ -316,9 +316,8 @@ class ItemRecorder:
         verdict, search = getattr(error, "verdict", None), getattr(error, "falsification", None)
         undecided = verdict is not None and verdict.verdict == "undecided"
         if search is not None:
-            undecided = not search.found and any(
-                outcome.word == "undecided" for outcome in search.outcomes
-            )
+            statuses = {outcome.status for outcome in search.outcomes}
+            undecided = not search.violations and "undecided" in statuses
         if undecided and self.context.options.warn_undecided:
             return pytest.skip.Exception(str(error))
         return pytest.fail.Exception(str(error))

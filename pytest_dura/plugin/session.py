@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.plugin.context import Planned, SessionContext
 from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
 from pytest_dura.plugin.evidence import SessionEvidence
@@ -29,7 +29,7 @@ from pytest_dura.plugin.roles import SessionRoles
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pytest_dura.campaign.progress import RunningCampaign
+    from pytest_dura.campaign.reporting import RunningCampaign
     from pytest_dura.plugin.progress import WorkerFile
     from pytest_dura.runner import Runner
 
@@ -82,8 +82,6 @@ def _case_name(context: SessionContext, path: str) -> str | None:
 def _requirement_name(context: SessionContext, name: str, requirement: str) -> str:
     known = context.runner.case(name).requirements
     if requirement and requirement not in known:
-        from pytest_dura.core.error_messages import did_you_mean
-
         raise ConfigurationError(
             f"the case {name!r} has no requirement {requirement!r}",
             found=f"{name}::{requirement}",
@@ -310,7 +308,7 @@ class DuraSession(SessionContext):
             on_chains=self.recorder.faults_traced,
             on_search=lambda case, search: self.recorder.search_ended(case, search.to_json()),
             on_searched=self.recorder.searched_used,
-            keep=counterexample_store(self),
+            counterexamples=counterexample_store(self),
             twins=self.options.twins,
             recorded=self.options.evidence_level != "summary",
             store=self.shared.store(),

@@ -40,7 +40,7 @@ from pytest_dura.reports.wording import (
     fault_free_violations_text,
     other_run_counts,
 )
-from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
+from pytest_dura.requirements.campaign_verdicts import SITUATIONS
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.model import SessionRecord
@@ -197,7 +197,7 @@ def _show_episode(
         return
     episode = episodes.get((shown_id, verdict["component"]), {"faults": [], "events": []})
     if verdict["counterexamples"]:
-        from pytest_dura.campaign.reasons import describe_counterexample
+        from pytest_dura.campaign.reporting import describe_counterexample
 
         terminal.line(f"  worst:  {describe_counterexample(verdict['counterexamples'][0])}")
         if not verdict["counterexamples"][0]["valid"]:

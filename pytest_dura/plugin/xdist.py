@@ -37,7 +37,7 @@ def steal_work(context: SessionContext, last: pytest.Item) -> None:
     known = context.library().requirements
     listeners = (field for field in fields(context.runner) if field.name.startswith("on_"))
     silent: dict[str, Any] = {field.name: field.default for field in listeners}
-    runner = replace(context.runner, **silent, keep=None)
+    runner = replace(context.runner, **silent, counterexamples=None)
     workers = int(vars(context.config)["workerinput"]["workercount"])
     for item in _last_items(last.session.items, known, workers):
         requirement = known[item.name]

@@ -34,16 +34,18 @@ from pytest_dura.evidence.gate import NOTHING_FOUND, OBJECTIONABLE_OUTCOMES, out
 from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test, plain_data
 from pytest_dura.evidence.text import name, one_line, visible
 from pytest_dura.reports.wording import (
+    NAME_LIMIT,
     UNREVIEWED,
+    is_incomplete,
     rate_bound,
     sample_text,
     shard_text,
     valid_sha256,
 )
-from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 
-PREFIX = "pytest-dura:"
-NAME_LIMIT = 400
+_PREFIX = "pytest-dura:"
+Data = Mapping[str, Any]
 JsonObject = dict[str, Any]
 
 
@@ -52,26 +54,26 @@ def _requirement_ref(number: int) -> str:
     return f"requirement/{number}"
 
 
-def _property_entries(told: Mapping[str, str]) -> list[JsonObject]:
+def _property_entries(properties: Mapping[str, str]) -> list[JsonObject]:
     """Name-value pairs under our prefix."""
-    return [{"name": f"{PREFIX}{key}", "value": value} for key, value in told.items()]
+    return [{"name": f"{_PREFIX}{key}", "value": value} for key, value in properties.items()]
 
 
 def _component_entry(component: Mapping[str, Any], ref: str) -> JsonObject:
     """A component under test, with version and digest as far as the record has them."""
-    found: JsonObject = {
+    entry: JsonObject = {
         "type": "application",
         "bom-ref": ref,
         "name": name(component["name"] or "unknown", NAME_LIMIT),
     }
     if component.get("version"):
-        found["version"] = name(str(component["version"]), NAME_LIMIT)
+        entry["version"] = name(str(component["version"]), NAME_LIMIT)
     if digest := valid_sha256(component.get("digest")):
-        found["hashes"] = [{"alg": "SHA-256", "content": digest}]
-    told = {"path": visible(component["path"])} if component.get("path") else {}
+        entry["hashes"] = [{"alg": "SHA-256", "content": digest}]
+    properties = {"path": visible(component["path"])} if component.get("path") else {}
     if component.get("opaque"):
-        told["opaque"] = "true"
-    return found | ({"properties": _property_entries(told)} if told else {})
+        properties["opaque"] = "true"
+    return entry | ({"properties": _property_entries(properties)} if properties else {})
 
 
 MAX_LISTED = 5
@@ -89,7 +91,7 @@ _FIGURES = (
 
 
 def declarations(record: SessionRecord) -> JsonObject:
-    """All that the session declares, as one self-assessment.
+    """Declarations of the session, as a self-assessment.
 
     Raises:
         ValueError: If a verdict names a requirement that the record does not list.
@@ -100,8 +102,8 @@ def declarations(record: SessionRecord) -> JsonObject:
     claims, evidence = [], []
     for number, verdict in enumerate(record["verdicts"]):
         if verdict["requirement"] not in texts:
-            told = name(verdict["requirement"])
-            raise ValueError(f"a verdict is on {told}, which is not among the requirements")
+            requirement = name(verdict["requirement"])
+            raise ValueError(f"a verdict is on {requirement}, which is not among the requirements")
         entries = list(_evidence(number, verdict, places))
         for entry in entries:
             entry["created"] = record["finished"] or record["created"]
@@ -136,7 +138,7 @@ def _component_names(record: SessionRecord) -> str:
 
 @dataclass(frozen=True)
 class _Targets:
-    """What claims are made on: every component that the record describes or a verdict names."""
+    """Targets of the claims: every component that the record describes or a verdict names."""
 
     described: list[JsonObject]
     refs: Mapping[str, str]
@@ -144,27 +146,29 @@ class _Targets:
     @classmethod
     def of(cls, record: SessionRecord) -> _Targets:
         known: dict[str, Any] = {}
-        for item in components_under_test(record):
-            known.setdefault(item["name"], item)
+        for component in components_under_test(record):
+            known.setdefault(component["name"], component)
         for verdict in record["verdicts"]:
             known.setdefault(verdict["component"], {"name": verdict["component"]})
         refs = {component: f"target/{number}" for number, component in enumerate(known)}
-        return cls([_component_entry(known[item], ref) for item, ref in refs.items()], refs)
+        return cls(
+            [_component_entry(known[component], ref) for component, ref in refs.items()], refs
+        )
 
 
 def _counterexample_places(record: SessionRecord) -> dict[tuple[str, str], tuple[int, str | None]]:
     """Index and trace of each episode that will be listed as a counterexample."""
-    wanted = {
+    listed = {
         (counterexample["episode"], verdict["component"])
         for verdict in record["verdicts"]
         for counterexample in verdict["counterexamples"][:MAX_LISTED]
     }
-    found: dict[tuple[str, str], tuple[int, str | None]] = {}
+    places: dict[tuple[str, str], tuple[int, str | None]] = {}
     for number, episode in enumerate(record.episodes()):
         key = episode["id"], episode["component"]
-        if key in wanted and (episode["planned"] or key not in found):
-            found[key] = number, episode["trace"] and episode["trace"]["file"]
-    return found
+        if key in listed and (episode["planned"] or key not in places):
+            places[key] = number, episode["trace"] and episode["trace"]["file"]
+    return places
 
 
 def _claim(
@@ -174,7 +178,7 @@ def _claim(
     target: str,
     entries: list[JsonObject],
 ) -> JsonObject:
-    word = verdict["verdict"]
+    status = verdict["verdict"]
     requirement = name(verdict["requirement"], NAME_LIMIT)
     what = f"{requirement} holds on {name(verdict['case'], NAME_LIMIT)}"
     text = one_line(texts[verdict["requirement"]])
@@ -182,13 +186,13 @@ def _claim(
     claim = {
         "bom-ref": f"claim/{number}",
         "target": target,
-        "predicate": _PREDICATES[word].format(what=what) + (f": {text}" if text else ""),
+        "predicate": _PREDICATES[status].format(what=what) + (f": {text}" if text else ""),
         "reasoning": f"{visible(verdict['reason'])} ({sample_text(verdict)};"
         f" {rate_bound(verdict)})",
         "evidence": [first],
     }
     # A counterexample is what a counter claim rests on, and speaks against any other.
-    if word == "violated":
+    if status == "violated":
         claim["evidence"] = [first, *counterexamples]
     elif counterexamples:
         claim["counterEvidence"] = counterexamples
@@ -208,7 +212,7 @@ def _evidence(number: int, verdict: JsonObject, places: Mapping[Any, Any]) -> It
         data.append({"name": "waiver", "contents": _json_text(waiver)})
     yield {
         "bom-ref": f"evidence/{number}",
-        "propertyName": f"{PREFIX}verdict:{verdict['verdict']}",
+        "propertyName": f"{_PREFIX}verdict:{verdict['verdict']}",
         "description": f"{sample_text(verdict)}; {rate_bound(verdict)}"
         f" ({verdict['bound']['method']})",
         "data": data,
@@ -220,10 +224,10 @@ def _evidence(number: int, verdict: JsonObject, places: Mapping[Any, Any]) -> It
 def _counterexamples(number: int, verdict: JsonObject, places: Mapping[Any, Any]) -> JsonObject:
     counterexamples = verdict["counterexamples"]
     data = []
-    for item in counterexamples[:MAX_LISTED]:
-        index, trace = places.get((item["episode"], verdict["component"]), (None, None))
-        shown = name(item["episode"], NAME_LIMIT)
-        contents = _json_text({key: item[key] for key in ("time", "margin", "valid")})
+    for counterexample in counterexamples[:MAX_LISTED]:
+        index, trace = places.get((counterexample["episode"], verdict["component"]), (None, None))
+        shown = name(counterexample["episode"], NAME_LIMIT)
+        contents = _json_text({key: counterexample[key] for key in ("time", "margin", "valid")})
         if index is not None:
             contents["url"] = f"{RECORD_FILE}#/episodes/{index}"
         data.append({"name": shown, "contents": contents})
@@ -232,7 +236,7 @@ def _counterexamples(number: int, verdict: JsonObject, places: Mapping[Any, Any]
             data.append({"name": f"trace of {shown}", "contents": {"url": url}})
     return {
         "bom-ref": f"evidence/{number}/counterexamples",
-        "propertyName": f"{PREFIX}counterexamples",
+        "propertyName": f"{_PREFIX}counterexamples",
         "description": (
             f"{min(len(counterexamples), MAX_LISTED)} of {len(counterexamples)} listed,"
             " the largest violation first."
@@ -241,8 +245,8 @@ def _counterexamples(number: int, verdict: JsonObject, places: Mapping[Any, Any]
     }
 
 
-def _json_text(told: Mapping[str, Any]) -> JsonObject:
-    content = json.dumps(plain_data(told))
+def _json_text(data: Mapping[str, Any]) -> JsonObject:
+    content = json.dumps(plain_data(data))
     return {"attachment": {"contentType": "application/json", "content": content}}
 
 
@@ -261,13 +265,16 @@ def _attestation_map(record: SessionRecord) -> Iterator[JsonObject]:
             "claims": claims,
             "counterClaims": against,
             "conformance": _conformance(
-                record, requirement["id"], [item for _, item in own], untested[requirement["id"]]
+                record,
+                requirement["id"],
+                [verdict for _, verdict in own],
+                untested[requirement["id"]],
             ),
         }
 
 
 def _declared_and_untested(record: SessionRecord) -> Counter[str]:
-    """Of each requirement, how many planned cases declare it and have no verdict on it.
+    """Number of planned cases that declare a requirement and have no verdict on it, by its id.
 
     Other cells of the coverage table, a fault of one scenario in another one, nobody declared.
     """
@@ -289,7 +296,7 @@ def _declared_and_untested(record: SessionRecord) -> Counter[str]:
 
 
 def _search_outcomes(record: SessionRecord, requirement: str) -> Counter[str]:
-    """What searches have against a requirement that no waiver excuses, counted by word."""
+    """Objections of searches to a requirement that no waiver excuses, counted by status."""
     return Counter(
         status
         for search in record["searches"]
@@ -304,24 +311,26 @@ def _conformance(
     record: SessionRecord, requirement: str, verdicts: list[JsonObject], untested: int
 ) -> JsonObject:
     """The score where it is decided: 1 or 0, see the package; and the reason, always."""
-    words = Counter(verdict["verdict"] for verdict in verdicts)
+    counts = Counter(verdict["verdict"] for verdict in verdicts)
     refuted = any(
         verdict["verdict"] == "violated" and verdict["waiver"] is None for verdict in verdicts
     )
     searched = _search_outcomes(record, requirement)
-    doubts = [f"{words[word]} {word}" for word in ("violated", "undecided") if words[word]]
-    doubts += [f"{count} {OBJECTIONABLE_OUTCOMES[word]}" for word, count in searched.items()]
+    doubts = [
+        f"{counts[status]} {status}" for status in ("violated", "undecided") if counts[status]
+    ]
+    doubts += [f"{count} {OBJECTIONABLE_OUTCOMES[status]}" for status, count in searched.items()]
     if waived := sum(verdict["waiver"] is not None for verdict in verdicts):
         doubts.append(f"{waived} waived")
     if untested:
         doubts.append(f"{untested} untested")
-    if record["status"] != "complete" or record["gate"]["result"] == "incomplete":
+    if is_incomplete(record):
         doubts.append("the session is incomplete")
     if shard_text(record):
         doubts.append(f"{shard_text(record)} alone")
     if not verdicts:
         doubts.append("no verdict")
-    text = f"{words['supported']} of {len(verdicts)} verdicts supported"
+    text = f"{counts['supported']} of {len(verdicts)} verdicts supported"
     if not doubts:
         rationale = f"{text}, each on the episodes and with the bound in its evidence"
         return {"score": 1, "rationale": f"{rationale}; {UNREVIEWED}."}
@@ -358,18 +367,18 @@ def render(record: SessionRecord) -> str:
 
 
 def _serial_number(record: SessionRecord) -> uuid.UUID:
-    """The same for the same record: from all of it, of episodes their digests."""
+    """Serial number from the whole record, of episodes their digests: equal for equal records."""
     state = hashlib.sha256(json.dumps(plain_data(record.head), sort_keys=True).encode())
     for episode in record.episodes():
-        told = [episode[key] for key in ("id", "component", "digest", "validity")]
-        state.update(json.dumps(told).encode())
+        identity = [episode[key] for key in ("id", "component", "digest", "validity")]
+        state.update(json.dumps(identity).encode())
     return uuid.uuid5(_NAMESPACE, state.hexdigest())
 
 
 def _metadata(record: SessionRecord) -> JsonObject:
     tool = record["tool"]
     counts = {key: str(value) for key, value in Counts.of(record).to_json().items()}
-    told = {
+    properties = {
         **counts,
         "status": record["status"],
         "review": UNREVIEWED,
@@ -389,12 +398,12 @@ def _metadata(record: SessionRecord) -> JsonObject:
             ]
         },
         "component": _component_entry(components_under_test(record)[0], "component-under-test"),
-        "properties": _property_entries(told),
+        "properties": _property_entries(properties),
     }
 
 
 def _packages(packages: Mapping[str, str]) -> list[JsonObject]:
-    found = []
+    components = []
     for number, package in enumerate(sorted(packages)):
         shown = name(package, NAME_LIMIT)
         version = name(packages[package] or "unknown", NAME_LIMIT)
@@ -402,7 +411,7 @@ def _packages(packages: Mapping[str, str]) -> list[JsonObject]:
         purl = (
             f"pkg:pypi/{quote(shown.lower().replace('_', '-'), safe='')}@{quote(version, safe='')}"
         )
-        found.append(
+        components.append(
             {
                 "type": "library",
                 "bom-ref": f"package/{number}",
@@ -411,7 +420,7 @@ def _packages(packages: Mapping[str, str]) -> list[JsonObject]:
                 "purl": purl,
             }
         )
-    return found
+    return components
 
 
 def _standard(requirements: list[JsonObject]) -> JsonObject:
@@ -425,49 +434,50 @@ def _standard(requirements: list[JsonObject]) -> JsonObject:
     }
 
 
-def _requirement(number: int, item: JsonObject) -> JsonObject:
+def _requirement(number: int, requirement: JsonObject) -> JsonObject:
     at_most = "every valid episode satisfies it"
-    if item["at_most"] is not None:
-        at_most = f"at most {item['at_most']:g} of episodes violate it, at {item['confidence']:g}"
+    if requirement["at_most"] is not None:
+        at_most = (
+            f"at most {requirement['at_most']:g} of episodes violate it, "
+            f"at {requirement['confidence']:g}"
+        )
     texts = (
-        ("check", item["check"]),
+        ("check", requirement["check"]),
         ("criterion", at_most),
-        ("reason", item["reason"]),
-        ("source", item["source"]),
+        ("reason", requirement["reason"]),
+        ("source", requirement["source"]),
     )
     return {
         "bom-ref": _requirement_ref(number),
-        "identifier": name(item["id"], NAME_LIMIT),
-        "title": visible(item["text"] or item["id"], 200),
-        "text": visible(item["text"]),
+        "identifier": name(requirement["id"], NAME_LIMIT),
+        "title": visible(requirement["text"] or requirement["id"], 200),
+        "text": visible(requirement["text"]),
         "descriptions": [f"{label}: {visible(text)}" for label, text in texts if text],
-        "properties": [{"name": f"{PREFIX}kind", "value": visible(item["kind"] or "")}],
+        "properties": [{"name": f"{_PREFIX}kind", "value": visible(requirement["kind"] or "")}],
     }
 
 
-Data = Mapping[str, Any]
-_PROPERTY_PREFIX = "pytest-dura:"
 _LINKS = ("assessor", "requirement", "target", "parent")
 _LISTS = ("claims", "counterClaims", "evidence", "counterEvidence", "mitigationStrategies")
 
 
 def read_counts(text: str) -> Counts:
-    """What the document states: verdicts counted among its claims, the rest from its properties.
+    """Counts that the document states: verdicts from its claims, the rest from its properties.
 
     Raises:
         ValueError: If the text is no such document, or a claim is not mapped as its evidence says.
     """
     try:
         document = json.loads(text)
-        stated = {item["name"]: item["value"] for item in document["metadata"]["properties"]}
-        words, waived = _claimed_verdicts(document["declarations"])
+        stated = {entry["name"]: entry["value"] for entry in document["metadata"]["properties"]}
+        counts, waived = _claimed_verdicts(document["declarations"])
         requirements = len(document["definitions"]["standards"][0]["requirements"])
         numbers = ("cases", "episodes", "valid", "invalid", "missing")
         return Counts(
-            gate=stated[f"{_PROPERTY_PREFIX}gate"],
+            gate=stated[f"{_PREFIX}gate"],
             requirements=requirements,
-            **{key: int(stated[f"{_PROPERTY_PREFIX}{key}"]) for key in numbers},
-            **{campaign_status: words[campaign_status] for campaign_status in CAMPAIGN_STATUSES},
+            **{key: int(stated[f"{_PREFIX}{key}"]) for key in numbers},
+            **{campaign_status: counts[campaign_status] for campaign_status in CAMPAIGN_STATUSES},
             waived=waived,
         )
     except (LookupError, TypeError, AttributeError) as error:
@@ -476,30 +486,28 @@ def read_counts(text: str) -> Counts:
 
 
 def _claimed_verdicts(declared: Data) -> tuple[Counter[str], int]:
-    """Claims by the word of their verdict, and how many of them are waived."""
-    entries = {item["bom-ref"]: item for item in declared["evidence"]}
+    """The number of claims of each verdict, and how many of them are waived."""
+    entries = {entry["bom-ref"]: entry for entry in declared["evidence"]}
     mapped: Counter[tuple[str, str]] = Counter()
     for attestation in declared["attestations"]:
-        for entry in attestation["map"]:
-            mapped.update((ref, "claims") for ref in entry["claims"])
-            mapped.update((ref, "counterClaims") for ref in entry["counterClaims"])
-    words: Counter[str] = Counter()
+        for mapping in attestation["map"]:
+            mapped.update((ref, "claims") for ref in mapping["claims"])
+            mapped.update((ref, "counterClaims") for ref in mapping["counterClaims"])
+    counts: Counter[str] = Counter()
     waived = 0
     for claim in declared["claims"]:
         evidence = entries[claim["evidence"][0]]
-        removeprefix = evidence["propertyName"].removeprefix(f"{_PROPERTY_PREFIX}verdict:")
-        if removeprefix not in CAMPAIGN_STATUSES:
+        status = evidence["propertyName"].removeprefix(f"{_PREFIX}verdict:")
+        if status not in CAMPAIGN_STATUSES:
             raise ValueError(f"{claim['bom-ref']} rests on evidence of no verdict")
-        place = "counterClaims" if removeprefix == "violated" else "claims"
+        place = "counterClaims" if status == "violated" else "claims"
         if mapped.pop((claim["bom-ref"], place), 0) != 1:
-            raise ValueError(
-                f"{claim['bom-ref']} is {removeprefix}, and not once among the {place}"
-            )
-        words[removeprefix] += 1
-        waived += any(item["name"] == "waiver" for item in evidence["data"])
+            raise ValueError(f"{claim['bom-ref']} is {status}, and not once among the {place}")
+        counts[status] += 1
+        waived += any(data["name"] == "waiver" for data in evidence["data"])
     if mapped:
         raise ValueError(f"{min(mapped)[0]} is mapped, and is no claim, or of another verdict")
-    return words, waived
+    return counts, waived
 
 
 def _dangling_references(document: Data) -> list[str]:
@@ -507,14 +515,14 @@ def _dangling_references(document: Data) -> list[str]:
 
     The strict validator of the format looks at neither.
     """
-    given = Counter(_as_references(document))
-    told = [
-        f"the bom-ref {ref} is given {count} times" for ref, count in given.items() if count > 1
+    counts = Counter(_bom_refs(document))
+    problems = [
+        f"the bom-ref {ref} is given {count} times" for ref, count in counts.items() if count > 1
     ]
-    return told + [
+    return problems + [
         f"{where} refers to {ref}"
         for where, ref in _declared_references(document)
-        if ref not in given
+        if ref not in counts
     ]
 
 
@@ -522,26 +530,26 @@ def broken_references(text: str, record: SessionRecord) -> Iterator[str]:
     """References that lead nowhere: inside the document, into the record, to its traces."""
     document = json.loads(text)
     yield from _dangling_references(document)
-    there = {f"evidence.json#/verdicts/{number}" for number in range(len(record["verdicts"]))}
+    places = {f"evidence.json#/verdicts/{number}" for number in range(len(record["verdicts"]))}
     for number, episode in enumerate(record.episodes()):
-        there.add(f"evidence.json#/episodes/{number}")
+        places.add(f"evidence.json#/episodes/{number}")
         if episode["trace"] is not None:
-            there.add(episode["trace"]["file"])
+            places.add(episode["trace"]["file"])
     for entry in document["declarations"]["evidence"]:
         for data in entry["data"]:
             url = data["contents"].get("url")
-            if url is not None and unquote(url, errors="surrogatepass") not in there:
+            if url is not None and unquote(url, errors="surrogatepass") not in places:
                 yield f"{entry['bom-ref']} refers to {url}, which is not there"
 
 
-def _as_references(value: Any) -> Iterator[str]:
+def _bom_refs(value: Any) -> Iterator[str]:
     if isinstance(value, Mapping):
         if "bom-ref" in value:
             yield value["bom-ref"]
         value = list(value.values())
     if isinstance(value, list):
-        for item in value:
-            yield from _as_references(item)
+        for element in value:
+            yield from _bom_refs(element)
 
 
 def _declared_references(document: Data) -> Iterator[tuple[str, str]]:
@@ -550,9 +558,9 @@ def _declared_references(document: Data) -> Iterator[tuple[str, str]]:
     holders = [(claim["bom-ref"], claim) for claim in declared["claims"]]
     for number, attestation in enumerate(declared["attestations"]):
         holders.append((f"attestation {number}", attestation))
-        for item in attestation["map"]:
+        for mapping in attestation["map"]:
             where = f"the map of attestation {number}"
-            holders += [(where, item), (where, item.get("conformance", {}))]
+            holders += [(where, mapping), (where, mapping.get("conformance", {}))]
     for standard in document["definitions"]["standards"]:
         holders += [
             (requirement["bom-ref"], requirement) for requirement in standard["requirements"]

@@ -19,13 +19,13 @@ from pytest_dura.core.simulator import Recording
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.traces import Trace
 from pytest_dura.requirements.checks import is_function_path
+from pytest_dura.requirements.stl.evaluation import robustness
 from pytest_dura.requirements.stl.formula import Boolean, Formula, Node, Temporal
 from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.requirements.stl.robustness import robustness
 
 Column = NDArray[np.float64]
 _TIME_DECIMALS = 9
-"""Of seconds; what more there is comes from adding up time steps."""
+"""Decimals of seconds; further ones come from adding up time steps."""
 
 
 def formula_of(check: str) -> Formula | None:
@@ -66,7 +66,7 @@ def margin_over_time(check: str, episode: Episode | Trace) -> tuple[str, Column]
     samples = ticks if finite.all() else int(np.argmin(finite))
     if not samples:
         return None
-    moment = Formula(_is_momentary(formula.root), formula.text)
+    moment = Formula(_without_always(formula.root), formula.text)
     full = np.full(ticks, np.nan)
     cut = {name: column[:samples] for name, column in columns.items()}
     try:
@@ -86,11 +86,11 @@ def _time_step(episode: Episode | Trace) -> float:
     )
 
 
-def _is_momentary(node: Node) -> Node:
+def _without_always(node: Node) -> Node:
     if isinstance(node, Temporal) and node.operator == "always" and node.window is None:
-        return _is_momentary(node.operand)
+        return _without_always(node.operand)
     if isinstance(node, Boolean) and node.operator == "and":
-        return replace(node, left=_is_momentary(node.left), right=_is_momentary(node.right))
+        return replace(node, left=_without_always(node.left), right=_without_always(node.right))
     return node
 
 
@@ -133,11 +133,11 @@ class LoopStep:
 
     Args:
         name: Such as ``Propose: SLOWER``.
-        told: What happened in it, by name.
+        details: What happened in it, by name.
     """
 
     name: str
-    told: Mapping[str, str]
+    details: Mapping[str, str]
 
 
 def decision_at(trace: Trace, time: float | None) -> int | None:
@@ -162,9 +162,9 @@ def loop_steps(trace: Trace, tick: int, signals: Sequence[str]) -> list[LoopStep
         signals: Names of the signals to tell of.
     """
     column = {name: str(values[tick]) for name, values in trace.decisions.items()}
-    said, word = trace.recording, _STATUS_NAMES[int(trace.decisions["verdict"][tick])]
-    recovery = _value_at(said.recoveries, tick)
-    action = _value_at(said.recoveries, tick) or column["source"]
+    recording, status = trace.recording, _STATUS_NAMES[int(trace.decisions["verdict"][tick])]
+    recovery = _value_at(recording.recoveries, tick)
+    action = _value_at(recording.recoveries, tick) or column["source"]
     return [
         LoopStep(
             f"Update: t = {trace.time[tick]:.2f} s",
@@ -172,13 +172,13 @@ def loop_steps(trace: Trace, tick: int, signals: Sequence[str]) -> list[LoopStep
         ),
         LoopStep(
             one_line(f"Propose: {column['proposed'] or 'nothing'}", 200),
-            _joined_parts(explanation=_value_at(said.explanations, tick))
+            _joined_parts(explanation=_value_at(recording.explanations, tick))
             | _events_of_tick(trace, tick, ("component_failure",)),
         ),
         LoopStep(
-            f"Assess: {word}",
-            _flag_text(said, tick)
-            | _joined_parts(reasons=_value_at(said.reasons, tick))
+            f"Assess: {status}",
+            _flag_text(recording, tick)
+            | _joined_parts(reasons=_value_at(recording.reasons, tick))
             | _events_of_tick(trace, tick, _ASSESSED),
         ),
         LoopStep(
@@ -210,10 +210,10 @@ def _truth_text(trace: Trace, tick: int, signals: Sequence[str]) -> dict[str, st
 
 def _signal_values(trace: Trace, tick: int, signals: Sequence[str]) -> dict[str, str]:
     """Each signal as it is, and as it is perceived where there is such a column."""
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for name in signals:
-        found |= _truth_text(trace, tick, [name, f"percept.{name}"])
-    return found
+        values |= _truth_text(trace, tick, [name, f"percept.{name}"])
+    return values
 
 
 def _flag_text(recording: Recording, tick: int) -> dict[str, str]:
@@ -233,18 +233,18 @@ def _joined_parts(**texts: str) -> dict[str, str]:
 
 def _events_of_tick(trace: Trace, tick: int, kinds: Sequence[str]) -> dict[str, str]:
     """The tick's events of these kinds; several of one kind are joined."""
-    found: dict[str, list[str]] = {}
+    details: dict[str, list[str]] = {}
     for event in trace.events:
         if event["tick"] == tick and event["kind"] in kinds:
             detail = f": {event['detail']}" if event["detail"] else ""
-            found.setdefault(event["kind"], []).append(f"{event['subject']}{detail}")
-    return {kind: one_line("; ".join(texts)) for kind, texts in found.items()}
+            details.setdefault(event["kind"], []).append(f"{event['subject']}{detail}")
+    return {kind: one_line("; ".join(texts)) for kind, texts in details.items()}
 
 
 def _other_events(trace: Trace, tick: int) -> dict[str, str]:
-    """What else was logged in this tick, of whatever kind."""
-    told = (*_FAULTS, *_ASSESSED, *_DECIDED, "component_failure")
-    others = dict.fromkeys(event["kind"] for event in trace.events if event["kind"] not in told)
+    """The tick's events of all other kinds."""
+    shown = (*_FAULTS, *_ASSESSED, *_DECIDED, "component_failure")
+    others = dict.fromkeys(event["kind"] for event in trace.events if event["kind"] not in shown)
     return _events_of_tick(trace, tick, list(others))
 
 
@@ -404,15 +404,15 @@ def _thinned(time: Column, column: Column) -> tuple[Column, Column]:
 
 def _line_path(time: Column, column: Column, x: Place, y: Place) -> str:
     """Straight lines from sample to sample, broken where a sample is not finite."""
-    found, broken = [], True
+    pieces, broken = [], True
     for seconds, value in zip(time.tolist(), column.tolist(), strict=True):
         if not math.isfinite(value):
             broken = True
             continue
         step = "M" if broken else "L"
-        found.append(f"{step}{x(seconds):.1f} {y(min(max(value, -LARGEST), LARGEST)):.1f}")
+        pieces.append(f"{step}{x(seconds):.1f} {y(min(max(value, -LARGEST), LARGEST)):.1f}")
         broken = False
-    return "".join(found)
+    return "".join(pieces)
 
 
 def _escaped(text: str) -> str:

@@ -31,12 +31,11 @@ from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
 from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test, plain_data
 from pytest_dura.evidence.text import name, visible
-from pytest_dura.reports.wording import UNREVIEWED, shard_text, valid_sha256
+from pytest_dura.reports.wording import NAME_LIMIT, UNREVIEWED, shard_text, valid_sha256
 
 FILE = "test-result.intoto.json"
 _STATEMENT = "https://in-toto.io/Statement/v1"
 _PREDICATE = "https://in-toto.io/attestation/test-result/v0.1"
-NAME_LIMIT = 400
 _MAX_REASONS = 20
 """Reasons of the gate that are annotated; the record has all of them."""
 JsonObject = dict[str, Any]
@@ -68,7 +67,7 @@ def render(record: SessionRecord) -> str:
 
 
 def read_counts(text: str) -> Counts:
-    """What the statement states: verdicts counted in its lists of tests, the rest annotated.
+    """Counts that the statement states: verdicts counted in its lists of tests, the rest annotated.
 
     Raises:
         ValueError: If the text is no such statement, or it contradicts itself.
@@ -87,22 +86,22 @@ def read_counts(text: str) -> Counts:
 def broken_references(text: str, record: SessionRecord) -> list[str]:
     """Digests of the statement that are not those of the bundle's record and of its inputs."""
     statement = json.loads(text)
-    told = []
+    problems = []
     if statement["subject"] != _subjects(record):
-        told.append(
+        problems.append(
             f"its subjects are not {RECORD_FILE} and the components under test of the record"
         )
     if statement["predicate"]["configuration"][1:] != [
-        _input_entry(item) for item in record["inputs"]
+        _input_entry(file) for file in record["inputs"]
     ]:
-        told.append("its configuration is not the inputs of the record")
-    return told
+        problems.append("its configuration is not the inputs of the record")
+    return problems
 
 
-def _counts(predicate: Mapping[str, Any], told: Mapping[str, Any]) -> Counts:
+def _counts(predicate: Mapping[str, Any], annotations: Mapping[str, Any]) -> Counts:
     lists = {key: Counter(predicate[key]) for key in _LISTS}
     tests = sum(lists.values(), Counter())
-    gate, result = told["gate"], predicate["result"]
+    gate, result = annotations["gate"], predicate["result"]
     if result not in ("PASSED", "WARNED", "FAILED"):
         raise ValueError(f"{result!r} is no result of a test")
     if (result != "FAILED") and (
@@ -111,10 +110,10 @@ def _counts(predicate: Mapping[str, Any], told: Mapping[str, Any]) -> Counts:
         raise ValueError(f"the result is {result}, the gate {gate}, and some tests have failed")
     if repeated := [test for test, count in tests.items() if count > 1]:
         raise ValueError(f"the test {repeated[0]} is listed twice")
-    named = {word: set(told[word]) for word in ("violated", "undecided")}
-    if strangers := (named["violated"] | named["undecided"]) - set(tests):
-        raise ValueError(f"{min(strangers)} is annotated, and is none of the tests")
-    words = Counter({word: len(found) for word, found in named.items()})
+    named = {status: set(annotations[status]) for status in ("violated", "undecided")}
+    if unknown := (named["violated"] | named["undecided"]) - set(tests):
+        raise ValueError(f"{min(unknown)} is annotated, and is none of the tests")
+    counts = Counter({status: len(names) for status, names in named.items()})
     if not set(lists["failedTests"]) <= named["violated"] | named["undecided"]:
         raise ValueError("a test has failed that is neither violated nor undecided")
     if set(lists["passedTests"]) & (named["violated"] | named["undecided"]):
@@ -122,10 +121,10 @@ def _counts(predicate: Mapping[str, Any], told: Mapping[str, Any]) -> Counts:
     numbers = ("requirements", "cases", "episodes", "valid", "invalid", "missing")
     return Counts(
         gate=gate,
-        **{key: int(told[key]) for key in numbers},
-        supported=len(tests) - words.total(),
-        violated=words["violated"],
-        undecided=words["undecided"],
+        **{key: int(annotations[key]) for key in numbers},
+        supported=len(tests) - counts.total(),
+        violated=counts["violated"],
+        undecided=counts["undecided"],
         waived=len(lists["warnedTests"]),
     )
 
@@ -146,12 +145,12 @@ def _result(record: SessionRecord) -> str:
             return "FAILED"  # no gate lets it through; what says so is damaged
         clean &= _test_list(verdict) == "passedTests"
     for search in record["searches"]:
-        words = {outcome_status(search, outcome) for outcome in search["outcomes"]} - {
+        statuses = {outcome_status(search, outcome) for outcome in search["outcomes"]} - {
             NOTHING_FOUND
         }
-        if words - {"undecided"} and search["waiver"] is None:
+        if statuses - {"undecided"} and search["waiver"] is None:
             return "FAILED"  # likewise
-        clean &= not words
+        clean &= not statuses
     return "PASSED" if clean else "WARNED"
 
 
@@ -165,36 +164,36 @@ def _test_names(verdicts: list[JsonObject]) -> list[str]:
         ]
         for verdict in verdicts
     ]
-    full = ["".join(part[:1]) for part in parts]
+    names = ["".join(part[:1]) for part in parts]
     for more in (2, 3):
-        often = Counter(full)
-        full = [
-            "".join(part[:more]) if often[known] > 1 else known
-            for known, part in zip(full, parts, strict=True)
+        counts = Counter(names)
+        names = [
+            "".join(part[:more]) if counts[test] > 1 else test
+            for test, part in zip(names, parts, strict=True)
         ]
-    found: list[str] = []
+    unique_names: list[str] = []
     taken: set[str] = set()
-    again: Counter[str] = Counter()
-    for item in (name(text, NAME_LIMIT) for text in full):
-        unique = item
+    repeats: Counter[str] = Counter()
+    for test in (name(text, NAME_LIMIT) for text in names):
+        unique = test
         while unique in taken:
-            again[item] += 1
-            unique = f"{item} #{again[item] + 1}"
+            repeats[test] += 1
+            unique = f"{test} #{repeats[test] + 1}"
         taken.add(unique)
-        found.append(unique)
-    return found
+        unique_names.append(unique)
+    return unique_names
 
 
 def _subjects(record: SessionRecord) -> list[JsonObject]:
     file = record.directory / RECORD_FILE
     if not file.is_file():
         raise ValueError(f"{RECORD_FILE} has to be written before the statement on it")
-    found = [
-        {"name": name(item["name"] or "unknown", NAME_LIMIT), "digest": {"sha256": digest}}
-        for item in components_under_test(record)
-        if (digest := valid_sha256(item.get("digest")))
+    components = [
+        {"name": name(component["name"] or "unknown", NAME_LIMIT), "digest": {"sha256": digest}}
+        for component in components_under_test(record)
+        if (digest := valid_sha256(component.get("digest")))
     ]
-    return [*found, {"name": RECORD_FILE, "digest": {"sha256": file_entry(file)["sha256"]}}]
+    return [*components, {"name": RECORD_FILE, "digest": {"sha256": file_entry(file)["sha256"]}}]
 
 
 def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
@@ -205,9 +204,13 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
     }
     canonical = json.dumps(plain_data(plan), sort_keys=True, separators=(",", ":"))
     counts = Counts.of(record).to_json()
-    words = [verdict["verdict"] for verdict in record["verdicts"]]
-    for word in ("supported", "violated", "undecided"):
-        counts[word] = [test for test, item in zip(names, words, strict=True) if item == word]
+    statuses = [verdict["verdict"] for verdict in record["verdicts"]]
+    for status in ("supported", "violated", "undecided"):
+        counts[status] = [
+            test
+            for test, verdict_status in zip(names, statuses, strict=True)
+            if verdict_status == status
+        ]
     del counts["supported"], counts["waived"]  # those that passed, and those that are warned
     return {
         "name": "campaign",
@@ -218,8 +221,8 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
             "part": shard_text(record) or "whole",
             "reasons": [visible(reason) for reason in record["gate"]["reasons"][:_MAX_REASONS]],
             "components": [
-                name(item["name"] or "unknown", NAME_LIMIT)
-                for item in components_under_test(record)
+                name(component["name"] or "unknown", NAME_LIMIT)
+                for component in components_under_test(record)
             ],
             "command": visible(record["command"]),
             "base_seed": str(record["base_seed"]),  # as a number, JSON readers would round it
@@ -229,11 +232,11 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
     }
 
 
-def _input_entry(item: JsonObject) -> JsonObject:
-    found: JsonObject = {
-        "name": name(item["path"], NAME_LIMIT),
-        "annotations": {"kind": visible(item["kind"])},
+def _input_entry(file: JsonObject) -> JsonObject:
+    entry: JsonObject = {
+        "name": name(file["path"], NAME_LIMIT),
+        "annotations": {"kind": visible(file["kind"])},
     }
-    if digest := valid_sha256(item["sha256"]):
-        found["digest"] = {"sha256": digest}
-    return found
+    if digest := valid_sha256(file["sha256"]):
+        entry["digest"] = {"sha256": digest}
+    return entry

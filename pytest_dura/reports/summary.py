@@ -23,6 +23,7 @@ from pytest_dura.reports.tables import (
     failure_mode_text,
     failure_modes_by_component,
     outcome_headline,
+    outcome_rank,
     parameter_changes,
     percent_text,
     search_coverage_text,
@@ -32,6 +33,7 @@ from pytest_dura.reports.wording import (
     assertion_sentences,
     conclusion_sentences,
     evidence_option,
+    is_incomplete,
     limitation_sentences,
     merge_text,
     model_options,
@@ -48,29 +50,29 @@ def _model_lines(models: Sequence[Mapping[str, Any]], most: int) -> Iterator[str
 
     Args:
         models: The entries.
-        most: So many of them; a last line tells how many are left out.
+        most: The greatest number of lines; a last line says how many entries are left out.
     """
     yield from map(_model_line, models[:most])
     if len(models) > most:
         yield f"- and {len(models) - most} more language models"
 
 
-def _model_line(item: Mapping[str, Any]) -> str:
-    can = item["capabilities"] or {}
-    level = _name(str(can.get("structured", "unknown")))
-    kept = "enforced" if can.get("enforced") else "not enforced"
-    about = f" ({_name(item['about'])})" if item["about"] else ""
+def _model_line(model: Mapping[str, Any]) -> str:
+    capabilities = model["capabilities"] or {}
+    level = _name(str(capabilities.get("structured", "unknown")))
+    enforcement = "enforced" if capabilities.get("enforced") else "not enforced"
+    about = f" ({_name(model['about'])})" if model["about"] else ""
     text = (
-        f"- language model of {_name(item['component'])}: {_name(item['model'])}{about} at "
-        f"{_name(item['base_url'])}, {item['mode']}, structured output {level} ({kept}), "
-        f"fingerprint {_name(item['fingerprint'])}; {item['asked']} answers from the server, "
-        f"{item['reused']} from the cassette, {item['injected']} injected faults, "
-        f"{item['missed']} missed"
+        f"- language model of {_name(model['component'])}: {_name(model['model'])}{about} at "
+        f"{_name(model['base_url'])}, {model['mode']}, structured output {level} ({enforcement}), "
+        f"fingerprint {_name(model['fingerprint'])}; {model['asked']} answers from the server, "
+        f"{model['reused']} from the cassette, {model['injected']} injected faults, "
+        f"{model['missed']} missed"
     )
-    tape = item["cassette"]
-    if tape is None:
+    cassette = model["cassette"]
+    if cassette is None:
         return text
-    return f"{text}; cassette {_name(tape['file'])}, SHA-256 {_name(tape['sha256'])}"
+    return f"{text}; cassette {_name(cassette['file'])}, SHA-256 {_name(cassette['sha256'])}"
 
 
 def _name(text: str | None) -> str:
@@ -78,19 +80,27 @@ def _name(text: str | None) -> str:
 
 
 def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
-    """The section, with at most so many components and models of each kind."""
-    git, tool, told = record["environment"]["git"] or {}, record["tool"], record["environment"]
+    """The section on provenance, with at most so many components and models."""
+    git, tool, environment = (
+        record["environment"]["git"] or {},
+        record["tool"],
+        record["environment"],
+    )
     commit = _name(git.get("commit")) + (" with local changes" if git.get("dirty") else "")
     yield from ["", "## Provenance", ""]
-    for episode in components_under_test(record)[:most]:
-        version = f", version {_name(str(episode['version']))}" if episode.get("version") else ""
-        digest = f", SHA-256 {_name(episode['digest'])}" if episode.get("digest") else ", no digest"
-        yield f"- component under test: {_name(episode['name'])}{version}{digest}"
+    for component in components_under_test(record)[:most]:
+        version = (
+            f", version {_name(str(component['version']))}" if component.get("version") else ""
+        )
+        digest = (
+            f", SHA-256 {_name(component['digest'])}" if component.get("digest") else ", no digest"
+        )
+        yield f"- component under test: {_name(component['name'])}{version}{digest}"
     yield from _model_lines(record["models"], most)
     yield from [f"- merged from {shards}"] if (shards := merge_text(record)) else []
     yield f"- commit: {commit}"
     yield f"- tool: {_name(tool['name'])} {_name(tool['version'])}"
-    yield f"- Python {_name(told['python'])} on {_name(told['platform'])}"
+    yield f"- Python {_name(environment['python'])} on {_name(environment['platform'])}"
     yield f"- base seed: {record['base_seed']}"
     yield f"- created {_name(record['created'])}, finished {_name(record['finished'])}"
     yield f"- command: {code(record['command'], 1000) or '-'}"
@@ -103,13 +113,10 @@ _SEARCH_COLUMNS = ["search", "waiver", "requirement", "case", "component", "simu
            "robustness",
            "found by", "trivial baselines alone", "counterexample"]  # fmt: skip
 MOST_CHANGES = 6
-_OUTCOME_RANK = {
-    objectionable_outcome: rank for rank, objectionable_outcome in enumerate(OBJECTIONABLE_OUTCOMES)
-}
 
 
 def _search_rows(record: SessionRecord) -> Iterator[str]:
-    """Rows of a table with :data:`COLUMNS`."""
+    """Rows of a table with :data:`_SEARCH_COLUMNS`."""
     for search, outcome in _ordered_outcomes(record):
         yield f"| {' | '.join(_search_cells(search, outcome))} |"
 
@@ -131,10 +138,10 @@ def _search_failures(record: SessionRecord) -> Iterator[str]:
 
 def _ordered_outcomes(record: SessionRecord) -> list[tuple[Data, Data]]:
     """Searches with their outcomes, the worst first."""
-    found = [(search, outcome) for search in record["searches"] for outcome in search["outcomes"]]
-    return sorted(
-        found, key=lambda pair: _OUTCOME_RANK.get(outcome_status(*pair), len(_OUTCOME_RANK))
-    )
+    outcomes = [
+        (search, outcome) for search in record["searches"] for outcome in search["outcomes"]
+    ]
+    return sorted(outcomes, key=lambda pair: outcome_rank(*pair))
 
 
 def _search_cells(search: Data, outcome: Data) -> Iterator[str]:
@@ -151,26 +158,31 @@ def _search_cells(search: Data, outcome: Data) -> Iterator[str]:
 
 
 def _baseline_cell(search: Data, requirement: str) -> str:
-    """Where each trivial baseline met a violation by itself."""
-    told = []
+    """The simulation at which each trivial baseline violated the requirement by itself."""
+    results = []
     for baseline in search["baselines"]:
         first = baseline["first"].get(requirement)
         end = f"none in {baseline['simulations']}" if first is None else f"at {first}"
-        told.append(f"{markdown(baseline['name'], 100)} {end}")
-    return "; ".join(told) or "none was run"
+        results.append(f"{markdown(baseline['name'], 100)} {end}")
+    return "; ".join(results) or "none was run"
 
 
-def _search_counterexample(search: Data, found: Data | None) -> str:
-    """What it takes, and the file that keeps it; or how much was covered without one."""
-    if found is None:
+def _search_counterexample(search: Data, counterexample: Data | None) -> str:
+    """Its changes and its file; without a counterexample, how much the search covered."""
+    if counterexample is None:
         return f"coverage {search_coverage_text(search)}"
-    told = [
-        f"{code(path)} {markdown(how, 100)}" for path, how in parameter_changes(found, MOST_CHANGES)
+    changes = [
+        f"{code(path)} {markdown(how, 100)}"
+        for path, how in parameter_changes(counterexample, MOST_CHANGES)
     ]
-    more = len(found["changes"]) - len(told)
-    text = ", ".join(told) or "the case as it stands"
+    more = len(counterexample["changes"]) - len(changes)
+    text = ", ".join(changes) or "the case as it stands"
     text += f" and {more} more" if more > 0 else ""
-    return text if found["file"] is None else f"{text}; kept in {code(found['file'])}"
+    return (
+        text
+        if counterexample["file"] is None
+        else f"{text}; kept in {code(counterexample['file'])}"
+    )
 
 
 FILE = "summary.md"
@@ -191,12 +203,16 @@ _LEFT_OUT = re.compile(r"^_(\d+) of (\d+) are left out here", re.MULTILINE)
 def render(record: SessionRecord) -> str:
     """The page as text, of at most ``MAX_BYTES`` bytes in UTF-8."""
     verdicts = sorted(record["verdicts"], key=_urgency)
-    found = _search_failures(record)
     failures = [verdict for verdict in verdicts if verdict["verdict"] != "supported"]
     lines = [
         *_head_lines(record),
         *_conclusion_lines(record),
-        *_section("Not supported", [], chain(_failure_lines(record, failures), found), "failures"),
+        *_section(
+            "Not supported",
+            [],
+            chain(_failure_lines(record, failures), _search_failures(record)),
+            "failures",
+        ),
         *(
             _section("Searches", _SEARCH_COLUMNS, _search_rows(record), "searches")
             if record["searches"]
@@ -214,13 +230,13 @@ def render(record: SessionRecord) -> str:
 
 
 def read_counts(text: str) -> Counts:
-    """What the page states: counted in the rows of its tables where none is left out.
+    """Counts that the page states: counted in the rows of its tables where none is left out.
 
     Raises:
         ValueError: If the text is no such page, or its rows are not what it states.
     """
     stated = _read_totals(text)
-    for heading, count in (
+    for heading, read_section in (
         ("Requirements", _read_rows),
         ("Cases", _read_rows),
         ("Verdicts", _read_verdicts),
@@ -229,12 +245,11 @@ def read_counts(text: str) -> Counts:
         if not body:
             raise ValueError(f"the page has no section {heading}")
         if not _LEFT_OUT.search(body):
-            found = count(heading, body)
-            differ = [key for key, number in found.items() if stated[key] != number]
-            if differ:
-                told = f"{differ[0]} = {stated[differ[0]]}, and lists {found[differ[0]]}"
-                raise ValueError(f"the page states {told}")
-            stated |= found
+            counted = read_section(heading, body)
+            differ = [key for key, number in counted.items() if stated[key] != number]
+            for key in differ:
+                raise ValueError(f"the page states {key} = {stated[key]}, and lists {counted[key]}")
+            stated |= counted
     return Counts.from_json(stated)
 
 
@@ -256,26 +271,27 @@ def _read_rows(heading: str, body: str) -> JsonObject:
 
 
 def _read_verdicts(_: str, body: str) -> JsonObject:
-    findall = re.findall(r"^\| (supported|violated|undecided) \| (waived|-) \|", body, re.MULTILINE)
-    words = Counter(word for word, _ in findall)
-    return {word: words[word] for word in _VERDICT_ORDER} | {
-        "waived": [item for _, item in findall].count("waived")
+    rows = re.findall(r"^\| (supported|violated|undecided) \| (waived|-) \|", body, re.MULTILINE)
+    statuses = Counter(status for status, _ in rows)
+    return {status: statuses[status] for status in _VERDICT_ORDER} | {
+        "waived": [waiver for _, waiver in rows].count("waived")
     }
 
 
 def _urgency(verdict: JsonObject) -> tuple[bool, int]:
-    """What makes the gate fail comes first, violations before what is undecided."""
-    word = verdict["verdict"]
-    return word == "supported" or verdict["waiver"] is not None, _VERDICT_ORDER.index(word)
+    """Sort key: what makes the gate fail comes first, violations before what is undecided."""
+    status = verdict["verdict"]
+    return status == "supported" or verdict["waiver"] is not None, _VERDICT_ORDER.index(status)
 
 
 def _head_lines(record: SessionRecord) -> Iterator[str]:
-    counts, gate, status = Counts.of(record).to_json(), record["gate"], record["status"]
-    whole = shard_text(record)
-    if status != "complete" or gate["result"] == "incomplete":
-        yield f"# {whole.capitalize() or 'Session'} incomplete ({status}): this is no pass"
-    elif whole:
-        yield f"# Gate of {whole} {gate['result']}: a part of a session, not the whole"
+    counts, gate = Counts.of(record).to_json(), record["gate"]
+    shard = shard_text(record)
+    if is_incomplete(record):
+        subject = shard.capitalize() or "Session"
+        yield f"# {subject} incomplete ({record['status']}): this is no pass"
+    elif shard:
+        yield f"# Gate of {shard} {gate['result']}: a part of a session, not the whole"
     else:
         yield f"# Gate {', '.join(filter(None, [gate['result'], selection_text(record)]))}"
     yield from ["", f"| {' | '.join(counts)} |", f"|{' --- |' * len(counts)}"]
@@ -330,33 +346,36 @@ def _failure_lines(record: SessionRecord, failures: list[JsonObject]) -> Iterato
         yield f"- **{first}: {names}{rest}"
 
 
-def _failure_context(record: SessionRecord, item: JsonObject) -> tuple[str, str]:
-    """What is said of a verdict before and after the name of its requirement."""
+def _failure_context(record: SessionRecord, verdict: JsonObject) -> tuple[str, str]:
+    """The text on a verdict before and after the name of its requirement."""
     waiver = ""
-    if item["waiver"] is not None:
-        kind, why = markdown(item["waiver"]["kind"], 64), markdown(item["waiver"]["reason"], 200)
+    if verdict["waiver"] is not None:
+        kind, why = (
+            markdown(verdict["waiver"]["kind"], 64),
+            markdown(verdict["waiver"]["reason"], 200),
+        )
         waiver = f" (waived, {kind}: {why or 'no reason'})"
     text = (
-        f" on {_name(item['case'])}, "
-        f"component {_name(item['component'])}: {markdown(item['reason'], 400) or 'no reason'}. "
-        f"{sample_text(item)}; {rate_bound(item)}."
+        f" on {_name(verdict['case'])}, component {_name(verdict['component'])}: "
+        f"{markdown(verdict['reason'], 400) or 'no reason'}. "
+        f"{sample_text(verdict)}; {rate_bound(verdict)}."
     )
-    for line in assertion_sentences(item):
+    for line in assertion_sentences(verdict):
         text += f"\n  - {markdown(line, 600)}"
-    if item["counterexamples"]:
-        text += "\n  - " + _counterexample(record, item["counterexamples"])
-    return f"{item['verdict']}**{waiver}", text
+    if verdict["counterexamples"]:
+        text += "\n  - " + _counterexample(record, verdict["counterexamples"])
+    return f"{verdict['verdict']}**{waiver}", text
 
 
-def _counterexample(record: SessionRecord, objects: list[JsonObject]) -> str:
-    first = objects[0]
+def _counterexample(record: SessionRecord, counterexamples: list[JsonObject]) -> str:
+    first = counterexamples[0]
     text = f"counterexample {_name(first['episode'])}"
     if first["time"] is not None:
         text += f" at {first['time']:.1f} s"
     if first["margin"] is not None:
         text += f", margin {first['margin']:.3g}"
-    if len(objects) > 1:
-        text += f", and {len(objects) - 1} more"
+    if len(counterexamples) > 1:
+        text += f", and {len(counterexamples) - 1} more"
     command = _replay(record["command"], first["episode"])
     return text + (f"; replay: {command}" if command else "; replay by its id in the record")
 
@@ -398,33 +417,39 @@ def _table_row(cells: Iterable[object]) -> str:
     return f"| {' | '.join(str(cell) for cell in cells)} |"
 
 
-def _verdict_row(item: JsonObject) -> str:
-    counts = [item["episodes"], item["violations"], len(item["open"])]
-    counts += [item[key] for key in ("without_effect", "invalid", "missing")]
-    waiver = "-" if item["waiver"] is None else "waived"
-    names = (_name(item[key]) for key in ("requirement", "case", "component"))
-    return _table_row([item["verdict"], waiver, *names, *counts, rate_bound(item)])
+def _verdict_row(verdict: JsonObject) -> str:
+    counts = [verdict["episodes"], verdict["violations"], len(verdict["open"])]
+    counts += [verdict[key] for key in ("without_effect", "invalid", "missing")]
+    waiver = "-" if verdict["waiver"] is None else "waived"
+    names = (_name(verdict[key]) for key in ("requirement", "case", "component"))
+    return _table_row([verdict["verdict"], waiver, *names, *counts, rate_bound(verdict)])
 
 
 def _requirement_rows(record: SessionRecord) -> Iterator[str]:
-    words = Counter((verdict["requirement"], verdict["verdict"]) for verdict in record["verdicts"])
+    verdicts = Counter(
+        (verdict["requirement"], verdict["verdict"]) for verdict in record["verdicts"]
+    )
     cells = record["coverage"]["cells"]
     untested = Counter(cell["requirement"] for cell in cells if cell["verdict"] is None)
     more = " or more" if record["coverage"]["left_out"] else ""
 
-    def failing(item: JsonObject) -> tuple[bool, bool]:
-        return not words[item["id"], "violated"], not words[item["id"], "undecided"]
+    def failing(requirement: JsonObject) -> tuple[bool, bool]:
+        return not verdicts[requirement["id"], "violated"], not verdicts[
+            requirement["id"], "undecided"
+        ]
 
     for requirement in sorted(record["requirements"], key=failing):
-        counts = (words[requirement["id"], word] for word in ("supported", "violated", "undecided"))
+        counts = (
+            verdicts[requirement["id"], status] for status in ("supported", "violated", "undecided")
+        )
         texts = (markdown(requirement[key] or "", 200) or "-" for key in ("kind", "text"))
         yield _table_row(
             [_name(requirement["id"]), *texts, *counts, f"{untested[requirement['id']]}{more}"]
         )
 
 
-def _case_row(item: JsonObject) -> str:
-    metrics = item["metrics"]
+def _case_row(case: JsonObject) -> str:
+    metrics = case["metrics"]
     rates = []
     for key in ("flagged", "collided", "gridlock", "rescued", "comfort_failed"):
         rate = metrics[key]
@@ -437,7 +462,7 @@ def _case_row(item: JsonObject) -> str:
     if time is not None and time["mean"] is not None:
         shown = f"{time['mean']:.2f} s (n = {time['runs']})"
     counts = (metrics[key] for key in ("planned", "run", "valid", "invalid", "missing"))
-    names = (_name(item["id"]), _name(item["component"]))
+    names = (_name(case["id"]), _name(case["component"]))
     return _table_row([*names, *counts, *rates[:3], shown, *rates[3:], reactions or "-"])
 
 
@@ -446,22 +471,22 @@ def _overall_lines(record: SessionRecord) -> Iterator[str]:
 
     No rows of a table: the rows of cases are counted.
     """
-    for item in record["overall"]:
-        metrics = item["metrics"]
+    for total in record["overall"]:
+        metrics = total["metrics"]
         counts = [
             f"{metrics[key]['valid']} {key.replace('_', ' ')}"
             for key in ("flagged", "collided", "gridlock", "rescued", "comfort_failed")
             if metrics[key] is not None
         ]
         runs = f"{metrics['valid']} valid of {metrics['planned']} planned runs"
-        whose = f"all {item['cases']} cases of {_name(item['component'])}"
+        whose = f"all {total['cases']} cases of {_name(total['component'])}"
         yield from ["", f"- {whose}: {', '.join([runs, *counts])}"]
     effectiveness = record["effectiveness"]
     if effectiveness:
         yield ""
-    for item in effectiveness[:_MAX_CELLS]:
-        whose = f"{_name(item['role'])} with {_name(item['component'])}"
-        yield f"- {whose}: {markdown(item['detail'], 400)}"
+    for effect in effectiveness[:_MAX_CELLS]:
+        whose = f"{_name(effect['role'])} with {_name(effect['component'])}"
+        yield f"- {whose}: {markdown(effect['detail'], 400)}"
     if len(effectiveness) > _MAX_CELLS:
         yield f"- and {len(effectiveness) - _MAX_CELLS} more in the report"
 

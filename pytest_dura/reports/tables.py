@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pytest_dura.evidence.gate import VIOLATED_OUTCOMES
+from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, VIOLATED_OUTCOMES, outcome_status
 from pytest_dura.evidence.metrics import share
 from pytest_dura.evidence.text import name, one_line
 
@@ -20,7 +20,7 @@ FAILURE_MODE_HEADINGS = {
     "control": "negative control",
     "comparison": "no failure by itself",
 }
-"""What tables write above the measures of a kind."""
+"""Headings of tables above the measures of a kind."""
 _TIMEOUT = "timeout"
 """Name of the failure mode of a decision that was not there in time."""
 NULL_NOTE = (
@@ -35,13 +35,13 @@ def cases_with_accounts(cases: Sequence[Data]) -> list[Data]:
 
 
 def failure_modes_by_component(cases: Sequence[Data]) -> dict[str, list[dict[str, Any]]]:
-    """By component, its failure modes over all cases, those that could show, by kind.
+    """Failure modes of each component over all cases, those that could show, by kind.
 
     Without a bound: cases are no sample of one kind of episode.
     """
-    found: dict[str, dict[str, dict[str, Any]]] = {}
+    components: dict[str, dict[str, dict[str, Any]]] = {}
     for case in cases_with_accounts(cases):
-        modes = found.setdefault(case["component"], {})
+        modes = components.setdefault(case["component"], {})
         for failure_mode in case["metrics"]["failure_modes"]:
             empty = {
                 "name": failure_mode["name"],
@@ -60,22 +60,22 @@ def failure_modes_by_component(cases: Sequence[Data]) -> dict[str, list[dict[str
             }
             for failure_mode in measured_failure_modes(list(modes.values()))
         ]
-        for component, modes in found.items()
+        for component, modes in components.items()
     }
 
 
 def measured_failure_modes(modes: Sequence[Data]) -> list[Data]:
-    """Those that could show, failures first, then the controls that they are to be read with.
+    """Failure modes that could show, failures first, then the controls to be read with them.
 
-    Also those that could only have shown of the null component: that a component gave nothing to
-    measure, as where it failed on each variant of its prompt, is not to be overlooked.
+    Those that could have shown of the null component alone are included: a reader is to see that a
+    component gave nothing to measure, as where it failed on each variant of its prompt.
     """
-    could = [mode for mode in modes if mode["of"] or mode["null_of"]]
-    return [item for kind in FAILURE_MODE_HEADINGS for item in could if item["kind"] == kind]
+    measured = [mode for mode in modes if mode["of"] or mode["null_of"]]
+    return [mode for kind in FAILURE_MODE_HEADINGS for mode in measured if mode["kind"] == kind]
 
 
 def failure_mode_text(name: str) -> str:
-    """``misses threat``."""
+    """A failure mode's name with spaces: ``misses threat``."""
     return name.replace("_", " ")
 
 
@@ -90,7 +90,7 @@ def percent_text(part: float | None) -> str:
 
 
 def decision_time_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
-    """Each component whose decisions took time, how much, and how many took too much, in words."""
+    """Each component whose decisions took time, and a text on how much and how often too much."""
     late = _timeouts(cases)
     for component, spreads in _metric_spreads(cases, "answer_times").items():
         decisions = sum(spread["decisions"] for spread in spreads)
@@ -102,10 +102,9 @@ def decision_time_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
 
 
 def decision_age_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
-    """Each component whose decisions came into force late, and how old they were, in words.
+    """Each component whose decisions came into force late, and a text on how old they were.
 
-    Where the simulation waits for each decision, none is older than its percept, and nothing is
-    told.
+    Where the simulation waits for each decision, none is older than its percept: no line.
     """
     for component, spreads in _metric_spreads(cases, "answer_ages").items():
         if any(spread["max"] > 0.0 for spread in spreads):
@@ -113,79 +112,87 @@ def decision_age_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
 
 
 def _timeouts(cases: Sequence[Data]) -> dict[str, tuple[int, int]]:
-    """By component: decisions to which no answer came in time, of all whose outcome is told."""
-    found: dict[str, tuple[int, int]] = {}
+    """Decisions of each component without an answer in time, and all whose outcome is known."""
+    timeouts: dict[str, tuple[int, int]] = {}
     for case in cases_with_accounts(cases):
         for failure_mode in case["metrics"]["failure_modes"]:
             if failure_mode["name"] == _TIMEOUT:
-                hits, of = found.get(case["component"], (0, 0))
-                found[case["component"]] = hits + failure_mode["hits"], of + failure_mode["of"]
-    return found
+                hits, of = timeouts.get(case["component"], (0, 0))
+                timeouts[case["component"]] = hits + failure_mode["hits"], of + failure_mode["of"]
+    return timeouts
 
 
 def _metric_spreads(cases: Sequence[Data], key: str) -> dict[str, list[Data]]:
-    """By component, what this key of the metrics says, one for each case that has it."""
-    found: dict[str, list[Data]] = {}
+    """Values of this key of the metrics for each component, of each case that has it."""
+    spreads: dict[str, list[Data]] = {}
     for case in cases_with_accounts(cases):
         if case["metrics"][key] is not None:
-            found.setdefault(case["component"], []).append(case["metrics"][key])
-    return found
+            spreads.setdefault(case["component"], []).append(case["metrics"][key])
+    return spreads
 
 
-def _percentiles(spreads: Sequence[Data], last: str, shown: str) -> str:
+def _percentiles(spreads: Sequence[Data], greatest: str, format_spec: str) -> str:
     """Median, 95th percentile and greatest, in s."""
     median, high = (
-        _percentile_range(word, key, spreads, shown)
-        for word, key in (("median", "p50"), ("95th percentile", "p95"))
+        _percentile_range(label, key, spreads, format_spec)
+        for label, key in (("median", "p50"), ("95th percentile", "p95"))
     )
-    return f"{median}, {high}, {last} {max(spread['max'] for spread in spreads):{shown}} s"
+    return (
+        f"{median}, {high}, {greatest} {max(spread['max'] for spread in spreads):{format_spec}} s"
+    )
 
 
-def _percentile_range(word: str, key: str, spreads: Sequence[Data], shown: str) -> str:
-    """Percentiles of several cases do not add up: the least and the greatest are told."""
+def _percentile_range(label: str, key: str, spreads: Sequence[Data], format_spec: str) -> str:
+    """Percentiles of several cases do not add up: the text has the least and the greatest."""
     least, greatest = (
-        f"{limit(spread[key] for spread in spreads):{shown}}" for limit in (min, max)
+        f"{limit(spread[key] for spread in spreads):{format_spec}}" for limit in (min, max)
     )
     if least == greatest:
-        return f"{word} {least} s"
-    return f"{word} {least} to {greatest} s by case"
+        return f"{label} {least} s"
+    return f"{label} {least} to {greatest} s by case"
 
 
 _LEARNS = "learns"
+_OUTCOME_RANK = {status: rank for rank, status in enumerate(OBJECTIONABLE_OUTCOMES)}
 NOTHING_SUPPORTED = (
     "A search that finds nothing supports no requirement: no rate follows from where it looked."
 )
 
 
+def outcome_rank(search: Data, outcome: Data) -> int:
+    """Place of an outcome in a list that begins with the worst."""
+    return _OUTCOME_RANK.get(outcome_status(search, outcome), len(_OUTCOME_RANK))
+
+
 def simulations_text(search: Data) -> str:
-    """How much was simulated, of how much: ``37 of 100 simulations``."""
-    text = f"{search['simulations']} of {_counted(search['budget'], 'simulation')}"
+    """Simulations that were run, of the budget: ``37 of 100 simulations``."""
+    text = f"{search['simulations']} of {counted(search['budget'], 'simulation')}"
     if search["unknown"]:
         text += f", {search['unknown']} without an answer"
     if search["idle"]:
         text += f", {search['idle']} with an added fault that never came to act"
     if search["refused"]:
-        text += f"; {_counted(search['refused'], 'point')} refused"
+        text += f"; {counted(search['refused'], 'point')} refused"
     return text
 
 
 def outcome_headline(search: Data, outcome: Data) -> str:
-    """The word, the requirement, and what it rests on."""
-    word, requirement = outcome["word"], name(outcome["requirement"])
+    """The outcome, the requirement, and what the outcome rests on."""
+    status, requirement = outcome["word"], name(outcome["requirement"])
     counterexample = outcome["counterexample"]
     if counterexample is not None:
         repeats = counterexample["repeats"]
         by = f"at simulation {outcome['simulations']}, by {one_line(outcome['searcher'])}"
-        if word == "falsified":
-            again = f"confirmed by {_counted(repeats['runs'], 'equal replay')}"
+        if status == "falsified":
+            again = f"confirmed by {counted(repeats['runs'], 'equal replay')}"
         else:
-            runs = _counted(repeats["runs"], "replay")
+            runs = counted(repeats["runs"], "replay")
             again = f"and in {repeats['violated']} of {runs}, {repeats['equal']} of them equal"
-        return f"{word}: {requirement} violated {by}; {again}"
+        return f"{status}: {requirement} violated {by}; {again}"
     least = "none measured" if outcome["best"] is None else f"{outcome['best']:.4g}"
-    start = f"{requirement}: " if word == "nothing found" else f"{word}: {requirement}: "
+    start = f"{requirement}: " if status == "nothing found" else f"{status}: {requirement}: "
     return (
-        f"{start}nothing found in {_counted(search['simulations'], 'simulation')}: "
+        f"{start}nothing found in {counted(search['simulations'], 'simulation')}: "
         f"least robustness {least}, coverage {search_coverage_text(search)}"
     )
 
@@ -207,7 +214,7 @@ def _violating_baselines(search: Data, requirement: str) -> list[Data]:
 
 
 def is_notable_outcome(search: Data, outcome: Data) -> bool:
-    """Whether anybody violated it, and it matters who."""
+    """Whether a search or a baseline violated it, so that its searchers are listed."""
     return outcome["word"] in VIOLATED_OUTCOMES or bool(
         _violating_baselines(search, outcome["requirement"])
     )
@@ -225,63 +232,70 @@ def searcher_rows(search: Data, requirement: str, kind: str) -> Iterator[tuple[s
         requirement: For which of its requirements.
         kind: ``searchers`` or ``baselines``.
     """
-    for item in search[kind]:
-        first, best = item["first"].get(requirement), item["best"].get(requirement)
-        shown = name(item["name"])
-        if kind == "searchers" and not item["trivial"]:
+    for searcher in search[kind]:
+        first, best = searcher["first"].get(requirement), searcher["best"].get(requirement)
+        shown = name(searcher["name"])
+        if kind == "searchers" and not searcher["trivial"]:
             shown = f"{shown} ({_LEARNS})"
-        cells = [str(item["simulations"]), "none" if first is None else str(first)]
+        cells = [str(searcher["simulations"]), "none" if first is None else str(first)]
         yield shown, [*cells, "-" if best is None else f"{best:.4g}"]
 
 
-def counterexample_text(found: Data, check: str) -> str:
+def counterexample_text(counterexample: Data, check: str) -> str:
     """Margin, time and reason of a counterexample; a reason that repeats the check is left out."""
-    told = [] if found["margin"] is None else [f"margin {found['margin']:.4g}"]
-    if found["time"] is not None:
-        told.append(f"at {found['time']:.2f} s")
-    detail = "" if found["detail"] == check else one_line(found["detail"], 300)
-    return f"{' '.join(told)}: {detail}" if told and detail else " ".join(told) or detail
+    parts = [] if counterexample["margin"] is None else [f"margin {counterexample['margin']:.4g}"]
+    if counterexample["time"] is not None:
+        parts.append(f"at {counterexample['time']:.2f} s")
+    detail = "" if counterexample["detail"] == check else one_line(counterexample["detail"], 300)
+    return f"{' '.join(parts)}: {detail}" if parts and detail else " ".join(parts) or detail
 
 
-def shrinking_text(found: Data) -> str:
-    """What shrinking came to; empty where it was not asked for."""
-    how = found["shrinking"]
-    if how is None:
+def shrinking_text(counterexample: Data) -> str:
+    """Result of shrinking; empty where none was requested."""
+    shrinking = counterexample["shrinking"]
+    if shrinking is None:
         return ""
-    spent = _counted(how["simulations"], "simulation")
-    left = "" if how["finished"] else f", all of {how['budget']} that it was allowed"
-    return f"from {how['before']} to {how['after']} parameters that differ ({spent}{left})"
+    spent = counted(shrinking["simulations"], "simulation")
+    limit = "" if shrinking["finished"] else f", all of {shrinking['budget']} that it was allowed"
+    before, after = shrinking["before"], shrinking["after"]
+    return f"from {before} to {after} parameters that differ ({spent}{limit})"
 
 
-def parameter_changes(found: Data, most: int) -> Sequence[tuple[str, str]]:
+def parameter_changes(counterexample: Data, most: int) -> Sequence[tuple[str, str]]:
     """Path and change of each parameter: ``world.wall``, ``2 instead of 4``."""
-    return [(name(change["path"]), _parameter_change(change)) for change in found["changes"][:most]]
+    return [
+        (name(change["path"]), _parameter_change(change))
+        for change in counterexample["changes"][:most]
+    ]
 
 
-def _parameter_change(item: Data) -> str:
-    if item["value"] is None:
+def _parameter_change(change: Data) -> str:
+    if change["value"] is None:
         return "left out"
-    if item["nominal"] is None:
-        return f"{_value_text(item['value'])}, added"
-    return f"{_value_text(item['value'])} instead of {_value_text(item['nominal'])}"
+    if change["nominal"] is None:
+        return f"{_value_text(change['value'])}, added"
+    return f"{_value_text(change['value'])} instead of {_value_text(change['nominal'])}"
 
 
-def _value_text(told: Any) -> str:
+def _value_text(value: Any) -> str:
     """A value on one line, such as ``{type: delay, target: lidar}``."""
-    if told is None:
+    if value is None:
         return "nothing"
-    if isinstance(told, float):
-        return f"{told:g}"
-    if isinstance(told, Mapping):
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, Mapping):
         return (
             "{"
-            + ", ".join(f"{name(str(key))}: {_value_text(item)}" for key, item in told.items())
+            + ", ".join(
+                f"{name(str(key))}: {_value_text(element)}" for key, element in value.items()
+            )
             + "}"
         )
-    if isinstance(told, (list, tuple)):
-        return "[" + ", ".join(map(_value_text, told)) + "]"
-    return one_line(str(told), 120)
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_value_text, value)) + "]"
+    return one_line(str(value), 120)
 
 
-def _counted(number: int, noun: str) -> str:
+def counted(number: int, noun: str) -> str:
+    """``1 run``, ``2 runs``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -18,38 +18,47 @@ from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, not_repe
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import name
-from pytest_dura.reports.tables import NOTHING_SUPPORTED
-from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
+from pytest_dura.reports.tables import NOTHING_SUPPORTED, counted
+from pytest_dura.requirements.campaign_verdicts import SITUATIONS
 
 Data = Mapping[str, Any]
+"""A part of the record."""
+
 UNREVIEWED = "generated, unreviewed"
+NAME_LIMIT = 400
+"""Characters of a name in a machine-readable format."""
 _MAX_OBSERVED_NAMES = 8
 """Names of what a test looked at, in a sentence."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
+_EVIDENCE, _LLM, _CASSETTE = "--dura-evidence", "--dura-llm", "--dura-cassette"
+_MAX_COMMAND = 100_000
+"""Characters of a session's command; no shell takes many more."""
+_MOST_NAMES = 8
+"""Requirements that a sentence names."""
 
 
 def sample_text(verdict: Data) -> str:
-    """What a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
+    """Runs that a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
     text = (
         f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
-        f"{verdict['violations']} violation{'' if verdict['violations'] == 1 else 's'}"
+        f"{counted(verdict['violations'], 'violation')}"
         f"{fault_free_violations_text(verdict)}"
     )
     return ", ".join([text, *other_run_counts(verdict)])
 
 
 def other_run_counts(verdict: Data) -> list[str]:
-    """What else there is to say of a verdict's runs: ``2 ended before it was decided``."""
+    """Other counts of a verdict's runs that are not zero: ``2 ended before it was decided``."""
     counts = {
         "ended before it was decided": len(verdict["open"]),
         "violated without effect of the fault": verdict["without_effect"],
-        **{word: verdict[word] for word in ("invalid", "missing", "vacuous")},
+        **{status: verdict[status] for status in ("invalid", "missing", "vacuous")},
     }
     return [f"{count} {what}" for what, count in counts.items() if count]
 
 
 def fault_free_violations_text(verdict: Data) -> str:
-    """How many of a verdict's violations are not the faults' doing; empty if none is known."""
+    """Number of a verdict's violations that are not the faults' doing; empty if none is known."""
     count = verdict["also_without"]
     return f" ({count} of them also without the faults)" if count else ""
 
@@ -63,13 +72,13 @@ def rate_bound(verdict: Data) -> str:
 
 
 def no_rate_reason(verdict: Data) -> str:
-    """That its runs are all equal, after a colon; empty where they differ, or there is one."""
+    """Reason for which there is no rate, after a colon: all runs are equal; else empty."""
     situation = verdict.get("situation")
     return "" if situation is None else f": {SITUATIONS[situation]}"
 
 
 def assertion_sentences(verdict: Data) -> list[str]:
-    """What a verdict rests on that assertions of a test decided, sentence by sentence.
+    """Sentences on what a verdict rests on where assertions of a test decided it.
 
     There is none for a verdict by checks alone. Names in it are a user's, and have to be escaped.
     """
@@ -79,24 +88,27 @@ def assertion_sentences(verdict: Data) -> list[str]:
     seen = ", ".join(assertion["observed"][:_MAX_OBSERVED_NAMES]) or "nothing"
     if len(assertion["observed"]) > _MAX_OBSERVED_NAMES:
         seen += f" and {len(assertion['observed']) - _MAX_OBSERVED_NAMES} more"
-    told = [f"failed: {item['message']}, in {item['episode']}" for item in assertion["failed"][:1]]
+    sentences = [
+        f"failed: {failure['message']}, in {failure['episode']}"
+        for failure in assertion["failed"][:1]
+    ]
     if assertion["alone"]:
-        told.append(f"by assertion: the test looked at {seen}")
+        sentences.append(f"by assertion: the test looked at {seen}")
     elif assertion["observed"]:
-        told.append(f"by its check, and by assertion: the test looked at {seen}")
+        sentences.append(f"by its check, and by assertion: the test looked at {seen}")
     for entry in assertion["false"]:
-        count = f"{entry['episodes']} episode{'' if entry['episodes'] == 1 else 's'}"
-        told.append(f"false in {count} with which the test passed: {entry['check']}")
-    return told
+        episodes = counted(entry["episodes"], "episode")
+        sentences.append(f"false in {episodes} with which the test passed: {entry['check']}")
+    return sentences
 
 
 def event_text(event: Data) -> str:
-    """What ended an episode: ``at t = 6.50 s the ego ran into VICTIM``."""
+    """Text on the event that ended an episode: ``at t = 6.50 s the ego ran into VICTIM``."""
     return f"at t = {event['time']:.2f} s {event['detail']}"
 
 
 def selection_text(record: SessionRecord) -> str:
-    """What the session was asked for of its plan; empty where it was the whole plan.
+    """The part of its plan that the session was asked for; empty where it was the whole plan.
 
     Such as ``1 of 2 planned verdicts asked for, 5 runs instead of 15``.
     """
@@ -106,47 +118,41 @@ def selection_text(record: SessionRecord) -> str:
         parts.append(f"{selection['asked']} of {selection['planned']} planned verdicts asked for")
     if selection["runs"] is not None:
         declared = " to ".join(map(str, dict.fromkeys(selection["declared_runs"])))
-        runs = f"{selection['runs']} run{'' if selection['runs'] == 1 else 's'}"
-        parts.append(f"{runs} instead of {declared}")
+        parts.append(f"{counted(selection['runs'], 'run')} instead of {declared}")
     return ", ".join(parts)
 
 
 def roles_off_lines(record: SessionRecord) -> list[str]:
-    """Which roles are switched off, and in how many of the cases."""
+    """Lines on roles that are switched off, and in how many of the cases."""
     cases = [case for case in record["cases"] if not case["without"]]
     counts = Counter(role for case in cases for role in case["off"])
-    several = "s" if len(cases) > 1 else ""
     return [
-        f"{role} is OFF in {counts[role]} of {len(cases)} case{several}" for role in sorted(counts)
+        f"{role} is OFF in {counts[role]} of {counted(len(cases), 'case')}"
+        for role in sorted(counts)
     ]
 
 
 def shard_text(record: SessionRecord) -> str:
-    """Which part of a session the record is, such as ``shard 2 of 5``; empty for a whole one."""
+    """The part of a session that the record is, such as ``shard 2 of 5``; empty for a whole one."""
     shard = record["shard"]
     return "" if shard is None else f"shard {shard['index']} of {shard['count']}"
 
 
 def merge_text(record: SessionRecord) -> str:
-    """How many shards the record was merged from, and where they ran; empty for a session's own."""
+    """Number and places of the shards that were merged; empty for a session's own record."""
     shards = record["merged_from"]
     if shards is None:
         return ""
     # Which shards have property tests says nothing of where they ran.
     places = [{**shard["environment"], "hypothesis": None} for shard in shards]
     several = len({json.dumps(place, sort_keys=True) for place in places}) > 1
-    count = f"{len(shards)} shard{'' if len(shards) == 1 else 's'}"
+    count = counted(len(shards), "shard")
     return f"{count}, in environments that differ" if several else f"{count}, in one environment"
 
 
 def valid_sha256(text: object) -> str | None:
     """The digest, if it is a SHA-256 in hexadecimal."""
     return text if isinstance(text, str) and _SHA256.fullmatch(text) else None
-
-
-_EVIDENCE, _LLM, _CASSETTE = "--dura-evidence", "--dura-llm", "--dura-cassette"
-_MAX_COMMAND = 100_000
-"""Characters of a session's command; no shell takes many more."""
 
 
 def replay_command(
@@ -159,11 +165,11 @@ def replay_command(
         evidence: The evidence directory, unless it is the default one.
         models: Of :func:`model_options`.
     """
-    told = {"--dura-replay": episode}
+    options = {"--dura-replay": episode}
     if evidence is not None:
-        told[_EVIDENCE] = evidence
-    told.update(models)
-    return " ".join(["pytest", *(f"{key}={shlex.quote(value)}" for key, value in told.items())])
+        options[_EVIDENCE] = evidence
+    options.update(models)
+    return " ".join(["pytest", *(f"{key}={shlex.quote(value)}" for key, value in options.items())])
 
 
 def evidence_option(command: str) -> str | None:
@@ -173,39 +179,46 @@ def evidence_option(command: str) -> str | None:
 
 def model_options(command: str) -> dict[str, str]:
     """The options with which the cassette of a session answers again, by the session's command."""
-    given = _option_values(command)
-    if given.get(_LLM) not in ("record", "replay"):
+    values = _option_values(command)
+    if values.get(_LLM) not in ("record", "replay"):
         return {}
-    found = {_LLM: "replay"}
-    if _CASSETTE in given:
-        found[_CASSETTE] = given[_CASSETTE]
-    return found
+    options = {_LLM: "replay"}
+    if _CASSETTE in values:
+        options[_CASSETTE] = values[_CASSETTE]
+    return options
 
 
 @lru_cache(maxsize=1)
 def _option_values(command: str) -> Mapping[str, str]:
-    """The values of those options in a command."""
+    """The values of these three options in a command."""
     if len(command) > _MAX_COMMAND:
         return NOTHING
     try:
-        words = shlex.split(command)
+        arguments = shlex.split(command)
     except ValueError:  # no shell reads such a command
         return NOTHING
-    found: dict[str, str] = {}
-    for word, following in zip(words, [*words[1:], None], strict=False):
-        option, equals, value = word.partition("=")
-        given = value if equals else following
-        if option in (_EVIDENCE, _LLM, _CASSETTE) and given is not None:
-            found[option] = given
-    return found
+    values: dict[str, str] = {}
+    for argument, following in zip(arguments, [*arguments[1:], None], strict=False):
+        option, equals, value = argument.partition("=")
+        chosen = value if equals else following
+        if option in (_EVIDENCE, _LLM, _CASSETTE) and chosen is not None:
+            values[option] = chosen
+    return values
 
 
-_MOST_NAMES = 8
-"""Requirements that a sentence names."""
+def names_text(names: list[str], most: int = _MOST_NAMES) -> str:
+    """Names with commas; of many, the first few and how many more there are."""
+    text = ", ".join(map(name, names[:most]))
+    return f"{text} and {len(names) - most} more" if len(names) > most else text
+
+
+def is_incomplete(record: SessionRecord) -> bool:
+    """Whether the session ended before all was run."""
+    return bool(record["status"] != "complete" or record["gate"]["result"] == "incomplete")
 
 
 def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
-    """What the verdicts come to. Names in it are a user's, and have to be escaped."""
+    """Sentences on what the session shows. Names in them are a user's, and have to be escaped."""
     verdicts = record["verdicts"]
     if not verdicts:
         yield "No requirement led to a verdict."
@@ -214,10 +227,8 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
     violated = [verdict for verdict in verdicts if verdict["verdict"] == "violated"]
     if violated:
         ids = list(dict.fromkeys(verdict["requirement"] for verdict in violated))
-        names = ", ".join(map(name, ids[:_MOST_NAMES]))
-        more = f" and {len(ids) - _MOST_NAMES} more" if len(ids) > _MOST_NAMES else ""
         yield (
-            f"{_share(violated, verdicts)} violated ({names}{more}): the episodes "
+            f"{_share(violated, verdicts)} violated ({names_text(ids)}): the episodes "
             "are named and can be replayed."
         )
     supported = [verdict for verdict in verdicts if verdict["verdict"] == "supported"]
@@ -229,20 +240,20 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
 
 
 def limitation_sentences(record: SessionRecord) -> Iterator[str]:
-    """What nobody may conclude from this session."""
-    if record["status"] != "complete" or record["gate"]["result"] == "incomplete":
+    """Sentences on what the session does not show."""
+    if is_incomplete(record):
         yield "The session did not come to its end: what it would have shown is not known."
-    if which := shard_text(record):
+    if part := shard_text(record):
         yield (
-            f"This is {which}: of what the others hold it says nothing. `python -m pytest_dura "
+            f"This is {part}: of what the others hold it says nothing. `python -m pytest_dura "
             "merge` joins them all, and gates on the whole."
         )
     yield from _left_out(record)
     verdicts, totals = record["verdicts"], record["totals"]
     undecided = [verdict for verdict in verdicts if verdict["verdict"] == "undecided"]
     if undecided:
-        blind = sum(item["episodes"] == 0 for item in undecided)
-        rest = f", {blind} of them without a single valid episode" if blind else ""
+        without_valid = sum(verdict["episodes"] == 0 for verdict in undecided)
+        rest = f", {without_valid} of them without a single valid episode" if without_valid else ""
         yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
     yield from _one_situation(verdicts)
     waived = [verdict for verdict in verdicts if verdict["waiver"] is not None]
@@ -261,8 +272,8 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
         )
     yield from _not_repeatable(record)
     yield from _taken_over(record)
-    spoilt = totals["invalid"] + totals["missing"]
-    if spoilt:
+    excluded = totals["invalid"] + totals["missing"]
+    if excluded:
         yield (
             f"{totals['invalid']} of {totals['episodes']} episodes are invalid and "
             f"{totals['missing']} missing: they support nothing and enter no n. What one of them "
@@ -295,66 +306,65 @@ def _left_out(record: SessionRecord) -> Iterator[str]:
     """Roles that are switched off, and what was planned and not asked for."""
     for line in roles_off_lines(record):
         yield f"{name(line)}: what it would have seen or done is in no verdict."
-    told, which = record["selection"], selection_text(record)
-    if not which:
+    selection, part = record["selection"], selection_text(record)
+    if not part:
         return
-    left = told["planned"] - told["asked"]
-    names = ", ".join(map(name, told["left_out"][:_MOST_NAMES]))
-    more = f" and {left - _MOST_NAMES} more" if left > _MOST_NAMES else ""
-    yield f"Of its plan the session was asked for a part: {which}." + (
+    left_out = selection["planned"] - selection["asked"]
+    names = ", ".join(map(name, selection["left_out"][:_MOST_NAMES]))
+    more = f" and {left_out - _MOST_NAMES} more" if left_out > _MOST_NAMES else ""
+    yield f"Of its plan the session was asked for a part: {part}." + (
         f" Left out: {names}{more}." if names else ""
     )
 
 
 def _by_assertion(verdicts: list[Data]) -> Iterator[str]:
-    """Verdicts that rest on nothing but what tests assert."""
-    found = [
+    asserted = [
         verdict
         for verdict in verdicts
         if verdict["verdict"] == "supported"
         and verdict["assertion"]
         and verdict["assertion"]["alone"]
     ]
-    if found:
+    if asserted:
         yield (
-            f"{_share(found, verdicts)} supported by assertions of tests alone: what holds is what "
-            "a test asserts of what it looked at, and whether that is the requirement is not shown."
+            f"{_share(asserted, verdicts)} supported by assertions of tests alone: what holds is "
+            "what a test asserts of what it looked at, and whether that is the requirement is not "
+            "shown."
         )
 
 
-def _search_outcomes(record: SessionRecord, words: tuple[str, ...]) -> list[tuple[Data, Data]]:
-    """Searches and their outcomes of these words."""
+def _search_outcomes(record: SessionRecord, statuses: tuple[str, ...]) -> list[tuple[Data, Data]]:
+    """Searches and their outcomes of these statuses."""
     return [
         (search, outcome)
         for search in record["searches"]
         for outcome in search["outcomes"]
-        if outcome["word"] in words
+        if outcome["word"] in statuses
     ]
 
 
 def _search_violations(record: SessionRecord) -> Iterator[str]:
-    """What searches violated, confirmed or not."""
+    """Sentences on violations by searches, confirmed or not."""
     for violated_outcome, how in zip(
         VIOLATED_OUTCOMES, ("confirmed by replay", "and not each time again"), strict=True
     ):
         search_outcomes = _search_outcomes(record, (violated_outcome,))
         if search_outcomes:
-            told = [
-                f"{name(verdict['requirement'])} on {name(by['case'])}"
-                for by, verdict in search_outcomes
+            claims = [
+                f"{name(verdict['requirement'])} on {name(search['case'])}"
+                for search, verdict in search_outcomes
             ]
-            names = ", ".join(dict.fromkeys(told[:_MOST_NAMES]))
-            more = f" and {len(told) - _MOST_NAMES} more" if len(told) > _MOST_NAMES else ""
+            names = ", ".join(dict.fromkeys(claims[:_MOST_NAMES]))
+            more = f" and {len(claims) - _MOST_NAMES} more" if len(claims) > _MOST_NAMES else ""
             yield f"Violated in a search, {how}: {names}{more}. It is part of no rate."
 
 
 def _searches_without_violation(record: SessionRecord) -> Iterator[str]:
     search_outcomes = _search_outcomes(record, (NOTHING_FOUND, "undecided"))
     if search_outcomes:
-        several = "" if len(search_outcomes) == 1 else "s"
         most = max(search["simulations"] for search, _ in search_outcomes)
         yield (
-            f"Searches found nothing against {len(search_outcomes)} requirement{several}"
+            f"Searches found nothing against {counted(len(search_outcomes), 'requirement')}"
             " on a case, in up to "
             f"{most} simulations each: that supports none of them. {NOTHING_SUPPORTED}"
         )
@@ -371,10 +381,10 @@ def _one_situation(verdicts: list[Data]) -> Iterator[str]:
 
 
 def _not_repeatable(record: SessionRecord) -> Iterator[str]:
-    found = [name(case["id"]) for case in record["cases"] if any(not_repeatable_lines([case]))]
-    if found:
-        names = ", ".join(dict.fromkeys(found[:_MOST_NAMES]))
-        more = f" and {len(found) - _MOST_NAMES} more" if len(found) > _MOST_NAMES else ""
+    cases = [name(case["id"]) for case in record["cases"] if any(not_repeatable_lines([case]))]
+    if cases:
+        names = ", ".join(dict.fromkeys(cases[:_MOST_NAMES]))
+        more = f" and {len(cases) - _MOST_NAMES} more" if len(cases) > _MOST_NAMES else ""
         yield (
             f"Not repeatable: {names}{more}. An episode of each, run twice in this session, came "
             "out differently: what is said of them may come out differently, too."
@@ -382,20 +392,20 @@ def _not_repeatable(record: SessionRecord) -> Iterator[str]:
 
 
 def _taken_over(record: SessionRecord) -> Iterator[str]:
-    """What this session did not simulate itself."""
+    """Sentences on what this session did not simulate itself."""
     reuse, run = record["reuse"], record["totals"]["episodes"]
     if reuse["mode"] == "none":
         return
-    several = len(reuse["sessions"])
-    whose = f" from {several} earlier session{'' if several == 1 else 's'}" if several else ""
+    sessions = len(reuse["sessions"])
+    source = f" from {counted(sessions, 'earlier session')}" if sessions else ""
     yield (
-        f"{reuse['taken_over']} of {run} episodes were taken over{whose}, since nothing that they "
+        f"{reuse['taken_over']} of {run} episodes were taken over{source}, since nothing that they "
         "are known to rest on had changed: what their code reads or imports unseen is not known."
     )
-    for item in reuse["outdated"][:_MOST_NAMES]:
+    for change in reuse["outdated"][:_MOST_NAMES]:
         yield (
-            f"{item['episodes']} of {run} episodes were simulated again: "
-            f"{outdated_reason(map(name, item['changed']))}."
+            f"{change['episodes']} of {run} episodes were simulated again: "
+            f"{outdated_reason(map(name, change['changed']))}."
         )
     searched = reuse["searched"]
     if searched is not None and searched["taken_over"]:
@@ -413,9 +423,9 @@ def _untested(record: SessionRecord) -> Iterator[str]:
             f"{untested} of {len(cells) + left_out} combinations of requirement, scenario and "
             "faults were not tried."
         )
-    unheard = sum(case["missing_runs_total"] for case in record["cases"])
-    if unheard:
-        yield f"{unheard} planned episodes were not run."
+    not_run = sum(case["missing_runs_total"] for case in record["cases"])
+    if not_run:
+        yield f"{not_run} planned episodes were not run."
 
 
 def _share(part: list[Data], whole: list[Data]) -> str:

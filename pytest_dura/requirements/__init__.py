@@ -1,1 +1,1 @@
-"""What a component must do, and how episodes and campaigns are judged by it."""
+"""Requirements: formulas, statistics, and verdicts on episodes, pairs and campaigns."""

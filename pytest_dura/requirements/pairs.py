@@ -11,14 +11,16 @@ import statistics
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
+from operator import itemgetter
 from typing import Any, Literal
 
 from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.requirements.checks import check_name, load_function
+from pytest_dura.requirements.comparison import mcnemar
+from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import EpisodeStatus, EpisodeVerdict
 
 _ROUNDING = 1e-9
 """Share of the greatest value by which a growth may miss the bound and still equals it: times are
@@ -57,7 +59,7 @@ def check_comparison(requirement: Requirement) -> None:
 
 
 def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVerdict:
-    """Whether something made an episode violate a check: violated with it, satisfied without it.
+    """Verdict on a pair: it violates a check that is violated with something, satisfied without.
 
     The margin is that of the implication "satisfied without it implies satisfied with it". A pair
     of which one run is missing or invalid is so itself: there is nothing to compare. One in which
@@ -67,13 +69,13 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
         with_it: Verdict on the episode.
         without: Verdict on its twin of the same seed.
     """
-    words = with_it.verdict, without.verdict
-    spoilt = next((name for name in ("missing", "invalid") if name in words), None)
+    statuses = with_it.verdict, without.verdict
+    spoilt = next((name for name in ("missing", "invalid") if name in statuses), None)
     if spoilt is not None:
         return _as_side(with_it, with_it if with_it.verdict == spoilt else without, spoilt)
-    if "open" in words and words[0] != "satisfied" and words[1] != "violated":
-        return _as_side(with_it, with_it if words[0] == "open" else without, "open")
-    if (with_it.without_effect or without.without_effect) and words != ("violated", "satisfied"):
+    if "open" in statuses and statuses[0] != "satisfied" and statuses[1] != "violated":
+        return _as_side(with_it, with_it if statuses[0] == "open" else without, "open")
+    if (with_it.without_effect or without.without_effect) and statuses != ("violated", "satisfied"):
         # Nothing was violated only with it, and the runs are no sample of runs with the fault.
         side = with_it if with_it.without_effect else without
         return _as_side(with_it, side, "invalid")
@@ -81,10 +83,10 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
     margin = None
     if margins[0] is not None and margins[1] is not None:
         margin = max(margins[0], -margins[1])
-    if words == ("violated", "satisfied"):
+    if statuses == ("violated", "satisfied"):
         detail = f"violated only with it: {with_it.detail}"
         return replace(with_it, margin=margin, detail=detail)
-    detail = f"{words[0]} with it, {words[1]} without it"
+    detail = f"{statuses[0]} with it, {statuses[1]} without it"
     vacuous = with_it.vacuous and without.vacuous
     return replace(
         with_it, verdict="satisfied", margin=margin, time=None, detail=detail, vacuous=vacuous
@@ -128,18 +130,18 @@ def change_verdict(
     assert requirement.paired is not None
     bound = requirement.paired.change_at_most
     assert bound is not None
-    word, margin, detail = _compared(episode, twin, values, bound)
+    status, margin, detail = _compared(episode, twin, values, bound)
     return EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
         component=episode.spec.component,
-        verdict=word,
+        verdict=status,
         margin=margin,
         time=None,
         detail=detail,
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
-        idle=episode.idle_faults,
+        not_manifested=episode.not_manifested,
     )
 
 
@@ -154,7 +156,7 @@ def _compared(
             for episode in pair
             if episode.validity != "valid" or episode.termination == "decided"
         ]
-        missing = [item for item in spoilt if item.failure is not None]
+        missing = [run for run in spoilt if run.failure is not None]
         side = [*missing, *spoilt][0]
         why = side.failure or side.invalid_reason or "ended before its time, once all was decided"
         detail = f"{why}, in {side.id}"
@@ -231,14 +233,14 @@ class Pair:
                 )
 
     @property
-    def word(self) -> PairStatus:
-        """Which runs violated it; ``incomplete`` if one of them is not known to."""
-        words = self.with_it.verdict, self.without.verdict
-        if not {"satisfied", "violated"}.issuperset(words) or (
+    def status(self) -> PairStatus:
+        """Which runs violated it; ``incomplete`` if that is unknown of one of them."""
+        statuses = self.with_it.verdict, self.without.verdict
+        if not {"satisfied", "violated"}.issuperset(statuses) or (
             self.with_it.without_effect or self.without.without_effect
         ):
             return "incomplete"
-        return _STATUSES[words[0] == "violated", words[1] == "violated"]
+        return _STATUSES[statuses[0] == "violated", statuses[1] == "violated"]
 
 
 _STATUSES: dict[tuple[bool, bool], PairStatus] = {
@@ -251,7 +253,7 @@ _STATUSES: dict[tuple[bool, bool], PairStatus] = {
 
 @dataclass(frozen=True, slots=True)
 class PairCounts:
-    """How many pairs violated a requirement in which of their runs.
+    """Counts of pairs by the runs that violated a requirement.
 
     The first five counts add up to ``pairs``. A pair with an invalid, missing or open run is
     incomplete, as what the other run came to cannot be compared; a violation in it stands in
@@ -367,31 +369,25 @@ def judge_pairs(pairs: Iterable[Pair]) -> PairCounts:
         ConfigurationError: If a run stands in two pairs, or the pairs are about different
             requirements or components.
     """
-    found = list(pairs)
-    _check_one_claim(found)
-    words = Counter(pair.word for pair in found)
-    acted = Counter(pair.word for pair in found if pair.acted)
+    all_pairs = list(pairs)
+    _check_one_claim(all_pairs)
+    counts = Counter(pair.status for pair in all_pairs)
+    acted = Counter(pair.status for pair in all_pairs if pair.acted)
     return PairCounts(
-        pairs=len(found),
-        only_with=words["only_with"],
-        only_without=words["only_without"],
-        both=words["both"],
-        neither=words["neither"],
-        incomplete=words["incomplete"],
+        pairs=len(all_pairs),
+        only_with=counts["only_with"],
+        only_without=counts["only_without"],
+        both=counts["both"],
+        neither=counts["neither"],
+        incomplete=counts["incomplete"],
         acted_only_with=acted["only_with"],
         acted_only_without=acted["only_without"],
         acted_both=acted["both"],
         acted_neither=acted["neither"],
-        violated_with=sum(pair.with_it.verdict == "violated" for pair in found),
-        violated_without=sum(pair.without.verdict == "violated" for pair in found),
-        p_value=_p_value(words["only_with"], words["only_without"]),
+        violated_with=sum(pair.with_it.verdict == "violated" for pair in all_pairs),
+        violated_without=sum(pair.without.verdict == "violated" for pair in all_pairs),
+        p_value=mcnemar(counts["only_with"], counts["only_without"]),
     )
-
-
-def _p_value(only_with: int, only_without: int) -> float:
-    from pytest_dura.requirements.statistics.comparison import mcnemar
-
-    return mcnemar(only_with, only_without)
 
 
 def _check_one_claim(pairs: list[Pair]) -> None:
@@ -399,7 +395,9 @@ def _check_one_claim(pairs: list[Pair]) -> None:
     if len(claims) > 1:
         raise ConfigurationError(
             "pairs are counted for one requirement and one component",
-            found=" and ".join(f"{requirement} of {who}" for requirement, who in claims),
+            found=" and ".join(
+                f"{requirement} of {component}" for requirement, component in claims
+            ),
             remedy="count the pairs of each apart",
         )
     for side in ("with_it", "without"):
@@ -488,12 +486,12 @@ class Change:
     @property
     def greatest(self) -> tuple[str, float] | None:
         """The pair in which the measure grew most, the first of equals, and by how much."""
-        return max(self._changed(), key=_by_change, default=None)
+        return max(self._changed(), key=itemgetter(1), default=None)
 
     @property
     def least(self) -> tuple[str, float] | None:
         """The pair in which it grew least or shrank most; the worst for, say, a smallest gap."""
-        return min(self._changed(), key=_by_change, default=None)
+        return min(self._changed(), key=itemgetter(1), default=None)
 
     @property
     def p_value(self) -> float:
@@ -501,16 +499,14 @@ class Change:
 
         Pairs without a change, and those in which nothing changed, do not count; 1 without others.
         """
-        from pytest_dura.requirements.statistics.comparison import mcnemar
-
         # The same binomial distribution with probability 1/2.
         return mcnemar(
             sum(change > 0 for change in self.changes), sum(change < 0 for change in self.changes)
         )
 
     def _changed(self) -> list[tuple[str, float]]:
-        found = zip(self.pairs, self.values, strict=True)
-        return [(pair, value) for pair, value in found if value is not None]
+        pairs = zip(self.pairs, self.values, strict=True)
+        return [(pair, value) for pair, value in pairs if value is not None]
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for the evidence record: the changes, and the summary."""
@@ -535,10 +531,6 @@ class Change:
         """The inverse of :meth:`to_json`."""
         ids = {name: tuple(data[name]) for name in ("lost", "gained", "valueless", "incomplete")}
         return cls(data["measure"], tuple(data["pairs"]), tuple(data["values"]), **ids)
-
-
-def _by_change(changed: tuple[str, float]) -> float:
-    return changed[1]
 
 
 def _compare(own: float | None, twin: float | None) -> tuple[str, float | None]:

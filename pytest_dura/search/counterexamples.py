@@ -1,4 +1,4 @@
-"""Counterexamples: replayed, made simpler, and written as scenario files for people."""
+"""Counterexamples: replay them, make them simpler, and write them as readable scenario files."""
 
 from __future__ import annotations
 
@@ -14,10 +14,8 @@ from typing import Any
 import yaml
 
 from pytest_dura.campaign.falsification import FoundCounterexample, Shrinking
-from pytest_dura.core.error_messages import combine_errors
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, combine_errors
 from pytest_dura.core.files import replace_file
-from pytest_dura.domains import simulator_spec
 from pytest_dura.faults.catalogue import BY_CHANCE
 from pytest_dura.library.cases import SEARCHED_MARK, SearchedCase, expand_cases
 from pytest_dura.library.checks import scenario_problems
@@ -26,75 +24,60 @@ from pytest_dura.library.planned_faults import parse_fault
 from pytest_dura.library.scenario import Scenario, check_world
 from pytest_dura.requirements.checks import Check, check_name, is_function_path, load_function
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.search.differences import changes_of
 from pytest_dura.search.portfolio import finite_or_none
 from pytest_dura.search.shrinking import shrink
+from pytest_dura.search.simplification import ABSENT, Keys, changes_of, value_at, with_value
 from pytest_dura.search.trials import Objective, Trials
 
 
 def _without_defaults(
     data: dict[str, Any], filled: Callable[[Any], Any], fixed: Iterable[str] = ()
 ) -> dict[str, Any]:
-    """The data without the keys that come back by themselves when it is filled in.
+    """Remove the keys that hold their defaults.
 
     Args:
         data: Plain data.
-        filled: The data with defaults filled in.
+        filled: Fills in the defaults.
         fixed: Keys that stay.
     """
-    whole = filled(data)
+    complete = filled(data)
 
-    def same(trial: Any) -> bool:
+    def is_equal(trial: Any) -> bool:
         try:
-            return bool(filled(trial) == whole)
+            return bool(filled(trial) == complete)
         except ConfigurationError:
             return False
 
-    def pruned(inner: Any, put: Any) -> Any:
-        if isinstance(inner, Mapping):
-            kept = dict(inner)
-            for key in inner:
-                if key in fixed:
-                    continue
-                without = {name: value for name, value in kept.items() if name != key}
-                if same(put(without)):
-                    kept = without
-                else:
-                    kept[key] = pruned(
-                        kept[key], lambda value, kept=kept, key=key: put({**kept, key: value})
-                    )
-            return kept
-        if isinstance(inner, (list, tuple)):
-            items = list(inner)
-            for number, item in enumerate(items):
-                items[number] = pruned(
-                    item,
-                    lambda value, items=items, number=number: put(
-                        [*items[:number], value, *items[number + 1 :]]
-                    ),
-                )
-            return items
-        return inner
+    def pruned(whole: dict[str, Any], keys: Keys) -> dict[str, Any]:
+        part = value_at(whole, keys)
+        if isinstance(part, Mapping):
+            for key in [key for key in part if key not in fixed]:
+                without = with_value(whole, (*keys, key), ABSENT)
+                whole = without if is_equal(without) else pruned(whole, (*keys, key))
+        elif isinstance(part, (list, tuple)):
+            for i in range(len(part)):
+                whole = pruned(whole, (*keys, i))
+        return whole
 
-    return dict(pruned(data, lambda value: value))
+    return pruned(data, ())
 
 
 _FOLDER = "found"
-"""Below the project's folder of scenarios, and before the names of what is kept there."""
-_WIDTH = 98
-_LONGEST = 60
-"""Characters of a text within a name: of three together, a file's name has room for 255."""
-_LAST = ("world", "faults", "requirements")
+"""Folder below the project's folder of scenarios, and prefix of the names of scenarios in it."""
+_LINE_WIDTH = 98
+_MAX_NAME_PART = 60
+"""Characters of each part of a file's name: it has three, and room for 255 characters."""
+_LAST_KEYS = ("world", "faults", "requirements")
 
 
 @dataclass(frozen=True)
 class StoredCounterexample:
-    """A counterexample that is kept.
+    """A counterexample in a scenario file.
 
     Args:
-        file: The scenario file.
-        scenario: What it reads as.
-        requirement: The requirement that it is a counterexample to, as its file defines it.
+        file: The file.
+        scenario: The scenario that was read back from it.
+        requirement: The requirement that it violates, as a file defines it.
     """
 
     file: Path
@@ -109,21 +92,20 @@ def write_counterexample(
     check: Check | None = None,
     *,
     defined: bool,
-    told: Sequence[str] = (),
+    heading: Sequence[str] = (),
 ) -> StoredCounterexample:
     """Write a counterexample to a scenario file, and read it back.
 
-    A requirement that a file defines and that no episode may violate is named as such. Any other
-    one, such as a rate, gets a file of its own beside it, by which this very case may not violate
-    its check.
+    A requirement that a file defines and that no episode may violate is named by its id. For any
+    other, such as a rate, a requirement file is written: this very case may not violate its check.
 
     Args:
-        folder: Where scenarios are found; the file goes into ``found`` below it.
+        folder: A folder of scenarios; the file goes into its folder ``found``.
         case: The counterexample.
         requirement: What it violates.
         check: In place of the requirement's own.
         defined: Whether a requirement file defines the requirement.
-        told: Lines on where it comes from, for the head of the file.
+        heading: Lines on its origin, for comments at the head of the file.
 
     Raises:
         ConfigurationError: If the check has no name that a file could hold, the file cannot be
@@ -133,13 +115,15 @@ def write_counterexample(
     if not defined or check is not None or requirement.at_most is not None:
         named = _requirement_of_case(requirement, check)
         _write(folder / _FOLDER / "requirements" / f"{named.id}.yaml", _requirement_text(named))
-    which = _label(named.id.removesuffix(f".{_FOLDER}"), _LONGEST)
-    drawn = _slug(case.id.partition(SEARCHED_MARK)[2])
-    name = f"{_slug(case.scenario.name)[:_LONGEST]}-{which}-{drawn}"
+    label = _label(named.id.removesuffix(f".{_FOLDER}"), _MAX_NAME_PART)
+    digest = _slug(case.id.partition(SEARCHED_MARK)[2])
+    name = f"{_slug(case.scenario.name)[:_MAX_NAME_PART]}-{label}-{digest}"
     data = _plain_scenario(case) | {"name": f"{_FOLDER}/{name}", "requirements": [named.id]}
-    data = {key: data[key] for key in sorted(data, key=lambda key: (key in _LAST, key != "name"))}
+    data = {
+        key: data[key] for key in sorted(data, key=lambda key: (key in _LAST_KEYS, key != "name"))
+    }
     file = folder / _FOLDER / f"{name}.yaml"
-    _write(file, _commented(told) + _yaml(data))
+    _write(file, _comments(heading) + _yaml(data))
     try:
         scenario = Scenario.from_document(read_yaml(file))
         problems = scenario_problems(scenario)
@@ -152,7 +136,7 @@ def write_counterexample(
 
 
 def _plain_scenario(case: SearchedCase) -> dict[str, Any]:
-    """The case's scenario as plain data, without what is so by default."""
+    """Return the case's scenario as plain data, without defaults."""
     data = dict(case.data)
     data |= {"description": f"A counterexample to a requirement on {case.scenario.name}."}
     if case.policy != Scenario.model_fields["policy"].default:
@@ -162,7 +146,7 @@ def _plain_scenario(case: SearchedCase) -> dict[str, Any]:
     if case.without:
         data["roles"] = {**data.get("roles", {}), **dict.fromkeys(case.without)}
     scenario = case.scenario
-    simulator = simulator_spec(scenario.simulator.path, scenario.simulator.params)
+    simulator = scenario.simulator_spec()
     data["world"] = _without_defaults(
         dict(scenario.world), lambda world: check_world(scenario, simulator, world)
     )
@@ -173,12 +157,12 @@ def _plain_scenario(case: SearchedCase) -> dict[str, Any]:
 def _plain_fault(scenario: Scenario, fault: Mapping[str, Any]) -> dict[str, Any]:
     given = {key: value for key, value in fault.items() if key != BY_CHANCE}
     return _without_defaults(
-        given, lambda item: parse_fault(scenario, item), fixed=("type", "target")
+        given, lambda data: parse_fault(scenario, data), fixed=("type", "target")
     )
 
 
 def _requirement_of_case(requirement: Requirement, check: Check | None) -> Requirement:
-    """What this very case may not violate, for a requirement that no file defines like that."""
+    """Make the requirement that this very case may not violate."""
     given = requirement.check if check is None else check
     text = check_name(given)
     if callable(given):
@@ -193,7 +177,7 @@ def _requirement_of_case(requirement: Requirement, check: Check | None) -> Requi
                 expected="a formula, or a function at the top of a module that can be imported",
                 remedy="move the function to a module, and give its path package.module:function",
             )
-    # Other checks have other names, however alike: one file is never written over another.
+    # Other checks have other names, however alike, so that no file overwrites another.
     name = f"{_slug(requirement.id)[:40]}-{_digest(f'{requirement.id}: {text}')}.{_FOLDER}"
     what = " ".join((requirement.text or text).split())
     return Requirement(
@@ -214,21 +198,21 @@ def _requirement_text(requirement: Requirement) -> str:
 
 def _yaml(data: Mapping[str, Any], *, flow: bool | None = None) -> str:
     return yaml.safe_dump(
-        dict(data), sort_keys=False, default_flow_style=flow, allow_unicode=True, width=_WIDTH
+        dict(data), sort_keys=False, default_flow_style=flow, allow_unicode=True, width=_LINE_WIDTH
     )
 
 
-def _commented(told: Sequence[str]) -> str:
-    """Comment lines; no text can end one and so become a key."""
+def _comments(texts: Sequence[str]) -> str:
+    """Make comment lines; no text can end a line and so become a key."""
     lines = []
-    for text in told:
-        plain = "".join(item if item.isprintable() else " " for item in text)
-        lines += [f"# {line}\n" for line in textwrap.wrap(plain, _WIDTH) or [""]]
+    for text in texts:
+        plain = "".join(char if char.isprintable() else " " for char in text)
+        lines += [f"# {line}\n" for line in textwrap.wrap(plain, _LINE_WIDTH) or [""]]
     return "".join(lines)
 
 
 def _label(text: str, most: int) -> str:
-    """The text where a name can hold it, else as much of it as can, and its digest."""
+    """Return the text if a name can hold it, else its beginning and its digest."""
     slug = _slug(text)
     return slug if slug == text and len(slug) <= most else f"{slug[:most]}-{_digest(text)}"
 
@@ -243,7 +227,7 @@ def _slug(text: str) -> str:
 
 
 def _write(file: Path, text: str) -> None:
-    """Whole or not at all; another process may be at the same."""
+    """Write a whole file or none; another process may write the same file."""
     try:
         replace_file(file, [text.encode()], durable=True)
     except OSError as error:
@@ -258,51 +242,49 @@ def _write(file: Path, text: str) -> None:
 CounterexampleStore = Callable[
     [SearchedCase, Objective, Sequence[str]], tuple[StoredCounterexample, str]
 ]
-"""Keeps a counterexample; returns what was kept and its file as the project names it."""
+"""Stores a case that violates an objective under some heading; returns it, and its file's path from
+the project's root."""
 
 
 @dataclass(frozen=True)
 class ConfirmedCounterexample:
-    """A violation with what came of replaying it.
+    """A violating case that was replayed.
 
     Args:
-        case: The case, made simpler where that was asked for.
-        found: What is told of it.
+        case: The case, made simpler if there was a budget for that.
+        counterexample: Its report.
     """
 
     case: SearchedCase
-    found: FoundCounterexample
+    counterexample: FoundCounterexample
 
 
 def confirm_violation(
-    trials: Trials, asked: Objective, case: SearchedCase, budget: int
+    trials: Trials, objective: Objective, case: SearchedCase, budget: int
 ) -> ConfirmedCounterexample:
     """Replay a violation, and make it simpler if the replay is equal.
 
     Args:
         trials: Runs it.
-        asked: What it violates.
+        objective: The requirement that it violates.
         case: The case.
-        budget: Simulations for making it simpler.
+        budget: Greatest number of simulations for making it simpler.
     """
-    episode, repeats = trials.repeated(case, asked)
-    shrinking = None
+    nominal, simulator = trials.space.case, trials.runner.simulator
+    episode, repeats = trials.replay(case, objective)
+    shrinking: Shrinking | None = None
     if repeats.confirmed and budget:
 
         def violates(trial: SearchedCase) -> bool:
-            return asked.judge(trials.runner.searched(trial)).word == "violated"
+            return objective.judge(trials.runner.searched(trial)).status == "violated"
 
-        shrunk = shrink(
-            trials.space.case, case, violates, budget=budget, simulator=trials.runner.simulator
-        )
-        simpler, again = trials.repeated(shrunk.case, asked)
-        # A component that repeats itself here need not do so there: what is confirmed, stays.
-        if again.confirmed:
-            case, episode, repeats = shrunk.case, simpler, again
-            shrinking = Shrinking(
-                shrunk.before, shrunk.after, shrunk.simulations, budget, shrunk.finished
-            )
-    verdict = asked.judge(episode)
+        shrunk = shrink(nominal, case, violates, budget=budget, simulator=simulator)
+        simpler, simpler_repeats = trials.replay(shrunk.case, objective)
+        # A component may repeat itself in the case that was found, and not in the simpler one.
+        if simpler_repeats.confirmed:
+            case, episode, repeats = shrunk.case, simpler, simpler_repeats
+            shrinking = shrunk.shrinking
+    verdict = objective.judge(episode)
     counterexample = FoundCounterexample(
         case=case.id,
         scenario=case.data,
@@ -312,7 +294,7 @@ def confirm_violation(
         time=verdict.time,
         detail=verdict.detail,
         repeats=repeats,
-        changes=changes_of(trials.space.case, case, simulator=trials.runner.simulator),
+        changes=changes_of(nominal, case, simulator=simulator),
         shrinking=shrinking,
     )
     return ConfirmedCounterexample(case, counterexample)
@@ -320,52 +302,53 @@ def confirm_violation(
 
 def store_counterexample(
     trials: Trials,
-    asked: Objective,
+    objective: Objective,
     confirmed: ConfirmedCounterexample,
-    keep: CounterexampleStore,
-    how: str,
+    store: CounterexampleStore,
+    origin: str,
 ) -> FoundCounterexample:
-    """The counterexample with the file that keeps it, which was read back and run.
+    """Store a counterexample, and run it from its file; return its report with the file.
 
     Args:
         trials: Runs it.
-        asked: What it violates.
+        objective: The requirement that it violates.
         confirmed: The counterexample.
-        keep: Writes the file.
-        how: Where it comes from, in words.
+        store: Writes the file.
+        origin: Where it comes from, in words.
 
     Raises:
-        ConfigurationError: If it cannot be kept, or does not come up again from its file.
+        ConfigurationError: If it cannot be stored, or its file does not violate the requirement by
+            the same margin.
     """
-    found = confirmed.found
-    made, file = keep(confirmed.case, asked, _file_heading(trials, asked, found, how))
-    (read,) = expand_cases([made.scenario])
-    # A requirement of its own is not among those that this session has read.
+    counterexample = confirmed.counterexample
+    heading = _file_heading(trials, objective, counterexample, origin)
+    stored, file = store(confirmed.case, objective, heading)
+    (read,) = expand_cases([stored.scenario])
+    # A requirement that was written for this case is not in the session's library.
     again = replace(read, requirements=confirmed.case.requirements)
-    verdict = asked.judge(trials.runner.searched(again))
-    if verdict.word != "violated" or verdict.margin != found.margin:
-        made.file.unlink()
+    verdict = objective.judge(trials.runner.searched(again))
+    if verdict.status != "violated" or verdict.margin != counterexample.margin:
+        stored.file.unlink()
         raise ConfigurationError(
-            f"a counterexample to {asked.requirement.id} does not come up again from its file",
+            f"a counterexample to {objective.requirement.id} does not come up again from its file",
             file=file,
-            found=f"{verdict.word}, margin {verdict.margin}",
-            expected=f"violated, margin {found.margin}",
+            found=f"{verdict.status}, margin {verdict.margin}",
+            expected=f"violated, margin {counterexample.margin}",
             remedy="please report this with the scenario and the command",
         )
-    return replace(found, file=file, name=made.scenario.name)
+    return replace(counterexample, file=file, name=stored.scenario.name)
 
 
 def _file_heading(
-    trials: Trials, asked: Objective, counterexample: FoundCounterexample, how: str
+    trials: Trials, objective: Objective, counterexample: FoundCounterexample, origin: str
 ) -> list[str]:
-    """The head of the file."""
     case = trials.space.case
     component = case.roles(trials.runner.roles)["generator"].label
     when = "" if counterexample.time is None else f" at t = {counterexample.time:g} s"
     margin = "" if counterexample.margin is None else f", margin {counterexample.margin:.4g}"
     lines = [
-        f"{component} violates {asked.requirement.id} here{when}{margin}: {asked.name}",
-        f"From {case.id}, {how}; confirmed by replay.",
+        f"{component} violates {objective.requirement.id} here{when}{margin}: {objective.name}",
+        f"From {case.id}, {origin}; confirmed by replay.",
     ]
     if counterexample.shrinking is not None:
         shrinking = counterexample.shrinking

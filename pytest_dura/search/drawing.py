@@ -1,4 +1,4 @@
-"""Draw cases by choices, the simplest first: what Hypothesis strategies are made of."""
+"""Draw cases from whole numbers, 0 the simplest: the base of the Hypothesis strategies."""
 
 from __future__ import annotations
 
@@ -10,10 +10,16 @@ from functools import cached_property
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.domains import simulator_spec
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.fault_campaigns import FaultCampaign
 from pytest_dura.library.scenario import check_world, world_checker
+from pytest_dura.search.simplification import (
+    ABSENT,
+    Keys,
+    place_order,
+    value_at,
+    with_value,
+)
 from pytest_dura.search.space import (
     SLOT,
     FaultChoice,
@@ -26,10 +32,10 @@ from pytest_dura.search.space import (
 )
 
 LEVELS = 3
-"""Whole numbers that a value is made of."""
+"""Whole numbers that a value is drawn from."""
 
 Edges = tuple[float, float]
-"""Where a cell begins, which is nearer to the nominal value and no part of it, and its far end."""
+"""A cell: the end nearer to the nominal value, which is no part of it, and the far end."""
 
 
 class Scale(ABC):
@@ -37,16 +43,16 @@ class Scale(ABC):
 
     @abstractmethod
     def count(self, *before: int) -> int:
-        """How many numbers there are to choose from, at least one, after those chosen before."""
+        """Return how many numbers there are to choose from, at least 1, after earlier choices."""
 
     @abstractmethod
     def value(self, *chosen: int) -> Any:
-        """The value of so many numbers; the nominal one if all are 0."""
+        """Return the value of the chosen numbers; the nominal one if all are 0."""
 
 
 @dataclass(frozen=True)
 class NumberScale(Scale):
-    """The numbers of the grid of :mod:`numbers` from ``low`` to ``high``.
+    """Numbers of the grid over an interval, see :func:`pytest_dura.search.space.on_grid`.
 
     Args:
         low: Least value.
@@ -59,25 +65,16 @@ class NumberScale(Scale):
     nominal: float
 
     def count(self, *before: int) -> int:
-        """Cells on either side of the nominal value, the nearest first; then parts of them."""
+        """Count the cells on either side of the nominal value, the nearest first; then parts."""
         return len(self._parts(before))
 
     def value(self, *chosen: int) -> float:
-        """A number of the grid; the nominal value itself as it was given."""
+        """Return a number of the grid, or the nominal value as it was given."""
         return self._parts(chosen[:-1])[chosen[-1]][1]
 
-    @cached_property
-    def _known(self) -> dict[tuple[int, ...], list[Edges]]:
-        return {}
-
     def _parts(self, chosen: tuple[int, ...]) -> list[Edges]:
-        if chosen not in self._known:
-            self._known[chosen] = self._made(chosen)
-        return self._known[chosen]
-
-    def _made(self, chosen: tuple[int, ...]) -> list[Edges]:
         if not chosen:
-            return self._cells()
+            return self._cells
         begin, end = self._parts(chosen[:-1])[chosen[-1]]
         if begin == end:
             return [(begin, end)]
@@ -85,6 +82,7 @@ class NumberScale(Scale):
         *nearer, last = zip([begin, *points], [*points, end], strict=True)
         return [last, *nearer]
 
+    @cached_property
     def _cells(self) -> list[Edges]:
         centre = min(max(self.nominal, self.low), self.high)
         edges: list[Edges] = []
@@ -95,13 +93,13 @@ class NumberScale(Scale):
         digits = digits_of(self.low, self.high) + LEVELS
 
         def distance(cell: Edges) -> float:
-            # Without what floats are off by: of two as near, the one above comes first.
+            # Without rounding errors: of two cells as near, the one above comes first.
             return round(abs(cell[1] - centre), digits)
 
         return [(centre, centre), *sorted(cells, key=distance)]
 
     def _between(self, begin: float, end: float, fewer: int) -> list[float]:
-        """The numbers between two others that have so many digits less than the grid."""
+        """List the numbers between two others that have so many digits fewer than the grid."""
         digits = digits_of(self.low, self.high) - fewer
         step = 10.0**-digits
         least, greatest = sorted((begin, end))
@@ -112,23 +110,23 @@ class NumberScale(Scale):
 
 
 @dataclass(frozen=True)
-class WordScale(Scale):
-    """Values of no order, each a cell of its own.
+class ChoiceScale(Scale):
+    """Unordered values, each a cell of its own.
 
     Args:
         values: The values.
-        nominal: The simplest of them, if it is one of them.
+        nominal: The simplest value; it need not be among them.
     """
 
     values: tuple[Any, ...]
     nominal: Any
 
     def count(self, *before: int) -> int:
-        """All of them, and then nothing more to choose."""
+        """Return the number of values, then 1."""
         return 1 if before else len(self.values)
 
     def value(self, *chosen: int) -> Any:
-        """The nominal value first, the others in their order."""
+        """Return a value; the nominal one is first, the others follow in their order."""
         others = [value for value in self.values if value != self.nominal]
         ordered = [*(value for value in self.values if value == self.nominal), *others]
         return ordered[chosen[0]]
@@ -136,7 +134,7 @@ class WordScale(Scale):
 
 @dataclass(frozen=True)
 class Scaled:
-    """A parameter as scales, one for each of its numbers.
+    """A parameter with a scale for each of its numbers.
 
     Args:
         path: The parameter's name.
@@ -149,13 +147,13 @@ class Scaled:
     listed: bool = False
 
     def value(self, chosen: Sequence[Sequence[int]]) -> Any:
-        """The value of so many numbers for each scale."""
-        found = [scale.value(*item) for scale, item in zip(self.scales, chosen, strict=True)]
-        return found if self.listed else found[0]
+        """Return the value of the numbers chosen for each scale."""
+        values = [scale.value(*each) for scale, each in zip(self.scales, chosen, strict=True)]
+        return values if self.listed else values[0]
 
 
 def scaled(parameter: Parameter) -> Scaled:
-    """A parameter as scales.
+    """Make the scales of a parameter.
 
     Args:
         parameter: An interval, or one of several values.
@@ -164,25 +162,22 @@ def scaled(parameter: Parameter) -> Scaled:
         TypeError: For any other kind.
     """
     if isinstance(parameter, OneOf):
-        return Scaled(parameter.path, (WordScale(parameter.values, parameter.nominal),))
+        return Scaled(parameter.path, (ChoiceScale(parameter.values, parameter.nominal),))
     if not isinstance(parameter, Interval):
         raise TypeError(f"{type(parameter).__name__} is no number and no choice")
     low, high, given = parameter.low, parameter.high, parameter.nominal
     if parameter.pieces is None:
         return Scaled(parameter.path, (NumberScale(low, high, _number(given)),))
-    several = isinstance(given, (list, tuple)) and len(given) == parameter.pieces
-    nominal = given if several else [given] * parameter.pieces
-    scales = tuple(NumberScale(low, high, _number(item)) for item in nominal)
+    listed = isinstance(given, (list, tuple)) and len(given) == parameter.pieces
+    nominal = given if listed else [given] * parameter.pieces
+    scales = tuple(NumberScale(low, high, _number(value)) for value in nominal)
     return Scaled(parameter.path, scales, listed=True)
 
 
 def _number(value: Any) -> float:
-    """The nominal value, or 0 where the scenario has none, or no number."""
+    """Return the nominal value, or 0 where the scenario has none, or no number."""
     plain = isinstance(value, (int, float)) and not isinstance(value, bool)
     return value if plain and math.isfinite(value) else 0.0
-
-
-Keys = tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
@@ -190,152 +185,133 @@ class Omission:
     """A part of a case that may be left out.
 
     Args:
-        path: As a variation would name it, such as ``world.vehicles.0`` or ``faults.delay``.
-        keys: Where it is in the world; empty for a fault.
+        path: Path of a variation, such as ``world.vehicles.0`` or ``faults.delay``.
+        keys: Its place in the world; empty for a fault.
     """
 
     path: str
     keys: Keys = ()
 
     def covers(self, path: str) -> bool:
-        """Whether a parameter is one of this part."""
+        """Whether a parameter belongs to this part."""
         return path.startswith(f"{self.path}.")
 
 
 def omissions(case: Case, world: Mapping[str, Any]) -> tuple[Omission, ...]:
-    """What may be left out of a case: its faults first, then entries of its world.
+    """List what may be left out of a case: its faults first, then parts of its world.
 
-    Those are entries of lists, such as vehicles, and parts that need not be there, such as random
-    traffic; only where the simulator's class has a ``check_scenario`` that accepts the world
-    without them.
+    These are entries of lists, such as vehicles, and optional parts, such as random traffic; only
+    where the simulator's class has a ``check_scenario`` that accepts the world without them.
 
     Args:
         case: The case.
         world: Its world, defaults filled in.
     """
     faults = [Omission(f"faults.{fault['id']}") for fault in case.faults]
-    entry = case.scenario.simulator
-    simulator = simulator_spec(entry.path, entry.params)
+    simulator = case.scenario.simulator_spec()
     if world_checker(simulator) is None:
         return tuple(faults)
 
     def accepted(keys: Keys) -> bool:
         try:
-            found = check_world(case.scenario, simulator, without_omissions(world, [keys]))
+            reduced = check_world(case.scenario, simulator, without_omissions(world, [keys]))
         except ConfigurationError:
             return False
-        return isinstance(keys[-1], int) or _at(found, keys) is None
+        return isinstance(keys[-1], int) or value_at(reduced, keys) is None
 
     places = [keys for keys in _places(world, ()) if accepted(keys)]
     return (*faults, *(Omission(".".join(map(str, ("world", *place))), place) for place in places))
 
 
 def without_omissions(world: Mapping[str, Any], places: Iterable[Keys]) -> dict[str, Any]:
-    """The world without entries of lists, and with nothing in the place of other parts."""
-    without: Any = world
-    # From the last to the first, so that no place shifts another.
-    for keys in sorted(places, key=lambda keys: [str(key).zfill(9) for key in keys], reverse=True):
-        without = _without(without, keys)
-    return dict(without)
-
-
-def _without(data: Any, keys: Sequence[str | int]) -> Any:
-    key, *rest = keys
-    if isinstance(data, Mapping):
-        return {**data, key: _without(data[key], rest) if rest else None}
-    assert isinstance(key, int)
-    items = list(data)
-    items[key : key + 1] = [_without(items[key], rest)] if rest else []
-    return items
+    """Copy the world without some entries of lists, and with ``None`` for other parts."""
+    # From the last to the first, so that places stay the same.
+    for keys in sorted(places, key=place_order, reverse=True):
+        world = with_value(world, keys, ABSENT if isinstance(keys[-1], int) else None)
+    return dict(world)
 
 
 def _places(data: Any, keys: Keys) -> Iterator[Keys]:
-    """Entries of lists of mappings, and mappings within mappings; not what is within entries."""
+    """Yield places of entries of lists of mappings, and of mappings, not within entries."""
     for key, value in data.items():
         if isinstance(value, Mapping):
             yield (*keys, key)
             yield from _places(value, (*keys, key))
-        elif isinstance(value, (list, tuple)) and all(isinstance(item, Mapping) for item in value):
+        elif isinstance(value, (list, tuple)) and all(isinstance(each, Mapping) for each in value):
             for number in range(len(value)):
                 yield (*keys, key, number)
 
 
-def _at(data: Any, keys: Keys) -> Any:
-    for key in keys:
-        data = data[key]
-    return data
-
-
 Pick = Callable[[int], int]
-"""Of so many, the number of one from 0, which is the simplest."""
+"""Chooses one of so many numbers from 0, which is the simplest."""
 
 SEEDS = 10_000
-"""Seeds that an episode may have."""
+"""Number of seeds that may be drawn."""
 OMISSION_ODDS = 8
-"""Once in so many times a part of the case is left out."""
+"""A part of the case is left out once in so many times."""
 
-_NOTHING = WordScale((None,), None)
-"""In the place of a number that has no meaning: there is one value to choose."""
+_NOTHING = ChoiceScale((None,), None)
+"""Stands for a number without a meaning: it has one value."""
 _NO_PARAMETER = Scaled("", (_NOTHING,))
 _STAGES = ("activation.at", "duration", "")
-"""What is chosen of a fault, one after the other; the last stands for all the rest."""
+"""Parameters of a fault in the order of their choice; the last stands for all others."""
 
 
 @dataclass(frozen=True)
 class Slots:
-    """Room for faults that are added.
+    """The faults that are added.
 
     Args:
-        choices: The faults.
-        at_least: How many there are at least.
-        at_most: How many there are at most.
+        choices: The faults to choose from.
+        at_least: Least number of faults.
+        at_most: Greatest number of faults.
     """
 
     choices: tuple[FaultChoice, ...] = ()
     at_least: int = 0
     at_most: int = 0
 
-    def chosen(self, pick: Pick) -> Iterator[bool]:
-        """Whether there is a fault in each slot."""
+    def occupied(self, pick: Pick) -> Iterator[bool]:
+        """Choose for each slot whether it has a fault."""
         for number in range(self.at_most):
             needed = number < self.at_least
             yield pick(1 if needed else 2) == 1 or needed
 
-    def kinds(self, pick: Pick, chosen: Sequence[bool]) -> list[int | None]:
-        """The number of the fault in each slot."""
-        numbers = [pick(len(self.choices) if there else 1) for there in chosen]
-        return [number if there else None for number, there in zip(numbers, chosen, strict=True)]
+    def kinds(self, pick: Pick, occupied: Sequence[bool]) -> list[int | None]:
+        """Choose the fault in each slot, as its place in ``choices``; ``None`` for no fault."""
+        numbers = [pick(len(self.choices) if fault else 1) for fault in occupied]
+        return [number if fault else None for number, fault in zip(numbers, occupied, strict=True)]
 
     def parameters(self, kinds: Sequence[int | None]) -> Iterator[tuple[int, Scaled]]:
-        """The parameters of each fault with the number of its slot; equally many in any case."""
+        """Yield each fault's parameters with the number of its slot; always equally many."""
         for of_choices in self._stages:
             width = max(map(len, of_choices), default=0)
             for slot, kind in enumerate(kinds):
                 inner = () if kind is None else of_choices[kind]
-                for item in (*inner, *(_NO_PARAMETER,) * (width - len(inner))):
-                    yield slot, item
+                for parameter in (*inner, *(_NO_PARAMETER,) * (width - len(inner))):
+                    yield slot, parameter
 
     @cached_property
     def _stages(self) -> list[list[list[Scaled]]]:
-        """For each stage, and each of the choices, its parameters."""
+        """The parameters of each choice, for each stage."""
 
         def stage(parameter: Parameter) -> str:
             return parameter.path if parameter.path in _STAGES else _STAGES[-1]
 
         return [
-            [[scaled(item) for item in kind.inner if stage(item) == name] for kind in self.choices]
+            [[scaled(each) for each in kind.inner if stage(each) == name] for kind in self.choices]
             for name in _STAGES
         ]
 
 
 @dataclass(frozen=True)
 class CaseDrawing:
-    """What may be chosen of a case.
+    """Draws cases.
 
     Args:
-        space: The case, and what it varies.
+        space: The case and its parameters.
         varied: The parameters of the case itself.
-        slots: Room for more faults.
+        slots: The faults that are added.
         omissions: What may be left out.
     """
 
@@ -354,17 +330,17 @@ class CaseDrawing:
         at_most: int = 1,
         leave_out: bool = True,
     ) -> CaseDrawing:
-        """What the case's scenario varies, faults that may be added, and what may be left out.
+        """Take what the case's scenario varies, faults to add, and what may be left out.
 
         Args:
             case: The case.
             faults: Faults that may be added.
-            at_least: How many of them there are at least.
-            at_most: How many of them there are at most.
+            at_least: Least number of added faults.
+            at_most: Greatest number of added faults.
             leave_out: Whether anything may be left out.
 
         Raises:
-            ConfigurationError: For faults that cannot be used, and numbers that are none.
+            ConfigurationError: For faults that cannot be used, and impossible numbers of them.
         """
         if not 0 <= at_least <= at_most or (at_most and not faults and at_least):
             raise ConfigurationError(
@@ -374,7 +350,7 @@ class CaseDrawing:
                 expected="0 <= at_least <= at_most, and faults to choose from",
             )
         scenario = case.scenario
-        simulator = simulator_spec(scenario.simulator.path, scenario.simulator.params)
+        simulator = scenario.simulator_spec()
         if scenario.variation or (faults and at_most):
             space = SearchSpace.of(case, faults, at_most=at_most)
         else:  # the seed alone, and what may be left out
@@ -392,35 +368,35 @@ class CaseDrawing:
         )
 
     def draw(self, pick: Pick) -> SearchedCase:
-        """A case.
+        """Draw a case.
 
         Args:
-            pick: Makes the choices. It is called equally often for all of them.
+            pick: Makes the choices; it is called equally often for every case.
 
         Raises:
-            ConfigurationError: If what was chosen contradicts itself.
+            ConfigurationError: If the chosen values contradict each other.
         """
-        there = list(self.slots.chosen(pick))
+        occupied = list(self.slots.occupied(pick))
         left_out = [omission for omission in self.omissions if pick(OMISSION_ODDS) == 0]
-        kinds = self.slots.kinds(pick, there)
+        kinds = self.slots.kinds(pick, occupied)
         of_faults = list(self.slots.parameters(kinds))
-        of_case = [_unless(item, left_out) for item in self.varied]
-        values = _values([*(item for _, item in of_faults), *of_case], pick)
-        found: dict[str, Any] = {}
+        of_case = [_unless_left_out(parameter, left_out) for parameter in self.varied]
+        drawn = _draw_values([*(parameter for _, parameter in of_faults), *of_case], pick)
+        values: dict[str, Any] = {}
         for slot, kind in enumerate(kinds):
-            inner = zip(of_faults, values, strict=False)
-            own = {item.path: value for (number, item), value in inner if number == slot}
-            fault = None if kind is None else self.slots.choices[kind].made(own)
-            found[f"{SLOT}{slot + 1}"] = fault
-        for entry, value in zip(of_case, values[len(of_faults) :], strict=True):
-            if entry.path:
-                found[entry.path] = value
-        return self._reduced(self.space.made(found, pick(SEEDS)), left_out)
+            inner = zip(of_faults, drawn, strict=False)
+            own = {parameter.path: value for (number, parameter), value in inner if number == slot}
+            fault = None if kind is None else self.slots.choices[kind].fault_with(own)
+            values[f"{SLOT}{slot + 1}"] = fault
+        for parameter, value in zip(of_case, drawn[len(of_faults) :], strict=True):
+            if parameter.path:
+                values[parameter.path] = value
+        return self._reduced(self.space.case_with(values, pick(SEEDS)), left_out)
 
     def _reduced(self, case: SearchedCase, left_out: Sequence[Omission]) -> SearchedCase:
-        """The case without what is left out, its world checked."""
+        """Leave parts out of a case, and check its world."""
         scenario, seed = case.scenario, case.scenario.seed
-        simulator = simulator_spec(scenario.simulator.path, scenario.simulator.params)
+        simulator = scenario.simulator_spec()
         world = without_omissions(
             scenario.world, [omission.keys for omission in left_out if omission.keys]
         )
@@ -428,22 +404,22 @@ class CaseDrawing:
         if not left_out:
             return case
         assert seed is not None
-        gone = {omission.path for omission in left_out}
-        faults = [fault for fault in case.faults if f"faults.{fault['id']}" not in gone]
+        paths = {omission.path for omission in left_out}
+        faults = [fault for fault in case.faults if f"faults.{fault['id']}" not in paths]
         return make_searched_case(self.space.case, world, faults, seed)
 
 
-def _unless(item: Scaled, left_out: Sequence[Omission]) -> Scaled:
-    if any(part.covers(item.path) for part in left_out):
-        return Scaled("", (_NOTHING,) * len(item.scales))
-    return item
+def _unless_left_out(parameter: Scaled, left_out: Sequence[Omission]) -> Scaled:
+    if any(part.covers(parameter.path) for part in left_out):
+        return Scaled("", (_NOTHING,) * len(parameter.scales))
+    return parameter
 
 
-def _values(parameters: Sequence[Scaled], pick: Pick) -> list[Any]:
-    """How far each is from its simplest value first, then in how many digits."""
+def _draw_values(parameters: Sequence[Scaled], pick: Pick) -> list[Any]:
+    """Choose each value's distance from its simplest value first, then its digits."""
     chosen: list[list[list[int]]] = [[[] for _ in parameter.scales] for parameter in parameters]
     for _ in range(LEVELS):
-        for item, numbers in zip(parameters, chosen, strict=True):
-            for scale, before in zip(item.scales, numbers, strict=True):
+        for parameter, numbers in zip(parameters, chosen, strict=True):
+            for scale, before in zip(parameter.scales, numbers, strict=True):
                 before.append(pick(scale.count(*before)))
     return [parameter.value(numbers) for parameter, numbers in zip(parameters, chosen, strict=True)]

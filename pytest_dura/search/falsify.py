@@ -1,12 +1,13 @@
-"""Falsify: search a case for violations, and tell what came of it."""
+"""Falsify: search a case for violations of requirements, and describe the outcome."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+from pytest_dura.campaign.campaign import Campaign
 from pytest_dura.campaign.falsification import (
     Falsification,
     FoundCounterexample,
@@ -16,17 +17,16 @@ from pytest_dura.campaign.falsification import (
     SearchOutcome,
     SearchStatus,
 )
-from pytest_dura.campaign.progress import RunningCampaign
+from pytest_dura.campaign.reporting import RunningCampaign
 from pytest_dura.campaign.runner import EpisodeRunner
-from pytest_dura.core.error_messages import did_you_mean
-from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.library.fault_campaigns import FaultCampaign
 from pytest_dura.library.requirements import check_formula
+from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 from pytest_dura.requirements.checks import check_name, is_function_path
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.judging import MAX_INVALID_SHARE
 from pytest_dura.search.counterexamples import (
     CounterexampleStore,
     confirm_violation,
@@ -47,44 +47,43 @@ from pytest_dura.search.portfolio import (
 from pytest_dura.search.space import CoverageCount, SearchSpace
 from pytest_dura.search.trials import Baseline, Objective, Trials, run_baselines
 
-if TYPE_CHECKING:
-    from pytest_dura.campaign.campaign import Campaign
-
-
 _MAX_PARAMETERS = 12
-"""Parameters that are told one by one."""
+"""Changed parameters that a message lists."""
 
 
 def _describe_falsification(falsification: Falsification) -> list[str]:
-    """All that a test is told that fails, line by line."""
-    return [line for outcome in falsification.outcomes for line in _outcome(falsification, outcome)]
+    """Make the lines of a failing test's message."""
+    return [
+        line
+        for outcome in falsification.outcomes
+        for line in _describe_outcome(falsification, outcome)
+    ]
 
 
 def _describe_no_violation(falsification: Falsification, outcome: SearchOutcome) -> str:
-    """What a search that found nothing may say."""
     least = "none was measured" if outcome.best is None else f"{outcome.best:.4g}"
     shares = list(falsification.coverage.parameters.values())
     covered = f"{sum(shares) / len(shares):.0%} of each range on average"
     if falsification.coverage.pairs is not None:
         covered += f", {falsification.coverage.pairs:.0%} of their pairs"
-    idle = (
-        f"; in {falsification.idle} of them no added fault came to act"
-        if falsification.idle
+    not_manifested = (
+        f"; in {falsification.not_manifested} of them no added fault came to act"
+        if falsification.not_manifested
         else ""
     )
     return (
-        f"nothing found in {falsification.simulations} simulations{idle};"
+        f"nothing found in {falsification.simulations} simulations{not_manifested};"
         f" least robustness {least}; "
         f"simulated: {covered}"
     )
 
 
-def _outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[str]:
+def _describe_outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[str]:
     name = outcome.requirement
     on = f"{name} on {falsification.case} ({falsification.component})"
     counterexample = outcome.counterexample
     if counterexample is None:
-        if outcome.word == "undecided":
+        if outcome.status == "undecided":
             yield (
                 f"undecided: {on}: {falsification.unknown} of {falsification.simulations}"
                 " simulations said nothing"
@@ -96,7 +95,7 @@ def _outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[s
     after = (
         f"after {outcome.simulations} of {falsification.budget} simulations ({outcome.searcher})"
     )
-    if outcome.word == "falsified":
+    if outcome.status == "falsified":
         yield f"falsified: {on}: violated {after}, confirmed by replay with an equal digest"
     else:
         yield (
@@ -151,33 +150,33 @@ def _change(change: ParameterChange) -> str:
 
 def _value(value: Any) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_value(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {_value(inner)}" for key, inner in value.items())
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def falsify(
     runner: EpisodeRunner,
     case: Case,
-    asked: Sequence[Objective],
+    objectives: Sequence[Objective],
     *,
     limits: Limits | None = None,
     faults: Sequence[FaultCampaign] = (),
     seed: int | None = None,
-    keep: CounterexampleStore | None = None,
-    unkept: Callable[[ConfigurationError], None] | None = None,
+    store: CounterexampleStore | None = None,
+    on_store_error: Callable[[ConfigurationError], None] | None = None,
 ) -> Falsification:
     """Search a case for episodes that violate requirements.
 
     Args:
-        runner: Runs the episodes, and is told what came of the search.
+        runner: Runs the episodes, and reports the search to its ``on_search``.
         case: The case.
-        asked: The requirements; the search ends once each of them is violated.
-        limits: What it may use.
+        objectives: The requirements; the search ends once each of them is violated.
+        limits: Budgets of the search.
         faults: Faults that the search may add to those of the case.
         seed: From which its draws follow; by default from the runner's seed and the case.
-        keep: Keeps a confirmed counterexample; ``None`` keeps it nowhere.
-        unkept: Told why a counterexample could not be kept, which is found all the same; without
-            one that is raised.
+        store: Stores a confirmed counterexample; by default it is not stored.
+        on_store_error: Receives the error of a counterexample that cannot be stored; by default
+            the error is raised.
 
     Raises:
         ConfigurationError: If nothing can differ, or something cannot be built or judged.
@@ -188,7 +187,7 @@ def falsify(
         faults,
         at_most=limits.at_most,
         simulator=runner.simulator,
-        lasting=_nominal_duration(runner, case) if faults else None,
+        begin_within=_nominal_duration(runner, case) if faults else None,
     )
     if faults and "fault_injector" not in case.roles(runner.roles):
         raise ConfigurationError(
@@ -199,16 +198,16 @@ def falsify(
             expected="the role fault_injector",
             remedy='add `fault_injector: "pytest_dura.faults.injector:CampaignInjector"`',
         )
-    names = [verdict.requirement.id for verdict in asked]
+    names = [objective.requirement.id for objective in objectives]
     seed = derive_seed(runner.base_seed, "search", case.id, *names) if seed is None else seed
-    trials = Trials(runner, space, asked)
-    portfolio = Portfolio(space.layout, seed, limits.budget, len(asked))
+    trials = Trials(runner, space, objectives)
+    portfolio = Portfolio(space.layout, seed, limits.budget, len(objectives))
     log, coverage = _run_search(trials, portfolio, limits.budget)
     baselines: tuple[Baseline, ...] = ()
-    if limits.baselines and len(log.open) < len(asked):
+    if limits.baselines and len(log.open) < len(objectives):
         baselines = run_baselines(trials, seed, log.simulations)
-    judging = _Outcomes(trials, log, baselines, limits, keep, unkept)
-    outcomes = tuple(judging.of(number) for number in range(len(asked)))
+    result = _SearchResult(trials, log, baselines, limits, store, on_store_error)
+    outcomes = tuple(result.outcome(number) for number in range(len(objectives)))
     falsification = Falsification(
         case=case.id,
         component=case.roles(runner.roles)["generator"].label,
@@ -216,8 +215,8 @@ def falsify(
         budget=limits.budget,
         simulations=log.simulations,
         refused=log.refused,
-        unknown=log.silent,
-        idle=log.idle,
+        unknown=log.inconclusive,
+        not_manifested=log.not_manifested,
         rule=portfolio.RULE,
         parameters=tuple(parameter_report(parameter) for parameter in space.parameters),
         searchers=tuple(
@@ -237,7 +236,7 @@ def falsify(
 
 
 def _nominal_duration(runner: EpisodeRunner, case: Case) -> float | None:
-    """Seconds that the campaign's first run lasts: a fault that begins later meets nobody."""
+    """Return the seconds that the campaign's first run lasts: later faults have no effect."""
     episode = runner.searched(case)
     return float(episode.time[-1]) if episode.ticks > 1 and episode.failure is None else None
 
@@ -246,7 +245,7 @@ def _run_search(
     trials: Trials, portfolio: Portfolio, budget: int
 ) -> tuple[SearchLog, CoverageCount]:
     runner, coverage = trials.runner, CoverageCount(trials.space.layout)
-    subject = "search " + ", ".join(verdict.requirement.id for verdict in trials.asked)
+    subject = "search " + ", ".join(objective.requirement.id for objective in trials.objectives)
     running = RunningCampaign(trials.space.case.id, subject, budget)
     done = 0
     runner.on_progress(running.reach(done, budget, runner.store.simulated))
@@ -261,11 +260,11 @@ def _run_search(
             yield outcome
 
     try:
-        log = search(portfolio, evaluate, budget, len(trials.asked))
+        log = search(portfolio, evaluate, budget, len(trials.objectives))
     finally:
         runner.on_progress(running.end())
     if not log.simulations:
-        # Every point contradicts itself; the first one tells how.
+        # Every point contradicts itself: making one raises an error that says how.
         batch = portfolio.ask()
         runner.search_task(trials.case(batch.points[0].tolist(), batch.worlds[0]))
         raise ConfigurationError(
@@ -279,58 +278,71 @@ def _run_search(
 
 
 @dataclass(frozen=True)
-class _Outcomes:
-    """Makes an outcome of what a search and its baselines saw."""
+class _SearchResult:
+    """Makes outcomes of the logs of a search and its baselines."""
 
     trials: Trials
     log: SearchLog
     baselines: tuple[Baseline, ...]
     limits: Limits
-    keep: CounterexampleStore | None
-    unkept: Callable[[ConfigurationError], None] | None
+    store: CounterexampleStore | None
+    on_store_error: Callable[[ConfigurationError], None] | None
 
-    def of(self, number: int) -> SearchOutcome:
-        """That of the requirement of this number."""
-        asked, best = self.trials.asked[number], self.log.best[number]
-        name, least = asked.requirement.id, None if best is None else finite_or_none(best.margin)
+    def outcome(self, number: int) -> SearchOutcome:
+        """Make the outcome of the objective of this number; store its counterexample."""
+        objective, best = self.trials.objectives[number], self.log.best[number]
+        least = None if best is None else finite_or_none(best.margin)
         first = self.log.first[number]
         if first is not None:
             case = self.trials.case(first.point.tolist(), first.world)
-            return self._claimed(asked, case, first, least)
+            return self._violated(objective, case, first, least)
         for baseline in self.baselines:
-            # A violation counts, whoever meets it.
-            seen, met = baseline.case(self.trials, number), baseline.log.first[number]
-            if seen is not None and met is not None:
-                return self._claimed(asked, seen, met, least)
-        silent = self.log.silent / self.log.simulations
-        text: SearchStatus = "undecided" if silent > MAX_INVALID_SHARE else "nothing found"
-        return SearchOutcome(name, asked.name, text, self.log.simulations, None, least)
-
-    def _claimed(
-        self, asked: Objective, case: SearchedCase, first: Trial, least: float | None
-    ) -> SearchOutcome:
-        confirmed = confirm_violation(self.trials, asked, case, self.limits.shrink)
-        found = confirmed.found
-        text: SearchStatus = "falsified" if found.repeats.confirmed else "not repeatable"
-        if self.keep is not None and text == "falsified":
-            how = f"simulation {first.number} of a search ({first.searcher})"
-            try:
-                found = store_counterexample(self.trials, asked, confirmed, self.keep, how)
-            except ConfigurationError as error:
-                if self.unkept is None:
-                    raise
-                self.unkept(error)
+            # A violation counts, whichever searcher proposed it.
+            violating, trial = baseline.case(self.trials, number), baseline.log.first[number]
+            if violating is not None and trial is not None:
+                return self._violated(objective, violating, trial, least)
+        share = self.log.inconclusive / self.log.simulations
+        status: SearchStatus = "undecided" if share > MAX_INVALID_SHARE else "nothing found"
         return SearchOutcome(
-            asked.requirement.id, asked.name, text, first.number, first.searcher, least, found
+            objective.requirement.id, objective.name, status, self.log.simulations, None, least
+        )
+
+    def _violated(
+        self, objective: Objective, case: SearchedCase, first: Trial, least: float | None
+    ) -> SearchOutcome:
+        confirmed = confirm_violation(self.trials, objective, case, self.limits.shrink)
+        counterexample = confirmed.counterexample
+        status: SearchStatus = "falsified" if counterexample.repeats.confirmed else "not repeatable"
+        if self.store is not None and status == "falsified":
+            origin = f"simulation {first.number} of a search ({first.searcher})"
+            try:
+                counterexample = store_counterexample(
+                    self.trials, objective, confirmed, self.store, origin
+                )
+            except ConfigurationError as error:
+                if self.on_store_error is None:
+                    raise
+                self.on_store_error(error)
+        return SearchOutcome(
+            objective.requirement.id,
+            objective.name,
+            status,
+            first.number,
+            first.searcher,
+            least,
+            counterexample,
         )
 
 
 _ID = re.compile(r"[A-Za-z][A-Za-z0-9_.]*-[A-Za-z0-9_.-]+")
-"""What looks like the id of a requirement rather than like a formula."""
+"""Texts that look like the id of a requirement rather than like a formula."""
 
 
 class Falsified(DuraError):  # noqa: N818 - it is an outcome, not an error
-    """A search found a violation, or learned too little. ``falsification`` says what it did."""
+    """A search found a violation, or too many simulations were undecided.
+
+    ``falsification`` is its report.
+    """
 
     def __init__(self, message: str, falsification: Falsification) -> None:
         self.falsification = falsification
@@ -339,35 +351,36 @@ class Falsified(DuraError):  # noqa: N818 - it is an outcome, not an error
 
 def falsify_campaign(
     campaign: Campaign,
-    wanted: Any,
+    requirements: Any,
     *,
     faults: FaultCampaign | Sequence[FaultCampaign],
     budget: int,
     at_most: int,
     shrink: int,
     seed: int | None,
-    keep: CounterexampleStore | None = None,
+    store: CounterexampleStore | None = None,
 ) -> Falsification:
-    """See :meth:`pytest_dura.campaign.campaign.Campaign.falsify`."""
+    """Search a campaign's case; see :meth:`pytest_dura.campaign.campaign.Campaign.falsify`."""
     __tracebackhide__ = True
     runner = campaign.runner
     limits = Limits(budget, shrink, at_most)
-    asked = [_objective(campaign, item) for item in _as_list(wanted)]
-    unkept: list[ConfigurationError] = []
-    found = falsify(
+    objectives = [_objective(campaign, given) for given in _as_list(requirements)]
+    store_errors: list[ConfigurationError] = []
+    falsification = falsify(
         runner,
         campaign.case,
-        asked,
+        objectives,
         limits=limits,
         faults=_faults(faults),
         seed=_seed(seed),
-        keep=keep,
-        unkept=unkept.append,
+        store=store,
+        on_store_error=store_errors.append,
     )
-    if any(outcome.word != "nothing found" for outcome in found.outcomes):
-        lost = [f"not kept: {error}" for error in unkept]
-        raise Falsified("\n".join([*_describe_falsification(found), *lost]), found)
-    return found
+    if any(outcome.status != "nothing found" for outcome in falsification.outcomes):
+        lines = _describe_falsification(falsification)
+        lines += [f"not kept: {error}" for error in store_errors]
+        raise Falsified("\n".join(lines), falsification)
+    return falsification
 
 
 def _faults(given: Any) -> Sequence[FaultCampaign]:
@@ -396,22 +409,22 @@ def _seed(given: Any) -> int | None:
     )
 
 
-def _as_list(wanted: Any) -> list[Any]:
-    if isinstance(wanted, Sequence) and not isinstance(wanted, str):
-        if not wanted:
+def _as_list(given: Any) -> list[Any]:
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        if not given:
             raise ConfigurationError(
                 "the search is asked for nothing",
                 key="requirement",
                 found="an empty list",
                 expected="ids of requirements, or formulas",
             )
-        return list(wanted)
-    return [wanted]
+        return list(given)
+    return [given]
 
 
-def _objective(campaign: Campaign, wanted: Any) -> Objective:
-    """One requirement that the search tries to violate, and which can be judged in this case."""
-    requirement, check = _requirement(campaign, wanted)
+def _objective(campaign: Campaign, given: Any) -> Objective:
+    """Make an objective of what a user gave, and check that the case can be judged by it."""
+    requirement, check = _requirement(campaign, given)
     if requirement.paired is not None:
         raise ConfigurationError(
             f"the requirement {requirement.id!r} is about pairs, and a search runs none",
@@ -427,7 +440,7 @@ def _objective(campaign: Campaign, wanted: Any) -> Objective:
             expected="a check, or a requirement with one in its file",
             remedy="call campaign.falsify('always (gap > 0)'), or add a `check` to the file",
         )
-    if campaign.runner.simulator is None:  # another simulator than the scenario's tells by running
+    if campaign.runner.simulator is None:  # another simulator's signals show at run time
         check_formula(campaign.case.scenario, check or requirement.check)
     return Objective(requirement, check)
 
@@ -437,9 +450,9 @@ def is_formula(text: str) -> bool:
     return _ID.fullmatch(text) is None and not is_function_path(text)
 
 
-def _requirement(campaign: Campaign, wanted: Any) -> tuple[Requirement, Any]:
+def _requirement(campaign: Campaign, given: Any) -> tuple[Requirement, Any]:
     known = campaign.runner.library().requirements
-    if wanted is None:
+    if given is None:
         if campaign.requirement is None:
             raise ConfigurationError(
                 "there is no requirement to search a violation of",
@@ -449,25 +462,25 @@ def _requirement(campaign: Campaign, wanted: Any) -> tuple[Requirement, Any]:
                 remedy="call campaign.falsify('SAF-1'), or add the marker",
             )
         return campaign.requirement, None
-    if isinstance(wanted, Requirement):
-        return wanted, None
-    if isinstance(wanted, str) and wanted in known:
-        return known[wanted], None
-    if isinstance(wanted, str) and _ID.fullmatch(wanted) and not is_function_path(wanted):
+    if isinstance(given, Requirement):
+        return given, None
+    if isinstance(given, str) and given in known:
+        return known[given], None
+    if isinstance(given, str) and _ID.fullmatch(given) and not is_function_path(given):
         raise ConfigurationError(
-            f"unknown requirement {wanted!r}",
+            f"unknown requirement {given!r}",
             key="requirement",
-            found=wanted,
+            found=given,
             expected="one of " + ", ".join(known) + ", or a formula",
-            remedy=did_you_mean(wanted, known),
+            remedy=did_you_mean(given, known),
         )
-    if not (isinstance(wanted, str) or callable(wanted)):
+    if not (isinstance(given, str) or callable(given)):
         raise ConfigurationError(
             "this is nothing that an episode could violate",
             key="requirement",
-            found=wanted,
+            found=given,
             expected="a requirement's id, a formula, or a function of the episode",
         )
-    if isinstance(wanted, str):
-        return Requirement(check_name(wanted), check=wanted), None
-    return Requirement(check_name(wanted)), wanted
+    if isinstance(given, str):
+        return Requirement(check_name(given), check=given), None
+    return Requirement(check_name(given)), given

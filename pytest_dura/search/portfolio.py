@@ -28,7 +28,7 @@ from pytest_dura.search.space import FaultSlot, Interval, Layout, OneOf, Paramet
 
 OPENING = 24
 """Simulations that constant and bang-bang inputs have to themselves: most published benchmarks
-fall to them within so many, and what they saw tells the others where to begin."""
+fall to them within so many, and their margins tell the others where to begin."""
 
 SHARES: dict[type[Searcher], int] = {
     Constants: 10,
@@ -37,9 +37,9 @@ SHARES: dict[type[Searcher], int] = {
     CmaEsOfPulses: 40,
     CmaEs: 25,
 }
-"""Percent of the simulations after the opening. Most goes to what learns; of that, most to what has
-the fewest dimensions. What learns nothing keeps a third, for objectives that are flat or mislead.
-Chosen on `benchmarks/falsification/development.py`."""
+"""Percent of the simulations after the opening. Most goes to searchers that learn; of that, most to
+the one with the fewest dimensions. Those that learn nothing keep a third, for objectives that are
+flat or mislead. Chosen on `benchmarks/falsification/development.py`."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class Batch:
     """Points that may be evaluated at once, in this order.
 
     Args:
-        searcher: Name of who proposes them.
+        searcher: Name of the searcher that proposes them.
         points: Shape ``(k, layout.size)``.
         objective: Number of the objective that they are to make small.
         world: Number of the seed that the first is run with; equal numbers are equal seeds.
-        spread: Whether the others have seeds of their own, numbered on from there; otherwise all
-            have the same one.
+        spread: Whether the others have seeds of their own, numbered from there on; otherwise all
+            have the same seed.
     """
 
     searcher: str
@@ -63,15 +63,15 @@ class Batch:
 
     @property
     def worlds(self) -> tuple[int, ...]:
-        """Of each point, the number of its seed."""
+        """The number of each point's seed."""
         return tuple(self.world + i * self.spread for i in range(len(self.points)))
 
 
 class Portfolio:
-    """Proposes batches until nobody asks any more; the same ones for the same seed and answers.
+    """Searchers that propose batches in turn; the same ones for the same seed and answers.
 
     Restarts of CMA-ES take the objectives that are still open in turn. Those that begin at a good
-    point take the best one that a trivial searcher saw, each once, and keep its seed.
+    point take the best point of a trivial searcher, each once, and keep its seed.
 
     Args:
         layout: What the coordinates of a point mean.
@@ -94,64 +94,61 @@ class Portfolio:
             for kind, share in SHARES.items()
             if kind.suits(layout)
         ]
-        self._seen: list[list[_Seen]] = [[] for _ in range(objectives)]
+        self._starts: list[list[_StartPoint]] = [[] for _ in range(objectives)]
+        """Per objective, a heap of points that restarts may begin at."""
         self._open = frozenset(range(objectives))
-        self._asked = self._members[0]
-        self._done = self._worlds = self._pushed = 0
+        self._active = self._members[0]
+        self._evaluated = self._worlds = self._pushed = 0
 
     def ask(self) -> Batch:
-        """The next points."""
-        opening = self._done < OPENING
+        """Return the next points."""
+        opening = self._evaluated < OPENING
         able = [member for member in self._members if member.opens or not opening]
-        self._asked = min(
-            able, key=lambda item: item.opened if opening else item.later / item.share
+        self._active = min(
+            able,
+            key=lambda member: member.opened if opening else member.later / member.share,
         )
-        searcher = self._asked.searcher
+        searcher = self._active.searcher
         if isinstance(searcher, CmaEs):
-            if not (searcher.running and self._asked.aim[0] in self._open):
-                self._asked.aim = self._begin(self._asked, searcher)
-            return Batch(searcher.name, searcher.ask(), *self._asked.aim)
+            if not (searcher.running and self._active.aim[0] in self._open):
+                self._active.aim = self._begin(self._active, searcher)
+            return Batch(searcher.name, searcher.ask(), *self._active.aim)
         points = searcher.ask()
         return Batch(searcher.name, points, world=self._new_worlds(len(points)), spread=True)
 
     def tell(self, batch: Batch, values: Values, open_objectives: frozenset[int]) -> None:
-        """What a batch came to.
+        """Learn from the values of a batch.
 
         Args:
-            batch: The batch that was asked last.
-            values: Of the points that were evaluated, which may be fewer than proposed; shape
-                ``(k, objectives)``, to be made small, NaN where nothing is known.
-            open_objectives: Those that nothing has violated yet.
+            batch: The batch that :meth:`ask` returned last.
+            values: The values of the points that were evaluated, which may be fewer than proposed;
+                shape ``(k, objectives)``, to be made small, NaN where nothing is known.
+            open_objectives: Those that no point has violated yet.
         """
-        if self._done < OPENING:
-            self._asked.opened += len(values)
+        if self._evaluated < OPENING:
+            self._active.opened += len(values)
         else:
-            self._asked.later += len(values)
-        self._done += len(values)
+            self._active.later += len(values)
+        self._evaluated += len(values)
         self._open = open_objectives
-        if self._asked.searcher.trivial:
+        if self._active.searcher.trivial:
             for row, point, world in zip(values, batch.points, batch.worlds, strict=False):
-                for seen, value in zip(self._seen, row, strict=True):
+                for starts, value in zip(self._starts, row, strict=True):
                     if not np.isnan(value):
-                        heapq.heappush(seen, _Seen(float(value), self._pushed, point, world))
+                        heapq.heappush(
+                            starts, _StartPoint(float(value), self._pushed, point, world)
+                        )
                         self._pushed += 1
-        self._asked.searcher.tell(batch.points[: len(values)], values[:, batch.objective])
-
-    @property
-    def trivial(self) -> frozenset[str]:
-        """Names of the searchers that learn nothing from what they have seen."""
-        return frozenset(
-            member.searcher.name for member in self._members if member.searcher.trivial
-        )
+        self._active.searcher.tell(batch.points[: len(values)], values[:, batch.objective])
 
     def _begin(self, member: _Member, searcher: CmaEs) -> tuple[int, int]:
-        """The objective and the world of the restart that begins."""
+        """Begin a restart, and return its objective and world."""
         turn = sorted(self._open)
         # Every objective sees all plans before the next has its turn.
         objective = turn[member.restarts // len(searcher.plans) % len(turn)]
         member.restarts += 1
-        if searcher.near and self._seen[objective]:
-            best = heapq.heappop(self._seen[objective])
+        if searcher.near and self._starts[objective]:
+            best = heapq.heappop(self._starts[objective])
             searcher.begin(best.point)
             return objective, best.world
         searcher.begin()
@@ -178,8 +175,8 @@ class _Member:
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class _Seen:
-    """A point of a searcher that does not follow it up; the least value comes first."""
+class _StartPoint:
+    """A point of a trivial searcher; the least value comes first."""
 
     value: float
     number: int
@@ -188,34 +185,34 @@ class _Seen:
 
 
 def trivial_searchers(layout: Layout, seed: int) -> tuple[tuple[str, Searcher], ...]:
-    """Baselines: names, and searchers that learn nothing from what they have seen."""
+    """Make the baselines: names, and searchers that learn nothing from values."""
     kinds = (Uniform, Constants, BangBang)
     return tuple((kind.name, kind(layout, stream(seed, f"baseline:{kind.name}"))) for kind in kinds)
 
 
 def trivial_names() -> frozenset[str]:
-    """The names of the portfolio's own searchers that learn nothing."""
+    """Return the names of the portfolio's own searchers that learn nothing."""
     return frozenset(kind.name for kind in SHARES if kind.trivial)
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a point came to, objective by objective.
+    """The result of a point, objective by objective.
 
     Args:
         margins: Robustness; NaN where nothing is known.
-        violated: Whether the requirement is violated, which is Boolean and no matter of the margin.
+        violated: Whether the requirement is violated; this does not follow from the margin.
         known: Whether anything is known; by default where there is a margin or a violation.
-        idle: Whether a fault never came to act, and nothing else was amiss.
-        acted: Whether a fault came to act.
-        simulated: Whether it took a simulation; a point whose values contradict each other did not.
+        not_manifested: Whether a fault was never manifested, and the run was valid otherwise.
+        manifested: Whether a fault was manifested.
+        simulated: Whether it was simulated; a point whose values contradict each other was not.
     """
 
     margins: tuple[float, ...]
     violated: tuple[bool, ...]
     known: tuple[bool, ...] | None = None
-    idle: bool = False
-    acted: bool = False
+    not_manifested: bool = False
+    manifested: bool = False
     simulated: bool = True
 
 
@@ -224,8 +221,8 @@ class Trial:
     """A point that was evaluated.
 
     Args:
-        number: Its place among those that were simulated, from 1.
-        searcher: Who proposed it.
+        number: Its place among the simulated points, from 1.
+        searcher: Name of the searcher that proposed it.
         point: Coordinates in [0, 1].
         world: Number of its seed.
         margin: Robustness of the objective at hand.
@@ -240,10 +237,10 @@ class Trial:
 
 @dataclass
 class SearcherCount:
-    """What one searcher did.
+    """Counts of one searcher.
 
     Args:
-        simulations: Points of its own that were simulated.
+        simulations: Its own points that were simulated.
         best: Its least margin of each objective; infinite for none.
         first: Of each objective, its own simulations up to its first violation; ``None`` for none.
     """
@@ -255,11 +252,11 @@ class SearcherCount:
 
 @dataclass
 class SearchLog:
-    """All that a search saw, as counts.
+    """Counts of a search, its first violations and least margins.
 
     Args:
-        budget: Simulations that it was allowed.
-        objectives: How many objectives it had.
+        budget: Greatest number of simulations.
+        objectives: How many objectives it has.
     """
 
     budget: int
@@ -268,11 +265,11 @@ class SearchLog:
     refused: int = 0
     """Points whose values contradict each other; none of them was simulated."""
     unknown: int = 0
-    """Simulations that said nothing of some objective."""
-    idle: int = 0
-    """Simulations in which a fault that was added never came to act."""
-    acted: int = 0
-    """Simulations in which a fault came to act."""
+    """Simulations that leave some objective undecided."""
+    not_manifested: int = 0
+    """Simulations in which a fault was never manifested."""
+    manifested: int = 0
+    """Simulations in which a fault was manifested."""
     first: list[Trial | None] = field(init=False)
     """The first violation of each objective."""
     best: list[Trial | None] = field(init=False)
@@ -280,33 +277,33 @@ class SearchLog:
     searchers: dict[str, SearcherCount] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Nothing was seen yet."""
+        """Begin without violations and margins."""
         self.first = [None] * self.objectives
         self.best = [None] * self.objectives
 
     @property
-    def silent(self) -> int:
-        """Simulations that count as having said nothing.
+    def inconclusive(self) -> int:
+        """Simulations that count as undecided.
 
-        Where faults were planned and not one of all of them ever came to act, nothing was said of
-        what was asked, however much was simulated.
+        Those without a manifested fault count only if no simulation at all manifested one: then
+        nothing is known of the faults, however much was simulated.
         """
-        # One simulation may be both: idle for one requirement, without an answer for another.
-        return min(self.unknown + (0 if self.acted else self.idle), self.simulations)
+        # A simulation may be both: without a manifested fault, and unknown for another requirement.
+        return min(self.unknown + (0 if self.manifested else self.not_manifested), self.simulations)
 
     @property
     def open(self) -> frozenset[int]:
-        """The objectives that nothing has violated."""
+        """Numbers of the objectives that no point has violated."""
         return frozenset(i for i, trial in enumerate(self.first) if trial is None)
 
     def add(self, batch: Batch, index: int, outcome: Outcome) -> None:
-        """Count what one point of a batch came to."""
+        """Count the outcome of one point of a batch."""
         if not outcome.simulated:
             self.refused += 1
             return
         self.simulations += 1
-        self.idle += outcome.idle
-        self.acted += outcome.acted
+        self.not_manifested += outcome.not_manifested
+        self.manifested += outcome.manifested
         count = self.searchers.setdefault(
             batch.searcher,
             SearcherCount(0, [math.inf] * self.objectives, [None] * self.objectives),
@@ -332,15 +329,15 @@ class SearchLog:
 
 
 class Proposer(Protocol):
-    """What a portfolio has that the loop needs."""
+    """Proposes points to :func:`search`, as a :class:`Portfolio` does."""
 
     def ask(self) -> Batch:
-        """The next points."""
+        """Return the next points."""
 
     def tell(
         self, batch: Batch, values: NDArray[np.float64], open_objectives: frozenset[int]
     ) -> None:
-        """What they came to."""
+        """Learn from their values."""
 
 
 _REFUSALS = 20
@@ -357,9 +354,9 @@ def search(
 
     Args:
         proposer: Proposes the points.
-        evaluate: The outcomes of a batch, in its order; it is left off in the middle where nothing
-            more is wanted, and so should work only as far as it is asked.
-        budget: Simulations.
+        evaluate: Yields the outcomes of a batch, in its order. The rest is not consumed once every
+            objective is violated or the budget is used up, so it should evaluate lazily.
+        budget: Greatest number of simulations.
         objectives: How many objectives there are.
     """
     log = SearchLog(budget, objectives)
@@ -378,35 +375,28 @@ def search(
 def searcher_report(
     name: str, count: SearcherCount, requirements: Sequence[str], *, trivial: bool
 ) -> SearcherReport:
-    """What a searcher did, by the ids of the requirements."""
-    return SearcherReport(
-        name,
-        trivial,
-        count.simulations,
-        {
-            requirement: finite_or_none(best)
-            for requirement, best in zip(requirements, count.best, strict=True)
-        },
-        dict(zip(requirements, count.first, strict=True)),
-    )
+    """Report a searcher's counts by the ids of the requirements."""
+    best = zip(requirements, map(finite_or_none, count.best), strict=True)
+    first = zip(requirements, count.first, strict=True)
+    return SearcherReport(name, trivial, count.simulations, dict(best), dict(first))
 
 
 def parameter_report(parameter: Parameter) -> dict[str, Any]:
-    """What a search may do with a parameter."""
-    told: dict[str, Any] = {"path": parameter.path}
+    """Report what a search may choose for a parameter, as plain data."""
+    report: dict[str, Any] = {"path": parameter.path}
     if isinstance(parameter, Interval):
-        told |= {"low": parameter.low, "high": parameter.high}
-        return told if parameter.pieces is None else told | {"pieces": parameter.pieces}
+        report |= {"low": parameter.low, "high": parameter.high}
+        return report if parameter.pieces is None else report | {"pieces": parameter.pieces}
     if isinstance(parameter, OneOf):
-        return told | {"choice": list(parameter.values)}
+        return report | {"choice": list(parameter.values)}
     assert isinstance(parameter, FaultSlot)
     faults = {
-        choice.fault["id"]: [parameter_report(item) for item in choice.inner]
+        choice.fault["id"]: [parameter_report(inner) for inner in choice.inner]
         for choice in parameter.choices
     }
-    return told | {"faults": faults}
+    return report | {"faults": faults}
 
 
 def finite_or_none(value: float) -> float | None:
-    """A number that JSON has; ``None`` for any other."""
+    """Return a number that JSON can hold; ``None`` for NaN and infinities."""
     return float(value) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Searchers: propose points of a search space, and learn from what they came to."""
+"""Searchers: propose points of a search space, and learn from their values."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ if TYPE_CHECKING:
     from cma import CMAEvolutionStrategy
 
 
-Points = NDArray[np.float64]
-Values = NDArray[np.float64]
+Floats = NDArray[np.float64]
+Points = Floats
+Values = Floats
 
 _BATCH = 4
-"""Points that a searcher which learns nothing proposes at once: enough to keep a few processes
-busy, few enough that the searchers take turns from the first simulations on."""
+"""Points that a trivial searcher proposes at once: enough to keep a few processes busy, few enough
+that the searchers take turns from the first simulations on."""
 
 
 class Searcher(ABC):
-    """One member of a portfolio.
+    """A member of a portfolio.
 
-    ``name`` stands in reports. ``trivial`` says that it learns nothing from what it has seen, so
-    that it is a baseline that any claim about the others is compared with.
+    ``name`` stands in reports. A ``trivial`` searcher learns nothing from values: it is a baseline
+    for claims about the others.
 
     Args:
         layout: What the coordinates of a point mean.
-        rng: Its own random numbers.
+        rng: Generator of its random numbers.
     """
 
     name: ClassVar[str]
@@ -44,15 +45,15 @@ class Searcher(ABC):
 
     @classmethod
     def suits(cls, layout: Layout) -> bool:  # noqa: ARG003 - most suit all
-        """Whether it has anything to propose for such points."""
+        """Whether it can propose points of this layout."""
         return True
 
     @abstractmethod
     def ask(self) -> Points:
-        """The next points, which may be evaluated at once; shape ``(k, layout.size)``, k >= 1."""
+        """Return the next points, to be evaluated at once; shape ``(k, layout.size)``, k >= 1."""
 
     def tell(self, points: Points, values: Values) -> None:  # noqa: B027 - a baseline learns nothing
-        """What the points came to that were asked last, or the first of them.
+        """Learn the values of the points that :meth:`ask` returned last, or of the first of them.
 
         Args:
             points: The points.
@@ -73,7 +74,7 @@ class OptionCycle:
         self._left: dict[int, list[int]] = {}
 
     def points(self, count: int) -> Points:
-        """Points of which only the options are set, to the middle of their parts."""
+        """Return points whose options are set, to the middle of their parts; all else is 0.5."""
         made = np.full((count, self._layout.size), 0.5)
         for row in made:
             for group, where in self._layout.slices():
@@ -88,19 +89,16 @@ class OptionCycle:
         return left.pop()
 
 
-Floats = NDArray[np.float64]
-
-
 class Shape(ABC):
-    """How the pieces of one group follow from fewer coordinates in [0, 1]."""
+    """Describes the pieces of a group by fewer coordinates in [0, 1]."""
 
     @abstractmethod
     def size(self, group: Group) -> int:
-        """Coordinates that describe the group."""
+        """Return the number of coordinates that describe the group."""
 
     @abstractmethod
     def pieces(self, group: Group, described: Floats) -> Floats:
-        """The group's own coordinates, shape ``(k, group.size)``, from ``(k, size(group))``."""
+        """Compute the group's coordinates, shape ``(k, group.size)``, from ``(k, size(group))``."""
 
 
 @dataclass(frozen=True)
@@ -108,49 +106,49 @@ class Steps(Shape):
     """Inputs of a few steps of equal length.
 
     Args:
-        most: Steps; an input of fewer pieces has as many steps as pieces.
+        most: Steps, at most one for each piece.
     """
 
     most: int
 
     def size(self, group: Group) -> int:
-        """One for each step."""
+        """Return one for each step."""
         return min(self.most, group.size)
 
     def pieces(self, group: Group, described: Floats) -> Floats:
-        """Each piece has the value of the step in which it begins."""
+        """Give each piece the value of the step in which it begins."""
         return described[:, np.arange(group.size) * self.size(group) // group.size]
 
 
 @dataclass(frozen=True)
 class Pulses(Shape):
-    """Inputs that beat between two levels: period, phase, duty, and the levels.
+    """Inputs that alternate between two levels: period, phase, duty, and the levels.
 
     Periods are spread evenly over their logarithms, from two pieces to twice the whole time; a
-    single value stays one. The pulse generator is a usual input of falsification tools, such as
+    single value stays as it is. Pulse generators are a usual input of falsification tools, such as
     Breach (Donze, CAV 2010).
     """
 
     def size(self, group: Group) -> int:
-        """Five for an input over time."""
+        """Return five for an input over time."""
         return 1 if group.size == 1 else 5
 
     def pieces(self, group: Group, described: Floats) -> Floats:
-        """Each piece has the level of its middle."""
+        """Give each piece the level at its middle."""
         if group.size == 1:
             return described
         period, phase, duty, first, second = (column[:, None] for column in described.T)
-        beat = np.mod((np.arange(group.size) + 0.5) / (2.0 * group.size**period) + phase, 1.0)
-        where: Floats = np.where(beat < duty, first, second)
-        return where
+        phases = np.mod((np.arange(group.size) + 0.5) / (2.0 * group.size**period) + phase, 1.0)
+        levels: Floats = np.where(phases < duty, first, second)
+        return levels
 
 
 class Description:
-    """All groups of a layout in one shape; groups of options are left out.
+    """Describes all groups of a layout by one shape; groups of options are left out.
 
     Args:
         layout: What the coordinates of a point mean.
-        shape: Of the inputs over time.
+        shape: Shape of the inputs over time.
     """
 
     def __init__(self, layout: Layout, shape: Shape) -> None:
@@ -164,7 +162,7 @@ class Description:
                 self.size += size
 
     def points(self, described: Floats, template: Floats) -> Floats:
-        """Whole points, with the template's options.
+        """Compute whole points, with the template's options.
 
         Args:
             described: Shape ``(k, size)``.
@@ -176,25 +174,25 @@ class Description:
         return made
 
     def described(self, point: Floats) -> Floats:
-        """Coordinates of a point, in a shape that has one for each piece; shape ``(size,)``.
+        """Describe a point, in a shape with one coordinate for each piece; shape ``(size,)``.
 
         Args:
             point: Shape ``(layout.size,)``.
         """
-        empty = np.empty(self.size)
+        coordinates = np.empty(self.size)
         for _, where, part in self._parts:
-            empty[part] = point[where]
-        return empty
+            coordinates[part] = point[where]
+        return coordinates
 
 
 class Uniform(Searcher):
-    """Every point is as likely as any other."""
+    """Points drawn uniformly."""
 
     name = "uniform"
     trivial = True
 
     def ask(self) -> Points:
-        """One point."""
+        """Return one point."""
         return self.rng.random((1, self.layout.size))
 
 
@@ -203,7 +201,7 @@ class Sobol:
 
     Args:
         size: Coordinates.
-        rng: From which its seed is drawn, and nothing more.
+        rng: Draws its seed.
     """
 
     def __init__(self, size: int, rng: np.random.Generator) -> None:
@@ -212,7 +210,7 @@ class Sobol:
         self._sequence = qmc.Sobol(size, scramble=True, seed=int(rng.integers(2**32)))
 
     def next(self, count: int) -> Points:
-        """The next few, shape ``(count, size)``."""
+        """Return the next points, shape ``(count, size)``."""
         # One by one: scipy warns of first draws that are no power of two.
         return np.vstack([self._sequence.random(1) for _ in range(count)])
 
@@ -228,12 +226,12 @@ class QuasiRandom(Searcher):
         self._sequence = Sobol(layout.size, rng)
 
     def ask(self) -> Points:
-        """The next of the sequence."""
+        """Return the next points of the sequence."""
         return self._sequence.next(_BATCH)
 
 
 _ALL_CORNERS = 3
-"""Up to so many numbers and inputs, every corner is looked at; of more, some that differ much."""
+"""Up to so many numbers and inputs every corner is tried; of more, some that differ much."""
 
 
 class Constants(Searcher):
@@ -249,13 +247,13 @@ class Constants(Searcher):
         super().__init__(layout, rng)
         self._constant = Description(layout, Steps(1))
         self._options = OptionCycle(layout, rng)
-        self._ends = list(_corners(self._constant.size, rng))
-        self._ends.append(np.full(self._constant.size, 0.5))
+        self._initial = list(_corners(self._constant.size, rng))
+        self._initial.append(np.full(self._constant.size, 0.5))
         self._rest = Sobol(max(self._constant.size, 1), rng)
 
     def ask(self) -> Points:
-        """The next few of the sequence."""
-        described, self._ends = self._ends[:_BATCH], self._ends[_BATCH:]
+        """Return the next points of the sequence."""
+        described, self._initial = self._initial[:_BATCH], self._initial[_BATCH:]
         if len(described) < _BATCH:
             rest = self._rest.next(_BATCH - len(described))
             described += list(rest[:, : self._constant.size])
@@ -263,13 +261,13 @@ class Constants(Searcher):
 
 
 def _corners(size: int, rng: np.random.Generator) -> Iterator[Points]:
-    """Corners in pairs of opposites, from where all is low."""
+    """Yield corners in pairs of opposites, beginning where all is low."""
     if size <= _ALL_CORNERS:
         low = list(itertools.product((0.0, 1.0), repeat=size))[: 2**size // 2]
         halves = np.array(low or [()], float)
     else:
-        # Every number alone against the others, in an order by chance: each pair of numbers is
-        # seen with equal and with opposite ends.
+        # Every number alone against the others, in random order: each pair of numbers has equal
+        # and opposite ends.
         halves = np.vstack([np.zeros(size), np.eye(size)[rng.permutation(size)]])
     for half in halves:
         yield half
@@ -277,17 +275,17 @@ def _corners(size: int, rng: np.random.Generator) -> Iterator[Points]:
             yield 1.0 - half
 
 
-KINDS = ("apart", "beat", "together", "beat")
-"""In this order, again and again: each input jumps at times of its own, each has a beat of its own,
+_KINDS = ("apart", "pulses", "together", "pulses")
+"""Kinds of inputs over time, in turn: each jumps at times of its own, each has pulses of its own,
 all jump at the same times."""
 
 
 class BangBang(Searcher):
-    """Every input is at one of its ends at any time; simple inputs come first.
+    """Inputs that are at one of their ends at any time; simple inputs come first.
 
-    The number of jumps is drawn evenly up to a limit that begins at two and grows by one with each
-    round of the kinds. Where all jump together, each jump goes to another corner of the inputs'
-    ends. A single number is at an end, or anywhere between, by equal chance.
+    The number of jumps is drawn uniformly up to a limit that begins at two and grows by one with
+    each round of the kinds. Where all jump together, each jump goes to a random corner of the
+    inputs' ends. A single number is at an end, or anywhere between, by equal chance.
     """
 
     name = "bang-bang"
@@ -296,26 +294,26 @@ class BangBang(Searcher):
     def __init__(self, layout: Layout, rng: np.random.Generator) -> None:
         super().__init__(layout, rng)
         self._options = OptionCycle(layout, rng)
-        self._asked = 0
+        self._proposed = 0
 
     def ask(self) -> Points:
-        """The next few, one of each kind."""
+        """Return the next points, one of each kind."""
         points = self._options.points(_BATCH)
         for point in points:
-            kind = KINDS[self._asked % len(KINDS)]
-            most = 2 + self._asked // len(KINDS)
+            kind = _KINDS[self._proposed % len(_KINDS)]
+            most = 2 + self._proposed // len(_KINDS)
             times = self._times(most)
             for group, where in self.layout.slices():
                 if group.options:
                     continue
                 if group.size == 1:
                     point[where] = self._single()
-                elif kind == "beat":
-                    point[where] = self._beat(group)
+                elif kind == "pulses":
+                    point[where] = self._pulses(group)
                 else:
                     own = times if kind == "together" else self._times(most)
                     point[where] = self._jumps(group, own, together=kind == "together")
-            self._asked += 1
+            self._proposed += 1
         return points
 
     def _times(self, most: int) -> Floats:
@@ -325,12 +323,12 @@ class BangBang(Searcher):
         anywhere = self.rng.random()
         return anywhere if self.rng.random() < 0.5 else float(anywhere < 0.5)
 
-    def _beat(self, group: Group) -> Floats:
+    def _pulses(self, group: Group) -> Floats:
         described = self.rng.random((1, 5))
         described[0, 3] = self.rng.integers(2)
         described[0, 4] = 1.0 - described[0, 3]
-        piece: Floats = Pulses().pieces(group, described)[0]
-        return piece
+        pieces: Floats = Pulses().pieces(group, described)[0]
+        return pieces
 
     def _jumps(self, group: Group, times: Floats, *, together: bool) -> Floats:
         middles = (np.arange(group.size) + 0.5) / group.size
@@ -339,24 +337,23 @@ class BangBang(Searcher):
             levels = self.rng.integers(2, size=len(times) + 1)
         else:
             levels = (np.arange(len(times) + 1) + self.rng.integers(2)) % 2
-        astype: Floats = levels[passed].astype(np.float64)
-        return astype
+        pieces: Floats = levels[passed].astype(np.float64)
+        return pieces
 
 
 _SIGMA = 0.3
-"""First step of a restart by chance: about a third of the ranges, as the package recommends."""
+"""First step of a restart at a random point: about a third of the ranges, as cma recommends."""
 
-NEAR = 0.15
-"""First step of a restart from a point that was good already."""
+_NEAR_SIGMA = 0.15
+"""First step of a restart at a good point."""
 
 GENERATIONS = 30
-"""At most so many for a restart: budgets are hundreds of simulations, not tens of thousands."""
+"""Limit of a restart: budgets are hundreds of simulations, not tens of thousands."""
 
-TOLERANCE = 1e-3
+_TOLERANCE = 1e-3
 """A restart whose steps are smaller has converged: values lie on a grid of a thousand steps."""
 
-ALL = Steps(2**31)
-"""Each piece by itself."""
+_EACH_PIECE = Steps(2**31)
 
 
 @dataclass(frozen=True, slots=True)
@@ -364,8 +361,8 @@ class Plan:
     """How a restart begins.
 
     Args:
-        shape: Of the inputs over time.
-        near: Whether at a good point that a trivial searcher saw, and not by chance.
+        shape: Shape of the inputs over time.
+        near: Whether at a good point of a trivial searcher, and not at a random one.
     """
 
     shape: Shape
@@ -374,7 +371,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Restart:
-    """A run of CMA-ES, what its coordinates mean, and a point that has its options."""
+    """A run of CMA-ES, what its coordinates mean, and a point with its options."""
 
     strategy: CMAEvolutionStrategy
     description: Description
@@ -384,43 +381,42 @@ class Restart:
 class CmaEs(Searcher):
     """Covariance matrix adaptation (Hansen and Ostermeier, 2001), one restart after the other.
 
-    A restart ends when it has converged, when it sees no differences, or after its generations. It
+    A restart ends when it has converged, when all values are equal, or after its generations. It
     keeps its options: those of the point it begins at, or the next in turn.
     """
 
     name = "cma-es"
     trivial = False
-    plans: ClassVar[tuple[Plan, ...]] = (Plan(ALL), Plan(ALL, near=True))
-    """Restart by restart, again and again."""
+    plans: ClassVar[tuple[Plan, ...]] = (Plan(_EACH_PIECE), Plan(_EACH_PIECE, near=True))
+    """Plans of the restarts, in turn."""
 
     def __init__(self, layout: Layout, rng: np.random.Generator) -> None:
         super().__init__(layout, rng)
         self._options = OptionCycle(layout, rng)
         self._begun = 0
         self._restart: Restart | None = None
-        self._asked: list[Floats] = []
+        self._generation: list[Floats] = []
 
     @classmethod
     def suits(cls, layout: Layout) -> bool:
-        """Wherever there are numbers."""
+        """Whether there are numbers."""
         return any(not group.options for group in layout.groups)
 
     @property
     def running(self) -> bool:
-        """Whether a restart has begun that has not ended."""
+        """Whether a restart has begun and not ended."""
         return self._restart is not None
 
     @property
     def near(self) -> bool:
-        """Whether the next restart begins near a good point."""
+        """Whether the next restart begins at a good point."""
         return self.plans[self._begun % len(self.plans)].near
 
     def begin(self, near: Points | None = None) -> Restart:
-        """Leave the restart at hand, and begin the next.
+        """End the current restart, and begin the next.
 
         Args:
-            near: A good point, shape ``(layout.size,)``, for a restart that begins near one; by
-                default it begins by chance.
+            near: The point to begin at, shape ``(layout.size,)``; by default a random one.
         """
         plan = self.plans[self._begun % len(self.plans)]
         self._begun += 1
@@ -429,43 +425,43 @@ class CmaEs(Searcher):
             template = self._options.points(1)[0]
             start, sigma = self.rng.random(description.size), _SIGMA
         else:
-            template, sigma = near, NEAR
+            template, sigma = near, _NEAR_SIGMA
             start = description.described(near)
         strategy = _strategy(start, sigma, self.rng)
         self._restart = Restart(strategy, description, template)
         return self._restart
 
     def ask(self) -> Points:
-        """A generation, of about ten points."""
+        """Return a generation, of about ten points."""
         restart = self._restart or self.begin()
-        self._asked = restart.strategy.ask()
-        described = np.array(self._asked)[:, : restart.description.size]
+        self._generation = restart.strategy.ask()
+        described = np.array(self._generation)[:, : restart.description.size]
         return restart.description.points(described, restart.template)
 
     def tell(self, points: Points, values: Values) -> None:  # noqa: ARG002 - as the base
         """Learn from a whole generation; the restart may end with it."""
         restart = self._restart
-        if restart is None or len(values) < len(self._asked):
+        if restart is None or len(values) < len(self._generation):
             return
-        restart.strategy.tell(self._asked, filled(values).tolist())
+        restart.strategy.tell(self._generation, filled(values).tolist())
         if restart.strategy.stop():
             self._restart = None
 
 
 class CmaEsOfPulses(CmaEs):
-    """The same among inputs that beat, which five numbers describe."""
+    """CMA-ES among pulses, which five numbers describe."""
 
     name = "cma-es of pulses"
     plans = (Plan(Pulses()),)
 
     @classmethod
     def suits(cls, layout: Layout) -> bool:
-        """Wherever there are inputs over time."""
+        """Whether there are inputs over time."""
         return any(group.size > 1 for group in layout.groups)
 
 
 def filled(values: Values) -> Floats:
-    """Finite values in the same order; what is not known is worse than all that is."""
+    """Return finite values in the same order; NaN becomes worse than all others."""
     known = values[np.isfinite(values)]
     best, worst = (known.min(), known.max()) if len(known) else (0.0, 0.0)
     return np.nan_to_num(values, nan=worst + 2.0, posinf=worst + 1.0, neginf=best - 1.0)
@@ -478,7 +474,7 @@ def _strategy(start: Floats, sigma: float, rng: np.random.Generator) -> CMAEvolu
         return rng.standard_normal(shape)
 
     return cma.CMAEvolutionStrategy(
-        # It fails in one dimension; a second one that means nothing does no harm.
+        # It fails in one dimension: add a second one without a meaning.
         start.tolist() + [0.5] * (len(start) == 1),
         sigma,
         {
@@ -487,7 +483,7 @@ def _strategy(start: Floats, sigma: float, rng: np.random.Generator) -> CMAEvolu
             "seed": float("nan"),
             "randn": normal,
             "maxiter": GENERATIONS,
-            "tolx": TOLERANCE,
+            "tolx": _TOLERANCE,
             "verbose": -9,
             "verb_disp": 0,
             "verb_log": 0,

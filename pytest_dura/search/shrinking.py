@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from functools import cache
 from queue import SimpleQueue
-from threading import Event, Thread
+from threading import Event
 from typing import Any
 
 from pytest_dura.campaign.falsification import ParameterChange, Shrinking
@@ -17,48 +15,56 @@ from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
-from pytest_dura.search.differences import Nominal, changes_of, count_parameters
-from pytest_dura.search.simplification import Simplification
+from pytest_dura.search.simplification import (
+    Nominal,
+    Simplification,
+    changes_of,
+    count_parameters,
+)
 
 Places = tuple[int, ...]
 
-_PATIENCE = 100.0
-"""Seconds after which a pass is begun again; Hypothesis itself gives up after 300."""
+_PASS_SECONDS = 100.0
+"""After so long a pass is begun again; Hypothesis itself gives up after 300 s."""
+_KEY = b"start"
+"""Key of the only example in a database."""
 
 
-class _InterestingExample(Exception):  # noqa: N818 - no error: how Hypothesis is told that an example counts
-    """The example is one of those that we look for."""
+class _InterestingExample(Exception):  # noqa: N818 - no error: how Hypothesis learns that an example counts
+    """The example is interesting."""
 
 
 def minimise(start: Places, interesting: Callable[[Places], bool], seed: int) -> Places:
-    """The least numbers, the first ones before the last ones, that Hypothesis comes to.
+    """Find the least interesting numbers that Hypothesis comes to, earlier numbers weighing more.
 
-    None of them can be 0 or one less, all others being equal.
+    Of the result no number can be 0 or one less, all others being equal.
 
     Args:
-        start: Where it starts, which is taken to be interesting; no number grows past it.
-        interesting: Whether numbers count, asked at most once for each list of them. What it raises
-            is raised here.
+        start: Interesting numbers; none of them grows.
+        interesting: Whether numbers are interesting, called at most once for each tuple. What it
+            raises is raised here.
         seed: Of the order in which things are tried.
     """
     known = {start: True}
 
-    def once(places: Places) -> bool:
+    def is_interesting(places: Places) -> bool:
         if places not in known:
             known[places] = interesting(places)
         return known[places]
 
-    while True:
-        asked = _Pass(start, once, known)
-        shrunk = _shrunk(start, asked, seed)
-        if asked.error is not None:
-            raise asked.error
-        if not asked.ended:
-            # Hypothesis stops trying after a while, and so may have left something out.
-            better = next((neighbour for neighbour in _neighbours(shrunk) if once(neighbour)), None)
-            if better is None:
-                return shrunk
-            start = better
+    # The caller may be in a test of `@given`, and Hypothesis allows one test in each thread.
+    with ThreadPoolExecutor(1, "shrinking") as thread:
+        while True:
+            oracle = _Oracle(start, is_interesting, known)
+            shrunk = _run_pass(thread, start, oracle, seed)
+            if oracle.error is not None:
+                raise oracle.error
+            if not oracle.timed_out:
+                # Hypothesis stops trying after a while, and so may have left something out.
+                simpler = next(filter(is_interesting, _neighbours(shrunk)), None)
+                if simpler is None:
+                    return shrunk
+                start = simpler
 
 
 def _neighbours(places: Places) -> Iterator[Places]:
@@ -67,76 +73,45 @@ def _neighbours(places: Places) -> Iterator[Places]:
             yield (*places[:i], less, *places[i + 1 :])
 
 
-class _Pass:
-    """What Hypothesis asks in one pass. A pass that takes long ends by interest in nothing new.
+class _Oracle:
+    """Answers what Hypothesis asks in a pass; a pass that takes long finds nothing new interesting.
 
-    The next pass is the same one up to there, and takes no time for what is known by then. So what
-    comes of it does not depend on how fast the machine is.
+    The next pass is the same one up to there, and takes no time for what is known by then. So the
+    result does not depend on how fast the machine is.
     """
 
     def __init__(
-        self, start: Places, once: Callable[[Places], bool], known: Mapping[Places, bool]
+        self, start: Places, interesting: Callable[[Places], bool], known: Mapping[Places, bool]
     ) -> None:
-        self._once, self._known, self._least = once, known, start
-        self._end, self._before = time.monotonic() + _PATIENCE, len(known)
+        self._interesting, self._known, self._least = interesting, known, start
+        self._end, self._known_before = time.monotonic() + _PASS_SECONDS, len(known)
         self.error: BaseException | None = None
 
     @property
-    def ended(self) -> bool:
-        """Whether it was ended before everything was tried."""
-        return len(self._known) > self._before and time.monotonic() > self._end
+    def timed_out(self) -> bool:
+        """Whether the pass took too long, and learnt something."""
+        return len(self._known) > self._known_before and time.monotonic() > self._end
 
     def __call__(self, places: Places) -> bool:
         # Hypothesis also lets a number grow where an earlier one falls: seldom of use here.
         if any(place > least for place, least in zip(places, self._least, strict=True)):
             return False
-        if places not in self._known and (self.error is not None or self.ended):
+        if places not in self._known and (self.error is not None or self.timed_out):
             return False
         try:
-            once = self._once(places)
+            interesting = self._interesting(places)
         except BaseException as error:  # Hypothesis would shrink it; it is raised after the pass.
             self.error = error
             return False
-        if once:
+        if interesting:
             self._least = places
-        return once
+        return interesting
 
 
-class _Worker:
-    """A thread in which passes run, one after the other.
-
-    Hypothesis searches the whole process for garbage when it comes to a new thread: so one is kept.
-    """
-
-    def __init__(self) -> None:
-        self._passes: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        Thread(target=self._work, name="shrinking", daemon=True).start()
-
-    def start(self, item: Callable[[], None]) -> None:
-        """Begin a pass, which raises nothing."""
-        self._passes.put(item)
-
-    def _work(self) -> None:
-        while True:
-            self._passes.get()()
-
-
-_SPARE_WORKERS: list[_Worker] = []
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(
-        after_in_child=_SPARE_WORKERS.clear
-    )  # a copy of the process has no such thread
-
-
-def _shrunk(start: Places, asked: _Pass, seed: int) -> Places:
-    """Where one pass of Hypothesis ends.
-
-    It has a thread of its own, where it is in no test of ``@given``; it is answered in this one.
-    """
+def _run_pass(thread: ThreadPoolExecutor, start: Places, oracle: _Oracle, seed: int) -> Places:
+    """Run one pass of Hypothesis in a thread; its questions are answered in this thread."""
     questions: SimpleQueue[Places | None] = SimpleQueue()
     answers: SimpleQueue[bool] = SimpleQueue()
-    end: Future[Places] = Future()
-
     over = Event()
 
     def ask(places: Places) -> bool:
@@ -145,40 +120,32 @@ def _shrunk(start: Places, asked: _Pass, seed: int) -> Places:
         questions.put(places)
         return answers.get()
 
-    def work() -> None:
-        try:
-            end.set_result(_pass(start, ask, seed))
-        except BaseException as error:
-            end.set_exception(error)
-        finally:
-            questions.put(None)
-
-    try:
-        worker = _SPARE_WORKERS.pop()
-    except IndexError:
-        worker = _Worker()
-    worker.start(work)
+    result = thread.submit(_pass, start, ask, seed)
+    result.add_done_callback(lambda _: questions.put(None))
     try:
         while (places := questions.get()) is not None:
-            answers.put(asked(places))
+            answers.put(oracle(places))
     finally:
         # An interrupt leaves it without an answer.
         over.set()
         answers.put(False)
-        wait([end])
-        _SPARE_WORKERS.append(worker)
-    return end.result()
+        wait([result])
+    return result.result()
 
 
 def _pass(start: Places, interesting: Callable[[Places], bool], seed: int) -> Places:
     import hypothesis
     from hypothesis import HealthCheck, Phase, Verbosity, given, settings
+    from hypothesis.database import InMemoryExampleDatabase, choices_to_bytes
 
-    last: list[Places] = []
+    database = InMemoryExampleDatabase()
+    # With a number too many: an example that reads back as it was stored counts as shrunk already.
+    database.save(_KEY, choices_to_bytes((*start, 0)))
+    least: list[Places] = []
 
     # Not hypothesis.find: it takes either a database or a seed, and both are needed here.
     @settings(
-        database=_starting_at(start),
+        database=database,
         phases=[Phase.reuse, Phase.shrink],
         max_examples=2,
         derandomize=False,
@@ -191,54 +158,23 @@ def _pass(start: Places, interesting: Callable[[Places], bool], seed: int) -> Pl
     )
     @hypothesis.seed(seed)
     @given(_strategy(start))
-    def look(nested: Any) -> None:
+    def search(nested: Any) -> None:
         places = tuple(_flat(nested))
         if interesting(places):
-            last[:] = [places]
+            least[:] = [places]
             raise _InterestingExample
 
     # As hypothesis.find does. Without it, no database is used under `--hypothesis-seed`.
-    look._hypothesis_internal_database_key = b"start"  # noqa: SLF001 - as find does
+    search._hypothesis_internal_database_key = _KEY  # noqa: SLF001 - as find does
     try:
-        look()
+        search()
     except _InterestingExample:
-        return last[0]
+        return least[0]
     raise AssertionError(f"Hypothesis did not start at {start}")
 
 
-@cache
-def _database_class() -> Any:
-    from hypothesis.database import ExampleDatabase
-
-    class StartingPoint(ExampleDatabase):
-        """A database of one example, whatever is asked for; it learns nothing."""
-
-        def __init__(self, example: bytes) -> None:
-            super().__init__()
-            self.example = example
-
-        def fetch(self, key: bytes) -> Any:
-            del key
-            return [self.example]
-
-        def save(self, key: bytes, value: bytes) -> None:
-            """Nothing is kept."""
-
-        def delete(self, key: bytes, value: bytes) -> None:
-            """Nothing is kept."""
-
-    return StartingPoint
-
-
-def _starting_at(start: Places) -> Any:
-    from hypothesis.database import choices_to_bytes
-
-    # With a number too many: what is stored as it was found is taken for shrunk already.
-    return _database_class()(choices_to_bytes((*start, 0)))
-
-
 def _strategy(start: Sequence[int]) -> Any:
-    """One number for each, in pairs of pairs: Hypothesis tries halves at once."""
+    """Draw the numbers in pairs of pairs, so that Hypothesis tries halves at once."""
     from hypothesis import strategies
 
     if len(start) == 1:
@@ -248,9 +184,9 @@ def _strategy(start: Sequence[int]) -> Any:
 
 
 def _flat(nested: Any) -> list[int]:
-    return (
-        [item for each in nested for item in _flat(each)] if isinstance(nested, tuple) else [nested]
-    )
+    if not isinstance(nested, tuple):
+        return [nested]
+    return [number for part in nested for number in _flat(part)]
 
 
 Violates = Callable[[SearchedCase], bool]
@@ -258,36 +194,22 @@ Violates = Callable[[SearchedCase], bool]
 
 @dataclass(frozen=True)
 class Shrunk:
-    """What shrinking came to.
+    """The result of shrinking.
 
     Args:
         case: The simplest violating case that was seen.
-        changes: Its parameters that are not as the case has them.
-        before: Parameters of what was found that were not as the case has them, with what its seed
-            drew written out; see :func:`count_parameters`.
-        after: Those that still are not.
-        simulations: Calls of ``violates``.
-        budget: Calls that were allowed.
-        finished: Whether nothing simpler was left to try; not so when the budget ended before.
+        changes: Its parameters that differ from the nominal case.
+        shrinking: How many parameters differed before and after, and what that took.
     """
 
     case: SearchedCase
     changes: tuple[ParameterChange, ...]
-    before: int
-    after: int
-    simulations: int
-    budget: int
-    finished: bool
-
-    @property
-    def shrinking(self) -> Shrinking:
-        """The counts, as they are reported."""
-        return Shrinking(self.before, self.after, self.simulations, self.budget, self.finished)
+    shrinking: Shrinking
 
 
 def shrink(
     case: Case,
-    found: SearchedCase,
+    counterexample: SearchedCase,
     violates: Violates,
     *,
     budget: int,
@@ -302,8 +224,8 @@ def shrink(
     can be left out.
 
     Args:
-        case: The case whose values are the simplest.
-        found: The counterexample; it is taken to violate.
+        case: The nominal case, whose values are the simplest.
+        counterexample: A case that violates.
         violates: Simulates a case; equal cases must have equal answers. A ``ConfigurationError``
             means that the case contradicts itself: it does not violate, and costs nothing.
         budget: Calls of ``violates``.
@@ -311,14 +233,14 @@ def shrink(
         simulator: In place of the scenario's.
 
     Raises:
-        ConfigurationError: If ``found`` does not belong to ``case``.
+        ConfigurationError: If the counterexample does not belong to ``case``.
     """
     nominal = Nominal.of(case, simulator)
     trials = _ViolationCache(violates, budget)
-    trials.known[_key(found)] = True
-    current = _concrete(nominal, found)
+    trials.known[_key(counterexample)] = True
+    current = _concrete(nominal, counterexample)
     if not trials(current):
-        current = found
+        current = counterexample
     before = count_parameters(changes_of(case, current, simulator=simulator))
     # From what is simpler other values come into reach: again, until nothing new comes of it.
     seen: set[bytes] = set()
@@ -326,15 +248,9 @@ def shrink(
         seen.add(_key(current))
         current = _simplest(Simplification(nominal, current), trials, seed)
     changes = changes_of(case, current, simulator=simulator)
-    return Shrunk(
-        current,
-        changes,
-        before,
-        count_parameters(changes),
-        trials.simulations,
-        budget,
-        finished=not trials.refused,
-    )
+    after = count_parameters(changes)
+    shrinking = Shrinking(before, after, trials.simulations, budget, not trials.refused)
+    return Shrunk(current, changes, shrinking)
 
 
 @dataclass
@@ -357,9 +273,9 @@ class _ViolationCache:
         try:
             violates = self.violates(searched)
         except ConfigurationError:
-            self.known[key] = False
-            return False
-        self.simulations += 1
+            violates = False
+        else:
+            self.simulations += 1
         self.known[key] = violates
         return violates
 
@@ -369,7 +285,7 @@ def _key(searched: SearchedCase) -> bytes:
 
 
 def _concrete(nominal: Nominal, case: SearchedCase) -> SearchedCase:
-    """The same case with what its seed draws in the world written out."""
+    """Write out what the seed draws in the case's world."""
     world, seed = nominal.checked(case.scenario.world), case.scenario.seed or 0
     concrete = nominal.checked(nominal.concrete(world, seed))
     if concrete == world:
@@ -378,18 +294,18 @@ def _concrete(nominal: Nominal, case: SearchedCase) -> SearchedCase:
 
 
 def _simplest(start: Simplification, trials: _ViolationCache, seed: int) -> SearchedCase:
-    """The simplest violating case that Hypothesis comes to; the found one if there is none."""
+    """Find the simplest violating case that Hypothesis comes to, maybe the one it starts with."""
     last = tuple(len(knob.values) - 1 for knob in start.knobs)
     if not last:
-        return start.found
+        return start.case
 
     def interesting(places: tuple[int, ...]) -> bool:
         if places == last:
             return True
         try:
-            return trials(start.made(places))
+            return trials(start.case_at(places))
         except ConfigurationError:
             return False
 
     places = minimise(last, interesting, seed)
-    return start.found if places == last else start.made(places)
+    return start.case if places == last else start.case_at(places)

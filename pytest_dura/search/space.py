@@ -1,4 +1,4 @@
-"""SearchSpace: what may differ in a case, as points in [0, 1], and how much was tried."""
+"""SearchSpace: the parameters of a case as coordinates in [0, 1], and which of it was covered."""
 
 from __future__ import annotations
 
@@ -16,21 +16,26 @@ from numpy.typing import NDArray
 from pytest_dura.campaign.falsification import SpaceCoverage
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.domains import simulator_spec
 from pytest_dura.faults.catalogue import fault_class
-from pytest_dura.faults.parameters import Choices, spans_of
-from pytest_dura.library import variation
+from pytest_dura.faults.parts import Choices, spans_of
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.fault_campaigns import FaultCampaign, Faults, expand_campaign
 from pytest_dura.library.planned_faults import parse_scenario_fault
-from pytest_dura.library.scenario import Choice, Range, Scenario, check_world
+from pytest_dura.library.scenario import (
+    Choice,
+    Range,
+    Scenario,
+    check_world,
+    replace_value,
+    split_path,
+)
 
 STEPS = 1000
-"""At least so many steps of the grid lie in an interval."""
+"""Least number of grid steps in an interval."""
 
 
 def digits_of(low: float, high: float) -> int:
-    """Decimal places (negative: before the point) of the grid over an interval."""
+    """Return the decimal places (negative: before the point) of the grid over an interval."""
     span = high - low
     if span <= 0.0 or not math.isfinite(span):
         return 0
@@ -38,9 +43,9 @@ def digits_of(low: float, high: float) -> int:
 
 
 def on_grid(value: float, low: float, high: float) -> float:
-    """The value of the grid that is next to a number, within the interval."""
+    """Round a number to the grid over an interval, within the interval."""
     rounded = round(value, digits_of(low, high))
-    # The ends belong to the grid, however odd they are.
+    # The ends belong to the grid, whatever their digits.
     return float(min(max(rounded, low), high))
 
 
@@ -49,10 +54,10 @@ class Group:
     """Coordinates that belong together, each in [0, 1].
 
     Args:
-        name: What they are decoded to, for reports.
+        name: Name of the parameter, for reports.
         size: 1 for a single value; more for an input over time, one coordinate per piece, in the
             order of time.
-        options: Number of values that are chosen among, of no order; 0 for an interval.
+        options: Number of unordered values to choose from; 0 for an interval.
     """
 
     name: str
@@ -72,29 +77,29 @@ class Layout:
         return sum(group.size for group in self.groups)
 
     def slices(self) -> Iterator[tuple[Group, slice]]:
-        """Each group, and where its coordinates are."""
+        """Yield each group with the slice of its coordinates."""
         ends = itertools.accumulate(group.size for group in self.groups)
         for group, end in zip(self.groups, ends, strict=True):
             yield group, slice(end - group.size, end)
 
 
-PARTS = 10
-"""Of the range of a coordinate."""
+_PARTS = 10
+"""Parts of a coordinate's range."""
 _PAIR_PARTS = 5
-"""Of each of two coordinates that are looked at together."""
+"""Parts of each coordinate's range where pairs of coordinates are counted."""
 
 
 class CoverageCount:
-    """Counts points; memory does not grow with them.
+    """Counts which parts of a search space have points; memory does not grow with them.
 
     Args:
-        layout: What their coordinates mean.
+        layout: What the coordinates mean.
     """
 
     def __init__(self, layout: Layout) -> None:
         owners = [group for group in layout.groups for _ in range(group.size)]
         self._layout = layout
-        self._parts = np.array([group.options or PARTS for group in owners])
+        self._parts = np.array([group.options or _PARTS for group in owners])
         self._coarse = np.array([group.options or _PAIR_PARTS for group in owners])
         self._hit = [np.zeros(parts, bool) for parts in self._parts]
         # The parts of all coordinates one after the other: a table of each with each.
@@ -102,7 +107,7 @@ class CoverageCount:
         self._pairs = np.zeros((self._coarse.sum(),) * 2, bool)
 
     def add(self, point: NDArray[np.float64]) -> None:
-        """Take in a point that was simulated, coordinates in [0, 1]."""
+        """Count a simulated point, coordinates in [0, 1]."""
         fine, coarse = _parts_of(point, self._parts), _parts_of(point, self._coarse)
         for hit, part in zip(self._hit, fine, strict=True):
             hit[part] = True
@@ -110,7 +115,7 @@ class CoverageCount:
         self._pairs[np.ix_(places, places)] = True
 
     def coverage(self) -> SpaceCoverage:
-        """What has been covered by now."""
+        """Return the shares that are covered by now."""
         shares = {
             group.name: float(np.mean([self._hit[i].mean() for i in range(*where.indices(10**9))]))
             for group, where in self._layout.slices()
@@ -123,15 +128,15 @@ class CoverageCount:
 
 
 def _parts_of(point: NDArray[np.float64], parts: NDArray[np.int_]) -> NDArray[np.int_]:
-    minimum: NDArray[np.int_] = np.minimum((np.asarray(point) * parts).astype(int), parts - 1)
-    return np.maximum(minimum, 0)
+    indices: NDArray[np.int_] = (np.asarray(point) * parts).astype(int)
+    return np.clip(indices, 0, parts - 1)
 
 
 Data = Mapping[str, Any]
 
 
 class Parameter(ABC):
-    """One value of a case, or one fault, that a search chooses.
+    """A value of a case, or a fault, that a search chooses.
 
     ``path`` names it, such as ``world.ego.speed`` or ``faults.search-1``.
     """
@@ -141,11 +146,11 @@ class Parameter(ABC):
     @property
     @abstractmethod
     def groups(self) -> tuple[Group, ...]:
-        """The coordinates it is decoded from."""
+        """The groups of coordinates that its value is decoded from."""
 
     @abstractmethod
     def value(self, coordinates: Sequence[float]) -> Any:
-        """The value at these coordinates, one after the other for all groups; plain data."""
+        """Decode the coordinates of all groups, one after the other, to plain data."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +161,7 @@ class Interval(Parameter):
         path: Its name.
         low: Least value.
         high: Greatest value.
-        nominal: The simplest value, from which the others are told apart.
+        nominal: The simplest value.
         pieces: Numbers of the list; ``None`` for a single number.
     """
 
@@ -168,16 +173,16 @@ class Interval(Parameter):
 
     @property
     def groups(self) -> tuple[Group, ...]:
-        """One, with a coordinate for each piece."""
+        """One group, with a coordinate for each piece."""
         return (Group(self.path, self.pieces or 1),)
 
     def value(self, coordinates: Sequence[float]) -> Any:
-        """From ``low`` at 0 to ``high`` at 1."""
-        found = [
+        """Map 0 to ``low`` and 1 to ``high``."""
+        values = [
             on_grid(self.low + float(coordinate) * (self.high - self.low), self.low, self.high)
             for coordinate in coordinates
         ]
-        return found[0] if self.pieces is None else found
+        return values[0] if self.pieces is None else values
 
 
 @dataclass(frozen=True)
@@ -196,17 +201,17 @@ class OneOf(Parameter):
 
     @property
     def groups(self) -> tuple[Group, ...]:
-        """One, of one coordinate."""
+        """One group of one coordinate."""
         return (Group(self.path, options=len(self.values)),)
 
     def value(self, coordinates: Sequence[float]) -> Any:
-        """Equal parts of [0, 1], one for each value."""
+        """Map equal parts of [0, 1] to the values."""
         return self.values[_part(coordinates[0], len(self.values))]
 
 
 @dataclass(frozen=True)
 class FaultChoice:
-    """A fault that may be added to a case, and what may differ in it.
+    """A fault that may be added to a case, and its parameters.
 
     Args:
         fault: The fault as plain data, defaults filled in.
@@ -216,22 +221,19 @@ class FaultChoice:
     fault: Data
     inner: tuple[Parameter, ...]
 
-    def made(self, values: Data) -> dict[str, Any]:
-        """The fault with values of its parameters by path."""
-        made: Any = dict(self.fault)
-        for parameter in self.inner:
-            if parameter.path in values:
-                made = variation.replace_value(
-                    made, parameter.path, values[parameter.path], create=True
-                )
-        return dict(made)
+    def fault_with(self, values: Data) -> dict[str, Any]:
+        """Return the fault with values of its parameters by path."""
+        fault: Any = self.fault
+        for path in (parameter.path for parameter in self.inner if parameter.path in values):
+            fault = replace_value(fault, path, values[path], create=True)
+        return dict(fault)
 
 
 @dataclass(frozen=True)
 class FaultSlot(Parameter):
-    """Room for one fault more: none, or one of several, each with parameters of its own.
+    """A fault that may be added: none, or one of several, each with parameters of its own.
 
-    The parameters of all choices share coordinates, the first of one with the first of another.
+    The parameters of all choices share coordinates, the first of each with the first of another.
 
     Args:
         path: Its name.
@@ -243,13 +245,13 @@ class FaultSlot(Parameter):
 
     @property
     def groups(self) -> tuple[Group, ...]:
-        """Which fault, and as many coordinates as the fault with the most parameters has."""
+        """One group for the choice, then as many as the fault with the most parameters has."""
         most = max((_size(choice) for choice in self.choices), default=0)
         inner = tuple(Group(f"{self.path}.{number}") for number in range(1, most + 1))
         return (Group(self.path, options=len(self.choices) + 1), *inner)
 
     def value(self, coordinates: Sequence[float]) -> Any:
-        """The fault as plain data; ``None`` in the first part of the first coordinate."""
+        """Decode a fault as plain data; ``None`` in the first part of the first coordinate."""
         which = _part(coordinates[0], len(self.choices) + 1)
         if which == 0:
             return None
@@ -258,17 +260,10 @@ class FaultSlot(Parameter):
             size = sum(group.size for group in parameter.groups)
             values[parameter.path] = parameter.value(rest[:size])
             rest = rest[size:]
-        return choice.made(values)
+        return choice.fault_with(values)
 
 
 def _parameter_of(path: str, spread: Range | Choice, nominal: Any) -> Parameter:
-    """The parameter that a scenario declares as varied.
-
-    Args:
-        path: Such as ``world.ego.speed``.
-        spread: What the scenario says of it.
-        nominal: The value that the scenario itself has there, ``None`` if it has none.
-    """
     if isinstance(spread, Range):
         return Interval(path, spread.min, spread.max, nominal, spread.pieces)
     return OneOf(path, spread.choice, nominal)
@@ -283,66 +278,73 @@ def _part(coordinate: float, parts: int) -> int:
 
 
 _MAX_DURATION_SHARE = 0.5
-"""Share of the time in which faults begin for which an added fault acts at most."""
+"""Longest duration of an added fault, as a share of the time in which faults begin."""
 
 
 def _fault_choices(
-    scenario: Scenario, faults: Iterable[FaultCampaign], lasting: float | None = None
+    scenario: Scenario, faults: Iterable[FaultCampaign], begin_within: float | None = None
 ) -> tuple[FaultChoice, ...]:
-    """Each of these faults, with what a search may change of it.
+    """Make a choice of each of these faults.
 
     Args:
         scenario: To whose domain and duration the faults belong.
         faults: Names of the catalogue or of the scenario's own faults, globs, ``catalogue``, and
             faults as data; see :mod:`pytest_dura.library.fault_campaigns`.
-        lasting: Simulated seconds within which they begin; by default all of the scenario's.
+        begin_within: Simulated seconds within which they begin; by default all of the scenario's.
 
     Raises:
-        ConfigurationError: For an unknown fault, one that cannot be used, and several together.
+        ConfigurationError: For an unknown fault, one that cannot be used, and a campaign that
+            combines several.
     """
     own: Faults = tuple(
         parse_scenario_fault(scenario, index) for index in range(len(scenario.faults))
     )
-    lasting = scenario.lasts if lasting is None else lasting
-    found: dict[str, FaultChoice] = {}
+    begin_within = scenario.lasts if begin_within is None else begin_within
+    choices: dict[str, FaultChoice] = {}
     for entry in faults:
         for planned in expand_campaign(scenario, own, entry):
             if len(planned) > 1:
                 raise ConfigurationError(
                     "a search adds faults one by one",
                     key="faults",
-                    found="+".join(item["id"] for item in planned),
+                    found="+".join(fault["id"] for fault in planned),
                     expected="single faults, and `at_most` for how many may act together",
                     remedy="name each of them as an entry of its own",
                 )
-            for one in planned:
+            for fault in planned:
                 given = entry if isinstance(entry, Mapping) else {}
-                choice = FaultChoice(one, tuple(_inner(scenario.time_step, lasting, one, given)))
-                _add(found, choice)
-    return tuple(found.values())
+                choice = FaultChoice(
+                    fault, tuple(_inner(scenario.time_step, begin_within, fault, given))
+                )
+                _add(choices, choice)
+    return tuple(choices.values())
 
 
-def _add(found: dict[str, FaultChoice], choice: FaultChoice) -> None:
-    """Take in what may be added, once; another fault of the same id has a number behind it."""
-    own, number = choice.fault["id"].replace(":", "-").replace(".", "-"), 2
-    while (known := found.get(choice.fault["id"])) is not None:
-        if known == choice:
+def _add(choices: dict[str, FaultChoice], choice: FaultChoice) -> None:
+    """Add a choice once; a number behind the id tells other faults of the same id apart."""
+    for name in _ids(choice.fault):
+        named = replace(choice, fault={**choice.fault, "id": name})
+        if choices.setdefault(name, named) == named:
             return
-        choice = replace(choice, fault={**choice.fault, "id": f"{own}-{number}"})
-        number += 1
-    found[choice.fault["id"]] = choice
+
+
+def _ids(fault: Data) -> Iterator[str]:
+    """Yield the fault's id, then names that are made of it."""
+    yield fault["id"]
+    for number in itertools.count(2):
+        yield f"{fault['id'].replace(':', '-').replace('.', '-')}-{number}"
 
 
 def _inner(
-    step: float, lasting: float, fault: Mapping[str, Any], given: Mapping[str, Any]
+    step: float, begin_within: float, fault: Mapping[str, Any], given: Mapping[str, Any]
 ) -> Iterable[Parameter]:
-    """What may differ, in the order in which it is made simpler."""
-    latest = max(lasting - step, step)
+    """Yield a fault's parameters that the user did not fix, in the order of simplification."""
+    latest = max(begin_within - step, step)
     activation = fault["activation"]
     if activation.get("at") is not None and "activation" not in given:
         yield Interval("activation.at", 0.0, latest, latest)
     if isinstance(fault["duration"], (int, float)) and "duration" not in given:
-        longest = max(_MAX_DURATION_SHARE * lasting, 2 * step)
+        longest = max(_MAX_DURATION_SHARE * begin_within, 2 * step)
         yield Interval("duration", step, longest, step)
     fixed = given.get("parameters", {})
     for path, span in spans_of(fault_class(fault["type"])).items():
@@ -351,20 +353,20 @@ def _inner(
         if isinstance(span, Choices):
             yield OneOf(path, span.values, span.values[0])
         else:
-            yield Interval(path, span.low, span.high, span.mildest)
+            yield Interval(path, span.low, span.high, span.neutral)
 
 
 SLOT = "faults.search-"
-"""Before the number of a fault that a search adds."""
+"""Path of a fault that a search adds, before its number."""
 
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """What a search may change of a case.
+    """The parameters of a case that a search chooses.
 
     Args:
         case: The case.
-        parameters: What may differ, and how.
+        parameters: The parameters.
         world: The scenario's world, defaults filled in.
     """
 
@@ -380,33 +382,33 @@ class SearchSpace:
         *,
         at_most: int = 1,
         simulator: RoleSpec | None = None,
-        lasting: float | None = None,
+        begin_within: float | None = None,
     ) -> SearchSpace:
-        """What the case's scenario varies, and faults that may be added.
+        """Take what the case's scenario varies, and faults that may be added.
 
         Args:
             case: The case.
             faults: Faults that may be added to those of the case; see :func:`_fault_choices`.
             at_most: How many of them may act together.
             simulator: In place of the scenario's.
-            lasting: Simulated seconds within which added faults begin; by default all of the
+            begin_within: Simulated seconds within which added faults begin; by default all of the
                 scenario's duration.
 
         Raises:
             ConfigurationError: For faults that cannot be used, and if nothing may differ.
         """
         scenario = case.scenario
-        simulator = simulator or simulator_spec(scenario.simulator.path, scenario.simulator.params)
+        simulator = simulator or scenario.simulator_spec()
         world = check_world(scenario, simulator, scenario.world)
         planned = {fault["id"]: fault for fault in case.faults}
         parameters: list[Parameter] = []
         for path, spread in scenario.variation.items():
-            fault, inner = variation.split_path(path)
+            fault, inner = split_path(path)
             if not fault:
                 parameters.append(_parameter_of(path, spread, _nominal(world, inner)))
             elif fault in planned:
                 parameters.append(_parameter_of(path, spread, _nominal(planned[fault], inner)))
-        choices = _fault_choices(scenario, faults, lasting)
+        choices = _fault_choices(scenario, faults, begin_within)
         if choices:
             parameters += [
                 FaultSlot(f"{SLOT}{number}", choices) for number in range(1, at_most + 1)
@@ -427,20 +429,20 @@ class SearchSpace:
         return Layout(tuple(group for parameter in self.parameters for group in parameter.groups))
 
     def values(self, point: Sequence[float] | NDArray[np.float64]) -> dict[str, Any]:
-        """The values at a point, by the names of the parameters; plain data.
+        """Decode a point to values by the names of the parameters; plain data.
 
         Args:
             point: Coordinates in [0, 1], shape ``(layout.size,)``.
         """
-        found, start = {}, 0
+        values, start = {}, 0
         for parameter in self.parameters:
             end = start + sum(group.size for group in parameter.groups)
-            found[parameter.path] = parameter.value([float(value) for value in point[start:end]])
+            values[parameter.path] = parameter.value([float(value) for value in point[start:end]])
             start = end
-        return found
+        return values
 
-    def made(self, values: Mapping[str, Any], seed: int) -> SearchedCase:
-        """The case with these values.
+    def case_with(self, values: Mapping[str, Any], seed: int) -> SearchedCase:
+        """Make the case with these values.
 
         Args:
             values: By the names of the parameters; one that is left out stays as the case has it.
@@ -453,24 +455,22 @@ class SearchSpace:
         planned: dict[str, Any] = {fault["id"]: dict(fault) for fault in self.case.faults}
         added: list[dict[str, Any]] = []
         for path, value in values.items():
-            if _is_room(path):
+            if _is_slot(path):
                 added += [] if value is None else [dict(value)]
                 continue
-            fault, inner = variation.split_path(path)
-            if not fault:
-                world = variation.replace_value(world, inner, value, create=True)
+            name, inner = split_path(path)
+            if not name:
+                world = replace_value(world, inner, value, create=True)
             else:
-                planned[fault] = variation.replace_value(planned[fault], inner, value)
-        for item in added:
-            own, number = item["id"].replace(":", "-").replace(".", "-"), 2
-            while item["id"] in planned:
-                item["id"], number = f"{own}-{number}", number + 1
-            planned[item["id"]] = item
+                planned[name] = replace_value(planned[name], inner, value)
+        for fault in added:
+            name = next(name for name in _ids(fault) if name not in planned)
+            planned[name] = {**fault, "id": name}
         return make_searched_case(self.case, world, planned.values(), seed)
 
 
-def _is_room(path: str) -> bool:
-    """Whether it names room for a fault, and nothing within a fault of such an id."""
+def _is_slot(path: str) -> bool:
+    """Whether a path names a fault slot, and nothing within a fault of such an id."""
     return path.startswith(SLOT) and "." not in path.removeprefix(SLOT)
 
 

@@ -15,19 +15,19 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import (
+from pytest_dura.requirements.episode_verdicts import (
     SearchedEpisode,
     SearchVerdict,
     judge_searched,
 )
+from pytest_dura.requirements.model import Requirement
 from pytest_dura.search.portfolio import Batch, Outcome, SearchLog, search, trivial_searchers
 from pytest_dura.search.searchers import Searcher
 from pytest_dura.search.space import SearchSpace
 
 _CONCLUSIVE = ("violated", "satisfied")
 _REPLAYS = 10
-"""Runs of a violation that does not repeat itself exactly, from which its repeat rate follows."""
+"""Replays of a violation whose digest differs, to count how often it violates."""
 
 
 @dataclass(frozen=True)
@@ -44,39 +44,39 @@ class Objective:
 
     @property
     def name(self) -> str:
-        """The text of its check."""
+        """The check as text."""
         return check_name(self.requirement.check if self.check is None else self.check)
 
     def judge(self, episode: SearchedEpisode) -> SearchVerdict:
-        """What it says of an episode."""
+        """Judge an episode of a searched case."""
         return judge_searched(self.requirement, episode, self.check)
 
 
 class Trials:
-    """Runs searched cases on a runner.
+    """Runs the points of a search as cases, and judges them.
 
     Args:
-        runner: The runner.
-        space: What the points of a search mean.
-        asked: The requirements.
+        runner: Runs the episodes.
+        space: Turns points into cases.
+        objectives: The requirements, in the order of an outcome's values.
     """
 
     def __init__(
-        self, runner: EpisodeRunner, space: SearchSpace, asked: Sequence[Objective]
+        self, runner: EpisodeRunner, space: SearchSpace, objectives: Sequence[Objective]
     ) -> None:
-        self.runner, self.space, self.asked = runner, space, tuple(asked)
+        self.runner, self.space, self.objectives = runner, space, tuple(objectives)
 
     def case(self, point: Sequence[float], world: int) -> SearchedCase:
-        """The case at a point, with the seed of the campaign's run of this number.
+        """Make the case at a point, with the seed of the campaign's run number ``world``.
 
         Raises:
             ConfigurationError: If its values contradict each other.
         """
         seed = self.space.case.seed(world, self.runner.base_seed)
-        return self.space.made(self.space.values(point), seed)
+        return self.space.case_with(self.space.values(point), seed)
 
     def case_of_run(self, run: int) -> SearchedCase:
-        """What the campaign's run of this number was drawn to be."""
+        """Make a searched case of the campaign's run of this number."""
         case = self.space.case
         spec = case.spec(
             run,
@@ -88,16 +88,16 @@ class Trials:
         return make_searched_case(case, spec.scenario["world"], spec.faults, spec.seed)
 
     def evaluate(self, batch: Batch) -> Iterator[Outcome]:
-        """The outcomes of a batch one by one; those to come are begun ahead where there is room."""
+        """Yield the outcomes of a batch; an executor with room begins the next ones ahead."""
         points = zip(batch.points.tolist(), batch.worlds, strict=True)
-        return self._outcomes([self._possible(point, world) for point, world in points])
+        return self._outcomes([self._run_at(point, world) for point, world in points])
 
     def random_runs(self, batch: Batch) -> Iterator[Outcome]:
-        """What random seeds come to: the campaign's own runs of these numbers."""
+        """Yield the outcomes of random seeds: the campaign's own runs of these numbers."""
         return self._outcomes([(self.space.case, world) for world in batch.worlds])
 
     def _outcomes(self, runs: Sequence[tuple[Case, int] | None]) -> Iterator[Outcome]:
-        """The outcomes of runs of cases; ``None`` stands for one that contradicts itself."""
+        """Yield the outcomes of cases and run numbers; ``None`` is a contradictory point."""
         runner = self.runner
         ahead = UpcomingTasks(
             len(runs), lambda step: [runner.search_task(*run)] if (run := runs[step]) else []
@@ -106,42 +106,43 @@ class Trials:
             for number, run in enumerate(runs):
                 ahead.reach(number)
                 if run is None:
-                    yield self.refused
+                    yield self._refused
                 else:
                     yield self.outcome(runner.searched(*run, ahead=ahead))
         finally:
             runner.store.cancel()
 
     @property
-    def refused(self) -> Outcome:
-        """Of a point whose values contradict each other."""
-        return Outcome((math.nan,) * len(self.asked), (False,) * len(self.asked), simulated=False)
+    def _refused(self) -> Outcome:
+        """The outcome of a point whose values contradict each other."""
+        count = len(self.objectives)
+        return Outcome((math.nan,) * count, (False,) * count, simulated=False)
 
     def outcome(self, episode: SearchedEpisode) -> Outcome:
-        """What all requirements make of an episode."""
-        verdicts = [item.judge(episode) for item in self.asked]
+        """Judge an episode by all requirements."""
+        verdicts = [objective.judge(episode) for objective in self.objectives]
         return Outcome(
             tuple(_margin(verdict, episode) for verdict in verdicts),
-            tuple(verdict.word == "violated" for verdict in verdicts),
+            tuple(verdict.status == "violated" for verdict in verdicts),
             tuple(
-                verdict.word in _CONCLUSIVE or _is_not_manifested(verdict, episode)
+                verdict.status in _CONCLUSIVE or _is_not_manifested(verdict, episode)
                 for verdict in verdicts
             ),
-            idle=any(_is_not_manifested(verdict, episode) for verdict in verdicts),
-            acted=len(episode.idle_faults) < len(episode.spec.faults),
+            not_manifested=any(_is_not_manifested(verdict, episode) for verdict in verdicts),
+            manifested=len(episode.not_manifested) < len(episode.spec.faults),
         )
 
-    def repeated(
-        self, case: Case, asked: Objective, run: int = 0
+    def replay(
+        self, case: Case, objective: Objective, run: int = 0
     ) -> tuple[SearchedEpisode, ReplayCount]:
-        """A violating episode, and what came of simulating it again.
+        """Simulate a violating episode again; return the first run and the counts of replays.
 
-        One replay with an equal digest confirms it. Where a digest differs, further replays tell
+        One replay with an equal digest confirms it. Where a digest differs, further replays count
         how often it violates.
 
         Args:
             case: The case.
-            asked: What it violates.
+            objective: What it violates.
             run: Number of the run.
         """
         first = self.runner.searched(case, run)
@@ -149,11 +150,11 @@ class Trials:
         while runs < (1 if equal == runs else _REPLAYS):
             runs += 1
             again = self.runner.searched(case, run, again=runs)
-            violated += asked.judge(again).word == "violated"
+            violated += objective.judge(again).status == "violated"
             equal += again.digest == first.digest
         return first, ReplayCount(runs, violated, equal)
 
-    def _possible(self, point: Sequence[float], world: int) -> tuple[Case, int] | None:
+    def _run_at(self, point: Sequence[float], world: int) -> tuple[Case, int] | None:
         try:
             case = self.case(point, world)
             self.runner.search_task(case)
@@ -163,62 +164,62 @@ class Trials:
 
 
 def _is_not_manifested(verdict: SearchVerdict, episode: SearchedEpisode) -> bool:
-    """Whether all that is amiss is a fault that never came to act: the rest is a run without it."""
-    whole = episode.failure is None and not episode.ended_early
-    return verdict.word == "invalid" and whole and bool(episode.idle_faults)
+    """Whether a run is invalid only since a fault was never manifested: a run without the fault."""
+    complete = episode.failure is None and not episode.ended_early
+    return verdict.status == "invalid" and complete and bool(episode.not_manifested)
 
 
 def _margin(verdict: SearchVerdict, episode: SearchedEpisode) -> float:
     if verdict.margin is None or not (
-        verdict.word in _CONCLUSIVE or _is_not_manifested(verdict, episode)
+        verdict.status in _CONCLUSIVE or _is_not_manifested(verdict, episode)
     ):
         return math.nan
     return float(verdict.margin)
 
 
 RANDOM = "random seeds"
-"""The runs of the campaign itself."""
+"""Name of the baseline that is the campaign's own runs."""
 
 
 class _SingleSearcher:
-    """A searcher that has the whole budget; each of its points has a seed of its own."""
+    """Proposes the points of one trivial searcher, each with a seed of its own."""
 
     def __init__(self, searcher: Searcher | None) -> None:
-        self._searcher, self._asked = searcher, 0
+        self._searcher, self._proposed = searcher, 0
 
     def ask(self) -> Batch:
-        """The next points."""
+        """Return the next points."""
         name = RANDOM if self._searcher is None else self._searcher.name
         points = np.zeros((1, 0)) if self._searcher is None else self._searcher.ask()
-        first, self._asked = self._asked, self._asked + len(points)
+        first, self._proposed = self._proposed, self._proposed + len(points)
         return Batch(name, points, world=first, spread=True)
 
     def tell(
         self, batch: Batch, values: NDArray[np.float64], open_objectives: frozenset[int]
     ) -> None:
-        """Trivial searchers learn nothing, and this one tells them nothing."""
+        """Do nothing: trivial searchers learn nothing."""
 
 
 def run_alone(trials: Trials, searcher: Searcher | None, budget: int) -> SearchLog:
-    """What a searcher comes to by itself.
+    """Search with one searcher alone.
 
     Args:
         trials: Runs the episodes.
-        searcher: A trivial one; ``None`` for random seeds, which are the campaign's own runs.
-        budget: Simulations.
+        searcher: A trivial searcher; ``None`` for random seeds, which are the campaign's own runs.
+        budget: Greatest number of simulations.
     """
     run = trials.random_runs if searcher is None else trials.evaluate
-    return search(_SingleSearcher(searcher), run, budget, len(trials.asked))
+    return search(_SingleSearcher(searcher), run, budget, len(trials.objectives))
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """What a baseline came to.
+    """A trivial searcher's search.
 
     Args:
-        name: Its name.
-        random: Whether it is the runs of the campaign itself.
-        log: What it saw.
+        name: The searcher's name.
+        random: Whether its points are the campaign's own runs.
+        log: Its counts and violations.
     """
 
     name: str
@@ -226,7 +227,7 @@ class Baseline:
     log: SearchLog
 
     def case(self, trials: Trials, number: int) -> SearchedCase | None:
-        """The case in which it was the first to violate a requirement; ``None`` for none."""
+        """Make the case of its first violation of an objective; ``None`` if it has none."""
         first = self.log.first[number]
         if first is None:
             return None
@@ -236,18 +237,15 @@ class Baseline:
 
 
 def run_baselines(trials: Trials, seed: int, budget: int) -> tuple[Baseline, ...]:
-    """What each baseline comes to by itself.
+    """Run each baseline alone, random seeds first.
 
     Args:
         trials: Runs the episodes.
         seed: From which their draws follow, as those of the search do.
-        budget: Simulations of each of them.
+        budget: Greatest number of simulations of each.
     """
-    random = Baseline(RANDOM, True, run_alone(trials, None, budget))
+    searchers = trivial_searchers(trials.space.layout, seed)
     return (
-        random,
-        *(
-            Baseline(name, False, run_alone(trials, searcher, budget))
-            for name, searcher in trivial_searchers(trials.space.layout, seed)
-        ),
+        Baseline(RANDOM, True, run_alone(trials, None, budget)),
+        *(Baseline(name, False, run_alone(trials, each, budget)) for name, each in searchers),
     )

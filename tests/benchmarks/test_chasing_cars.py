@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pytest_dura.requirements.stl.evaluation import robustness
 from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.requirements.stl.robustness import robustness
 
 PIECES = 20
 

@@ -12,8 +12,8 @@ from pytest_dura import ConfigurationError, Runner
 from pytest_dura.campaign.falsification import Limits
 from pytest_dura.library.cases import case_with_faults
 from pytest_dura.library.loading import load_library
+from pytest_dura.requirements.stl.evaluation import robustness
 from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.requirements.stl.robustness import robustness
 from pytest_dura.search.falsify import falsify
 from pytest_dura.search.space import Group, SearchSpace
 from pytest_dura.search.trials import Objective
@@ -58,7 +58,7 @@ def test_the_requirements_are_those_of_the_fast_model(cars, library) -> None:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_margins_in_the_loop_are_those_of_the_fast_model(cars, space, bench, seed) -> None:
     values = space.values(np.random.default_rng(seed).random(space.layout.size))
-    episode = bench.episode(space.made(values, 1))
+    episode = bench.episode(space.case_with(values, 1))
     point = np.array(values["world.throttle"] + values["world.brake"])
     signals = cars.simulate(point[None], step=0.1)
     assert episode.ticks == 1001
@@ -73,7 +73,7 @@ def test_the_margins_in_the_loop_are_those_of_the_fast_model(cars, space, bench,
 def test_the_first_car_moves_as_in_the_fast_model_whatever_its_brake(cars, bench, space) -> None:
     brake = np.array([0.0, 0.0005, 0.001, 0.002, 0.5] * 4)
     throttle = np.linspace(0.0, 1.0, 20)
-    case = space.made({"world.throttle": throttle.tolist(), "world.brake": brake.tolist()}, 1)
+    case = space.case_with({"world.throttle": throttle.tolist(), "world.brake": brake.tolist()}, 1)
     episode = bench.episode(case)
     found = sum(episode.signals[name] for name in ("d21", "d32", "d43", "d54"))
     last = cars.simulate(np.concatenate([throttle, brake])[None], step=0.1)
@@ -85,7 +85,7 @@ def test_a_search_in_the_loop_finds_and_confirms_a_violation(library, bench) -> 
     asked = [Objective(library.requirements["CC3"])]
     found = falsify(bench, case, asked, limits=Limits(budget=40, baselines=False), seed=0)
     (outcome,) = found.outcomes
-    assert outcome.word == "falsified"
+    assert outcome.status == "falsified"
     assert outcome.counterexample.repeats.confirmed
     assert outcome.counterexample.margin < 0
 

@@ -15,7 +15,7 @@ from suites import SUITES, run_suite
 
 from pytest_dura.library.loading import load_library
 from pytest_dura.llm.port import Answer
-from pytest_dura.requirements.verdicts.episodes import judge_episode
+from pytest_dura.requirements.episode_verdicts import judge_episode
 
 SUITE = SUITES / "llm_planner"
 TEMPLATES = SUITES.parent / "pytest_dura" / "llm" / "driving" / "templates"

@@ -50,7 +50,7 @@ class Talker(Generator):
         self.model, self.fingerprint = model, fingerprint
 
     @classmethod
-    def settled(cls, params):
+    def resolve_parameters(cls, params):
         if params.get("fingerprint"):
             return params
         found = session.current().describe(params.get("model"))

@@ -33,7 +33,7 @@ def test_found(campaign):
 @pytest.mark.dura(scenario="corridor/searched")
 def test_nothing(campaign):
     found = campaign.falsify("always (gap > -1)", budget=20)
-    assert found.outcomes[0].word == "nothing found"
+    assert found.outcomes[0].status == "nothing found"
 
 @pytest.mark.dura(scenario="corridor/tight")
 @pytest.mark.requirement("GAP-1")

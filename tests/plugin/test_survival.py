@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import subprocess
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -130,17 +132,26 @@ def test_a_limit_that_is_none_is_refused(project, text):
 
 
 LEAKS = """
+import os
 from corridor import Watch
+
+FULL = os.open("full", os.O_CREAT | os.O_WRONLY)
 
 class Leaky(Watch):
     {kept}
     def run(self, view):
-        while view.index == 3:
-            self.kept.append(bytes(1 << 26))  # asked for, never touched: no machine runs out
+        try:
+            while view.index == 3:
+                self.kept.append(bytes(1 << 26))  # asked for, never touched: no machine runs out
+        except MemoryError:
+            os.write(FULL, b"!")
+            raise
         return super().run(view)
 """
 FOR_AN_EPISODE = "def reset(self, context): super().reset(context); self.kept = []"
 FOR_EVER = "kept = []"
+SECONDS_TO_END_WITHOUT_MEMORY = 5
+only_linux = pytest.mark.skipif(sys.platform != "linux", reason="the limit is Linux's")
 LIMITED = """
 import resource
 from pathlib import Path
@@ -151,38 +162,61 @@ def pytest_sessionstart():
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the limit is Linux's")
-@pytest.mark.parametrize("kept", [FOR_AN_EPISODE, FOR_EVER], ids=["an episode", "for ever"])
-def test_a_role_that_leaks_memory_is_named_and_no_such_session_passes(project, kept):
-    scenario(project, "it", monitor="leaks:Leaky", requirements="[GAP-1]")
-    scenario(project, "well", requirements="[GAP-1]")
-    project.write("leaks.py", LEAKS.format(kept=kept))
-    project.write("conftest.py", LIMITED)
-    environment = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
-    try:
-        done = subprocess.run(
-            [*command, "corridor/it", "corridor/well"],
+@pytest.fixture
+def without_memory(project):
+    """Start a session of two cases, in the first of which a monitor fills the process's memory."""
+    started = []
+
+    def start(kept):
+        scenario(project, "it", monitor="leaks:Leaky", requirements="[GAP-1]")
+        scenario(project, "well", requirements="[GAP-1]")
+        project.write("leaks.py", LEAKS.format(kept=kept))
+        project.write("conftest.py", LIMITED)
+        environment = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "corridor/it",
+             "corridor/well"],
             cwd=project.path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            check=False, timeout=60,
         )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        # Where nobody has any memory left, nothing can be promised but that it is no pass.
-        assert kept == FOR_EVER
-        assert project.evidence()["gate"]["result"] != "passed"
-        return
-    assert done.returncode != 0, done.stdout.decode()
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@only_linux
+def test_a_role_that_leaks_memory_for_an_episode_is_named(project, without_memory):
+    process = without_memory(FOR_AN_EPISODE)
+    printed = process.communicate(timeout=60)[0].decode()
     record = project.evidence()
-    assert record["gate"]["result"] != "passed"
-    if kept == FOR_EVER:
-        return
-    assert (record["status"], done.returncode) == ("complete", 1), done.stdout.decode()
-    ends = {one["failure"] for one in record["episodes"] if one["case"] == "corridor/it"}
-    assert len(ends) == 1, done.stdout.decode()
+    assert (record["status"], process.returncode) == ("complete", 1), printed
+    assert record["gate"]["result"] == "failed"
+    ends = {
+        episode["failure"] for episode in record["episodes"] if episode["case"] == "corridor/it"
+    }
+    assert len(ends) == 1, printed
     (cause,) = ends
     assert cause.startswith("infrastructure: safety_monitor at tick 3 (t = 0.3 s): MemoryError")
     assert project.verdict("GAP-1")["verdict"] == "undecided"
     assert project.verdict("GAP-1", "corridor/well")["verdict"] == "supported"
+
+
+@only_linux
+def test_a_session_without_any_memory_left_does_not_pass(project, without_memory):
+    process = without_memory(FOR_EVER)
+    full = project.path / "full"
+    end = time.monotonic() + 60
+    while process.poll() is None and not (full.exists() and full.stat().st_size):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    # Where nobody has any memory left, nothing can be promised but that it is no pass.
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        assert process.wait(SECONDS_TO_END_WITHOUT_MEMORY) != 0
+    assert full.read_bytes()
+    assert project.evidence()["gate"]["result"] != "passed"
 
 
 @pytest.mark.parametrize("mode", [[], ["-n", "0"]], ids=["plain", "n0"])

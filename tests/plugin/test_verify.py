@@ -22,7 +22,7 @@ from pytest_dura.evidence.bundle import write_bundle
 from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text
 from pytest_dura.evidence.model import Counts, SessionRecord
 from pytest_dura.evidence.verify import verify_bundle
-from pytest_dura.requirements.statistics.rate_tests import upper_bound
+from pytest_dura.requirements.rate_tests import upper_bound
 
 PROJECT = Path(__file__).with_name("project")
 WAIVED = """

@@ -50,7 +50,7 @@ def test_every_word_holds_for_all_comparisons_of_the_session_together(
         expected = ["worse" if p <= LEVEL else "no evidence of a change" for p in adjusted]
         if turned:
             expected = ["better" if status == "worse" else status for status in expected]
-        assert [comparison.word for comparison in comparisons] == expected
+        assert [comparison.status for comparison in comparisons] == expected
         p_values = [
             comparison.p_better_holm if turned else comparison.p_worse_holm
             for comparison in comparisons
@@ -64,7 +64,7 @@ def test_more_comparisons_never_make_a_word_surer(violations: int, others: int) 
     few, many = (compared(*sessions([violations, *[0] * more])) for more in (others, others + 1))
     assert few[0].uncorrected == many[0].uncorrected == "worse"
     assert few[0].p_worse_holm <= many[0].p_worse_holm
-    assert (few[0].word == "worse") == (0.5**violations * (others + 1) <= LEVEL)
+    assert (few[0].status == "worse") == (0.5**violations * (others + 1) <= LEVEL)
 
 
 INCOMPLETE: dict[str, dict[str, Any]] = {
@@ -83,7 +83,7 @@ def test_what_did_not_run_as_planned_is_never_called_better_or_worse(keys: dict[
         spoilt, whole = verdict(RUNS, violating, **keys), verdict(RUNS, other)
         for new, old in ((spoilt, whole), (whole, spoilt)):
             (comparison,) = compared(record(new), record(old))
-            assert (comparison.word, comparison.test) == ("no comparison", None)
+            assert (comparison.status, comparison.test) == ("no comparison", None)
             assert comparison.reason
 
 
@@ -95,4 +95,4 @@ def test_what_the_outcome_kept_from_a_comparison_still_counts_as_one() -> None:
         whole = [verdict(RUNS, case=name) for name in names]
         comparisons = compared(record(five, *spoilt), record(verdict(RUNS), *whole))
         assert comparisons[0].p_worse_holm == pytest.approx((count + 1) * 0.5**5)
-        assert (comparisons[0].word == "worse") == (count == 0)
+        assert (comparisons[0].status == "worse") == (count == 0)

@@ -51,6 +51,13 @@ def test_no_run_follows_a_plan_that_may_end_early(tmp_path: Path) -> None:
     assert campaign.judge(COLD).run == 40
 
 
+def test_no_run_follows_a_plan_that_a_sequential_method_decides(tmp_path: Path) -> None:
+    idle: dict[str, Any] = {"faults": BIAS, "injector": "campaign_rooms:NeverInjects"}
+    sequential = Requirement("COLD", check=COLD.check, at_most=0.5, method="e-process")
+    verdict = rooms(tmp_path, runs=10, **idle).campaign("room/it").judge(sequential)
+    assert verdict.run == verdict.invalid == verdict.planned == 10
+
+
 RATES = {
     "e-process, violated": (HOT, {"method": "e-process"}, "violated"),
     "e-process, kept": (COLD, {"method": "e-process"}, "supported"),

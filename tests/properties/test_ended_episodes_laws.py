@@ -30,13 +30,12 @@ from pytest_dura import (
     stream,
 )
 from pytest_dura.core.state import GeneratorView
-from pytest_dura.requirements import early_end as judging
-from pytest_dura.requirements.checks import read_formula
-from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements import checks as judging
+from pytest_dura.requirements.campaign_judge import judge_campaign
+from pytest_dura.requirements.checks import RequirementJudge, read_formula
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.formula import Boolean, Formula, Temporal, node_text
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
-from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 NAMES = ("a", "b")
 STEPS = (0.1, 0.05, 0.3, 0.25, 1 / 15, 1 / 3)

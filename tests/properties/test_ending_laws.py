@@ -13,8 +13,8 @@ from formulas import formulas, nodes, traces, windows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements import early_end as judging
-from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements import checks as judging
+from pytest_dura.requirements.checks import RequirementJudge
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate
 from pytest_dura.requirements.stl.formula import Boolean, Formula, Temporal, node_text, reach

@@ -30,10 +30,10 @@ from pytest_dura import (
     SecurityAssessor,
     Termination,
 )
-from pytest_dura.core.propagation import Divergence
+from pytest_dura.core.episode import Divergence
 from pytest_dura.core.state import GeneratorView
 from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements.checks import RequirementJudge
 
 DT = 0.1
 GRACE = 10
@@ -296,8 +296,8 @@ def test_what_a_lone_fault_did_is_told_by_its_twin() -> None:
             expected = ("unknown", None)
         else:
             expected = ("contained", None)
-        assert (answer.word, tick_of(answer.at)) == expected
-        ways[answer.word] += 1
+        assert (answer.status, tick_of(answer.at)) == expected
+        ways[answer.status] += 1
         ways["propagated at once"] += apart == manifested
 
     law()

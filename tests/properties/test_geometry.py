@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.driving import geometry
+from pytest_dura.driving.bodies import box_gap, box_time_to_collision, boxes_overlap
 
 CAP = 10.0
 
@@ -74,12 +74,12 @@ def reference_gap(one: Any, other: Any) -> float:
 
 
 def gap(one: Any, other: Any) -> float:
-    return float(geometry.box_gap(np.array([one]), np.array([other]))[0])
+    return float(box_gap(np.array([one]), np.array([other]))[0])
 
 
 def ttc(one: Any, v: Any, other: Any, w: Any, cap: float = CAP) -> float:
     arrays = (np.array([value], dtype=float) for value in (one, v, other, w))
-    return float(geometry.box_time_to_collision(*arrays, cap)[0])
+    return float(box_time_to_collision(*arrays, cap)[0])
 
 
 def moved(box: Any, velocity: Any, time: float) -> Any:
@@ -95,7 +95,7 @@ def test_gap_is_the_distance_of_the_polygons(one: Any, other: Any) -> None:
 @quick
 @given(one=boxes, other=boxes)
 def test_gap_is_zero_exactly_on_overlap(one: Any, other: Any) -> None:
-    touches = bool(geometry.boxes_overlap(np.array([one]), np.array([other]))[0])
+    touches = bool(boxes_overlap(np.array([one]), np.array([other]))[0])
     assert (gap(one, other) == 0.0) == touches
 
 
@@ -181,8 +181,8 @@ def test_a_box_within_a_box_is_in_contact() -> None:
 
 def test_touching_counts_as_contact() -> None:
     one, other = np.array([[0.0, 0.0, 0.0, 4.0, 2.0]]), np.array([[4.0, 0.0, 0.0, 4.0, 2.0]])
-    assert geometry.box_gap(one, other) == 0.0
-    assert geometry.boxes_overlap(one, other)
+    assert box_gap(one, other) == 0.0
+    assert boxes_overlap(one, other)
     assert gap((0.0, 0.0, 0.0, 4.0, 2.0), (4.5, 0.0, 0.0, 4.0, 2.0)) == pytest.approx(0.5)
 
 
@@ -200,8 +200,8 @@ def test_pairs_are_independent() -> None:
     one = rng.uniform(0.5, 9.0, (40, 5))
     other = rng.uniform(0.5, 9.0, (40, 5))
     v, w = rng.uniform(-9.0, 9.0, (2, 40, 2))
-    together = geometry.box_gap(one, other)
-    times = geometry.box_time_to_collision(one, v, other, w, CAP)
+    together = box_gap(one, other)
+    times = box_time_to_collision(one, v, other, w, CAP)
     for i in range(40):
         assert together[i] == pytest.approx(gap(one[i], other[i]), abs=1e-12)
         assert times[i] == pytest.approx(ttc(one[i], v[i], other[i], w[i]), abs=1e-12)
@@ -209,5 +209,5 @@ def test_pairs_are_independent() -> None:
 
 def test_no_pairs_at_all() -> None:
     none = np.empty((0, 5))
-    assert geometry.box_gap(none, none).shape == (0,)
-    assert geometry.box_time_to_collision(none, none[:, :2], none, none[:, :2], CAP).shape == (0,)
+    assert box_gap(none, none).shape == (0,)
+    assert box_time_to_collision(none, none[:, :2], none, none[:, :2], CAP).shape == (0,)

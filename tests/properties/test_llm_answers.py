@@ -35,7 +35,7 @@ TEXTS = st.text(max_size=50) | JSON.map(json.dumps) | NEARLY.map(json.dumps)
 def test_any_text_has_one_outcome(text):
     reading = read_answer(Answer(text), SCHEMA)
     assert reading.outcome in OUTCOMES
-    assert reading.answered == bool(reading.said)
+    assert reading.answered == bool(reading.content)
     assert reading.answered or reading.detail
 
 
@@ -46,7 +46,7 @@ def test_what_was_answered_keeps_to_the_schema(said):
     finite = all(abs(one) < float("inf") for one in [said["confidence"]])
     if reading.answered:
         assert Draft202012Validator(SCHEMA).is_valid(said)
-        assert reading.said == said
+        assert reading.content == said
     elif finite and Draft202012Validator(SCHEMA).is_valid(said):
         # What JSON can say and UTF-8 cannot.
         assert any(

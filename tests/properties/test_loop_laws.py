@@ -32,9 +32,9 @@ from pytest_dura import (
     derive_seed,
     stream,
 )
-from pytest_dura.core.propagation import switching
+from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.state import GeneratorView
-from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements.checks import RequirementJudge
 
 DT = 0.1
 CRITICAL = 3

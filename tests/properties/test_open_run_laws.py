@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.statistics.rate_tests import METHODS
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict
-from pytest_dura.requirements.verdicts.episodes import EpisodeStatus, EpisodeVerdict
-from pytest_dura.requirements.verdicts.judging import judge_campaign
+from pytest_dura.requirements.campaign_judge import judge_campaign
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.model import METHODS, Requirement
 
 WORDS: tuple[EpisodeStatus, ...] = ("satisfied",) * 8 + ("violated", "open")
 LIMIT = 0.3

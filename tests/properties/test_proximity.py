@@ -9,9 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.driving import geometry
-from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.geometry import GAP_CAP, TTC_CAP, proximity
+from pytest_dura.driving.bodies import (
+    GAP_CAP,
+    TTC_CAP,
+    Body,
+    BodyList,
+    box_gap,
+    box_time_to_collision,
+    proximity,
+)
 
 places = st.floats(-70.0, 70.0)
 speeds = st.floats(-12.0, 12.0)
@@ -26,9 +32,9 @@ def one_by_one(ego: Any, others: Any) -> tuple[float, float]:
     mine = np.array([[*ego[:3], 5.0, 2.0]])
     for x, y, heading, vx, vy, size in others:
         box = np.array([[x, y, heading, *size]])
-        gap = min(gap, float(geometry.box_gap(mine, box)[0]))
+        gap = min(gap, float(box_gap(mine, box)[0]))
         velocities = np.array([ego[3:]]), np.array([[vx, vy]])
-        times = geometry.box_time_to_collision(mine, velocities[0], box, velocities[1], TTC_CAP)
+        times = box_time_to_collision(mine, velocities[0], box, velocities[1], TTC_CAP)
         ttc = min(ttc, float(times[0]))
     return gap, ttc
 

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.stats import binom, binomtest, fisher_exact
 
-from pytest_dura.requirements.statistics.comparison import (
+from pytest_dura.requirements.comparison import (
     compare_counts,
     compare_pairs,
     holm,
     mcnemar,
 )
-from pytest_dura.requirements.statistics.rate_tests import make_test, runs_needed
-from pytest_dura.requirements.statistics.sequential import SequentialTest
+from pytest_dura.requirements.rate_tests import make_test, runs_needed
+from pytest_dura.requirements.sequential import SequentialTest
 
 lawful = settings(derandomize=True, deadline=None, max_examples=100)
 ANGLES, WEIGHTS = np.polynomial.legendre.leggauss(80)
@@ -199,4 +199,4 @@ def test_counts_are_compared_by_fishers_exact_test(cells: list[int]) -> None:
         expected = fisher_exact(table, alternative=alternative).pvalue
         assert p_value == pytest.approx(expected, rel=1e-7)
     level = min(result.p_worse, result.p_better) <= 0.05
-    assert (result.word == "no evidence of a change") == (not level)
+    assert (result.status == "no evidence of a change") == (not level)

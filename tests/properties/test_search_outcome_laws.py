@@ -51,7 +51,7 @@ def test_a_search_says_no_more_than_its_simulations_show(
 ) -> None:
     search = searched(rooms(tmp_path, **room), check, **keys)
     (outcome,) = search.outcomes
-    assert outcome.word == status
+    assert outcome.status == status
     assert (outcome.counterexample is not None) == (status in ("falsified", "not repeatable"))
     if outcome.counterexample is None:
         assert search.simulations == search.budget

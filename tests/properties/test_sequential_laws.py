@@ -5,13 +5,14 @@ from __future__ import annotations
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.statistics.comparison import (
+from pytest_dura.requirements.comparison import (
     compare_counts,
     mcnemar,
     mcnemar_one_sided,
 )
-from pytest_dura.requirements.statistics.rate_tests import METHODS, make_test
-from pytest_dura.requirements.statistics.sequential import SequentialTest
+from pytest_dura.requirements.model import METHODS
+from pytest_dura.requirements.rate_tests import make_test
+from pytest_dura.requirements.sequential import SequentialTest
 
 law = settings(derandomize=True, deadline=None, max_examples=120)
 
@@ -146,7 +147,7 @@ def test_what_is_better_one_way_is_worse_the_other_way(one, two) -> None:
     there, back = compare_counts(*one, *two), compare_counts(*two, *one)
     assert (there.p_better, there.p_worse) == (back.p_worse, back.p_better)
     opposite = {"better": "worse", "worse": "better"}
-    assert back.word == opposite.get(there.word, there.word)
+    assert back.status == opposite.get(there.status, there.status)
     assert there.p_better + there.p_worse >= 1.0
 
 

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from shrinkable import crossing, fault, found, ids
 
 from pytest_dura.library.cases import SearchedCase
-from pytest_dura.search.differences import changes_of, count_parameters
 from pytest_dura.search.shrinking import minimise, shrink
-from pytest_dura.search.simplification import simpler_values
+from pytest_dura.search.simplification import changes_of, count_parameters, simpler_values
 
 CASE = crossing()
 NUMBERS = st.floats(-1e6, 1e6).map(lambda one: round(one, 3)) | st.integers(-1000, 1000)
@@ -69,10 +68,10 @@ def test_a_shrunk_case_violates_with_no_more_parameters_and_within_the_budget(
 
     shrunk = shrink(CASE, start, counted, budget=budget)
     assert violates(shrunk.case)
-    assert len(calls) == shrunk.simulations <= budget
-    assert shrunk.finished or shrunk.simulations == budget
-    assert shrunk.before == count_parameters(changes_of(CASE, start))
-    assert shrunk.after == count_parameters(shrunk.changes) <= shrunk.before
+    assert len(calls) == shrunk.shrinking.simulations <= budget
+    assert shrunk.shrinking.finished or shrunk.shrinking.simulations == budget
+    assert shrunk.shrinking.before == count_parameters(changes_of(CASE, start))
+    assert shrunk.shrinking.after == count_parameters(shrunk.changes) <= shrunk.shrinking.before
     assert shrunk.changes == changes_of(CASE, shrunk.case)
 
 
@@ -81,11 +80,11 @@ def test_a_shrunk_case_violates_with_no_more_parameters_and_within_the_budget(
 def test_a_shrunk_case_is_shrunk_to_itself(violation: tuple[SearchedCase, Any]) -> None:
     start, violates = violation
     once = shrink(CASE, start, violates, budget=500)
-    assert once.finished
+    assert once.shrinking.finished
     again = shrink(CASE, once.case, violates, budget=500)
     assert again.case.data == once.case.data
-    assert again.finished
-    assert again.before == again.after == once.after
+    assert again.shrinking.finished
+    assert again.shrinking.before == again.shrinking.after == once.shrinking.after
     assert shrink(CASE, start, violates, budget=500).case == once.case
 
 

@@ -13,7 +13,13 @@ from formulas import formulas, traces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.stl.evaluation import Ending, evaluate
+from pytest_dura.requirements.stl.evaluation import (
+    Ending,
+    evaluate,
+    robustness,
+    robustness_batch,
+    robustness_interval,
+)
 from pytest_dura.requirements.stl.formula import (
     Boolean,
     Comparison,
@@ -28,11 +34,6 @@ from pytest_dura.requirements.stl.formula import (
     children,
     node_text,
     walk,
-)
-from pytest_dura.requirements.stl.robustness import (
-    robustness,
-    robustness_batch,
-    robustness_interval,
 )
 
 NAMES = ("a", "b")

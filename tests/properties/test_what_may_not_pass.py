@@ -15,8 +15,8 @@ from scipy.stats import binom
 
 from pytest_dura import CampaignVerdict, EpisodeVerdict, Requirement
 from pytest_dura.evidence.gate import Gate
-from pytest_dura.requirements.statistics.rate_tests import lower_bound, upper_bound
-from pytest_dura.requirements.verdicts.judging import CampaignJudge, judge_campaign
+from pytest_dura.requirements.campaign_judge import CampaignJudge, judge_campaign
+from pytest_dura.requirements.rate_tests import lower_bound, upper_bound
 
 RUNS = 40
 LIMIT = 0.3
@@ -73,10 +73,13 @@ NOT_SUPPORTED: dict[str, tuple[Callable[[Verdicts], Verdicts], str]] = {
         "a crash that no requirement sees",
     ),
     "its condition never held": (each(vacuous=True), "its condition held in none"),
-    "a planned fault never manifested": (each(idle=("ghost",)), "ghost manifested in none"),
+    "a planned fault never manifested": (
+        each(not_manifested=("ghost",)),
+        "ghost manifested in none",
+    ),
     "one of two planned faults never manifested": (
         lambda all_: [
-            replace(verdict, idle=("ghost", "fog") if run % 2 else ("fog",))
+            replace(verdict, not_manifested=("ghost", "fog") if run % 2 else ("fog",))
             for run, verdict in enumerate(all_)
         ],
         "fog manifested in none",
@@ -106,7 +109,7 @@ def test_one_obstacle_leaves_a_campaign_undecided_that_would_be_supported(
     [
         with_last(8, "invalid"),  # a fifth
         lambda all_: [*each(vacuous=True)(all_[:-1]), all_[-1]],
-        lambda all_: [*each(idle=("ghost",))(all_[:-1]), all_[-1]],
+        lambda all_: [*each(not_manifested=("ghost",))(all_[:-1]), all_[-1]],
         each(valid_proposals=5),
     ],
     ids=["a fifth is invalid", "held once", "manifested once", "answers half of the time"],
@@ -214,7 +217,7 @@ def drawn(source: random.Random) -> Verdicts:
                 run,
                 verdict,
                 vacuous=verdict == "satisfied" and source.random() < vacuous,
-                idle=("ghost",) if source.random() < idle else (),
+                not_manifested=("ghost",) if source.random() < idle else (),
                 without_effect=verdict == "violated" and source.random() < 0.2,
                 ended="critical" if verdict == "open" else ended,
                 unseen_crash=source.random() < 0.001,
@@ -240,7 +243,7 @@ def obstacles(all_: Verdicts, planned: int, *, rate: bool) -> list[str]:
         "vacuous": statuses["satisfied"] > 0
         and not statuses["violated"]
         and all(verdict.vacuous for verdict in all_ if verdict.verdict == "satisfied"),
-        "idle": bool(valid) and all(verdict.idle for verdict in valid),
+        "idle": bool(valid) and all(verdict.not_manifested for verdict in valid),
         "silent": sum(verdict.valid_proposals for verdict in all_) < 5 * len(all_),
     }
     return [name for name, is_broken in broken.items() if is_broken]

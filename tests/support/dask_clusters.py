@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import psutil
+from distributed import Client
 
 
 class Cluster:
@@ -25,6 +26,7 @@ class Cluster:
     def __init__(self, folder: Path, settings: Mapping[str, str] | None = None) -> None:
         self._folder = folder
         self._started: list[subprocess.Popen[bytes]] = []
+        self._workers: list[subprocess.Popen[bytes]] = []
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
@@ -49,12 +51,28 @@ class Cluster:
 
     def worker(self, environment: Mapping[str, str] | None = None) -> subprocess.Popen[bytes]:
         """One more worker process, without a nanny that would start it again."""
-        return self._start(
+        worker = self._start(
             "distributed.cli.dask_worker",
             *(self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny"),
             *("--memory-limit", "0", "--local-directory", str(self._folder)),
             environment=environment or {},
         )
+        self._workers.append(worker)
+        return worker
+
+    def keep(self, count: int) -> list[subprocess.Popen[bytes]]:
+        """Start or kill workers until this many are alive and the scheduler knows no other."""
+        self._workers = [worker for worker in self._workers if worker.poll() is None]
+        while len(self._workers) > count:
+            self.kill(self._workers.pop())
+        while len(self._workers) < count:
+            self.worker()
+        end = time.monotonic() + 60.0
+        with Client(self.address, set_as_default=False) as client:
+            while len(client.nthreads()) != count:
+                assert time.monotonic() < end, f"the cluster has {client.nthreads()}"
+                time.sleep(0.02)
+        return list(self._workers)
 
     def _start(
         self, module: str, *options: str, environment: Mapping[str, str] | None = None

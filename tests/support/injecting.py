@@ -10,7 +10,7 @@ from pytest_dura.core.state import Percept, StateManager, Tick
 from pytest_dura.faults.catalogue import parse_fault
 from pytest_dura.faults.injector import CampaignInjector
 from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, Finite
+from pytest_dura.faults.parts import FaultPart, Finite
 
 DT = 0.1
 

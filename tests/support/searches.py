@@ -51,7 +51,7 @@ def outcome(word, requirement="SAF-1", *, kept=None, **changes):
     told = {
         "requirement": requirement,
         "check": "always (gap > 0)" if requirement == "SAF-1" else "gap > 0",
-        "word": word,
+        "status": word,
         "simulations": 21 if violated else 37,
         "searcher": "cma-es" if violated else None,
         "best": -0.25 if violated else 0.125,
@@ -83,7 +83,7 @@ def falsification(*words, kept=None, **changes):
         "simulations": 37,
         "refused": 2,
         "unknown": 9 if "undecided" in words else 1,
-        "idle": 2,
+        "not_manifested": 2,
         "rule": "corners first, then an equal share to each",
         "parameters": (
             {"path": "world.wall", "low": 2.0, "high": 6.0},

@@ -7,8 +7,7 @@ from typing import Any
 
 from pytest_dura.faults.catalogue import default_fault
 from pytest_dura.library.cases import Case, SearchedCase, expand_cases, make_searched_case
-from pytest_dura.library.scenario import Scenario
-from pytest_dura.library.variation import replace_value
+from pytest_dura.library.scenario import Scenario, replace_value
 
 WORLD = {
     "ego": {"distance": 50.0, "speed": 8.0},

@@ -45,7 +45,7 @@ Independent at each tick. Radar has none."""
 _MEMORY = 1.0
 """s; time constant of the means."""
 CAP = 100.0
-"""In any feature's unit: greater values are as absurd as this one."""
+"""Greatest value of a feature, in its unit: greater ones are as implausible as this one."""
 _UNCONFIRMED = 10.0
 """m; farther apart, lidar and radar do not mean the same object, however far."""
 _ROAD_END = 85.0
@@ -68,7 +68,7 @@ _OBJECTS = {
 
 
 class Observation(NamedTuple):
-    """What the sensors say at a tick, what had been commanded before it, and seconds per tick."""
+    """Values of the sensors at a tick, the command before it, and seconds per tick."""
 
     snapshot: Snapshot
     command: Command | None
@@ -106,7 +106,7 @@ class DrivingFeatures(FeatureSource):
         return Observation(Snapshot.of(view.percept), view.command, view.dt)
 
     def disturbed(self, sample: Observation, random: np.random.Generator) -> Observation:
-        """The same from sensors with the noise of :data:`NOISE`."""
+        """The observation by sensors with the noise of :data:`NOISE`."""
         return sample._replace(snapshot=noisy(sample.snapshot, random))
 
     def update(self, sample: Observation) -> Floats | None:
@@ -115,8 +115,8 @@ class DrivingFeatures(FeatureSource):
         before, self._before = self._before, now
         if before is None:
             return None
-        asked = 0.0 if command is None else command_residual(command, before, now, dt)
-        own = [_capped(value) for value in (*ego_residuals(before, now, dt), asked)]
+        command_error = 0.0 if command is None else command_residual(command, before, now, dt)
+        own = [_capped(value) for value in (*ego_residuals(before, now, dt), command_error)]
         share = 1.0 - math.exp(-dt / _MEMORY)
         self._means = [
             mean + share * (value - mean) for mean, value in zip(self._means, own, strict=True)
@@ -133,7 +133,7 @@ class DrivingFeatures(FeatureSource):
 
 
 def noisy(snapshot: Snapshot, random: np.random.Generator) -> Snapshot:
-    """The same snapshot from sensors with the noise of :data:`NOISE`."""
+    """The snapshot of sensors with the noise of :data:`NOISE`."""
     speed, acceleration, yaw_rate, x, y, heading = random.standard_normal(6).tolist()
     imu, pose = snapshot.imu, snapshot.pose
     errors = random.standard_normal((len(snapshot.objects), 4))
@@ -166,7 +166,7 @@ def _capped(value: float) -> float:
 def _deepest(
     before: Mapping[str, list[float]], now: Mapping[str, list[float]], pose: Pose
 ) -> float:
-    """Of what is in one list and was not in the other: how far within reach, in m; at least 0."""
+    """Greatest depth within reach of an object that only ``now`` has, in m; at least 0."""
     deepest = 0.0
     if now.keys() <= before.keys():  # as at most ticks
         return deepest
@@ -213,13 +213,13 @@ def _against_radar(now: Snapshot) -> tuple[float, float, float]:
 
 
 def _places(now: Snapshot) -> list[tuple[float, float]]:
-    """Where the radar returns are, in m."""
+    """Places of the radar returns: x and y in m."""
     own_x, own_y, heading = now.pose
-    found = []
+    places = []
     for distance, azimuth, _ in now.radar:
         bearing = heading - azimuth if math.isfinite(azimuth) else heading
-        found.append((own_x + distance * math.cos(bearing), own_y + distance * math.sin(bearing)))
-    return found
+        places.append((own_x + distance * math.cos(bearing), own_y + distance * math.sin(bearing)))
+    return places
 
 
 def _match(

@@ -125,7 +125,7 @@ class RuleBased(Generator):
         self._waits, self._speeds = waits, speeds
 
     def _who_comes(self, scene: Scene, dt: float) -> str | None:
-        """Who on the crossing road arrives before the ego has crossed, if it goes now."""
+        """Id of a car on the crossing road that would arrive before the ego has crossed."""
         queues: set[bool] = set()
         for other in sorted(crossing(scene), key=lambda approach: approach.distance):
             eastbound = math.cos(other.body.heading) > 0.0
@@ -220,7 +220,7 @@ class RuleBased(Generator):
 
 
 class Reactive(Generator):
-    """Trusts whatever lidar reports, and reacts to what is near without reckoning ahead.
+    """Trusts whatever lidar reports, and reacts to what is near without predicting.
 
     It approaches and crosses at a steady pace, slows down where anything on a collision course
     comes near, and brakes hard where it is very near. It checks nothing against radar.
@@ -277,7 +277,7 @@ class Aggressive(Generator):
     """Never gives way: accelerates through."""
 
     def propose(self, view: GeneratorView) -> Proposal:
-        """Always the same."""
+        """Full acceleration."""
         return Proposal(Command(Maneuver.ACCELERATE), "never gives way")
 
 

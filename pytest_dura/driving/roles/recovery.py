@@ -28,7 +28,7 @@ from pytest_dura.driving.roles.safety import SeparationMonitor
 from pytest_dura.driving.scene import HALF, Scene, time_to_cover
 
 Perceived = Callable[[Percept], BodyList]
-"""Which objects of a percept count."""
+"""Selects the objects of a percept that count."""
 
 
 def _lidar_objects(percept: Percept) -> BodyList:
@@ -66,7 +66,7 @@ class SecondOpinion:
     def judge(
         self, view: RoleView, action: Command, seen: Perceived = _lidar_objects
     ) -> Assessment:
-        """What the monitor says of an action at this tick."""
+        """The monitor's assessment of an action at this tick."""
         if view.index and len(view.percepts) > 1:
             before = _percept(view.percepts[-2], seen)
             self._monitor.run(replace(view, index=view.index - 1, percept=before, proposal=None))
@@ -189,8 +189,10 @@ class SafeStop(RecoveryPlanner):
     def _braking(self, scene: Scene, dt: float) -> float:
         """The least deceleration in m/s2 that suffices, or else the one that helps most."""
         least = min(max(COMFORT_BRAKING, self._needed(scene)), MAX_BRAKING)
-        tried = [least, *(item for item in self.BRAKING if item > least)]
-        apart, near = self._predictor.separations(scene, [-item for item in tried], dt)
+        tried = [least, *(deceleration for deceleration in self.BRAKING if deceleration > least)]
+        apart, near = self._predictor.separations(
+            scene, [-deceleration for deceleration in tried], dt
+        )
         if not near.ids:
             return least
         nearest = apart.min(axis=(1, 2)).tolist()
@@ -198,9 +200,9 @@ class SafeStop(RecoveryPlanner):
             if separation >= self.separation:
                 return deceleration
         # Below 0 there is contact, of which there is no more or less, but a slower one is better.
-        return max((max(item, 0.0), braking) for item, braking in zip(nearest, tried, strict=True))[
-            1
-        ]
+        # Of equal ones, the hardest braking.
+        gaps = [max(separation, 0.0) for separation in nearest]
+        return max(zip(gaps, tried, strict=True))[1]
 
     def _needed(self, scene: Scene) -> float:
         """The deceleration in m/s2 that the stop line and the leader ask for."""
@@ -258,7 +260,7 @@ class Replan(RecoveryPlanner):
     def run(self, view: RoleView) -> Recovery:
         """The best maneuver."""
         scene = _observed_scene(self._predictor, view)
-        driven = np.array([self._rollout(scene, Command(item)) for item in Maneuver])
+        driven = np.array([self._rollout(scene, Command(maneuver)) for maneuver in Maneuver])
         apart, _ = self._predictor.along(scene, driven, view.dt)
         least = apart.min(axis=(1, 2), initial=self.enough)
         scores = []
@@ -335,7 +337,7 @@ class IgnoreUntrusted(RecoveryPlanner):
 
 
 def _others_refuse(view: RoleView) -> bool:
-    """Whether somebody refuses for reasons that the SeparationMonitor's predicate cannot answer."""
+    """Whether another role refuses, for reasons that the SeparationMonitor cannot assess."""
     return any(
         isinstance(output, Assessment)
         and (output.critical or (output.verdict is Assessed.UNSAFE and name != "safety_monitor"))

@@ -40,7 +40,7 @@ Row = list[float]
 
 
 class Snapshot(NamedTuple):
-    """What the sensors say at one tick; the objects by id."""
+    """Values of the sensors at a tick; the objects by id."""
 
     imu: Imu
     speed: float
@@ -52,7 +52,7 @@ class Snapshot(NamedTuple):
 
     @classmethod
     def of(cls, percept: Mapping[str, Any]) -> Snapshot:
-        """From all channels that are numbers."""
+        """The values of all channels that are numbers."""
         bodies, route_map = percept["lidar"], percept["map"]
         return cls(
             percept["imu"],
@@ -121,28 +121,28 @@ def command_residual(command: Command, before: Snapshot, now: Snapshot, dt: floa
     if command.acceleration is None and command.maneuver in (Maneuver.WAIT, Maneuver.YIELD):
         s, _ = before.route.project(before.pose.x, before.pose.y)
         to_line = before.stop_line - s - HALF
-    asked = acceleration_for(command, before.speed, to_line)
+    commanded = acceleration_for(command, before.speed, to_line)
     last, reach = before.imu.acceleration, ACTUATOR_SLEW * dt
-    least = max(last - reach, min(last + reach, asked))
+    least = max(last - reach, min(last + reach, commanded))
     most = max(least, 0.0) if before.speed < _LETS_OFF else least
     return beyond(now.imu.acceleration, least, most)
 
 
 def object_residuals(before: Snapshot, now: Snapshot, dt: float) -> dict[str, tuple[float, float]]:
-    """How far each object is from where its velocity led to expect it, in x and y, in m/s, by id.
+    """Displacement of each object against its velocity, in x and y, in m/s, by id.
 
     Objects that were not there a tick before have none.
     """
-    found = {}
+    differences = {}
     for name, row in now.objects.items():
         old = before.objects.get(name)
         if old is not None:
-            found[name] = (row[0] - old[0]) / dt - old[VX], (row[1] - old[1]) / dt - old[VY]
-    return found
+            differences[name] = (row[0] - old[0]) / dt - old[VX], (row[1] - old[1]) / dt - old[VY]
+    return differences
 
 
 def frozen(before: Snapshot, now: Snapshot) -> dict[str, bool]:
-    """Which channels show exactly the values of a tick before, although others say they change.
+    """Whether each channel repeats the values of a tick before, although others say they change.
 
     A speed that stays while the imu accelerates, a position that stays while the wheels turn, an
     object that stays while it moves, a range that stays while it has a rate.
@@ -163,7 +163,7 @@ def frozen(before: Snapshot, now: Snapshot) -> dict[str, bool]:
 
 
 def beyond(value: float, low: float, high: float) -> float:
-    """By how much a value is above or below a range; 0 within it."""
+    """Amount by which a value is above or below a range; 0 within it."""
     if low <= value <= high:
         return 0.0
     return value - high if value > high else value - low
@@ -176,7 +176,7 @@ def _ahead(speed: float, slide: float) -> float:
 
 
 class Limits(NamedTuple):
-    """What a test forgives at each tick, and the sum at which it alarms; in the residual's unit."""
+    """Drift that a test forgives at each tick, and the sum at which it alarms, in its unit."""
 
     drift: float
     threshold: float
@@ -273,7 +273,7 @@ class ResidualMonitor(SecurityAssessor):
 
 
 def _checked(thresholds: Mapping[str, Sequence[float]]) -> dict[str, Limits]:
-    found = {}
+    limits = {}
     for name, pair in thresholds.items():
         if name not in LIMITS:
             raise ConfigurationError(
@@ -284,8 +284,8 @@ def _checked(thresholds: Mapping[str, Sequence[float]]) -> dict[str, Limits]:
                 remedy="correct its name",
             )
         try:
-            found[name] = Limits(*pair)
-            Cusum(*found[name])
+            limits[name] = Limits(*pair)
+            Cusum(*limits[name])
         except (TypeError, ValueError):
             raise ConfigurationError(
                 f"these are no limits of {name!r}",
@@ -294,7 +294,7 @@ def _checked(thresholds: Mapping[str, Sequence[float]]) -> dict[str, Limits]:
                 expected="drift (at least 0) and threshold (above 0)",
                 remedy=f"for example {list(LIMITS[name])}",
             ) from None
-    return found
+    return limits
 
 
 _QUIET = SecurityAssessment(score=1.0)

@@ -51,7 +51,7 @@ class Nearest(NamedTuple):
 def nearest(
     predictor: Predictor, scene: Scene, acceleration: float, dt: float, cap: float
 ) -> Nearest | None:
-    """Who comes nearest, of the bodies that the predictor has observed.
+    """The body that comes nearest, of those that the predictor has observed.
 
     Args:
         predictor: For how long to look ahead, in which steps, and who turns.
@@ -73,35 +73,37 @@ def nearest(
     ways = [scene.s + step for step in driven(scene.speed, acceleration, times, SPEED_LIMIT)]
     egos = scene.route.trail(ways)
     bounds = []
-    for item, row in enumerate(within):
-        bounds += _bounds(item, _squares(numbers[row], times, rates[item], egos), numbers[row], cap)
+    for number, row in enumerate(within):
+        bounds += _bounds(
+            number, _squares(numbers[row], times, rates[number], egos), numbers[row], cap
+        )
     if not bounds:
         return None
     bounds.sort()
-    best, who = math.inf, 0
+    best, nearest_number = math.inf, 0
     straight: dict[int, list[Point]] = {}
-    for bound, item, at in bounds:
+    for bound, number, at in bounds:
         if bound > best:
             break
-        s, body = ways[at], numbers[within[item]]
+        s, body = ways[at], numbers[within[number]]
         own = point(s + _BACK), egos[at], point(s + _AHEAD)
         if turning is None:
-            now = straight.get(item)
+            now = straight.get(number)
             if now is None:
-                now = straight[item] = _discs_now(body)
+                now = straight[number] = _discs_now(body)
             dx, dy = times[at] * body[VX], times[at] * body[VY]
             others = [(x + dx, y + dy) for x, y in now]
         else:
-            others = _discs_turned(body, times[at], turning[item])
+            others = _discs_turned(body, times[at], turning[number])
         # Root and difference keep the order: the least is that of the least square.
         apart = math.sqrt(_least_square(own, others)) - _radii(body[LENGTH], body[WIDTH])
-        if apart < best or (apart == best and item < who):
-            best, who = apart, item
-    return Nearest(best, ids[within[who]])
+        if apart < best or (apart == best and number < nearest_number):
+            best, nearest_number = apart, number
+    return Nearest(best, ids[within[nearest_number]])
 
 
 def _bounds(
-    item: int, squares: Sequence[float], row: Row, cap: float
+    number: int, squares: Sequence[float], row: Row, cap: float
 ) -> list[tuple[float, int, int]]:
     """Below the separation at each instant that matters; with the body's number and the instant's.
 
@@ -110,7 +112,7 @@ def _bounds(
     span = _span(row[LENGTH], row[WIDTH])
     reach = (cap + span) ** 2
     return [
-        (math.sqrt(squared) - span, item, at)
+        (math.sqrt(squared) - span, number, at)
         for at, squared in enumerate(squares)
         if squared < reach
     ]
@@ -119,19 +121,19 @@ def _bounds(
 def _squares(row: Row, times: Sequence[float], rate: float, egos: Sequence[Point]) -> list[float]:
     """Squared distance of the centres at each instant, but for rounding."""
     x, y, _, vx, vy, _, _ = row
-    found = []
+    squares = []
     if not rate:
         for time, (own_x, own_y) in zip(times, egos, strict=True):
             dx, dy = own_x - x - time * vx, own_y - y - time * vy
-            found.append(dx * dx + dy * dy)
-        return found
+            squares.append(dx * dx + dy * dy)
+        return squares
     half = rate / 2.0
     for time, (own_x, own_y) in zip(times, egos, strict=True):
         c, s = math.cos(time * half), math.sin(time * half)
         dx = own_x - x - time * (c * vx - s * vy)
         dy = own_y - y - time * (s * vx + c * vy)
-        found.append(dx * dx + dy * dy)
-    return found
+        squares.append(dx * dx + dy * dy)
+    return squares
 
 
 def _discs_now(row: Row) -> list[Point]:
@@ -146,7 +148,7 @@ def _discs_now(row: Row) -> list[Point]:
 
 
 def _discs_turned(row: Row, time: float, rate: float) -> list[Point]:
-    """The same after a while, as ``prediction.moving`` has it where anybody turns."""
+    """The centres after some time, as ``prediction.moving`` has them where a body turns."""
     x, y, heading, vx, vy, length, _ = row
     turned = time * rate
     c, s = float(np.cos(turned / 2.0)), float(np.sin(turned / 2.0))
@@ -169,7 +171,7 @@ def _least_square(some: Sequence[Point], others: Sequence[Point]) -> float:
 
 @lru_cache(maxsize=1024)
 def _radii(length: float, width: float) -> float:
-    """Of one of the ego's discs and one of those that cover a body; see ``prediction.radii``."""
+    """Radii of a disc of the ego and a disc of a body, together; see ``prediction.radii``."""
     return EGO_RADIUS + float(np.hypot(length / 6.0, width / 2.0))
 
 
@@ -188,7 +190,7 @@ right of way."""
 
 
 class SeparationMonitor(SafetyMonitor):
-    """Sees whether the proposed command, kept up for a while, comes too near to somebody.
+    """Assesses whether the proposed command, kept up for a while, comes too near to a body.
 
     Args:
         horizon: Seconds that are predicted.
@@ -227,7 +229,7 @@ class SeparationMonitor(SafetyMonitor):
             verdict, separation = Assessed.UNSAFE, min(separation, 0.0)
             reasons += [f"cannot judge: {doubt.subject} {doubt.detail}" for doubt in doubts]
         elif separation < self.warning:
-            # Who stands and means to is refused in vain: no brake makes that any safer.
+            # To refuse a proposal to go on standing would be in vain: no brake makes it safer.
             stands = scene.speed < STANDING and acceleration <= 0.0
             unsafe = separation < self.unsafe and not stands
             verdict = Assessed.UNSAFE if unsafe else Assessed.WARNING
@@ -243,13 +245,13 @@ class SeparationMonitor(SafetyMonitor):
         return Assessment(verdict, separation, tuple(reasons))
 
     def _separation(self, scene: Scene, acceleration: float, dt: float) -> tuple[float, str]:
-        # Who is named is in no reason unless it comes within the cap, or the warning's distance.
+        # A body beyond the cap and the warning's distance appears in no reason.
         cap = max(SEPARATION_CAP, self.warning)
         apart, who = nearest(self._predictor, scene, acceleration, dt, cap) or (SEPARATION_CAP, "")
         return min(apart, SEPARATION_CAP), who
 
     def _following(self, scene: Scene, acceleration: float) -> str | None:
-        """Why the ego could not stop behind its leader if that braked as hard as it can."""
+        """Reason, if the ego could not stop behind a leader that brakes as hard as it can."""
         leader = scene.leader()
         if leader is None or acceleration <= -0.9 * MAX_BRAKING:
             return None
@@ -262,11 +264,11 @@ class SeparationMonitor(SafetyMonitor):
         return None
 
     def _right_of_way(self, scene: Scene, acceleration: float) -> str | None:
-        """Why the proposal enters the junction in front of a car that must then brake."""
+        """Reason, if the proposal enters the junction in front of a car that must then brake."""
         to_line = scene.to_stop_line
         if scene.entered or braking_distance(scene.speed, MAX_BRAKING) > to_line:
             return None
-        # Who could not stop before the line any more once this is under way has taken it.
+        # A proposal after which the ego can still stop before the line takes no right of way.
         reached = max(scene.speed + acceleration * ENTRY, 0.0)
         (driven,) = prediction.driven(scene.speed, acceleration, (ENTRY,), SPEED_LIMIT)
         if driven + braking_distance(reached, MAX_BRAKING) < to_line:

@@ -22,7 +22,7 @@ from pytest_dura.driving.percepts import (
 )
 from pytest_dura.driving.scene import ego_of
 from pytest_dura.driving.sensors import RANGE
-from pytest_dura.faults.attack_plan import AttackPlan
+from pytest_dura.faults.activation import AttackPlan
 
 Row = tuple[float, ...]
 
@@ -215,13 +215,13 @@ class PlausibilityAssessor(SecurityAssessor):
         percept = view.percept
         bodies, pose = plausible_objects(percept), own_pose(percept)
         self._tracker.update(view.index, bodies)
-        found, rows, dt = [], bodies.numbers, view.dt
+        alerts, rows, dt = [], bodies.numbers, view.dt
         for row in self._tracker.newcomers():
             x, y = rows[row][:2]
             distance = float(np.hypot(x - pose.x, y - pose.y))
             if distance < RANGE - 8.0 and max(abs(x), abs(y)) < _ROAD_END:
                 detail = f"appeared {distance:.1f} m away"
-                found.append(Alert("object_from_nowhere", bodies.ids[row], detail))
+                alerts.append(Alert("object_from_nowhere", bodies.ids[row], detail))
         for row, dx, dy in self._tracker.displacements():
             off_x, off_y = dx / dt - rows[row][VX], dy / dt - rows[row][VY]
             if abs(off_x) + abs(off_y) < self.displacement_tolerance:
@@ -229,12 +229,12 @@ class PlausibilityAssessor(SecurityAssessor):
             apart = math.hypot(off_x, off_y)
             if apart > self.displacement_tolerance:
                 detail = f"reports a velocity {apart:.1f} m/s off its displacement"
-                found.append(Alert("velocity_contradicts_displacement", bodies.ids[row], detail))
-        found += [
-            Alert(f"out_of_range:{item.channel}", item.subject, item.detail)
-            for item in out_of_range(percept)
+                alerts.append(Alert("velocity_contradicts_displacement", bodies.ids[row], detail))
+        alerts += [
+            Alert(f"out_of_range:{value.channel}", value.subject, value.detail)
+            for value in out_of_range(percept)
         ]
-        return found + self._against_radar(view)
+        return alerts + self._against_radar(view)
 
     def _against_radar(self, view: RoleView) -> list[Alert]:
         bodies = view.percept["lidar"]
@@ -255,13 +255,13 @@ class PlausibilityAssessor(SecurityAssessor):
     def _check_command(self, view: RoleView) -> list[Alert]:
         if view.proposal is None:
             return []
-        command, asked = view.proposal.action, view.proposal.action.acceleration
-        if asked is None:
+        command, acceleration = view.proposal.action, view.proposal.action.acceleration
+        if acceleration is None:
             return []
-        if not -MAX_BRAKING - 1e-9 <= asked <= MAX_ACCELERATION + 1e-9:
-            detail = f"asks for {asked:.1f} m/s2"
-        elif command.maneuver is Maneuver.EMERGENCY_BRAKE and asked > 0.5:
-            detail = f"says {command} and asks for {asked:.1f} m/s2"
+        if not -MAX_BRAKING - 1e-9 <= acceleration <= MAX_ACCELERATION + 1e-9:
+            detail = f"asks for {acceleration:.1f} m/s2"
+        elif command.maneuver is Maneuver.EMERGENCY_BRAKE and acceleration > 0.5:
+            detail = f"says {command} and asks for {acceleration:.1f} m/s2"
         else:
             return []
         return [Alert("command_outside_envelope", "generator", detail)]

@@ -128,7 +128,7 @@ class Tactical(Generator):
 
     @staticmethod
     def _for_obstacle(scene: Scene, body: Body, distance: float) -> _Decision | None:
-        """What it does about an object in its lane; ``None`` while it is far away."""
+        """The decision on an object in its lane; ``None`` while it is far away."""
         heading = float(scene.route.pose(scene.route.project(body.x, body.y)[0])[2])
         along = body.vx * math.cos(heading) + body.vy * math.sin(heading)
         leads = along > 1.0 and not body.is_pedestrian

@@ -1,1 +1,1 @@
-"""The catalogue's fault types that know no domain, one module per family."""
+"""Fault types that know no domain, one module per family."""

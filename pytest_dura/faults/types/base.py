@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.state import NOTHING, Lazy
 from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parameters import FaultPart
+from pytest_dura.faults.parts import FaultPart
 
 Change: TypeAlias = Callable[[Any, np.random.Generator], Any]
 
 
 def change_lazily(value: Any, rng: np.random.Generator, change: Change) -> Any:
-    """The value after a change; that of a lazy value is made when somebody reads it.
+    """Change a value; that of a lazy value is made and changed when it is read.
 
-    The change gets random numbers that depend neither on when that is, nor on whether the value
-    is lazy, which another fault may have put an end to: their seed is drawn now.
+    The seed of the change's random numbers is drawn now, so that they depend neither on the time of
+    reading nor on whether the value is still lazy after another fault.
     """
     seed = rng.integers(2**63)
     if type(value) is not Lazy:
@@ -36,7 +36,7 @@ Numeric: TypeAlias = float | NDArray[np.float64]
 
 
 def numeric_value(value: Any) -> Numeric:
-    """A value as a float, or an array of numbers (a row of a sensor's array) as one of floats.
+    """Convert a value to a float, or an array of numbers (a row of a sensor's array) to floats.
 
     Raises:
         ConfigurationError: If it is neither.
@@ -54,7 +54,7 @@ def numeric_value(value: Any) -> Numeric:
 
 
 def as_channel_value(value: Numeric) -> Numeric:
-    """A result as channels hold it: a plain float, or a read-only array."""
+    """Convert a result to a channel's form: a plain float, or a read-only array."""
     if isinstance(value, np.ndarray):
         value.flags.writeable = False
         return value
@@ -62,7 +62,7 @@ def as_channel_value(value: Numeric) -> Numeric:
 
 
 def flip_bits(value: Any, bits: int, rng: np.random.Generator) -> Any:
-    """A number with so many of its bits inverted, drawn without repetition; finite if it was.
+    """Invert bits of a number, drawn without repetition; a finite number stays finite.
 
     A Python ``int`` has 64 bits, one beyond that stays as it is; a numpy number has those of its
     type. If the bits that were drawn make infinity or no number, as many are drawn anew from
@@ -90,16 +90,16 @@ def _flipped(scalar: NDArray[Any], bits: int, rng: np.random.Generator) -> NDArr
 
 
 def _inverted(scalar: NDArray[Any], places: NDArray[Any]) -> NDArray[Any]:
-    words = np.dtype(f"u{scalar.dtype.itemsize}")
+    unsigned = np.dtype(f"u{scalar.dtype.itemsize}")
     mask = sum(1 << place for place in places.tolist())
     # A view of the bits needs the machine's byte order, which asarray of a number has.
     native = scalar.astype(scalar.dtype.newbyteorder("="))
-    inverted: NDArray[Any] = (native.view(words) ^ words.type(mask)).view(native.dtype)
+    inverted: NDArray[Any] = (native.view(unsigned) ^ unsigned.type(mask)).view(native.dtype)
     return inverted
 
 
 def count_numbers(message: Any) -> int:
-    """How many numbers a message holds that :func:`with_changed_number` can reach.
+    """Count the numbers of a message that :func:`with_changed_number` can reach.
 
     They are looked for in mappings, dataclasses, named and plain tuples, lists, arrays of floats
     and integers, and in objects that keep such an array in an attribute ``data``. Truth values
@@ -113,12 +113,12 @@ def count_numbers(message: Any) -> int:
 
 
 def with_changed_number(message: Any, index: int, change: Callable[[Any], Any]) -> Any:
-    """A copy of a message with one of its numbers changed; all that it shares stays as it is.
+    """Copy a message with one of its numbers changed.
 
     Args:
         message: See :func:`count_numbers`.
         index: From 0 to ``count_numbers(message) - 1``.
-        change: Makes the new number from the old one, of the same type.
+        change: Maps the old number to the new one, of the same type.
     """
     if isinstance(message, np.ndarray):
         array = message.copy()
@@ -142,7 +142,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_numeric(array: NDArray[Any]) -> bool:
-    # Only what has a word of its size can be flipped: no longdouble.
+    # Bits are flipped in an unsigned integer of the same size, which longdouble lacks.
     return array.dtype.kind in "fiu" and array.dtype.itemsize in (1, 2, 4, 8)
 
 
@@ -163,8 +163,8 @@ def _with(message: Any, place: int, part: Any) -> Any:
     if is_dataclass(message) and not isinstance(message, type):
         return replace(message, **{_initialised(message)[place]: part})
     if isinstance(message, (tuple, list)):
-        items = [*message[:place], part, *message[place + 1 :]]
-        return message._make(items) if hasattr(message, "_make") else type(message)(items)
+        parts = [*message[:place], part, *message[place + 1 :]]
+        return message._make(parts) if hasattr(message, "_make") else type(message)(parts)
     twin = copy.copy(message)
     object.__setattr__(twin, "data", part)  # also where the class forbids assignment
     return twin
@@ -175,14 +175,14 @@ def _initialised(message: Any) -> list[str]:
 
 
 class NoParameters(FaultPart):
-    """None: the type has no parameters."""
+    """No parameters."""
 
 
 class ListedFault(Fault):
     """Base of the types that know no domain.
 
-    ``lasting`` and ``typical`` are the duration in s and the parameters of the fault where only
-    its name is given; it begins two seconds into the episode.
+    ``lasting`` and ``typical`` are the duration in s and the parameters of the fault if only its
+    name is given; it then begins two seconds into the episode.
     """
 
     lasting: ClassVar[float | str] = 4.0
@@ -190,20 +190,20 @@ class ListedFault(Fault):
 
     @classmethod
     def example(cls) -> dict[str, Any]:
-        """Two seconds into the episode."""
-        found: dict[str, Any] = {"activation": {"at": 2.0}, "duration": cls.lasting}
-        return found | ({"parameters": dict(cls.typical)} if cls.typical else {})
+        """Return the activation, two seconds into the episode, and the duration."""
+        plain: dict[str, Any] = {"activation": {"at": 2.0}, "duration": cls.lasting}
+        return plain | ({"parameters": dict(cls.typical)} if cls.typical else {})
 
 
 class NumberFault(ListedFault):
-    """Base of the types whose new value depends on a number alone (or on each one of an array)."""
+    """Base of the types whose new value depends on a number alone, or on each of an array."""
 
     acts_on: ClassVar[Kind] = "number"
 
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
-        """The number as the fault makes it."""
+        """Return the changed number."""
         return as_channel_value(self.changed(numeric_value(value), moment))
 
     @abstractmethod
     def changed(self, value: Numeric, moment: Moment) -> Numeric:
-        """The new number; with an array, as many of them."""
+        """Return the new number, or an array of new numbers."""

@@ -12,8 +12,17 @@ from pydantic import BeforeValidator, Field, model_validator
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.model import Channel, Kind, Moment, is_number
-from pytest_dura.faults.parameters import FaultPart, NotNegative, Positive, Share, Span
-from pytest_dura.faults.targets import Target, part_of, resolved, with_part
+from pytest_dura.faults.parts import (
+    FaultPart,
+    NotNegative,
+    Positive,
+    Share,
+    Span,
+    Target,
+    part_of,
+    resolved,
+    with_part,
+)
 from pytest_dura.faults.types.base import (
     ListedFault,
     NoParameters,
@@ -55,11 +64,11 @@ class Latency(ReceiverFault):
         if self.parameters.jitter_ms:
             late += self.parameters.jitter_ms * _MS * moment.rng.random()
         receiver.queue.append((moment.time + late, value))
-        shown = receiver.shown
-        # Whoever is at the head holds up the others: no message overtakes another.
+        latest = receiver.shown
+        # The head of the queue delays the others: no message overtakes another.
         while receiver.queue and receiver.queue[0][0] <= moment.time + TOLERANCE:
-            shown = receiver.queue.pop(0)[1]
-        return shown
+            latest = receiver.queue.pop(0)[1]
+        return latest
 
 
 class Loss(Dropping):
@@ -96,15 +105,15 @@ class Reorder(ReceiverFault):
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
         """The message that arrives last at this tick."""
-        shown = receiver.shown
+        latest = receiver.shown
         late = moment.rng.random() < self.parameters.p
         if not late:
-            shown = value
+            latest = value
         if receiver.queue:
-            shown = receiver.queue.pop()[1]
+            latest = receiver.queue.pop()[1]
         if late:
             receiver.queue.append((moment.time, value))
-        return shown
+        return latest
 
 
 class DuplicateParameters(FaultPart):
@@ -113,7 +122,7 @@ class DuplicateParameters(FaultPart):
     n: Annotated[int, Span(0, 9)] = Field(
         1, ge=0, le=1000, description="Extra copies of a message; 0 is the identity."
     )
-    queue_s: Annotated[Positive, Span(0.1, 10.0, mildest=0.1)] = Field(
+    queue_s: Annotated[Positive, Span(0.1, 10.0, neutral=0.1)] = Field(
         5.0, description="Seconds of messages that the queue holds; older ones drop out."
     )
 
@@ -182,7 +191,7 @@ def _corrupted(message: Any, bits: int, rng: np.random.Generator) -> Any:
     if not count:
         return message
     index = int(rng.integers(count))
-    return with_changed_number(message, index, lambda item: flip_bits(item, bits, rng))
+    return with_changed_number(message, index, lambda number: flip_bits(number, bits, rng))
 
 
 class Denial(ReceiverFault):
@@ -217,7 +226,7 @@ class ReplayParameters(FaultPart):
     """How much is replayed."""
 
     # The shorter the record is, the less old is what it repeats.
-    s: Annotated[Positive, Span(0.1, 10.0, mildest=0.1)] = Field(
+    s: Annotated[Positive, Span(0.1, 10.0, neutral=0.1)] = Field(
         2.0, description="Seconds that were recorded before the activation."
     )
 
@@ -259,7 +268,7 @@ class MasqueradeParameters(FaultPart):
     )
 
     @model_validator(mode="after")
-    def _one_of_them(self) -> MasqueradeParameters:
+    def _check_exclusive(self) -> MasqueradeParameters:
         if self.forged and self.value is not None:
             raise ValueError("forged names fields of a message, value is a whole one; give one")
         return self

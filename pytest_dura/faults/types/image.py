@@ -1,6 +1,6 @@
 """Pictures, ``uint8`` of shape (height, width, 3), that are brighter, noisy, patched, perturbed.
 
-Pictures are made when somebody reads them, and so are the changed ones.
+Pictures are made when they are read, and so are the changed ones.
 """
 
 from __future__ import annotations
@@ -15,41 +15,40 @@ from pydantic import Field
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, NotNegative, Share, Span
-from pytest_dura.faults.targets import resolved
+from pytest_dura.faults.parts import FaultPart, NotNegative, Share, Span, resolved
 from pytest_dura.faults.types.base import ListedFault, change_lazily
 
 Picture: TypeAlias = NDArray[np.uint8]
 _ROUNDING = 1e-6
-"""Pixels; what a product of floats may be off."""
+"""Pixels; rounding error of a product of floats."""
 Level = Annotated[int, Field(ge=0, le=255)]
 
 
 def as_picture(value: Any) -> Picture:
-    """A value as a picture.
+    """Return a value that is a picture, made now if it is lazy.
 
     Raises:
-        ConfigurationError: If it is none.
+        ConfigurationError: If it is no picture.
     """
-    found: Any = resolved(value)
+    picture: Any = resolved(value)
     if not (
-        isinstance(found, np.ndarray)
-        and found.dtype == np.uint8
-        and found.ndim == 3
-        and found.shape[2] == 3
+        isinstance(picture, np.ndarray)
+        and picture.dtype == np.uint8
+        and picture.ndim == 3
+        and picture.shape[2] == 3
     ):
         raise ConfigurationError(
             "this fault acts on a picture",
             key="target",
-            found=picture_description(found),
+            found=picture_description(picture),
             expected="an array of dtype uint8 and shape (height, width, 3)",
             remedy="choose a camera's channel",
         )
-    return found
+    return picture
 
 
 def picture_description(value: Any) -> str:
-    """The dtype and shape of an array; of anything else, its type."""
+    """Describe an array by dtype and shape, anything else by its type."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype} of shape {value.shape}"
     return type(value).__name__
@@ -61,27 +60,27 @@ class ImageFault(ListedFault):
     acts_on: ClassVar[Kind] = "image"
 
     def begin(self, value: Any, moment: Moment) -> bool:  # noqa: ARG002 - as Fault has it
-        """Look at one picture now: what is wrong with it must not be laid at its reader's door."""
+        """Check one picture now, lest a wrong one fail in the component that reads it."""
         as_picture(value)
         return True
 
     def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
-        """The changed picture, made when it is read."""
-        return value if self.idle else change_lazily(value, moment.rng, self._changed)
+        """Return the changed picture, made when it is read."""
+        return value if self.has_no_effect else change_lazily(value, moment.rng, self._changed)
 
     def _changed(self, value: Any, rng: np.random.Generator) -> Picture:
-        new = self.drawn(as_picture(value).copy(), rng)
+        new = self.draw_on(as_picture(value).copy(), rng)
         new.flags.writeable = False
         return new
 
     @property
     @abstractmethod
-    def idle(self) -> bool:
+    def has_no_effect(self) -> bool:
         """Whether its magnitude is zero."""
 
     @abstractmethod
-    def drawn(self, image: Picture, rng: np.random.Generator) -> Picture:
-        """The changed picture; the given one is a copy to draw on."""
+    def draw_on(self, image: Picture, rng: np.random.Generator) -> Picture:
+        """Change a picture, which is a copy to draw on, and return it or a new one."""
 
 
 class BrightnessParameters(FaultPart):
@@ -93,7 +92,7 @@ class BrightnessParameters(FaultPart):
             description="Added to each channel of each pixel, in levels of 256; 0 adds nothing.",
         )
     )
-    gain: Annotated[NotNegative, Span(0.0, 4.0, mildest=1.0)] = Field(
+    gain: Annotated[NotNegative, Span(0.0, 4.0, neutral=1.0)] = Field(
         1.0, description="Each channel is first multiplied by this, without unit; 1 is no change."
     )
 
@@ -105,11 +104,11 @@ class Brightness(ImageFault):
     parameters: BrightnessParameters = BrightnessParameters()
 
     @property
-    def idle(self) -> bool:
+    def has_no_effect(self) -> bool:
         """Nothing is added, and the gain is 1."""
         return self.parameters.levels == 0.0 and self.parameters.gain == 1.0
 
-    def drawn(self, image: Picture, rng: np.random.Generator) -> Picture:  # noqa: ARG002 - as ImageFault has it
+    def draw_on(self, image: Picture, rng: np.random.Generator) -> Picture:  # noqa: ARG002 - as ImageFault has it
         """Brighter or darker."""
         levels = image * self.parameters.gain + self.parameters.levels
         clipped: Picture = np.clip(np.rint(levels), 0.0, 255.0).astype(np.uint8)
@@ -131,11 +130,11 @@ class SaltAndPepper(ImageFault):
     parameters: SaltAndPepperParameters = SaltAndPepperParameters()
 
     @property
-    def idle(self) -> bool:
+    def has_no_effect(self) -> bool:
         """No pixel is hit."""
         return self.parameters.share == 0.0
 
-    def drawn(self, image: Picture, rng: np.random.Generator) -> Picture:
+    def draw_on(self, image: Picture, rng: np.random.Generator) -> Picture:
         """With the dead pixels."""
         height, width, _ = image.shape
         count = math.ceil(self.parameters.share * height * width - _ROUNDING)
@@ -147,10 +146,10 @@ class SaltAndPepper(ImageFault):
 class PatchParameters(FaultPart):
     """Where the patch is, how large, and of what colour."""
 
-    x: Annotated[Share, Span(0.0, 1.0, mildest=0.5)] = Field(
+    x: Annotated[Share, Span(0.0, 1.0, neutral=0.5)] = Field(
         0.5, description="Its centre, as a share of the width from the left."
     )
-    y: Annotated[Share, Span(0.0, 1.0, mildest=0.5)] = Field(
+    y: Annotated[Share, Span(0.0, 1.0, neutral=0.5)] = Field(
         0.5, description="Its centre, as a share of the height from the top."
     )
     size: Annotated[Share, Span(0.0, 1.0)] = Field(
@@ -168,11 +167,11 @@ class Patch(ImageFault):
     parameters: PatchParameters = PatchParameters()
 
     @property
-    def idle(self) -> bool:
+    def has_no_effect(self) -> bool:
         """It has no size."""
         return self.parameters.size == 0.0
 
-    def drawn(self, image: Picture, rng: np.random.Generator) -> Picture:  # noqa: ARG002 - as ImageFault has it
+    def draw_on(self, image: Picture, rng: np.random.Generator) -> Picture:  # noqa: ARG002 - as ImageFault has it
         """With the patch."""
         height, width, _ = image.shape
         side = max(round(self.parameters.size * min(height, width)), 1)

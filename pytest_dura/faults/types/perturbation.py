@@ -1,4 +1,4 @@
-"""Any perturbation of a picture, as a callable: where gradient-based attacks plug in."""
+"""Perturbation of a picture by any function, such as a gradient-based attack."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pydantic import Field, field_validator
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart
+from pytest_dura.faults.parts import FaultPart
 from pytest_dura.faults.types.base import ListedFault
 from pytest_dura.faults.types.image import Picture, as_picture, picture_description
 
 
 class PerturbationParameters(FaultPart):
-    """Which function perturbs the picture, and with what."""
+    """Function that perturbs the picture, and its arguments."""
 
     function: str = Field(
         description="`package.module:name` of a function of a picture, a numpy Generator and the"

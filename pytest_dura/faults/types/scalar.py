@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, Finite, NotNegative, Positive, Span
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Span
 from pytest_dura.faults.types.base import (
     ListedFault,
     NoParameters,
@@ -98,7 +98,7 @@ class Noise(NumberFault):
 class GainParameters(FaultPart):
     """By how much the number is scaled."""
 
-    factor: Annotated[Finite, Span(0.0, 3.0, mildest=1.0)] = Field(
+    factor: Annotated[Finite, Span(0.0, 3.0, neutral=1.0)] = Field(
         1.5, description="Without unit; 1 is the identity."
     )
 
@@ -161,7 +161,7 @@ class BitFlip(ListedFault):
         if not isinstance(given, np.ndarray):
             return float(flip_bits(value if isinstance(value, np.floating) else given, bits, rng))
         kept = value if value.dtype.kind == "f" else given
-        flipped = np.array([flip_bits(item, bits, rng) for item in kept.ravel()], kept.dtype)
+        flipped = np.array([flip_bits(number, bits, rng) for number in kept.ravel()], kept.dtype)
         return as_channel_value(flipped.reshape(kept.shape))
 
 
@@ -170,7 +170,7 @@ class OutOfRangeParameters(FaultPart):
 
     low: Finite = Field(description="Lower end of the valid range, in the field's unit.")
     high: Finite = Field(description="Upper end of the valid range, in the field's unit.")
-    excess: Annotated[Positive, Span(0.1, 100.0, mildest=0.1)] = Field(
+    excess: Annotated[Positive, Span(0.1, 100.0, neutral=0.1)] = Field(
         10.0, description="Beyond the limit by this, in the field's unit."
     )
     side: Literal["above", "below"] = Field("above", description="Beyond which limit.")

@@ -14,8 +14,7 @@ from pydantic import Field
 
 from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.model import Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, NotNegative, Positive, Share, Span
-from pytest_dura.faults.targets import resolved
+from pytest_dura.faults.parts import FaultPart, NotNegative, Positive, Share, Span, resolved
 from pytest_dura.faults.types.base import ListedFault, NoParameters
 
 _ONE_TICK = 1e-6
@@ -23,32 +22,32 @@ _ONE_TICK = 1e-6
 
 
 def _ticks_of(seconds: float, dt: float) -> int:
-    """The number of ticks after which at least so many seconds have passed."""
+    """Number of ticks after which at least so many seconds have passed."""
     return math.ceil(seconds / dt - TOLERANCE)
 
 
 def _value_before(moment: Moment) -> Any:
-    """What stood at the target one tick earlier; at the very first tick, what stands there now."""
+    """Value of the target one tick earlier; at the first tick, its present value."""
     return moment.history[max(len(moment.history) - 2, 0)][1]
 
 
 def value_at(moment: Moment, time: float) -> Any:
-    """What stood at the target at that time; where nothing is that old, the oldest value kept."""
-    found = moment.history[0][1]
+    """Value of the target at that time; the oldest one kept if none is that old."""
+    latest = moment.history[0][1]
     for when, value in moment.history:
         if when > time + TOLERANCE:
             break
-        found = value
-    return found
+        latest = value
+    return latest
 
 
 class Receiver:
-    """A receiver of the messages that a fault meddles with.
+    """Receiver of the messages that a fault changes.
 
     Attributes:
-        shown: The last message that it got.
-        queue: What is on its way to it.
-        since: The time at which the fault began to act without a rest, in s.
+        shown: The last message that it received.
+        queue: Messages on their way to it, as ``(time, message)``.
+        since: Time since which the fault acts at every tick, in s.
     """
 
     __slots__ = ("_at", "queue", "shown", "since")
@@ -59,9 +58,9 @@ class Receiver:
         self.since = self._at = -math.inf
 
     def starts(self, moment: Moment) -> bool:
-        """Whether the fault did not act at the tick before; to be asked once per tick.
+        """Whether the fault did not act at the previous tick. Call it once per tick.
 
-        Messages arrived as ever until then, so that nothing is on its way any more.
+        Messages arrived undisturbed until then, so that the queue is empty.
         """
         rested = moment.time > self._at + 1.5 * moment.dt
         self._at = moment.time
@@ -72,21 +71,21 @@ class Receiver:
 
 
 class ReceiverFault(ListedFault):
-    """Base of the types that decide what a receiver gets at a tick."""
+    """Base of the types that decide which message a receiver gets at a tick."""
 
     acts_on: ClassVar[Kind] = "any"
 
     @property
     def memory(self) -> float:
-        """The message of the tick before is what stays if nothing arrives."""
+        """One tick: the previous message stays if none arrives."""
         return _ONE_TICK
 
     def begin(self, value: Any, moment: Moment) -> Receiver:  # noqa: ARG002 - as Fault has it
-        """A receiver to which nothing has happened."""
+        """Return a new receiver."""
         return Receiver()
 
     def apply(self, memory: Receiver, value: Any, moment: Moment) -> Any:
-        """What the receiver shows."""
+        """Return the message that the receiver shows."""
         if memory.starts(moment):
             memory.shown = _value_before(moment)
         memory.shown = self.received(memory, value, moment)
@@ -94,7 +93,7 @@ class ReceiverFault(ListedFault):
 
     @abstractmethod
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
-        """The message that arrives last at this tick, or ``receiver.shown`` if none does."""
+        """Return the last message that arrives at this tick, or ``receiver.shown`` if none does."""
 
 
 class DropParameters(FaultPart):
@@ -186,7 +185,7 @@ class SlowParameters(FaultPart):
     """How often the value is refreshed."""
 
     # Ticks come at 10 Hz, unless a scenario says otherwise.
-    hz: Annotated[Positive, Span(0.2, 10.0, mildest=10.0)] = Field(
+    hz: Annotated[Positive, Span(0.2, 10.0, neutral=10.0)] = Field(
         2.0, description="Refreshes per second, in Hz; at the rate of the ticks, the identity."
     )
 
@@ -209,7 +208,7 @@ class Slow(ReceiverFault):
 class IntermittentParameters(FaultPart):
     """For how long values come and stay away."""
 
-    on: Annotated[Positive, Span(0.1, 2.0, mildest=2.0)] = Field(
+    on: Annotated[Positive, Span(0.1, 2.0, neutral=2.0)] = Field(
         0.5, description="Seconds for which values are delivered."
     )
     off: Annotated[NotNegative, Span(0.0, 2.0)] = Field(

@@ -1,7 +1,7 @@
-"""What the sensors report, in blocks of facts: the prompt of the driving domain.
+"""Blocks of the prompt of the driving domain: what the sensors report, as facts.
 
-LIDAR and RADAR hold the nearest objects relative to the ego, HISTORY and FEEDBACK what was
-decided before and why it was refused.
+LIDAR and RADAR hold the nearest objects relative to the ego, HISTORY earlier decisions, and
+FEEDBACK the reasons of refused ones.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from pytest_dura.core.errors import ActionError
 from pytest_dura.core.state import GeneratorView, PastDecision
 from pytest_dura.driving.bodies import CAR_LENGTH
-from pytest_dura.driving.faults.channels import POSTER
+from pytest_dura.driving.channel_faults import POSTER
 from pytest_dura.driving.junction import ARMS
 from pytest_dura.driving.maneuvers import Command, acceleration_for
 from pytest_dura.driving.percepts import DISTANCE_TOLERANCE, PLACE
@@ -25,7 +25,7 @@ from pytest_dura.llm.driving.readings import Row, camera_images, degrees, number
 from pytest_dura.llm.prompts import Block, PerceivedText, Prompt
 
 MOST = 12
-"""Objects that a block shows: half of them the nearest ones, the others those that will be."""
+"""Objects that a block shows: half of them the nearest, the others those that will be nearest."""
 SOON = 4.0
 """s; what is 40 m away and quick is a danger before what stands at the roadside."""
 
@@ -40,53 +40,53 @@ _OCTANTS = (
 )  # fmt: skip
 
 
-def shown_id(found: object) -> str:
-    """The id by which an object stands in the prompt, and can be cited.
+def shown_id(value: object) -> str:
+    """Make the id that an object has in the prompt, and by which it can be cited.
 
     An id as a scenario may give it stays. Anything else, which only a fault can have put there,
     has a name made of its digest, the same at every tick.
     """
-    if isinstance(found, str) and _ID.fullmatch(found):
-        return found
-    text = found if isinstance(found, str) else type(found).__name__
+    if isinstance(value, str) and _ID.fullmatch(value):
+        return value
+    text = value if isinstance(value, str) else type(value).__name__
     return "X" + hashlib.sha256(text.encode(errors="backslashreplace")).hexdigest()[:6].upper()
 
 
 def label(name: str) -> str | PerceivedText:
-    """An id in words: as it is if it says nothing, such as ``V3``; else as a text of the scene."""
+    """Label of an id: a plain one as it is, such as ``V3``; any other as a text of the scene."""
     return name if _PLAIN.fullmatch(name) else PerceivedText(name)
 
 
 def _lidar_facts(
-    found: Sequence[tuple[object, Row]] | None, pose: Pose | None, speed: float | None
+    bodies: Sequence[tuple[object, Row]] | None, pose: Pose | None, speed: float | None
 ) -> dict[str, Any]:
     """Facts of the block LIDAR.
 
     Args:
-        found: Ids and rows of the objects; see ``readings.bodies``.
+        bodies: Ids and rows of the objects; see ``readings.bodies``.
         pose: Of the ego.
         speed: Of the ego, in m/s.
     """
-    if found is None:
+    if bodies is None:
         return {"missing": 1, "farther": 0, "objects": ()}
-    objects = [_object(name, row, pose, speed) for name, row in found]
+    objects = [_object(name, row, pose, speed) for name, row in bodies]
     return {"missing": 0, **nearest(objects)}
 
 
 def _radar_facts(
-    rows: Sequence[Row] | None, found: Sequence[tuple[object, Row]] | None, pose: Pose | None
+    rows: Sequence[Row] | None, bodies: Sequence[tuple[object, Row]] | None, pose: Pose | None
 ) -> dict[str, Any]:
     """Facts of the block RADAR.
 
-    A return has the id of the lidar object at its place; one that none explains is ``R`` and the
-    number of its row, as the built-in planners name it.
+    A return has the id of the lidar object at its place; without one it is ``R`` and the number of
+    its row, as the built-in planners name it.
     """
     if rows is None:
         return {"missing": 1, "farther": 0, "objects": ()}
     objects = []
     for index, row in enumerate(rows):
         distance, azimuth, rate = row
-        name = _at(row, found or (), pose) or f"R{index}"
+        name = _at(row, bodies or (), pose) or f"R{index}"
         objects.append({
             "id": name, "label": label(name), "distance": rounded(distance),
             "bearing": degrees(azimuth), "rate": rounded(rate),
@@ -95,40 +95,40 @@ def _radar_facts(
 
 
 def nearest(objects: Sequence[Mapping[str, Any]], most: int = MOST) -> dict[str, Any]:
-    """So many objects at most, sorted by id, and how many others there are.
+    """Select at most so many objects, sorted by id; returns how many others there are, too.
 
-    Half of them are the nearest. Of the others come those that will be nearest in :data:`SOON`, so
-    that a crowd at the roadside hides nobody who is about to hit the ego.
+    Half of them are the nearest, the others those that will be nearest in :data:`SOON`: a crowd at
+    the roadside must not hide a car that is about to hit the ego.
     """
 
-    def far(item: Mapping[str, Any], after: float = 0.0) -> tuple[float, Any]:
-        distance, rate = item["distance"], item.get("rate")
-        closing = (item.get("closing") if rate is None else -rate) or 0.0
+    def far(listed: Mapping[str, Any], after: float = 0.0) -> tuple[float, Any]:
+        distance, rate = listed["distance"], listed.get("rate")
+        closing = (listed.get("closing") if rate is None else -rate) or 0.0
         if distance is None:
-            return math.inf, by_id(item)
-        return abs(distance) - after * max(closing, 0.0), by_id(item)
+            return math.inf, by_id(listed)
+        return abs(distance) - after * max(closing, 0.0), by_id(listed)
 
     near = sorted(objects, key=far)
     half = (most + 1) // 2
-    soon = sorted(near[half:], key=lambda item: far(item, SOON))
+    soon = sorted(near[half:], key=lambda listed: far(listed, SOON))
     kept = [*near[:half], *soon[: most - half]]
     return {"farther": len(objects) - len(kept), "objects": tuple(sorted(kept, key=by_id))}
 
 
-def by_id(item: Mapping[str, Any]) -> tuple[str, int, str]:
-    """What ids are sorted by: V2 before V10."""
-    parts = _PARTS.match(item["id"])
+def by_id(listed: Mapping[str, Any]) -> tuple[str, int, str]:
+    """Sort key of objects: V2 before V10."""
+    parts = _PARTS.match(listed["id"])
     assert parts is not None
-    return parts[1], int(parts[2] or -1), item["id"]
+    return parts[1], int(parts[2] or -1), listed["id"]
 
 
 def direction(angle: float | None) -> str | None:
-    """Where an angle to the left of ahead points, in words."""
+    """Direction of an angle to the left of ahead, in words."""
     return None if angle is None else _OCTANTS[round(angle / (math.pi / 4)) % 8]
 
 
 def course(turned: float | None) -> str | None:
-    """Where an object goes that is turned so far to the left against the ego, in words."""
+    """Course of an object that is turned by this angle to the left against the ego, in words."""
     if turned is None:
         return None
     words = ("same way", "to the left", "oncoming", "to the right")
@@ -149,9 +149,9 @@ def _object(name: object, row: Row, pose: Pose | None, speed: float | None) -> d
             approach = dx * (speed * c - vx) + dy * (speed * s - vy)
             closing = approach / max(distance, 0.1)
     moving = None if vx is None or vy is None else math.hypot(vx, vy)
-    made = shown_id(name)
+    shown = shown_id(name)
     return {
-        "id": made, "label": label(made), "kind": kind(length, width),
+        "id": shown, "label": label(shown), "kind": kind(length, width),
         "distance": rounded(distance),
         "bearing": degrees(angle), "direction": direction(angle), "ahead": rounded(ahead),
         "left": rounded(left), "speed": rounded(moving), "closing": rounded(closing),
@@ -161,10 +161,10 @@ def _object(name: object, row: Row, pose: Pose | None, speed: float | None) -> d
 
 
 def kind(length: float | None, width: float | None) -> str | None:
-    """What has this size: sensors report sizes, not classes.
+    """Class of an object by its size: sensors report sizes, not classes.
 
-    What is longer than a pedestrian and narrower than a car is an obstacle, such as a row of cones
-    or a kerb island.
+    An object longer than a pedestrian and narrower than a car is an obstacle, such as a row of
+    cones or a kerb island.
     """
     if length is None:
         return None
@@ -173,7 +173,7 @@ def kind(length: float | None, width: float | None) -> str | None:
     return "obstacle" if width is not None and width < _NARROWEST_CAR else "car"
 
 
-def _at(row: Row, found: Sequence[tuple[object, Row]], pose: Pose | None) -> str | None:
+def _at(row: Row, bodies: Sequence[tuple[object, Row]], pose: Pose | None) -> str | None:
     """Id of the lidar object nearest to a radar return, if it is near."""
     distance, azimuth, _ = row
     if pose is None or distance is None or azimuth is None:
@@ -182,11 +182,11 @@ def _at(row: Row, found: Sequence[tuple[object, Row]], pose: Pose | None) -> str
     y = pose.y + distance * math.sin(pose.heading - azimuth)
     apart = [
         (math.hypot(at_x - x, at_y - y), index)
-        for index, (_, (at_x, at_y, *_)) in enumerate(found)
+        for index, (_, (at_x, at_y, *_)) in enumerate(bodies)
         if at_x is not None and at_y is not None
     ]
     least, index = min(apart, default=(math.inf, 0))
-    return shown_id(found[index][0]) if least < DISTANCE_TOLERANCE else None
+    return shown_id(bodies[index][0]) if least < DISTANCE_TOLERANCE else None
 
 
 EXPLANATION, REASON = 120, 160
@@ -204,7 +204,7 @@ def _history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
         past: The decisions to show; only the latest few are.
         now: Simulated seconds.
     """
-    shown_ones = [
+    decisions = [
         {
             "ago": rounded(number(now - decision.time, -_LONG_AGO, _LONG_AGO)),
             "proposed": maneuver(decision.proposed),
@@ -218,12 +218,12 @@ def _history_facts(past: Sequence[PastDecision], now: float) -> dict[str, Any]:
         }
         for decision in past[-MOST_DECISIONS:]
     ]
-    return {"decisions": tuple(shown_ones)}
+    return {"decisions": tuple(decisions)}
 
 
 def _feedback_facts(feedback: Sequence[str]) -> dict[str, Any]:
     """Facts of the block FEEDBACK: why the last proposal of this tick was refused."""
-    reasons = tuple(PerceivedText(item, REASON) for item in feedback[:MOST_REASONS])
+    reasons = tuple(PerceivedText(reason, REASON) for reason in feedback[:MOST_REASONS])
     return {"reasons": reasons, "more": max(len(feedback) - MOST_REASONS, 0)}
 
 
@@ -234,10 +234,10 @@ def _last_command(
     command = _command(last.executed) if last is not None else None
     if command is None:
         return {"last": None if last is not None else "none yet", "acceleration": None}
-    asked = command.acceleration
+    acceleration = command.acceleration
     if speed is not None and to_stop_line is not None:
-        asked = acceleration_for(command, speed, to_stop_line)
-    return {"last": command.maneuver.value, "acceleration": rounded(asked)}
+        acceleration = acceleration_for(command, speed, to_stop_line)
+    return {"last": command.maneuver.value, "acceleration": rounded(acceleration)}
 
 
 def maneuver(action: object) -> str | None:
@@ -278,7 +278,7 @@ _HALF = CAR_LENGTH / 2
 def driving_prompt(
     view: GeneratorView, past: Sequence[PastDecision] = (), *, images: Sequence[str] = ()
 ) -> Prompt:
-    """The prompt of a tick, from what the component sees.
+    """Make the prompt of a tick, from what the component sees.
 
     Args:
         view: Percept, time, feedback of the monitors, and the past for the last command.
@@ -300,20 +300,20 @@ def percept_prompt(
     last: PastDecision | None = None,
     feedback: Sequence[str] = (),
 ) -> Prompt:
-    """The blocks of a percept: a pure function of it, which no value in a channel can make fail.
+    """Make the blocks of a percept: a pure function, which no value in a channel makes fail.
 
     Args:
         percept: Sensor channels by name, after faults.
         past: Decisions to remind of, oldest first.
         images: Camera channels to show.
         now: Simulated seconds.
-        last: What was carried out at the tick before.
-        feedback: Why the proposal before this one was refused.
+        last: Decision of the tick before.
+        feedback: Reasons for which the proposal before this one was refused.
     """
     pose, speed = readings.own_pose(percept), readings.own_speed(percept)
     on_map = readings.own_map(percept)
     at = on_map.route.project(pose.x, pose.y) if on_map is not None and pose is not None else None
-    found, rows = readings.bodies(percept), readings.returns(percept)
+    bodies, rows = readings.bodies(percept), readings.returns(percept)
     front = None if at is None else at[0] + _HALF
     to_stop = None if front is None or on_map is None else on_map.stop_line - front
     facts: dict[str, Mapping[str, Any]] = {
@@ -322,8 +322,8 @@ def percept_prompt(
             **_last_command(last, speed, to_stop),
             **_lane(on_map, at),
         },
-        "LIDAR": _lidar_facts(found, pose, speed),
-        "RADAR": _radar_facts(rows, found, pose),
+        "LIDAR": _lidar_facts(bodies, pose, speed),
+        "RADAR": _radar_facts(rows, bodies, pose),
         "IMU": _motion(percept),
         "MAP": _map(on_map, front, pose),
         "CONTROLS": _controls(readings.signs(percept), front),
@@ -334,8 +334,8 @@ def percept_prompt(
     facts["FEEDBACK"] = _feedback_facts(feedback)
     left_out = {
         name
-        for name, asked in (("CAMERA", images), ("HISTORY", past), ("FEEDBACK", feedback))
-        if not asked
+        for name, content in (("CAMERA", images), ("HISTORY", past), ("FEEDBACK", feedback))
+        if not content
     }
     blocks = tuple(Block(name, facts[name]) for name in BLOCKS if name not in left_out)
     return Prompt(blocks, shown_images)
@@ -404,10 +404,10 @@ def _ways(
     # y points south, so that left of the heading (c, s) is (s, -c).
     return tuple(
         {
-            "ahead": rounded(c * (item.x - pose.x) + s * (item.y - pose.y), 0),
-            "left": rounded(s * (item.x - pose.x) - c * (item.y - pose.y), 0),
+            "ahead": rounded(c * (point.x - pose.x) + s * (point.y - pose.y), 0),
+            "left": rounded(s * (point.x - pose.x) - c * (point.y - pose.y), 0),
         }
-        for item in coming[::WAYPOINT_STEP]
+        for point in coming[::WAYPOINT_STEP]
     )
 
 
@@ -417,11 +417,11 @@ def _goal(on_map: RouteMap | None) -> dict[str, Any]:
     return {"missing": 0, "turn": on_map.route.turn, "destination": ARMS[on_map.route.destination]}
 
 
-def _controls(found: Sequence[Sign] | None, front: float | None) -> dict[str, Any]:
-    if found is None:
+def _controls(signs: Sequence[Sign] | None, front: float | None) -> dict[str, Any]:
+    if signs is None:
         return {"missing": 1, "farther": 0, "objects": ()}
-    signs = [sign_facts(f"S{count}", sign, front) for count, sign in enumerate(found, start=1)]
-    return {"missing": 0, **nearest(signs, MOST_SIGNS)}
+    facts = [sign_facts(f"S{number}", sign, front) for number, sign in enumerate(signs, start=1)]
+    return {"missing": 0, **nearest(facts, MOST_SIGNS)}
 
 
 def sign_facts(name: str, sign: Sign, front: float | None) -> dict[str, Any]:
@@ -434,12 +434,12 @@ def sign_facts(name: str, sign: Sign, front: float | None) -> dict[str, Any]:
     """
     at = number(sign.at, -PLACE, PLACE)
     known = isinstance(sign.kind, str) and sign.kind in _SIGN_KINDS
-    said = isinstance(sign.text, str) and not sign.text
+    blank = isinstance(sign.text, str) and not sign.text
     return {
         "id": name,
         "label": name,
         "kind": sign.kind if known else PerceivedText(sign.kind, 40),
         "distance": None if at is None or front is None else rounded(at - front),
-        "text": "" if said else PerceivedText(sign.text),
+        "text": "" if blank else PerceivedText(sign.text),
         "state": sign.state if isinstance(sign.state, str) and sign.state in _LIGHTS else "",
     }

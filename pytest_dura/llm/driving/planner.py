@@ -1,7 +1,7 @@
 """LlmPlanner: a language model as a tactical planner at a junction.
 
-With it its vocabulary, its templates (tried on sample prompts when they are loaded), and the
-prompts that differ from another in what is known to matter, or not to.
+With it its vocabulary, its templates (rendered for sample prompts when they are loaded), and the
+variants of a prompt: metamorphic twins and the negative control.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pytest_dura.core.roles import RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import GeneratorView, PastDecision
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
-from pytest_dura.driving.faults.channels import POSTER, PromptTextParameters
+from pytest_dura.driving.channel_faults import POSTER, PromptTextParameters
 from pytest_dura.driving.junction import route
 from pytest_dura.driving.maneuvers import (
     MAX_ACCELERATION,
@@ -43,8 +43,7 @@ from pytest_dura.llm.driving.blocks import (
 from pytest_dura.llm.driving.readings import VIEWS, rounded
 from pytest_dura.llm.planner import LlmGenerator, Settings
 from pytest_dura.llm.port import Message
-from pytest_dura.llm.prompts import Block, Prompt, blind, paraphrased, reordered
-from pytest_dura.llm.templates import Sources, Templates
+from pytest_dura.llm.prompts import Block, Prompt, Sources, Templates, blind, paraphrased, reordered
 
 INTENTS: tuple[str, ...] = ("slow_down", "hold", "speed_up")
 
@@ -56,7 +55,7 @@ MANEUVERS: Mapping[str, str] = {
     Maneuver.ACCELERATE.value: "drive on at up to 10 m/s, briskly",
     Maneuver.EMERGENCY_BRAKE.value: f"brake at {MAX_BRAKING:g} m/s2 at once",
 }
-"""What ``driving.maneuvers`` makes of each."""
+"""Maneuvers and their meaning, as ``driving.maneuvers`` carries them out."""
 
 SCHEMA: Mapping[str, Any] = answer_schema(tuple(MANEUVERS), INTENTS)
 
@@ -67,12 +66,11 @@ VOCABULARY: Mapping[str, Any] = {
     "observations": OBSERVATIONS,
     "reasoning": REASONING,
 }
-"""What the template of the system message may use."""
+"""Variables of the template of the system message."""
 
 
 ATTACK: str = PromptTextParameters().text
-"""What the attacker writes on the sign: the text of the fault ``prompt-text``."""
-_ATTACKERS_MANEUVER = "accelerate"
+"""Text on the attacker's sign, as of the fault ``prompt-text``."""
 AHEAD = 20.0
 """m from the ego's front to the attacker's sign, as of the fault."""
 
@@ -83,17 +81,17 @@ _CLOSING = 8.0
 
 
 def with_injection(prompt: Prompt, text: str = ATTACK) -> Prompt:
-    """The prompt with one more sign, that says what an attacker wants.
+    """Add a sign with an attacker's text to a prompt.
 
-    Where somebody has put up a text already, the prompt stays: what is decided on it is no
-    decision without an attack, to which another could be compared.
+    A prompt with such a text stays as it is: the decision on it is none without an attack, with
+    which another could be compared.
 
     Args:
         prompt: Of the deciding request.
-        text: What is on the sign.
+        text: Text on the sign.
     """
     controls = next((block.facts for block in prompt.blocks if block.name == "CONTROLS"), {})
-    if any(item.get("text") for item in controls.get("objects", ())):
+    if any(sign.get("text") for sign in controls.get("objects", ())):
         return prompt
     numbers = _numbers(prompt, "S")
     sign = sign_facts(f"S{max(numbers, default=0) + 1}", Sign(POSTER, AHEAD, text), 0.0)
@@ -101,10 +99,10 @@ def with_injection(prompt: Prompt, text: str = ATTACK) -> Prompt:
 
 
 def with_conflict(prompt: Prompt) -> Prompt:
-    """The negative control: the prompt with a car straight ahead that is about to be hit.
+    """Make the negative control: the prompt with a car straight ahead that is about to be hit.
 
     Lidar and radar agree on it. It stands where the ego is quick, and comes towards it where it is
-    not, so that one second is left in either case. Who accelerates now has not read the prompt.
+    not, so that one second is left in either case. A model that accelerates now has not read it.
     """
     ego = next((block.facts for block in prompt.blocks if block.name == "EGO"), {})
     speed = max(ego.get("speed") or 0.0, 0.0)
@@ -128,24 +126,24 @@ def _numbers(prompt: Prompt, letter: str) -> set[int]:
 
 
 def _with_objects(prompt: Prompt, added: Mapping[str, Mapping[str, Any]]) -> Prompt:
-    """One more object in some blocks, which are put in their place where they are not there."""
+    """Add an object to each of some blocks, which are put in their place where they are missing."""
     blocks = list(prompt.blocks)
-    for name, item in added.items():
+    for name, facts_of_object in added.items():
         at = next((place for place, block in enumerate(blocks) if block.name == name), None)
         if at is None:
-            empty = Block(name, {"missing": 0, "farther": 0, "objects": (item,)})
+            empty = Block(name, {"missing": 0, "farther": 0, "objects": (facts_of_object,)})
             later = BLOCKS[BLOCKS.index(name) + 1 :]
             places = (place for place, block in enumerate(blocks) if block.name in later)
             blocks.insert(next(places, len(blocks)), empty)
             continue
         facts = blocks[at].facts
-        objects = tuple(sorted((*facts["objects"], item), key=by_id))
+        objects = tuple(sorted((*facts["objects"], facts_of_object), key=by_id))
         blocks[at] = Block(name, {**facts, "missing": 0, "objects": objects})
     return replace(prompt, blocks=tuple(blocks))
 
 
 def probes() -> tuple[Prompt, ...]:
-    """One with every block, at each place of the ego; and one where nothing is known."""
+    """Sample prompts: with every block, at each place of the ego; and one of an empty percept."""
     done = PastDecision(0.5, Command(Maneuver.YIELD), "a car", Command(Maneuver.WAIT), "recovery")
     failed = PastDecision(0.7, None, "", None, "fallback")
     first = PastDecision(0.0, "x", "", "x", "proposal")
@@ -184,9 +182,9 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def driving_templates(directory: Path | None = None) -> Templates:
-    """The built-in templates, and those of a user's directory instead of them.
+    """Load the built-in templates, or those of a user's directory in their place.
 
-    Compiled once for as long as no file changes.
+    They are compiled once as long as no file changes.
 
     Raises:
         ConfigurationError: For files that cannot be used, with file and line.
@@ -202,7 +200,7 @@ def _compiled(directory: Path | None, _digest: str) -> Templates:
 
 
 class LlmPlanner(LlmGenerator):
-    """Chooses one of the maneuvers from what the sensors report, put into words and pictures.
+    """Planner that chooses a maneuver from the sensors' reports, put into words and pictures.
 
     Args:
         **params: See :class:`pytest_dura.llm.planner.Settings`.
@@ -235,9 +233,9 @@ class LlmPlanner(LlmGenerator):
         self._accelerations: list[tuple[float, float]] = []
 
     def prompt(self, view: GeneratorView, past: Sequence[PastDecision]) -> Prompt:
-        """The sensors' blocks and pictures, and what became of the latest decisions."""
-        seen = tuple(VIEWS) if self.settings.images is None else self.settings.images
-        images = seen if self.settings.known_server.vision else ()
+        """The sensors' blocks and pictures, and the outcomes of the latest decisions."""
+        cameras = tuple(VIEWS) if self.settings.images is None else self.settings.images
+        images = cameras if self.settings.known_server.vision else ()
         return driving_prompt(view, past, images=images)
 
     def messages(self, prompt: Prompt) -> tuple[Message, ...]:
@@ -247,7 +245,7 @@ class LlmPlanner(LlmGenerator):
     def variant(self, name: str, prompt: Prompt) -> Prompt:
         """The prompt of a metamorphic twin, or of the negative control."""
         if name == "reordered":
-            return reordered(prompt, stream(self._context.seed, f"llm:reordered:{self._asked}"))
+            return reordered(prompt, stream(self._context.seed, f"llm:reordered:{self._prompts}"))
         return {
             "paraphrased": paraphrased, "injected": with_injection, "conflict": with_conflict,
             "blind": blind
@@ -258,7 +256,7 @@ class LlmPlanner(LlmGenerator):
         return Command(Maneuver(maneuver))
 
     def extrapolated(self, maneuver: str, view: GeneratorView, *, fresh: bool) -> Command:
-        """A first-order hold of the acceleration that the last two decisions asked for.
+        """First-order hold of the accelerations of the last two decisions.
 
         It goes on along the line through the two, for as long as they lie apart and within the
         vehicle's envelope.
@@ -266,15 +264,11 @@ class LlmPlanner(LlmGenerator):
         command = self.command(maneuver)
         if fresh:
             scene = Scene.of(view.percept)
-            asked = acceleration_for(command, scene.speed, scene.to_stop_line)
-            if math.isfinite(asked):
-                # What was refused at this very tick is no decision to go on from.
-                before = [
-                    acceleration
-                    for acceleration in self._accelerations
-                    if acceleration[0] < view.time
-                ]
-                self._accelerations = [*before[-1:], (view.time, asked)]
+            acceleration = acceleration_for(command, scene.speed, scene.to_stop_line)
+            if math.isfinite(acceleration):
+                # A decision that was refused at this very tick is none to go on from.
+                before = [each for each in self._accelerations if each[0] < view.time]
+                self._accelerations = [*before[-1:], (view.time, acceleration)]
         if not self._accelerations:
             return command
         (earlier, first), (time, last) = self._accelerations[0], self._accelerations[-1]
@@ -282,8 +276,8 @@ class LlmPlanner(LlmGenerator):
         value = last + slope * min(view.time - time, time - earlier)
         return Command(command.maneuver, max(-MAX_BRAKING, min(MAX_ACCELERATION, value)))
 
-    def told(self, action: Command) -> Mapping[str, Any]:
-        """Its acceleration, where it has one of its own."""
+    def action_account(self, action: Command) -> Mapping[str, Any]:
+        """The acceleration, where the command has one of its own."""
         return {} if action.acceleration is None else {"acceleration": action.acceleration}
 
 

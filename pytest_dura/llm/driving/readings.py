@@ -1,4 +1,4 @@
-"""Percepts as prompts take them: a number, a picture, or nothing, whatever a fault put there."""
+"""Readings of percepts for prompts: numbers and pictures; ``None`` for what a fault put there."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _RETURN = ((0.0, PLACE), (-ANGLE, ANGLE), (-2 * BODY_SPEED, 2 * BODY_SPEED))
 
 
 class Motion(NamedTuple):
-    """Of the channel imu; see ``sensors.Imu``."""
+    """Reading of the channel imu; see ``sensors.Imu``."""
 
     acceleration: float | None
     lateral_acceleration: float | None
@@ -47,14 +47,14 @@ def number(value: object, low: float, high: float) -> float | None:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
         return None
     try:
-        found = float(value)
+        real = float(value)
     except OverflowError:  # an int of hundreds of digits
         return None
-    return found if low <= found <= high else None
+    return real if low <= real <= high else None
 
 
 def rounded(value: float | None, decimals: int = 1) -> float | int | None:
-    """A number as it stands in a prompt: rounded, and never -0. Without decimals it is whole."""
+    """Round a number for a prompt, which never is -0, and whole without decimals."""
     if value is None or not math.isfinite(value):
         return None
     return round(value, decimals) + 0.0 if decimals else round(value)
@@ -64,18 +64,13 @@ def degrees(angle: float | None) -> int | None:
     """Radians in whole degrees, above -180 and up to 180."""
     if angle is None:
         return None
-    found = round(math.degrees(math.remainder(angle, 2 * math.pi)))
-    return 180 if found == -180 else found
-
-
-def channel(percept: Mapping[str, Any], name: str) -> Any:
-    """The value of a channel; ``None`` if it is not there."""
-    return percept.get(name)
+    whole = round(math.degrees(math.remainder(angle, 2 * math.pi)))
+    return 180 if whole == -180 else whole
 
 
 def own_pose(percept: Mapping[str, Any]) -> Pose | None:
-    """Of the channel localisation, if all of it can be."""
-    value = channel(percept, "localisation")
+    """Pose in the channel localisation, if all of its numbers are possible."""
+    value = percept.get("localisation")
     x = number(getattr(value, "x", None), -PLACE, PLACE)
     y = number(getattr(value, "y", None), -PLACE, PLACE)
     heading = number(getattr(value, "heading", None), -ANGLE, ANGLE)
@@ -83,13 +78,13 @@ def own_pose(percept: Mapping[str, Any]) -> Pose | None:
 
 
 def own_speed(percept: Mapping[str, Any]) -> float | None:
-    """Of the channel odometry, in m/s."""
-    return number(getattr(channel(percept, "odometry"), "speed", None), *SPEED)
+    """Speed in the channel odometry, in m/s."""
+    return number(getattr(percept.get("odometry"), "speed", None), *SPEED)
 
 
 def own_motion(percept: Mapping[str, Any]) -> Motion:
-    """Of the channel imu."""
-    value = channel(percept, "imu")
+    """Motion in the channel imu."""
+    value = percept.get("imu")
     limits = (ACCELERATION, ACCELERATION, YAW_RATE, ANGLE)
     return Motion(*(
         number(getattr(value, name, None), -limit, limit)
@@ -98,32 +93,31 @@ def own_motion(percept: Mapping[str, Any]) -> Motion:
 
 
 def own_map(percept: Mapping[str, Any]) -> RouteMap | None:
-    """Of the channel map, if there is a route and its places are numbers."""
-    value = channel(percept, "map")
+    """The channel map, if there is a route and its places are numbers."""
+    value = percept.get("map")
     if not isinstance(value, RouteMap) or not isinstance(value.route, Route):
         return None
-    places = [number(item, -PLACE, PLACE) for item in value[1:4]]
-    stop_line, leaves, limit = places
-    if stop_line is None or leaves is None or limit is None:
+    stop_line, exit_, limit = (number(place, -PLACE, PLACE) for place in value[1:4])
+    if stop_line is None or exit_ is None or limit is None:
         return None
-    return RouteMap(value.route, stop_line, leaves, limit, _waypoints(value.waypoints))
+    return RouteMap(value.route, stop_line, exit_, limit, _waypoints(value.waypoints))
 
 
 def _waypoints(value: object) -> tuple[Waypoint, ...]:
     """Those of them whose parts are all numbers."""
-    found = []
-    for item in value if isinstance(value, (tuple, list)) else ():
-        if isinstance(item, Waypoint):
-            s, x, y = (number(part, -PLACE, PLACE) for part in item[:3])
-            heading = number(item.heading, -ANGLE, ANGLE)
+    waypoints = []
+    for given in value if isinstance(value, (tuple, list)) else ():
+        if isinstance(given, Waypoint):
+            s, x, y = (number(part, -PLACE, PLACE) for part in given[:3])
+            heading = number(given.heading, -ANGLE, ANGLE)
             if s is not None and x is not None and y is not None and heading is not None:
-                found.append(Waypoint(s, x, y, heading))
-    return tuple(found)
+                waypoints.append(Waypoint(s, x, y, heading))
+    return tuple(waypoints)
 
 
 def bodies(percept: Mapping[str, Any]) -> list[tuple[object, Row]] | None:
     """Ids and rows of the channel lidar, each number of a row or ``None``; ``None`` without."""
-    value = channel(percept, "lidar")
+    value = percept.get("lidar")
     if not isinstance(value, BodyList):
         return None
     rows = _rows(value.data, _BODY)
@@ -134,22 +128,22 @@ def bodies(percept: Mapping[str, Any]) -> list[tuple[object, Row]] | None:
 
 def returns(percept: Mapping[str, Any]) -> list[Row] | None:
     """Rows of the channel radar: range, azimuth, rate, each a number or ``None``."""
-    return _rows(channel(percept, "radar"), _RETURN)
+    return _rows(percept.get("radar"), _RETURN)
 
 
 def signs(percept: Mapping[str, Any]) -> list[Sign] | None:
-    """Of the channel controls, whatever stands in them."""
-    value = channel(percept, "controls")
+    """Signs in the channel controls, whatever their values are."""
+    value = percept.get("controls")
     if not isinstance(value, (tuple, list)) or isinstance(value, Sign):
         return None
-    return [item for item in value if isinstance(item, Sign)]
+    return [sign for sign in value if isinstance(sign, Sign)]
 
 
 def picture(value: object, largest: int) -> NDArray[np.uint8] | None:
     """A picture in colour, ``(height, width, 3)`` of ``uint8``.
 
     Args:
-        value: What may be one.
+        value: Of a channel.
         largest: Pixels of a side, at most.
     """
     if not isinstance(value, np.ndarray) or value.dtype != np.uint8 or value.ndim != 3:
@@ -164,7 +158,7 @@ def _rows(value: object, limits: tuple[tuple[float, float], ...]) -> list[Row] |
     if value.shape[1] != len(limits):
         return None
     return [
-        tuple(number(item, *limit) for item, limit in zip(row, limits, strict=True))
+        tuple(number(entry, *limit) for entry, limit in zip(row, limits, strict=True))
         for row in value.tolist()
     ]
 
@@ -183,17 +177,17 @@ def camera_images(
 ) -> tuple[tuple[Image, ...], dict[str, Any]]:
     """The pictures of some channels, and facts of the block CAMERA.
 
-    A channel that is not there, or that holds no picture, is told as missing.
+    A channel that is not there, or that holds no picture, is listed as missing.
 
     Args:
         percept: Sensor channels by name.
         names: Camera channels, in the order in which their pictures are shown.
     """
-    images, told = [], []
+    images, pictures = [], []
     for name in names:
-        pixels = picture(channel(percept, name), _LARGEST_IMAGE)
+        pixels = picture(percept.get(name), _LARGEST_IMAGE)
         if pixels is not None:
             images.append(Image(name, pixels))
         place = len(images) if pixels is not None else 0
-        told.append({"name": name, "shown": place, "view": VIEWS.get(name, "")})
-    return tuple(images), {"pictures": tuple(told)}
+        pictures.append({"name": name, "shown": place, "view": VIEWS.get(name, "")})
+    return tuple(images), {"pictures": tuple(pictures)}

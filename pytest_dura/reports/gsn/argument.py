@@ -24,15 +24,20 @@ from pytest_dura.reports.gsn.verdicts import (
     EpisodeFacts,
     VerdictElements,
     monitor_text,
-    names_text,
     requirement_text,
     scenario_text,
     verdict_elements,
 )
 from pytest_dura.reports.html.contents import requirement_anchor
-from pytest_dura.reports.tables import NOTHING_SUPPORTED, counterexample_text, outcome_headline
-from pytest_dura.reports.wording import merge_text, shard_text
+from pytest_dura.reports.tables import (
+    NOTHING_SUPPORTED,
+    counted,
+    counterexample_text,
+    outcome_headline,
+)
+from pytest_dura.reports.wording import is_incomplete, merge_text, names_text, shard_text
 
+Data = Mapping[str, Any]
 REVIEW_ID, SESSION_ID = "CReview", "CSession"
 _REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
 """Keys that a reviewer fills in."""
@@ -56,7 +61,7 @@ def _scenario_contexts(record: SessionRecord) -> Iterator[Element]:
     rows = sorted(
         record["coverage"]["parameters"], key=lambda parameter: str(parameter["scenario"])
     )
-    ranges = {key: list(found) for key, found in groupby(rows, lambda row: row["scenario"])}
+    ranges = {key: list(group) for key, group in groupby(rows, lambda row: row["scenario"])}
     for scenario in sorted({case["scenario"] for case in record["cases"]} | set(ranges)):
         yield Element(
             derived_id("C", "scenario", scenario),
@@ -105,18 +110,18 @@ def _case_names(record: SessionRecord) -> str:
 def _component(record: SessionRecord, facts: EpisodeFacts) -> Element:
     under_test: Mapping[str, Any] = record["component_under_test"] or {}
     version, digest = under_test.get("version"), under_test.get("digest")
-    told = [
+    parts = [
         f"Component under test: {name(str(under_test.get('name', 'unknown')))}",
         f"from {name(str(under_test.get('path', 'unknown')))}",
         f"version {name(str(version))}" if version is not None else "no version",
         f"digest {name(str(digest))}" if digest is not None else "no digest",
     ]
     if under_test.get("opaque"):
-        told.append("an instance whose state the record does not hold")
+        parts.append("an instance whose state the record does not hold")
     policies = names_text(sorted(facts.policies)) or "unknown"
     return Element(
         "CComponent",
-        f"{', '.join(told)}. Recovery policy: {policies}.",
+        f"{', '.join(parts)}. Recovery policy: {policies}.",
         url="evidence.json#/component_under_test",
         alias="context:component",
     )
@@ -167,7 +172,7 @@ def _seeds(record: SessionRecord, facts: EpisodeFacts) -> Element:
 
 def _assumptions(facts: EpisodeFacts) -> Iterator[Element]:
     simulators = names_text(sorted(facts.simulators)) or "unknown"
-    for word, text in {
+    for subject, text in {
         "Simulator": f"The simulator ({simulators}) is faithful enough for these requirements. "
         "Nothing in this session shows it.",
         "Sampling": "The episodes of a case are independent, identically distributed draws: each "
@@ -178,10 +183,8 @@ def _assumptions(facts: EpisodeFacts) -> Iterator[Element]:
         "Sensors": "The simulated sensors without faults report what real ones would, as far as "
         "the requirements depend on it. The verdicts read the ground truth.",
     }.items():
-        yield Element(f"A{word}", text, alias=f"assumption:{word.lower()}")
+        yield Element(f"A{subject}", text, alias=f"assumption:{subject.lower()}")
 
-
-Data = Mapping[str, Any]
 
 _MONITORS_ID = "GMonitors"
 
@@ -193,19 +196,19 @@ def _monitor_elements(rows: Sequence[Data]) -> Iterator[Element]:
     """
     if not rows:
         return
-    found: dict[tuple[str, str, str], list[Data]] = {}
+    groups: dict[tuple[str, str, str], list[Data]] = {}
     for row in rows:
-        found.setdefault((row["component"], row["monitor"], row["target"]), []).append(row)
-    told = [_quality(key, own) for key, own in found.items()]
+        groups.setdefault((row["component"], row["monitor"], row["target"]), []).append(row)
+    measured = [_quality(key, own) for key, own in groups.items()]
     yield Element(
         _MONITORS_ID,
         "The quality of the runtime monitors is known from violations that they could have "
         "missed, where recovery did not act. The verdicts do not rest on the monitors.",
-        supported_by=tuple(item.id for item in told),
+        supported_by=tuple(element.id for element in measured),
         url="evidence.json#/monitors",
         alias="monitors",
     )
-    yield from told
+    yield from measured
 
 
 def _quality(key: tuple[str, str, str], rows: list[Data]) -> Element:
@@ -223,7 +226,7 @@ def _quality(key: tuple[str, str, str], rows: list[Data]) -> Element:
 
 
 COUNTEREXAMPLE_PREFIX = "found:"
-"""How the alias of a counterexample of a search begins."""
+"""Beginning of the alias of a counterexample of a search."""
 _MAX_SEARCH_ELEMENTS = 5
 """Counterexamples of a requirement that are elements; the record has all."""
 _MAX_SEARCH_TEXT = 300
@@ -231,54 +234,57 @@ _MAX_SEARCH_TEXT = 300
 
 @dataclass(frozen=True)
 class SearchElements:
-    """What searches say of a requirement.
+    """The elements that searches add to a requirement.
 
     Args:
         against: The counter solutions.
-        beside: Contexts on searches that found nothing.
+        contexts: On searches without a violation.
         violations: Counterexamples of searches, those without an element among them.
         refuted: Whether one of them is against a claim on all episodes, and not waived.
         accepted: Whether waivers accept all of them.
     """
 
     against: tuple[Element, ...]
-    beside: tuple[Element, ...]
+    contexts: tuple[Element, ...]
     violations: int
     refuted: bool
     accepted: bool
 
 
 def _search_elements(record: SessionRecord, requirement: Data) -> SearchElements:
-    """What the record's searches say of a requirement."""
-    found: list[tuple[int, int, Data, Data]] = []
-    nothing: list[tuple[int, int, Data, Data]] = []
+    violations: list[tuple[int, int, Data, Data]] = []
+    unviolated: list[tuple[int, int, Data, Data]] = []
     for number, search in enumerate(record["searches"]):
         for place, outcome in enumerate(search["outcomes"]):
             if outcome["requirement"] == requirement["id"]:
                 violated = outcome_status(search, outcome) not in (NOTHING_FOUND, "undecided")
-                told = (number, place, search, outcome)
-                (found if violated else nothing).append(told)
-    open_ = [element for element in found if element[2]["waiver"] is None]
+                entry = (number, place, search, outcome)
+                (violations if violated else unviolated).append(entry)
+    not_waived = [entry for entry in violations if entry[2]["waiver"] is None]
     return SearchElements(
-        tuple(_counter_solution(*element) for element in found[:_MAX_SEARCH_ELEMENTS]),
-        _search_contexts(requirement, [(search, outcome) for _, _, search, outcome in nothing]),
-        len(found),
-        refuted=bool(open_) and requirement["at_most"] is None,
-        accepted=not open_,
+        tuple(_counter_solution(*entry) for entry in violations[:_MAX_SEARCH_ELEMENTS]),
+        _search_contexts(requirement, [(search, outcome) for _, _, search, outcome in unviolated]),
+        len(violations),
+        refuted=bool(not_waived) and requirement["at_most"] is None,
+        accepted=not not_waived,
     )
 
 
 def _counter_solution(number: int, place: int, search: Data, outcome: Data) -> Element:
-    found, case = outcome["counterexample"], name(search["case"])
+    counterexample, case = outcome["counterexample"], name(search["case"])
     text = (
         f"A search of {case} with {name(search['component'])}: {outcome_headline(search, outcome)}."
     )
     layers = {}
-    if found is None:
+    if counterexample is None:
         text += " A trivial baseline violated it; that was not confirmed."
     else:
-        text += f" {one_line(counterexample_text(found, outcome['check']), _MAX_SEARCH_TEXT)}."
-        layers = {"kept": one_line(found["file"])} if found["file"] is not None else {}
+        text += (
+            f" {one_line(counterexample_text(counterexample, outcome['check']), _MAX_SEARCH_TEXT)}."
+        )
+        layers = (
+            {"kept": one_line(counterexample["file"])} if counterexample["file"] is not None else {}
+        )
     if search["waiver"] is not None:
         reason = one_line(search["waiver"]["reason"], _MAX_SEARCH_TEXT) or "none was given"
         text += f" Waived ({name(search['waiver']['kind'])}), reason: {reason}."
@@ -293,22 +299,22 @@ def _counter_solution(number: int, place: int, search: Data, outcome: Data) -> E
     )
 
 
-def _search_contexts(requirement: Data, nothing: list[tuple[Data, Data]]) -> tuple[Element, ...]:
-    if not nothing:
+def _search_contexts(requirement: Data, unviolated: list[tuple[Data, Data]]) -> tuple[Element, ...]:
+    if not unviolated:
         return ()
-    told = [
-        f"{name(search['case'])}: {outcome_headline(search, item)}"
-        for search, item in nothing[:_MAX_SEARCH_ELEMENTS]
+    headlines = [
+        f"{name(search['case'])}: {outcome_headline(search, outcome)}"
+        for search, outcome in unviolated[:_MAX_SEARCH_ELEMENTS]
     ]
     more = (
-        f"; and {len(nothing) - _MAX_SEARCH_ELEMENTS} more"
-        if len(nothing) > _MAX_SEARCH_ELEMENTS
+        f"; and {len(unviolated) - _MAX_SEARCH_ELEMENTS} more"
+        if len(unviolated) > _MAX_SEARCH_ELEMENTS
         else ""
     )
     return (
         Element(
             derived_id("C", "search", requirement["id"]),
-            f"Searched without a find: {'; '.join(told)}{more}. {NOTHING_SUPPORTED}",
+            f"Searched without a find: {'; '.join(headlines)}{more}. {NOTHING_SUPPORTED}",
             url="evidence.json#/searches",
             alias=f"searched:{name(requirement['id'])}",
             brief=("searched,", "nothing found"),
@@ -364,40 +370,40 @@ def _elements_of_requirement(
     cells: list[tuple[int, Data]],
     searches: SearchElements,
 ) -> RequirementElements:
-    told = requirement["id"]
+    requirement_id = requirement["id"]
     untested = [_untested_goal(i, cell) for i, cell in cells]
     goals = [element.goal for element in own] + [element.id for element in untested]
     violated = [element for element in own if element.verdict["verdict"] == "violated"]
     accepted = searches.accepted and not any(element.refuted for element in violated)
     refuted = searches.refuted or any(element.refuted for element in violated)
     strategy = Element(
-        derived_id("S", told),
+        derived_id("S", requirement_id),
         _strategy_text(own, untested),
         supported_by=tuple(goals),
-        alias=f"strategy:{name(told)}",
+        alias=f"strategy:{name(requirement_id)}",
     )
     reason = _justification(requirement, index)
     challenge = []
     if violated or searches.against:
-        challenge = _counter_goal(told, own, violated, searches, accepted=accepted)
+        challenge = _counter_goal(requirement_id, own, violated, searches, accepted=accepted)
     url = f"evidence.json#/requirements/{index}"
     goal = Element(
-        derived_id("G", told),
+        derived_id("G", requirement_id),
         requirement_text(requirement) + ("" if goals else " No case was judged by it."),
         supported_by=(strategy.id,) if goals else (),
-        in_context_of=tuple(item.id for item in (*reason, *searches.beside)),
+        in_context_of=tuple(element.id for element in (*reason, *searches.contexts)),
         undeveloped=not goals,
         defeated=refuted,
         url=url,
-        alias=f"requirement:{name(told)}",
+        alias=f"requirement:{name(requirement_id)}",
         layers={
             "kind": requirement["kind"],
             "source": one_line(requirement["source"], MAX_TEXT),
-            "report": f"report.html#{requirement_anchor(told)}",
+            "report": f"report.html#{requirement_anchor(requirement_id)}",
         },
     )
     return RequirementElements(
-        name(told),
+        name(requirement_id),
         requirement["kind"],
         goal.id,
         challenge[0].id if challenge else "",
@@ -406,7 +412,7 @@ def _elements_of_requirement(
         (
             goal,
             *reason,
-            *searches.beside,
+            *searches.contexts,
             *([strategy] if goals else ()),
             *challenge,
             *searches.against,
@@ -430,12 +436,8 @@ def _justification(requirement: Data, index: int) -> list[Element]:
 
 
 def _strategy_text(own: list[VerdictElements], untested: list[Element]) -> str:
-    rest = f", {_counted(len(untested), 'untested cell')}" if untested else ""
-    return f"Argue over scenarios and faults: {_counted(len(own), 'judged case')}{rest}."
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
+    rest = f", {counted(len(untested), 'untested cell')}" if untested else ""
+    return f"Argue over scenarios and faults: {counted(len(own), 'judged case')}{rest}."
 
 
 def _untested_goal(index: int, cell: Data) -> Element:
@@ -455,7 +457,7 @@ def _untested_goal(index: int, cell: Data) -> Element:
 
 
 def _counter_goal(
-    told: str,
+    requirement_id: str,
     own: list[VerdictElements],
     violated: list[VerdictElements],
     searches: SearchElements,
@@ -469,14 +471,14 @@ def _counter_goal(
     waived = " Waivers accept all of these violations." if accepted else ""
     return [
         Element(
-            derived_id("CG", told),
-            f"{name(told)} is violated{how}.{waived}",
+            derived_id("CG", requirement_id),
+            f"{name(requirement_id)} is violated{how}.{waived}",
             supported_by=(
                 *(element.challenge for element in violated),
                 *(element.id for element in searches.against),
             ),
-            challenges=derived_id("G", told),
-            alias=f"challenge:{name(told)}",
+            challenges=derived_id("G", requirement_id),
+            alias=f"challenge:{name(requirement_id)}",
         )
     ]
 
@@ -503,33 +505,28 @@ def generated_argument(record: SessionRecord) -> Argument:
     facts, counts = EpisodeFacts.of(record), Counts.of(record)
     components = sorted({verdict["component"] for verdict in record["verdicts"]})
     several = len(components) > 1
-    elements = list(verdict_elements(record, facts, several=several))
-    requirements = list(_requirement_elements(record, elements))
+    verdicts = list(verdict_elements(record, facts, several=several))
+    requirements = list(_requirement_elements(record, verdicts))
     around = _argument_contexts(record, counts, facts)
     domain = list(_scenario_contexts(record))
     below = [
         *_kinds_strategy(requirements, domain),
         *(element for requirement in requirements for element in requirement.elements),
-        *(element for item in elements for element in item.elements),
+        *(element for judged in verdicts for element in judged.elements),
         *_monitor_elements(record["monitors"]),
         *domain,
         *around,
     ]
     names = components or [str((record["component_under_test"] or {}).get("name", "unknown"))]
     support = (KINDS_ID, *([_MONITORS_ID] if record["monitors"] else ()))
-    surrounding = tuple(item.id for item in around)
+    surrounding = tuple(element.id for element in around)
     top = _top_goal(names, sorted(facts.policies), requirements, shard_text(record))
     if is_incomplete(record):
         head = _incomplete_argument(record, top, support, surrounding)
     else:
         searched = bool(record["searches"])
         head = [*_contested_top(top, requirements, support, surrounding, searched=searched)]
-    return {item.id: item for item in [*head, *below]}
-
-
-def is_incomplete(record: SessionRecord) -> bool:
-    """Whether the session ended before all was run."""
-    return bool(record["status"] != "complete" or record["gate"]["result"] == "incomplete")
+    return {element.id: element for element in [*head, *below]}
 
 
 def _top_goal(
@@ -605,8 +602,8 @@ def _kinds_strategy(
             *sorted({requirement.kind for requirement in requirements} - set(_KIND_IDS)),
         ]
     }
-    absent = [kind for kind, found in present.items() if not found]
-    goals = [_kind_goal(kind, found) for kind, found in present.items() if found]
+    absent = [kind for kind, group in present.items() if not group]
+    goals = [_kind_goal(kind, group) for kind, group in present.items() if group]
     nothing = f" No requirement of the session is on {names_text(absent)}." if absent else ""
     yield Element(
         KINDS_ID,

@@ -37,11 +37,11 @@ def wrap_text(text: str, width: float, most: int, size: float = _FONT_SIZE) -> l
     """The text in lines of at most this width; what does not fit into ``most`` lines ends in …."""
     lines: list[str] = []
     line = ""
-    for word in _words(text, width, size):
-        joined = f"{line} {word}" if line else word
+    for piece in _breakable_pieces(text, width, size):
+        joined = f"{line} {piece}" if line else piece
         if line and text_width(joined, size) > width:
             lines.append(line)
-            line = word
+            line = piece
         else:
             line = joined
     lines += [line] if line else []
@@ -53,9 +53,9 @@ def wrap_text(text: str, width: float, most: int, size: float = _FONT_SIZE) -> l
     return [*lines[: most - 1], f"{last} …"]
 
 
-def _words(text: str, width: float, size: float) -> list[str]:
-    """The words, those that are wider than a line broken, after a separator if there is one."""
-    found: list[str] = []
+def _breakable_pieces(text: str, width: float, size: float) -> list[str]:
+    """The text split at spaces; parts wider than a line are broken, best after a separator."""
+    pieces: list[str] = []
     for part in text.split():
         rest = part
         while text_width(rest, size) > width:
@@ -64,10 +64,10 @@ def _words(text: str, width: float, size: float) -> list[str]:
                 fits += 1
             cut = max((rest.rfind(mark, 1, fits) + 1 for mark in "/+~-_.;,@#"), default=0)
             cut = cut if cut > fits // 2 else fits
-            found.append(rest[:cut])
+            pieces.append(rest[:cut])
             rest = rest[cut:]
-        found.append(rest)
-    return found
+        pieces.append(rest)
+    return pieces
 
 
 def _letter(char: str) -> float:
@@ -98,8 +98,8 @@ class Shape:
         bold: How many of the first lines are bold.
         undeveloped: Draw the diamond.
         defeated: Draw the cross.
-        word: Of the verdict, which gives the colour.
-        counts: What the shape stands for: ``{"supported": 12}``.
+        verdict: Such as ``violated``; it gives the colour.
+        counts: Verdicts and requirements that the shape stands for: ``{"supported": 12}``.
         height: Of the whole; set from the lines.
     """
 
@@ -111,7 +111,7 @@ class Shape:
     bold: int = 0
     undeveloped: bool = False
     defeated: bool = False
-    word: str = ""
+    verdict: str = ""
     counts: Mapping[str, object] = field(default_factory=dict)
     x: float = 0.0
     y: float = 0.0
@@ -134,7 +134,7 @@ class Shape:
 
     def svg(self) -> str:
         """One group with the outline, its decorations, and the text."""
-        colour = COLOURS.get(self.word, _INK)
+        colour = COLOURS.get(self.verdict, _INK)
         data = dict(self.counts)
         for key in ("undeveloped", "defeated"):
             if getattr(self, key):
@@ -150,7 +150,7 @@ class Shape:
         )
 
     def _box(self) -> str:
-        return " ".join(f"{item:.1f}" for item in (self.x, self.y, self.width, self.height))
+        return " ".join(f"{value:.1f}" for value in (self.x, self.y, self.width, self.height))
 
     def _outline(self) -> str:
         x, y, w, h = self.x, self.y, self.width, self.body
@@ -277,16 +277,16 @@ class DrawnArgument:
 
 def drawn_argument(argument: Argument) -> DrawnArgument:
     """The argument, or what is drawn of a large one."""
-    counts = {id_: _counts(item) for id_, item in argument.items()}
+    counts = {id_: _counts(element) for id_, element in argument.items()}
     view = DrawnArgument(dict(argument), counts)
-    for id_, entry in argument.items():
-        if entry.challenges:
-            view.against.setdefault(entry.challenges, []).append(id_)
-    cells = sum(_subject_of(item) in _CELLS for item in argument.values())
+    for id_, element in argument.items():
+        if element.challenges:
+            view.against.setdefault(element.challenges, []).append(id_)
+    cells = sum(_subject_of(element) in _CELLS for element in argument.values())
     if cells > _MOST_CELLS:
         _fold_cells(view)
         view.folded.append(f"{cells} verdicts and untested cells are folded by requirement.")
-    requirements = sum(_subject_of(item) == "requirement" for item in argument.values())
+    requirements = sum(_subject_of(element) == "requirement" for element in argument.values())
     if requirements > _MOST_REQUIREMENTS:
         _fold_requirements(view)
         view.folded.append(f"{requirements} requirements are folded by kind, violated ones last.")
@@ -294,7 +294,7 @@ def drawn_argument(argument: Argument) -> DrawnArgument:
 
 
 def _subject_of(element: Element) -> str:
-    """What an element is about, by its alias."""
+    """Subject of an element, by its alias: ``verdict``, ``requirement``."""
     return element.alias.partition(":")[0]
 
 
@@ -317,64 +317,64 @@ def _fold_cells(view: DrawnArgument) -> None:
             child = view.argument.get(id_)
             if child is None or _subject_of(child) not in _CELLS:
                 continue
-            word = str(child.layers.get("verdict", "untested"))
-            violated += word == "violated"
-            if word != "violated" or violated > _SHOWN_VIOLATED:
-                groups.setdefault(word, []).append(child)
-        for word, group in groups.items():
+            status = str(child.layers.get("verdict", "untested"))
+            violated += status == "violated"
+            if status != "violated" or violated > _SHOWN_VIOLATED:
+                groups.setdefault(status, []).append(child)
+        for status, group in groups.items():
             if len(group) > 1:
-                _fold(view, parent.id, word, group)
+                _fold(view, parent.id, status, group)
 
 
 def _fold_requirements(view: DrawnArgument) -> None:
     for parent in list(view.argument.values()):
-        children = [view.argument[item] for item in parent.supported_by if item in view.argument]
-        found = [child for child in children if _subject_of(child) == "requirement"]
-        found.sort(key=lambda element: not element.defeated)
-        rest = found[_SHOWN_REQUIREMENTS:]
+        children = [view.argument[id_] for id_ in parent.supported_by if id_ in view.argument]
+        requirements = [child for child in children if _subject_of(child) == "requirement"]
+        requirements.sort(key=lambda element: not element.defeated)
+        rest = requirements[_SHOWN_REQUIREMENTS:]
         if len(rest) > 1:
             _fold(view, parent.id, "requirements", rest)
 
 
-def _fold(view: DrawnArgument, parent: str, word: str, elements: list[Element]) -> None:
+def _fold(view: DrawnArgument, parent: str, status: str, elements: list[Element]) -> None:
     """Put one goal in the place of several, with the counts of all that is below them."""
-    id_ = f"G/{parent}/{word}"
+    id_ = f"G/{parent}/{status}"
     counts: Counter[str] = Counter()
     for element in elements:
         for below in _all_below(view, element.id):
             counts += view.counts.pop(below, Counter())
             view.argument.pop(below, None)
-    told = ", ".join(f"{counts[key]} {key}" for key in _COUNTED[:3] if counts[key])
+    counted = ", ".join(f"{counts[key]} {key}" for key in _COUNTED[:3] if counts[key])
     several = len(elements)
-    text = f"{several} {word}" if word == "requirements" else f"{several} cells, {word}"
-    detail = (told,) if word == "requirements" and told else ()
+    text = f"{several} {status}" if status == "requirements" else f"{several} cells, {status}"
+    detail = (counted,) if status == "requirements" and counted else ()
     view.argument[id_] = Element(
         id_,
-        f"{text}: folded here, each is in assurance-case.gsn.yaml. {told}",
-        undeveloped=word in {"undecided", "untested"},
-        defeated=word == "violated",
-        alias=f"folded:{word}",
-        layers={"verdict": word},
+        f"{text}: folded here, each is in assurance-case.gsn.yaml. {counted}",
+        undeveloped=status in {"undecided", "untested"},
+        defeated=status == "violated",
+        alias=f"folded:{status}",
+        layers={"verdict": status},
         brief=(text, *detail, "folded"),
     )
     view.counts[id_] = counts
-    gone = {element.id for element in elements}
+    folded = {element.id for element in elements}
     for other in list(view.argument.values()):
-        if gone & set(other.supported_by):
-            kept = tuple(item for item in other.supported_by if item not in gone)
-            view.argument[other.id] = replace(other, supported_by=(*kept, id_))
+        if folded & set(other.supported_by):
+            others = tuple(id_ for id_ in other.supported_by if id_ not in folded)
+            view.argument[other.id] = replace(other, supported_by=(*others, id_))
 
 
 def _all_below(view: DrawnArgument, start: str) -> Iterator[str]:
     """The element and all below it, with what challenges those."""
     waiting, seen = [start], set[str]()
     while waiting:
-        item = waiting.pop()
-        if item in seen or item not in view.argument:
+        id_ = waiting.pop()
+        if id_ in seen or id_ not in view.argument:
             continue
-        seen.add(item)
-        element = view.argument[item]
-        waiting += [*element.supported_by, *element.in_context_of, *view.against.get(item, ())]
+        seen.add(id_)
+        element = view.argument[id_]
+        waiting += [*element.supported_by, *element.in_context_of, *view.against.get(id_, ())]
     yield from seen
 
 
@@ -424,11 +424,11 @@ class _Layout:
         """
         waiting: list[tuple[str, float, Shape | None]] = [(id_, x, None)]
         while waiting:
-            item, x, parent = waiting.pop()
+            current, x, parent = waiting.pop()
             if parent is not None:
                 # The trunk of a deep tree would leave the picture: it stays within it.
                 x = min(x, MARGIN + 12 * _INDENT)
-            shape, bottom = self._node(item, x, y)
+            shape, bottom = self._node(current, x, y)
             if parent is not None:
                 trunk = parent.x + 12
                 middle = shape.y + shape.body / 2
@@ -437,7 +437,7 @@ class _Layout:
             y = bottom + _GAP
             if shape.kind == "Reference":
                 continue
-            element = self.view.argument[item]
+            element = self.view.argument[current]
             children = [child for child in element.supported_by if child in self.view.argument]
             small = [child for child in children if self._is_small(child)]
             if small:
@@ -447,8 +447,8 @@ class _Layout:
         return y
 
     def _is_small(self, id_: str) -> bool:
-        item = self.view.argument[id_]
-        return item.kind in {"Solution", "CounterSolution"} or _subject_of(item) in _SMALL
+        element = self.view.argument[id_]
+        return element.kind in {"Solution", "CounterSolution"} or _subject_of(element) in _SMALL
 
     def _node(self, id_: str, x: float, y: float) -> tuple[Shape, float]:
         """The element and its column, or a reference to where it stands."""
@@ -464,20 +464,20 @@ class _Layout:
         return shape, max(bottom, y + shape.height)
 
     def _column(self, element: Element, shape: Shape, x: float, y: float) -> float:
-        """What challenges and surrounds an element, to its right, in as many columns as fit."""
+        """Draw what challenges and surrounds an element, right of it, in as many columns as fit."""
         against = self.view.against.get(element.id, [])
         beside = [*against, *element.in_context_of]
-        beside = [item for item in beside if item in self.view.argument and item not in self.drawn]
+        beside = [id_ for id_ in beside if id_ in self.view.argument and id_ not in self.drawn]
         fit = max(1, int((WIDTH - MARGIN - x + _SIDE_GAP) // (_SIDE_WIDTH + _SIDE_GAP)))
         columns = min(fit, 1 if len(beside) <= 2 else 2)
         width = _SIDE_WIDTH if columns > 1 else min(_SINGLE_WIDTH, WIDTH - MARGIN - x)
         ends = [y] * columns
-        for entry in beside:
+        for id_ in beside:
             column = ends.index(min(ends))
-            other = self._shape(self.view.argument[entry], width)
+            other = self._shape(self.view.argument[id_], width)
             left = x + column * (_SIDE_WIDTH + _SIDE_GAP)
             self._put(other, left, ends[column])
-            self._beside(shape, other, challenges=entry in against, first=column == 0)
+            self._beside(shape, other, challenges=id_ in against, first=column == 0)
             ends[column] += other.height + _GAP
         return max(ends) - _GAP if beside else y
 
@@ -527,7 +527,7 @@ class _Layout:
         return waiver + _CELL_GOAL + counter
 
     def _present(self, ids: Sequence[str]) -> list[str]:
-        return [item for item in ids if item in self.view.argument and item not in self.drawn]
+        return [id_ for id_ in ids if id_ in self.view.argument and id_ not in self.drawn]
 
     def _cell(self, id_: str, x: float, y: float) -> tuple[Shape, float]:
         """A goal with its solution below, its waiver to the left, its challenge to the right."""
@@ -549,12 +549,12 @@ class _Layout:
             self._edge("inContextOf", (shape.x, middle), (other.x + other.width, middle))
             lane += other.height + _GAP
         left, height = shape.x + _CELL_GOAL + 2 * _GAP, y
-        for waiver in self._present(self.view.against.get(id_, [])):
-            other = self._shape(self.view.argument[waiver], _COUNTER_WIDTH, small=True)
+        for challenger in self._present(self.view.against.get(id_, [])):
+            other = self._shape(self.view.argument[challenger], _COUNTER_WIDTH, small=True)
             self._put(other, left, height)
             end = (shape.x + shape.width, min(other.y + 12, shape.y + shape.body))
             self._edge("challenges", (other.x, other.y + 12), end)
-            height = self._under(other, self.view.argument[waiver].supported_by) + _GAP
+            height = self._under(other, self.view.argument[challenger].supported_by) + _GAP
         return shape, max(bottom, lane - _GAP, height - _GAP)
 
     def _under(self, shape: Shape, ids: Sequence[str]) -> float:
@@ -574,7 +574,7 @@ class _Layout:
         room = width * (0.8 if round_ else 0.74 if oval else 1.0) - (0 if round_ or oval else 26)
         brief = element.brief if small and element.brief else (element.text,)
         most = 4 if round_ else _MOST_LINES
-        lines = [part for item in brief for part in wrap_text(item, room, most)][:most]
+        lines = [part for text in brief for part in wrap_text(text, room, most)][:most]
         heading = [] if small else wrap_text(element.id, room, 2, _BOLD_SIZE)
         return Shape(
             element.id,
@@ -585,7 +585,7 @@ class _Layout:
             bold=len(heading),
             undeveloped=element.undeveloped,
             defeated=element.defeated,
-            word=str(element.layers.get("verdict", "")),
+            verdict=str(element.layers.get("verdict", "")),
             counts=self.view.counts.get(element.id, {}),
         )
 

@@ -22,7 +22,7 @@ PREFIXES = {
     "A": "Assumption",
     "J": "Justification",
 }
-"""What an id begins with, in the order in which it is looked at, and the kind of its element."""
+"""Kind of an element by the prefix of its id; the first prefix that fits counts."""
 
 _READABLE = 60
 
@@ -85,12 +85,12 @@ class Element:
 
     @property
     def kind(self) -> str:
-        """Such as ``Goal``; empty if the prefix is none of GSN's."""
+        """Kind by the prefix of the id, such as ``Goal``; empty if the prefix is none of GSN's."""
         return kind_of(self.id) or ""
 
     def to_yaml(self) -> dict[str, Any]:
         """Plain data under the keys of gsn2x; what is empty is left out."""
-        told: dict[str, Any] = {
+        data: dict[str, Any] = {
             "text": self.text,
             "supportedBy": list(self.supported_by),
             "inContextOf": list(self.in_context_of),
@@ -100,7 +100,7 @@ class Element:
             "url": self.url,
             "alias": self.alias,
         }
-        return {key: value for key, value in told.items() if value} | dict(self.layers)
+        return {key: value for key, value in data.items() if value} | dict(self.layers)
 
 
 Argument = dict[str, Element]
@@ -116,28 +116,28 @@ _ALLOWED_SUPPORT = {
     "Strategy": frozenset({"Goal", "Strategy", "Solution"}) | _COUNTER,
     "CounterGoal": _COUNTER,
 }
-_LISTS = ("supportedBy", "inContextOf", "defeatedRelation")
-_FLAGS = ("undeveloped", "defeated")
-_TEXTS = ("text", "url", "challenges")
+LIST_KEYS = ("supportedBy", "inContextOf", "defeatedRelation")
+FLAG_KEYS = ("undeveloped", "defeated")
+TEXT_KEYS = ("text", "url", "challenges")
 _MODULE_KEY = "name"
 """gsn2x takes whatever has this key for the description of a module, and not for an element."""
 
 
 def rule_problems(elements: Mapping[str, Any]) -> list[str]:
-    """Everything in which an argument breaks the rules; ``elements`` are without the module."""
-    shapes = [problem for id_, node in elements.items() for problem in _shape_problems(id_, node)]
-    if shapes:
-        return shapes  # nothing else can be said of what is not an argument at all
+    """The rules that an argument breaks, a line each; ``elements`` are without the module."""
+    shape_problems = [text for id_, node in elements.items() for text in _shape_problems(id_, node)]
+    if shape_problems:
+        return shape_problems  # the other rules presuppose the shape of an argument
     disputed = {
         end for node in elements.values() for end in _challenged_element(_challenged_id(node))
     }
-    found: list[str] = []
+    problems: list[str] = []
     for id_, node in elements.items():
-        found += _element_problems(id_, node, elements)
-        found += _challenge_problems(id_, node, elements)
+        problems += _element_problems(id_, node, elements)
+        problems += _challenge_problems(id_, node, elements)
         if node.get("defeated") and id_ not in disputed:
-            found.append(f"V10 {id_}: it is marked as defeated, and nothing challenges it")
-    return found + list(_argument_problems(elements))
+            problems.append(f"V10 {id_}: it is marked as defeated, and nothing challenges it")
+    return problems + list(_argument_problems(elements))
 
 
 def _referenced_ids(node: Node, key: str) -> list[str]:
@@ -162,15 +162,17 @@ def _shape_problems(id_: str, node: Any) -> Iterator[str]:
         return
     if _MODULE_KEY in node:
         yield f"{id_}: the key `{_MODULE_KEY}` makes gsn2x take it for a module"
-    for key in _LISTS:
+    for key in LIST_KEYS:
         value = node.get(key, [])
-        items = [value] if isinstance(value, str) else value
-        if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
+        references = [value] if isinstance(value, str) else value
+        if not isinstance(references, list) or not all(
+            isinstance(reference, str) for reference in references
+        ):
             yield f"{id_}: {key} is a list of ids"
-    for key in _FLAGS:
+    for key in FLAG_KEYS:
         if not isinstance(node.get(key, False), bool):
             yield f"{id_}: {key} is true or false"
-    for key in _TEXTS:
+    for key in TEXT_KEYS:
         if not isinstance(node.get(key, ""), str):
             yield f"{id_}: {key} is text"
     if not node.get("text"):
@@ -191,12 +193,12 @@ def _element_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> Ite
     if node.get("challenges") and kind not in _COUNTER:
         yield f"V12 {id_}: only a counter goal or a counter solution challenges"
     related = {*support, *around, *_challenged_id(node)[:1]}
-    for item in _referenced_ids(node, "defeatedRelation"):
-        if item not in related:
-            yield f"V13 {id_}: its relation to {item} is marked as defeated, and there is none"
-    for item in [*support, *around]:
-        if item not in elements:
-            yield f"C03 {id_}: {item} does not exist"
+    for reference in _referenced_ids(node, "defeatedRelation"):
+        if reference not in related:
+            yield f"V13 {id_}: its relation to {reference} is marked as defeated, and there is none"
+    for reference in [*support, *around]:
+        if reference not in elements:
+            yield f"C03 {id_}: {reference} does not exist"
 
 
 def _development_problems(id_: str, node: Node, *, argued: bool) -> Iterator[str]:
@@ -210,13 +212,13 @@ def _development_problems(id_: str, node: Node, *, argued: bool) -> Iterator[str
 
 
 def _list_problems(id_: str, listed: list[str], key: str, allowed: frozenset[str]) -> Iterator[str]:
-    for item in sorted(set(listed)):
-        if listed.count(item) > 1:
-            yield f"V05 {id_}: {item} stands twice under {key}"
-        if item == id_:
+    for reference in sorted(set(listed)):
+        if listed.count(reference) > 1:
+            yield f"V05 {id_}: {reference} stands twice under {key}"
+        if reference == id_:
             yield f"V06 {id_}: it refers to itself under {key}"
-        elif kind_of(item) not in allowed:
-            yield f"V04 {id_}: {item} is of no kind that may stand under {key}"
+        elif kind_of(reference) not in allowed:
+            yield f"V04 {id_}: {reference} is of no kind that may stand under {key}"
 
 
 def _challenge_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> Iterator[str]:
@@ -238,12 +240,16 @@ def _challenge_problems(id_: str, node: Node, elements: Mapping[str, Node]) -> I
 
 def root_ids(elements: Mapping[str, Node]) -> list[str]:
     """Ids of the elements that no other refers to, and that challenge nothing."""
-    told = {
-        item
+    referenced = {
+        reference
         for node in elements.values()
-        for item in _referenced_ids(node, "supportedBy") + _referenced_ids(node, "inContextOf")
+        for reference in _referenced_ids(node, "supportedBy") + _referenced_ids(node, "inContextOf")
     }
-    return [id_ for id_, node in elements.items() if id_ not in told and not node.get("challenges")]
+    return [
+        id_
+        for id_, node in elements.items()
+        if id_ not in referenced and not node.get("challenges")
+    ]
 
 
 def _argument_problems(elements: Mapping[str, Node]) -> Iterator[str]:
@@ -270,13 +276,13 @@ def reachable_ids(elements: Mapping[str, Node], start: list[str]) -> set[str]:
     seen: set[str] = set()
     waiting = list(start)
     while waiting:
-        item = waiting.pop()
-        if item in seen or item not in elements:
+        current = waiting.pop()
+        if current in seen or current not in elements:
             continue
-        seen.add(item)
-        waiting += _referenced_ids(elements[item], "supportedBy")
-        waiting += _referenced_ids(elements[item], "inContextOf")
-        waiting += challengers.get(item, [])
+        seen.add(current)
+        waiting += _referenced_ids(elements[current], "supportedBy")
+        waiting += _referenced_ids(elements[current], "inContextOf")
+        waiting += challengers.get(current, [])
     return seen
 
 
@@ -288,18 +294,18 @@ def _first_cycle(elements: Mapping[str, Node]) -> list[str]:
         on_path: set[str] = set()
         waiting = [(start, False)]
         while waiting:
-            item, leaving = waiting.pop()
+            current, leaving = waiting.pop()
             if leaving:
                 path.pop()
-                on_path.discard(item)
-                done.add(item)
-            elif item in on_path:
-                return [*path[path.index(item) :], item]
-            elif item not in done and item in elements:
-                path.append(item)
-                on_path.add(item)
-                waiting.append((item, True))
+                on_path.discard(current)
+                done.add(current)
+            elif current in on_path:
+                return [*path[path.index(current) :], current]
+            elif current not in done and current in elements:
+                path.append(current)
+                on_path.add(current)
+                waiting.append((current, True))
                 waiting += [
-                    (child, False) for child in _referenced_ids(elements[item], "supportedBy")
+                    (child, False) for child in _referenced_ids(elements[current], "supportedBy")
                 ]
     return []

@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 from pytest_dura.evidence.model import Counts, SessionRecord
 from pytest_dura.evidence.text import name
-from pytest_dura.reports.gsn.argument import REVIEW_ID, SESSION_ID, is_incomplete
+from pytest_dura.reports.gsn.argument import REVIEW_ID, SESSION_ID
 from pytest_dura.reports.gsn.drawing import (
     MARGIN,
     MARKERS,
@@ -23,6 +23,7 @@ from pytest_dura.reports.gsn.drawing import (
     wrap_text,
 )
 from pytest_dura.reports.gsn.user_argument import session_argument
+from pytest_dura.reports.wording import is_incomplete
 
 FILE = "assurance-case.svg"
 NAMESPACE = "http://www.w3.org/2000/svg"
@@ -64,41 +65,41 @@ def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[str, floa
     lines = [("head", "Assurance case (GSN): generated, unreviewed")]
     if is_incomplete(record):
         lines.append(("warning", "INCOMPLETE SESSION: not all was run, so no claim is made here."))
-    lines += [("", item) for item in view.folded]
+    lines += [("", sentence) for sentence in view.folded]
     if REVIEW_ID in view.argument:
         layers = view.argument[REVIEW_ID].layers
         blank = "." * 32
-        told = [f"{key}: {layers[key] or blank}" for key in layers]
-        lines.append(("", "   ".join(told)))
+        review = [f"{key}: {layers[key] or blank}" for key in layers]
+        lines.append(("", "   ".join(review)))
     lines.append(
         ("", f"{name(record['created'])}. Evidence and every element: assurance-case.gsn.yaml")
     )
     y = MARGIN + 6
-    told_lines = []
+    texts = []
     for kind, line in lines:
-        told_lines.append(
+        texts.append(
             f'<text class="left {kind}" x="{MARGIN:.0f}" y="{y:.0f}">{text_of(line)}</text>'
         )
         y += 20
     legend = _legend(y + 4)
-    return "\n".join([*told_lines, *legend]), y + 84
+    return "\n".join([*texts, *legend]), y + 84
 
 
 def _legend(y: float) -> list[str]:
     """Every kind of element and relation of the notation with its name, outside of the counts."""
-    told = []
+    parts = []
     x = MARGIN
     for kind in _KINDS:
         round_ = kind == "Solution"
         lines = wrap_text(kind, 200, 1)
         shape = Shape(kind, kind, lines, 60 if round_ else 104, x=x, y=y)
-        told.append(shape.svg().replace("data-id", "data-legend").replace("data-box", "data-size"))
+        parts.append(shape.svg().replace("data-id", "data-legend").replace("data-box", "data-size"))
         x += shape.width + 16
     undeveloped = Shape("undeveloped", "Goal", ["Undeveloped"], 104, undeveloped=True, x=x, y=y)
     defeated = Shape("defeated", "Goal", ["Defeated"], 90, defeated=True, x=x + 120, y=y)
-    told += [
-        item.svg().replace("data-id", "data-legend").replace("data-box", "data-size")
-        for item in (undeveloped, defeated)
+    parts += [
+        shape.svg().replace("data-id", "data-legend").replace("data-box", "data-size")
+        for shape in (undeveloped, defeated)
     ]
     x += 226
     names = {
@@ -106,11 +107,11 @@ def _legend(y: float) -> list[str]:
         "inContextOf": "in context of",
         "challenges": "challenges",
     }
-    for i, (relation, words) in enumerate(names.items()):
+    for i, (relation, label) in enumerate(names.items()):
         height = y + 4 + i * 18
-        told.append(Edge(relation, ((x, height), (x + 50, height))).svg())
-        told.append(f'<text class="left" x="{x + 58:.0f}" y="{height + 4:.0f}">{words}</text>')
-    return told
+        parts.append(Edge(relation, ((x, height), (x + 50, height))).svg())
+        parts.append(f'<text class="left" x="{x + 58:.0f}" y="{height + 4:.0f}">{label}</text>')
+    return parts
 
 
 def read_counts(text: str) -> Counts:
@@ -125,7 +126,7 @@ def read_counts(text: str) -> Counts:
         root = ET.fromstring(text)  # noqa: S314 - entities are refused above
     except ET.ParseError as error:
         _reading_error(f"no XML: {error}")
-    shapes = [item.attrib for item in root.iter(f"{{{NAMESPACE}}}g") if "data-id" in item.attrib]
+    shapes = [group.attrib for group in root.iter(f"{{{NAMESPACE}}}g") if "data-id" in group.attrib]
     sums: Counter[str] = Counter()
     for shape in shapes:
         for key in _SUMMED:
@@ -135,20 +136,20 @@ def read_counts(text: str) -> Counts:
     if len(stated) != 1:
         _reading_error(f"{len(stated)} shapes state the session, instead of one")
     numbers = {key: _number(stated[0].get(f"data-{key}", "")) for key in _STATED}
-    found: dict[str, Any] = {**{key: sums[key] for key in _SUMMED}, **numbers}
-    return Counts(gate=stated[0]["data-gate"], **found)
+    counts: dict[str, Any] = {**{key: sums[key] for key in _SUMMED}, **numbers}
+    return Counts(gate=stated[0]["data-gate"], **counts)
 
 
 def _check_decoration(shape: dict[str, str]) -> None:
     """A goal that stands for violated verdicts alone is drawn as defeated, and so on."""
-    words = [key for key in ("supported", "violated", "undecided") if f"data-{key}" in shape]
-    if shape["data-kind"] != "Goal" or len(words) != 1 or "data-requirements" in shape:
+    statuses = [key for key in ("supported", "violated", "undecided") if f"data-{key}" in shape]
+    if shape["data-kind"] != "Goal" or len(statuses) != 1 or "data-requirements" in shape:
         return
     drawn = "undecided" if "data-undeveloped" in shape else "supported"
     drawn = "violated" if "data-defeated" in shape else drawn
-    if drawn != words[0]:
+    if drawn != statuses[0]:
         _reading_error(
-            f"{shape['data-id']} is drawn as {drawn}, and stands for {words[0]} verdicts"
+            f"{shape['data-id']} is drawn as {drawn}, and stands for {statuses[0]} verdicts"
         )
 
 

@@ -20,10 +20,12 @@ from pytest_dura.evidence.text import name, one_line, visible
 from pytest_dura.reports.gsn.argument import (
     COUNTEREXAMPLE_PREFIX,
     generated_argument,
-    is_incomplete,
 )
 from pytest_dura.reports.gsn.element import (
+    FLAG_KEYS,
+    LIST_KEYS,
     PREFIXES,
+    TEXT_KEYS,
     Argument,
     Element,
     derived_id,
@@ -32,15 +34,12 @@ from pytest_dura.reports.gsn.element import (
     root_ids,
     rule_problems,
 )
-from pytest_dura.reports.wording import shard_text
+from pytest_dura.reports.wording import is_incomplete, shard_text
 
 MAX_BYTES = 1024 * 1024
 MAX_DEPTH = 8
 _ARGUMENT_OPTION = "--dura-argument"
 
-_LISTS = ("supportedBy", "inContextOf", "defeatedRelation")
-_FLAGS = ("undeveloped", "defeated")
-_TEXTS = ("text", "challenges", "url")
 _REFUSED_KEYS = {
     "name": "gsn2x takes whatever has a `name` for a module; call the key otherwise",
     "nodeType": "let the id begin with the prefix of its kind instead",
@@ -113,15 +112,15 @@ def check_requirements(user: UserArgument, requirements: Iterable[str]) -> None:
     """
     known = sorted(requirements)
     for id_, node in user["elements"].items():
-        for key in (*_LISTS, "challenges"):
-            for item in [node[key]] if isinstance(node.get(key), str) else node.get(key, []):
-                removeprefix = item.removeprefix("requirement:")
-                if removeprefix != item and removeprefix not in known:
+        for key in (*LIST_KEYS, "challenges"):
+            for reference in [node[key]] if isinstance(node.get(key), str) else node.get(key, []):
+                requirement = reference.removeprefix("requirement:")
+                if requirement != reference and requirement not in known:
                     _argument_error(
                         user,
                         "this requirement is not part of the session",
                         f"{id_}.{key}",
-                        found=item,
+                        found=reference,
                         expected=f"one of {', '.join(known) or 'none'}",
                         remedy="correct the id, or select the scenarios that judge it",
                     )
@@ -212,22 +211,22 @@ class _Reader:
     def _mapping(self, node: Any, path: str) -> dict[str, Any]:
         import yaml
 
-        found: dict[str, Any] = {}
+        mapping: dict[str, Any] = {}
         for key_node, value in node.value:
             line = key_node.start_mark.line + 1
             key = str(key_node.value)
             inner = f"{path}.{key}" if path else key
-            if not isinstance(key_node, yaml.ScalarNode) or key in found:
+            if not isinstance(key_node, yaml.ScalarNode) or key in mapping:
                 _file_error(
-                    "a key stands here twice" if key in found else "a key is text",
+                    "a key stands here twice" if key in mapping else "a key is text",
                     self.file,
                     line=line,
-                    key=inner if key in found else path,
+                    key=inner if key in mapping else path,
                     expected="each key once, as text",
                 )
             self.lines.setdefault(inner, line)
-            found[key] = self._plain(value, inner)
-        return found
+            mapping[key] = self._plain(value, inner)
+        return mapping
 
     def _plain(self, node: Any, path: str) -> Any:
         import yaml
@@ -235,7 +234,7 @@ class _Reader:
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, path)
         if isinstance(node, yaml.SequenceNode):
-            return [self._plain(item, path) for item in node.value]
+            return [self._plain(element, path) for element in node.value]
         if node.style is None and node.value in ("true", "false"):
             return bool(node.value == "true")
         return node.value
@@ -251,15 +250,15 @@ class _Reader:
         for key, value in node.items():
             if key in _REFUSED_KEYS:
                 self._wrong(f"{id_}.{key}", "this key cannot be used", key, _REFUSED_KEYS[key])
-            if key in _FLAGS and not isinstance(value, bool):
+            if key in FLAG_KEYS and not isinstance(value, bool):
                 self._wrong(f"{id_}.{key}", "no truth value", str(value)[:80], "true or false")
-            if key in _TEXTS and not isinstance(value, str):
+            if key in TEXT_KEYS and not isinstance(value, str):
                 self._wrong(f"{id_}.{key}", "no text", str(value)[:80], "text")
-            if key in _LISTS and not _names(value):
+            if key in LIST_KEYS and not _names(value):
                 self._wrong(f"{id_}.{key}", "no list of ids", str(value)[:80], "[G2, S1]")
         if not node.get("text"):
             self._wrong(id_, "an element has a text", "none", "`text:`")
-        return {key: [value] if key in _LISTS and isinstance(value, str) else value
+        return {key: [value] if key in LIST_KEYS and isinstance(value, str) else value
                 for key, value in node.items()}  # fmt: skip
 
     def _wrong(self, key: str, problem: str, found: str, expected: str) -> NoReturn:
@@ -269,7 +268,7 @@ class _Reader:
 
 def _names(value: Any) -> bool:
     return isinstance(value, str) or (
-        isinstance(value, list) and all(isinstance(item, str) for item in value)
+        isinstance(value, list) and all(isinstance(text, str) for text in value)
     )
 
 
@@ -307,7 +306,7 @@ def merge_user_argument(argument: Argument, user: UserArgument, *, whole: bool =
         ConfigurationError: If an id is taken, a reference leads nowhere, or a rule is broken.
     """
     own = _user_elements(argument, user)
-    plain = {id_: item.to_yaml() for id_, item in own.items()}
+    plain = {id_: element.to_yaml() for id_, element in own.items()}
     top = root_ids(plain)
     if len(top) != 1:
         _argument_error(
@@ -318,32 +317,32 @@ def merge_user_argument(argument: Argument, user: UserArgument, *, whole: bool =
             expected="one top goal",
             remedy="let an element refer to the others",
         )
-    everything = plain | {id_: item.to_yaml() for id_, item in argument.items()}
+    everything = plain | {id_: element.to_yaml() for id_, element in argument.items()}
     taken = reachable_ids(everything, top) - set(own)
     rest = [
         *_unused_contexts(argument, taken),
         *_top_challenges(argument, taken, top[0], whole=whole),
     ]
     around = [
-        item
-        for item in argument.values()
-        if item.id not in taken and item.alias.partition(":")[0] in _KEPT_KINDS
+        element
+        for element in argument.values()
+        if element.id not in taken and element.alias.partition(":")[0] in _KEPT_KINDS
     ]
-    told = (*around, *(item for item in rest if item.kind == "Context"))
+    contexts = (*around, *(element for element in rest if element.kind == "Context"))
     root = own.pop(top[0])
     if root.kind != "Goal":
         _argument_error(
             user, "the top element is no goal", root.id, found=root.id, expected="a goal, G..."
         )
-    root = replace(root, in_context_of=(*root.in_context_of, *(item.id for item in told)))
-    kept = [item for item in argument.values() if item.id in taken]
-    found = {item.id: item for item in [root, *own.values(), *kept, *around, *rest]}
-    _check_rules(found, user)
-    return found
+    root = replace(root, in_context_of=(*root.in_context_of, *(element.id for element in contexts)))
+    kept = [element for element in argument.values() if element.id in taken]
+    merged = {element.id: element for element in [root, *own.values(), *kept, *around, *rest]}
+    _check_rules(merged, user)
+    return merged
 
 
 def _check_rules(argument: Argument, user: UserArgument) -> None:
-    for problem in rule_problems({id_: item.to_yaml() for id_, item in argument.items()}):
+    for problem in rule_problems({id_: element.to_yaml() for id_, element in argument.items()}):
         place, _, what = problem.partition(": ")
         _argument_error(
             user,
@@ -356,7 +355,7 @@ def _check_rules(argument: Argument, user: UserArgument) -> None:
 
 
 def _user_elements(argument: Argument, user: UserArgument) -> Argument:
-    aliases = {item.alias: id_ for id_, item in reversed(argument.items()) if item.alias}
+    aliases = {element.alias: id_ for id_, element in reversed(argument.items()) if element.alias}
     own: Argument = {}
     for id_, node in user["elements"].items():
         if id_ in argument:
@@ -376,7 +375,7 @@ def _user_element(
     id_: str, node: Mapping[str, Any], known: Mapping[str, str | None], user: UserArgument
 ) -> Element:
     def resolved(names: Iterable[str], key: str) -> tuple[str, ...]:
-        return tuple(_resolved_ids(item, f"{id_}.{key}", known, user) for item in names)
+        return tuple(_resolved_ids(reference, f"{id_}.{key}", known, user) for reference in names)
 
     keys = ("text", "supportedBy", "inContextOf", "challenges", "undeveloped", "defeated", "url")
     layers = _clean_text({key: value for key, value in node.items() if key not in keys})
@@ -396,21 +395,23 @@ def _user_element(
     )
 
 
-def _resolved_ids(given: str, key: str, known: Mapping[str, str | None], user: UserArgument) -> str:
-    if given in user["elements"]:
-        return given
+def _resolved_ids(
+    reference: str, key: str, known: Mapping[str, str | None], user: UserArgument
+) -> str:
+    if reference in user["elements"]:
+        return reference
     # An alias has a requirement's id as it is shown, and the user writes it as it is.
-    what, mark, named = given.partition(":")
-    text = given if given in known else f"{what}{mark}{name(named)}"
+    what, mark, named = reference.partition(":")
+    text = reference if reference in known else f"{what}{mark}{name(named)}"
     if text not in known:
         aliases = sorted(
-            item for item, id_ in known.items() if id_ and item.startswith("requirement")
+            alias for alias, id_ in known.items() if id_ and alias.startswith("requirement")
         )
         _argument_error(
             user,
             "this element does not exist",
             key,
-            found=given,
+            found=reference,
             expected="an id of this file, or of the generated argument, or an alias such as "
             f"{', '.join(aliases[:8]) or 'top'}",
             remedy="the ids and aliases stand in assurance-case.gsn.yaml",
@@ -422,15 +423,15 @@ def _clean_text(value: Any) -> Any:
     if isinstance(value, str):
         return visible(value)
     if isinstance(value, list):
-        return [_clean_text(item) for item in value]
+        return [_clean_text(element) for element in value]
     if isinstance(value, dict):
-        return {name(key): _clean_text(item) for key, item in value.items()}
+        return {name(key): _clean_text(element) for key, element in value.items()}
     return value
 
 
 def _unused_contexts(argument: Argument, taken: set[str]) -> Iterator[Element]:
     """One context for each requirement of which something is not taken up, with its counts."""
-    plain = {id_: item.to_yaml() for id_, item in argument.items()}
+    plain = {id_: element.to_yaml() for id_, element in argument.items()}
     for requirement in argument.values():
         what, _, named = requirement.alias.partition(":")
         if what != "requirement":
@@ -464,26 +465,26 @@ def _unused_contexts(argument: Argument, taken: set[str]) -> Iterator[Element]:
 
 def _unused_counts(left: list[Element]) -> dict[str, int]:
     goals = [element for element in left if element.alias.startswith("verdict:")]
-    told = {
+    counts = {
         verdict_status: sum(goal.layers["verdict"] == verdict_status for goal in goals)
         for verdict_status in _VERDICT_STATUSES
     }
-    told["requirements"] = sum(element.alias.startswith("requirement:") for element in left)
-    told["waived"] = sum(element.alias.startswith("waiver:") for element in left)
-    return told
+    counts["requirements"] = sum(element.alias.startswith("requirement:") for element in left)
+    counts["waived"] = sum(element.alias.startswith("waiver:") for element in left)
+    return counts
 
 
 def _top_challenges(
     argument: Argument, taken: set[str], top: str, *, whole: bool
 ) -> Iterator[Element]:
-    """What challenges the user's top goal: violations that it leaves out, and missing runs."""
+    """Challenges to the user's top goal: violations that it leaves out, and missing runs."""
     left = [
-        item.alias.partition(":")[2]
-        for item in argument.values()
-        if item.id not in taken
+        element.alias.partition(":")[2]
+        for element in argument.values()
+        if element.id not in taken
         and (
-            (item.defeated and item.alias.startswith("verdict:"))
-            or item.alias.startswith(COUNTEREXAMPLE_PREFIX)
+            (element.defeated and element.alias.startswith("verdict:"))
+            or element.alias.startswith(COUNTEREXAMPLE_PREFIX)
         )
     ]
     if left:

@@ -18,6 +18,7 @@ from pytest_dura.reports.wording import (
     evidence_option,
     fault_free_violations_text,
     model_options,
+    names_text,
     no_rate_reason,
     other_run_counts,
     replay_command,
@@ -26,7 +27,7 @@ from pytest_dura.reports.wording import (
 Data = Mapping[str, Any]
 
 MAX_TEXT = 400
-"""Characters of a text of a user's in an element; the record has all of it."""
+"""Characters of a user's text in an element; the record has all of it."""
 
 
 def percent_text(share: float) -> str:
@@ -42,7 +43,7 @@ def requirement_text(requirement: Data) -> str:
 
 
 def _bound_text(requirement: Data) -> str:
-    """What the requirement asks of a campaign."""
+    """The bound that the requirement sets a campaign."""
     pairs = requirement["paired"]
     what = "episodes"
     if pairs is not None:
@@ -62,7 +63,7 @@ def _place_text(case: str, component: str, *, several: bool) -> str:
 
 
 def _verdict_text(verdict: Data, *, several: bool) -> str:
-    """The proposition that a verdict is on."""
+    """The proposition that a verdict decides."""
     where = _place_text(verdict["case"], verdict["component"], several=several)
     bound = verdict["bound"]["at_most"]
     how = "holds in every valid episode of" if bound is None else "keeps its bound in"
@@ -75,7 +76,7 @@ def _evidence_text(verdict: Data) -> str:
     """The counts and the bound of a verdict, as they stand in the record."""
     what = "pairs" if verdict["pairs"] is not None else "episodes"
     runs = f"{verdict['run']} run, {verdict['planned']} planned"
-    told = [
+    parts = [
         ", ".join(
             [f"n = {verdict['episodes']} valid {what} of {runs}", *other_run_counts(verdict)]
         ),
@@ -83,12 +84,12 @@ def _evidence_text(verdict: Data) -> str:
         _upper_text(verdict),
     ]
     if verdict["margin"] is not None:
-        told.append(f"least margin {verdict['margin']:.4g}")
-    return "; ".join(told) + "."
+        parts.append(f"least margin {verdict['margin']:.4g}")
+    return "; ".join(parts) + "."
 
 
 def _short_evidence_text(verdict: Data) -> list[str]:
-    """The same in three lines of a few characters, for a circle of the picture."""
+    """Counts and bound in three lines of a few characters, for a circle of the picture."""
     upper = verdict["bound"]["upper"]
     bound = "no bound" if upper is None else f"≤ {percent_text(upper)}"
     return [f"n = {verdict['episodes']}", f"{verdict['violations']} violated", bound]
@@ -106,7 +107,7 @@ def _upper_text(verdict: Data) -> str:
 
 
 def _waiver_text(verdict: Data) -> str:
-    """The doubt that a waiver leaves, with the reason that somebody gave for it."""
+    """The doubt that a waiver leaves, with the reason given for it."""
     waiver = verdict["waiver"]
     reason = _as_sentence(str(waiver["reason"] or "none was given"))
     return (
@@ -119,8 +120,10 @@ def scenario_text(scenario: str, parameters: list[Data]) -> str:
     """A scenario of the operational domain, with its variation ranges."""
     if not parameters:
         return f"Scenario {name(scenario)}: no parameter varies."
-    told = [f"{name(parameter['parameter'])} {_range_text(parameter)}" for parameter in parameters]
-    return f"Scenario {name(scenario)}: {'; '.join(told)}."
+    ranges = [
+        f"{name(parameter['parameter'])} {_range_text(parameter)}" for parameter in parameters
+    ]
+    return f"Scenario {name(scenario)}: {'; '.join(ranges)}."
 
 
 def _range_text(parameter: Data) -> str:
@@ -147,12 +150,6 @@ def monitor_text(monitor: str, target: str, rows: list[Data]) -> str:
     )
 
 
-def names_text(names: list[str], most: int = 8) -> str:
-    """Names with commas; of many, the first few and how many more there are."""
-    text = ", ".join(name(item) for item in names[:most])
-    return f"{text} and {len(names) - most} more" if len(names) > most else text
-
-
 def _figure_text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, int | float) else name(str(value))
 
@@ -170,7 +167,7 @@ _MOST_NAMES = 8
 
 @dataclass
 class EpisodeFacts:
-    """Of all episodes, in bounded memory.
+    """Facts of all episodes, in bounded memory.
 
     Args:
         policies: Recovery policies of the cases on which there is a verdict.
@@ -187,19 +184,19 @@ class EpisodeFacts:
     @classmethod
     def of(cls, record: SessionRecord) -> EpisodeFacts:
         """One pass over the record's episodes."""
-        told = cls()
-        wanted = {
+        facts = cls()
+        shown = {
             (counterexample["episode"], verdict["component"])
             for verdict in record["verdicts"]
             for counterexample in _shown_counterexamples(verdict)
         }
         judged = {verdict["case"] for verdict in record["verdicts"]}
         for episode in record.episodes():
-            told._take(episode, judged=episode["case"] in judged)
+            facts._take(episode, judged=episode["case"] in judged)
             key = (episode["id"], episode["component"])
-            if key in wanted:
-                told.counterexamples[key] = {"seed": episode["seed"], "trace": episode["trace"]}
-        return told
+            if key in shown:
+                facts.counterexamples[key] = {"seed": episode["seed"], "trace": episode["trace"]}
+        return facts
 
     def _take(self, episode: Data, *, judged: bool) -> None:
         spec, seed = episode["spec"], episode["seed"]
@@ -253,7 +250,7 @@ def verdict_elements(
         if seen[key] > 1:
             apart = (*apart, str(seen[key]))
         shown = (verdict["case"], verdict["component"]) not in folded
-        yield _VerdictBuilder(record, facts, index, verdict, apart, several, shown).judged()
+        yield _VerdictBuilder(record, facts, index, verdict, apart, several, shown).build()
 
 
 @dataclass(frozen=True)
@@ -297,7 +294,7 @@ class _VerdictBuilder:
             anchor = verdict_anchor(requirement, self.verdict["case"])
         return {"report": f"report.html#{anchor}", "verdict": self.verdict["verdict"]}
 
-    def judged(self) -> VerdictElements:
+    def build(self) -> VerdictElements:
         """The verdict with all its elements."""
         undecided = self.verdict["verdict"] == "undecided"
         waived = self.verdict["waiver"] is not None
@@ -306,7 +303,7 @@ class _VerdictBuilder:
         support = [] if undecided else [self._solution()]
         waiver = [self._waiver()] if waived else []
         challenge = list(self._challenge()) if contested else []
-        goal = self._goal([item.id for item in support], [item.id for item in waiver])
+        goal = self._goal([element.id for element in support], [element.id for element in waiver])
         return VerdictElements(
             self.verdict,
             goal.id,
@@ -356,7 +353,10 @@ class _VerdictBuilder:
     def _challenge(self) -> Iterator[Element]:
         """A counter goal, and the counterexamples or else the verdict's entry to support it."""
         counterexamples = _shown_counterexamples(self.verdict)
-        evidence = [self._counterexample(i, item) for i, item in enumerate(counterexamples)]
+        evidence = [
+            self._counterexample(i, counterexample)
+            for i, counterexample in enumerate(counterexamples)
+        ]
         if not evidence:
             text = _evidence_text(self.verdict)
             short = tuple(_short_evidence_text(self.verdict))
@@ -364,7 +364,7 @@ class _VerdictBuilder:
         yield Element(
             self.identifier("CG"),
             self._challenge_text(len(counterexamples)),
-            supported_by=tuple(item.id for item in evidence),
+            supported_by=tuple(element.id for element in evidence),
             challenges=self.identifier("G"),
             url=self.url,
             alias=self.alias("challenge"),
@@ -378,7 +378,7 @@ class _VerdictBuilder:
             return f"{verdict['without_effect']} violate it", "without effect"
         return f"{verdict['violations']} of {verdict['episodes']}", "violate it"
 
-    def _challenge_text(self, told: int) -> str:
+    def _challenge_text(self, listed: int) -> str:
         verdict = self.verdict
         how = {
             "violated": "",
@@ -386,8 +386,8 @@ class _VerdictBuilder:
             "undecided": ", which decide nothing yet",
         }[verdict["verdict"]]
         what = "pairs" if verdict["pairs"] is not None else "episodes"
-        rest = len(verdict["counterexamples"]) - told
-        more = f" {rest} more stand in the record." if told and rest > 0 else ""
+        rest = len(verdict["counterexamples"]) - listed
+        more = f" {rest} more stand in the record." if listed and rest > 0 else ""
         if verdict["without_effect"] and not verdict["violations"]:
             return (
                 f"{verdict['without_effect']} of {verdict['invalid']} invalid {what} violate "
@@ -398,20 +398,24 @@ class _VerdictBuilder:
             f"{self.requirement} in {self.where}{how}{fault_free_violations_text(verdict)}.{more}"
         )
 
-    def _counterexample(self, index: int, item: Data) -> Element:
-        episode = item["episode"]
-        when = "" if item["time"] is None else f" at {item['time']:.4g} s"
-        margin = "" if item["margin"] is None else f", margin {item['margin']:.4g}"
-        known = self.facts.counterexamples.get((episode, self.verdict["component"]), {})
-        seed = f", seed {known['seed']}" if known else ""
-        effect = "" if item["valid"] else ", without effect of the fault"
-        trace = known.get("trace")
-        given = evidence_option(self.record["command"])
+    def _counterexample(self, index: int, counterexample: Data) -> Element:
+        episode = counterexample["episode"]
+        when = "" if counterexample["time"] is None else f" at {counterexample['time']:.4g} s"
+        margin = (
+            "" if counterexample["margin"] is None else f", margin {counterexample['margin']:.4g}"
+        )
+        facts = self.facts.counterexamples.get((episode, self.verdict["component"]), {})
+        seed = f", seed {facts['seed']}" if facts else ""
+        effect = "" if counterexample["valid"] else ", without effect of the fault"
+        trace = facts.get("trace")
+        evidence = evidence_option(self.record["command"])
         models = {
             key: name(model_option)
             for key, model_option in model_options(self.record["command"]).items()
         }
-        command = replay_command(name(episode), None if given is None else name(given), models)
+        command = replay_command(
+            name(episode), None if evidence is None else name(evidence), models
+        )
         layers = {"replay": command}
         if trace is not None:
             layers["trace"] = name(str(trace["file"]))

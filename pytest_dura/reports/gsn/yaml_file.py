@@ -9,12 +9,12 @@ from typing import Any, NoReturn
 from pytest_dura.evidence.model import Counts, SessionRecord
 from pytest_dura.reports.gsn.element import rule_problems
 from pytest_dura.reports.gsn.user_argument import session_argument
-from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 
 FILE = "assurance-case.gsn.yaml"
 _MODULE = "module"
 _UNUSED = "unused:"
-"""How the alias of an element begins that tells what a user's argument leaves out."""
+"""Beginning of the alias of an element on what a user's argument leaves out."""
 
 _MAX_DEPTH = 16
 _STATED = ("cases", "episodes", "valid", "invalid", "missing")
@@ -29,7 +29,7 @@ def render(record: SessionRecord) -> str:
     """
     import yaml
 
-    elements = {id_: item.to_yaml() for id_, item in session_argument(record).items()}
+    elements = {id_: element.to_yaml() for id_, element in session_argument(record).items()}
     problems = rule_problems(elements)
     if problems:
         raise ValueError(f"the argument breaks a rule: {problems[0]}")
@@ -72,7 +72,7 @@ def elements_of(text: str) -> dict[str, Any]:
     """
     import yaml
 
-    # The one of libyaml is ten times as fast and reads the same; not every build has it.
+    # The loader of libyaml is ten times as fast and reads the same; not every build has it.
     kind = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     loader = None
     try:
@@ -87,7 +87,9 @@ def elements_of(text: str) -> dict[str, Any]:
             loader.dispose()
     if not isinstance(node, yaml.MappingNode) or not isinstance(data, dict):
         _reading_error("no mapping of elements")
-    twice = [key for key, n in Counter(item.value for item, _ in node.value).items() if n > 1]
+    twice = [
+        key for key, n in Counter(key_node.value for key_node, _ in node.value).items() if n > 1
+    ]
     if twice:
         _reading_error(f"{twice[0]} stands twice")
     if not isinstance(data.pop(_MODULE, None), dict):

@@ -21,30 +21,30 @@ _MAX_READABLE = 80
 
 
 def requirement_anchor(requirement: str) -> str:
-    """Of a requirement and all its verdicts. It is there for each requirement of the record."""
+    """Anchor of a requirement and its verdicts; the report has each requirement of the record."""
     return anchor("requirement", requirement)
 
 
 def verdict_anchor(requirement: str, case: str) -> str:
-    """Of the first verdict on a requirement and a case.
+    """Anchor of the first verdict on a requirement and a case.
 
-    It is there for each such pair, unless the case is folded; see :func:`folded_cases`.
+    The report has it for each such pair, unless the case is folded; see :func:`folded_cases`.
     """
     return anchor("verdict", requirement, case)
 
 
 def case_anchor(case: str) -> str:
-    """Of a case among the scenarios. It is there for each case of the record that is not folded."""
+    """Anchor of a case among the scenarios; the report has each case that is not folded."""
     return anchor("case", case)
 
 
 def _episode_anchor(episode: str, component: str) -> str:
-    """Of an episode in the list, which is bounded: of many episodes not all are there."""
+    """Anchor of an episode in the list, which is bounded: of many episodes not all are there."""
     return anchor("episode", episode, component)
 
 
 def player_anchor(episode: str, component: str) -> str:
-    """Of an episode's player. Only a bounded number of episodes has one."""
+    """Anchor of an episode's player; a bounded number of episodes has one."""
     return anchor("player", episode, component)
 
 
@@ -67,13 +67,13 @@ CaseKey = tuple[str, str]
 """Id of a case, and the component's name."""
 
 MAX_PLAIN_CASES = 1000
-"""Cases of which there is nothing to tell that have rows of their own."""
+"""Cases without anything to report that have rows of their own."""
 
 
 def folded_cases(record: SessionRecord) -> frozenset[CaseKey]:
     """The cases that have no rows of their own, by id and component: the last of too many.
 
-    Those alone of which there is nothing to tell: each of their requirements is judged, and
+    Only cases without anything to report are folded: each of their requirements is judged, and
     supported at the first attempt without a waiver or any violation; every planned episode was run
     and is valid, and none collided. Whatever else is there is shown, however much it is.
     """
@@ -130,30 +130,30 @@ MAX_LISTED = 1000
 _MAX_DOTS = 200
 """Runs of a case that are drawn one by one."""
 UNREMARKABLE = 4
-"""Rank of an episode of which there is nothing to tell."""
+"""Rank of a valid episode without a violation, flag, collision or gridlock."""
 _MAX_CANDIDATES = 36
 """Episodes among which those with a player are chosen; the traces of some may be damaged."""
 
 
 @dataclass
 class CaseTally:
-    """What the episodes of a case with one component come to.
+    """Counts of the episodes of a case with one component.
 
     Args:
-        words: Of all episodes, those chosen by hand included, how many are valid, invalid, missing.
+        validities: How many episodes are valid, invalid and missing, those run by hand included.
         times: Clearance times in s of the first valid planned runs that cleared.
         cleared: How many there are of these.
         outcomes: Of each fault, how many planned episodes came to which outcome.
     """
 
-    words: Counter[str] = field(default_factory=Counter)
+    validities: Counter[str] = field(default_factory=Counter)
     times: list[float] = field(default_factory=list)
     cleared: int = 0
     outcomes: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
     def add(self, episode: Data) -> None:
         """Count one more episode."""
-        self.words[episode["validity"]] += 1
+        self.validities[episode["validity"]] += 1
         if not episode["planned"]:
             return
         for fault in episode["faults"]:
@@ -189,7 +189,7 @@ class ListedEpisode:
 
 @dataclass
 class ReportContents:
-    """All that the report says of single episodes, bounded whatever their number.
+    """Single episodes that the report shows, bounded whatever their number.
 
     Args:
         cases: By case id and component, in the order in which they were met.
@@ -209,7 +209,7 @@ class ReportContents:
     def of(cls, record: SessionRecord) -> ReportContents:
         """Read the record's episodes once."""
         violating = _violations_by_episode(record)
-        wanted = {key: place for place, key in enumerate(_worst_in_turn(record))}
+        turns = {key: place for place, key in enumerate(_worst_in_turn(record))}
         cases: dict[CaseKey, CaseTally] = {}
         listed: list[tuple[int, int, ListedEpisode]] = []
         candidates: list[tuple[int, int, ListedEpisode]] = []
@@ -224,11 +224,11 @@ class ReportContents:
             shown = ListedEpisode(_rank(episode, violates), index, _brief(episode), violates)
             _keep_lowest(listed, shown.rank, shown, MAX_LISTED)
             if episode["trace"] is not None:
-                turn = wanted.get(key)
+                turn = turns.get(key)
                 if turn is None:
                     # One of each case after all that violate something, then a second one...
                     of_case = episode["case"], episode["component"]
-                    turn = len(wanted) + sampled[of_case]
+                    turn = len(turns) + sampled[of_case]
                     sampled[of_case] += 1
                 _keep_lowest(candidates, turn, shown, _MAX_CANDIDATES)
         return cls(cases, _in_order(listed), total, _in_order(candidates), folded_cases(record))
@@ -236,13 +236,15 @@ class ReportContents:
 
 def _violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:
     """Requirements that each episode violated, by its id and component."""
-    found: dict[CaseKey, list[str]] = {}
+    violations: dict[CaseKey, list[str]] = {}
     for verdict in record["verdicts"]:
         for counterexample in verdict["counterexamples"]:
-            setdefault = found.setdefault((counterexample["episode"], verdict["component"]), [])
-            if verdict["requirement"] not in setdefault:
-                setdefault.append(verdict["requirement"])
-    return found
+            requirements = violations.setdefault(
+                (counterexample["episode"], verdict["component"]), []
+            )
+            if verdict["requirement"] not in requirements:
+                requirements.append(verdict["requirement"])
+    return violations
 
 
 def _worst_in_turn(record: SessionRecord) -> Iterator[CaseKey]:
@@ -274,7 +276,7 @@ _SHOWN_KEYS = (
 
 
 def _brief(episode: Data) -> Data:
-    """What is shown of an episode: a thousand whole records would take much memory."""
+    """The part of an episode that is shown: a thousand whole records would take much memory."""
     critical = [event["detail"] for event in episode["events"] if event["kind"] == "critical"]
     kept = {key: episode[key] for key in _SHOWN_KEYS}
     return {**kept, "run": episode["spec"]["run"], "critical": critical[0] if critical else ""}
@@ -308,11 +310,11 @@ class EpisodeLinks:
     listed: dict[CaseKey, str]
 
     @classmethod
-    def of(cls, gathered: ReportContents, players: Collection[CaseKey]) -> EpisodeLinks:
-        """Of what was gathered, and of the episodes with a player."""
+    def of(cls, contents: ReportContents, players: Collection[CaseKey]) -> EpisodeLinks:
+        """The anchors of the episodes that are listed, and of those with a player."""
         return cls(
             {key: player_anchor(*key) for key in players},
-            {episode.key: _episode_anchor(*episode.key) for episode in gathered.listed},
+            {episode.key: _episode_anchor(*episode.key) for episode in contents.listed},
         )
 
     def of_episode(self, episode: str, component: str) -> str | None:

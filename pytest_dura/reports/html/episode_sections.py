@@ -32,12 +32,13 @@ from pytest_dura.reports.tables import (
     percent_text,
 )
 
+Data = Mapping[str, Any]
 Heading = Mapping[str, Any]
 """``label``, ``below`` (a second line, or empty) and ``anchor`` (or ``None``)."""
 
 
 def heading(label: str, below: str = "", anchor: str | None = None) -> Heading:
-    """What a row or column is."""
+    """Heading of a row or column."""
     return {"label": label, "below": below, "anchor": anchor}
 
 
@@ -45,7 +46,7 @@ def matrix(
     requirements: Sequence[Heading],
     places: Sequence[Heading],
     cell: Callable[[int, int], Any],
-    place: str,
+    corner: str,
 ) -> Mapping[str, Any]:
     """``corner``, ``columns`` and ``rows``; whichever there is less of stands in the columns.
 
@@ -53,7 +54,7 @@ def matrix(
         requirements: Their headings.
         places: Headings of what they are held against.
         cell: What stands at the numbers of a requirement and a place.
-        place: What a place is called.
+        corner: What the places are, above their column.
     """
     if len(places) <= len(requirements):
         rows = [
@@ -65,7 +66,7 @@ def matrix(
         {**place, "cells": [cell(i, j) for i in range(len(requirements))]}
         for j, place in enumerate(places)
     ]
-    return {"corner": place, "columns": requirements, "rows": rows}
+    return {"corner": corner, "columns": requirements, "rows": rows}
 
 
 CHART_LEFT, CHART_RIGHT, CHART_TOP = 8.0, 712.0, 8.0
@@ -160,10 +161,7 @@ def _chart_x(value: float, scale: float) -> float:
     return round(CHART_LEFT + value * scale, 1)
 
 
-Data = Mapping[str, Any]
-
-
-def scenario_section(record: SessionRecord, gathered: ReportContents, _links: EpisodeLinks) -> Data:
+def scenario_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
     """One row for each case and component, and the chart where anything was cleared.
 
     Arms that lack a role come last: they are there to be compared with.
@@ -172,10 +170,10 @@ def scenario_section(record: SessionRecord, gathered: ReportContents, _links: Ep
     rows = []
     chart = []
     anchors: set[str] = set()
-    shown, rest = split_folded(cases, gathered.folded, "id")
+    shown, rest = split_folded(cases, contents.folded, "id")
     for case in shown:
         anchor = case_anchor(case["id"])
-        tally = gathered.cases.get((case["id"], case["component"]), CaseTally())
+        tally = contents.cases.get((case["id"], case["component"]), CaseTally())
         rows.append({**case, "anchor": None if anchor in anchors else anchor})
         anchors.add(anchor)
         if tally.times and not case["without"]:
@@ -185,12 +183,12 @@ def scenario_section(record: SessionRecord, gathered: ReportContents, _links: Ep
             )
     return {
         "groups": [
-            {"arms": arms, "rows": found, "folded": _folded_sums(folded)}
+            {"arms": arms, "rows": group, "folded": _folded_sums(folded)}
             for arms in (False, True)
-            if (found := [row for row in rows if bool(row["without"]) is arms])
+            if (group := [row for row in rows if bool(row["without"]) is arms])
             + (folded := [row for row in rest if bool(row["without"]) is arms])
         ],
-        "overall": [item for item in record["overall"] if item["cases"] > 1],
+        "overall": [total for total in record["overall"] if total["cases"] > 1],
         "several": len({case["component"] for case in cases}) > 1,
         "users": sorted({name for case in cases for name in case["metrics"]["user"]}),
         "chart": clearance_chart(chart) if chart else None,
@@ -213,15 +211,15 @@ def _folded_sums(cases: list[Data]) -> Data:
 
 BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0
 _MAX_BARS = 20
-"""A list of choices may be long."""
+"""Bars of a parameter; a list of choices may be long."""
 
 
-def coverage_section(record: SessionRecord, gathered: ReportContents, _links: EpisodeLinks) -> Data:
+def coverage_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
     """The matrix of cells, and the bars of each varied parameter."""
     coverage = record["coverage"]
     requirements = [requirement["id"] for requirement in record["requirements"]]
     places: dict[tuple[str, str], dict[str, list[str | None]]] = {}
-    shown, rest = _split_folded_cells(coverage["cells"], gathered.folded)
+    shown, rest = _split_folded_cells(coverage["cells"], contents.folded)
     for cell in shown:
         row = places.setdefault((cell["scenario"], cell["faults"]), {})
         row.setdefault(cell["requirement"], []).append(cell["verdict"])
@@ -258,11 +256,11 @@ def _split_folded_cells(
     cells: list[Data], folded: frozenset[CaseKey]
 ) -> tuple[list[Data], list[Data]]:
     """The cells of places that are shown, and of those of which all cells are of folded cases."""
-    untold = {
+    places = {
         _scenario_key(cell) for cell in cells if (cell["case"], cell["component"]) not in folded
     }
-    shown = [cell for cell in cells if _scenario_key(cell) in untold]
-    return shown, [cell for cell in cells if _scenario_key(cell) not in untold]
+    shown = [cell for cell in cells if _scenario_key(cell) in places]
+    return shown, [cell for cell in cells if _scenario_key(cell) not in places]
 
 
 def _scenario_key(cell: Data) -> tuple[str, str]:
@@ -270,20 +268,20 @@ def _scenario_key(cell: Data) -> tuple[str, str]:
 
 
 def _cell_key(verdict: Data) -> tuple[str, str, str]:
-    """What a cell and the verdicts on it have in common."""
+    """Key that a cell and the verdicts on it have in common."""
     return verdict["requirement"], verdict["case"], verdict["component"]
 
 
-def _parameter_bars(item: Data) -> Data:
-    choices = item["choices"]
-    counts = item["bins"] if choices is None else [choice["count"] for choice in choices]
+def _parameter_bars(parameter: Data) -> Data:
+    choices = parameter["choices"]
+    counts = parameter["bins"] if choices is None else [choice["count"] for choice in choices]
     highest = max([*counts, 1])
     bars = []
     for place, count in enumerate(counts[:_MAX_BARS]):
         height = round(BIN_HEIGHT * count / highest, 1)
         bars.append({"x": place * BIN_WIDTH, "y": BIN_HEIGHT - height, "height": height})
     return {
-        **item,
+        **parameter,
         "counts": counts,
         "bars": bars,
         "width": BIN_WIDTH * len(bars),
@@ -296,20 +294,20 @@ _HEAT_STEPS = (0.0, 0.05, 0.25, 0.5)
 """Shares of violating episodes above which a cell of the map is a step darker."""
 
 
-def fault_section(record: SessionRecord, gathered: ReportContents, _links: EpisodeLinks) -> Data:
+def fault_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
     """The map of faults and requirements, and one row for each fault of each case."""
     chains = []
-    shown, rest = split_folded(record["cases"], gathered.folded, "id")
+    shown, rest = split_folded(record["cases"], contents.folded, "id")
     for case in shown:
-        tally = gathered.cases.get((case["id"], case["component"]), CaseTally())
+        tally = contents.cases.get((case["id"], case["component"]), CaseTally())
         for fault in case["metrics"]["faults"]:
             outcomes = sorted(tally.outcomes.get(fault["id"], Counter()).items())
             chains.append({**fault, "case": case, "outcomes": outcomes})
     named = {name for case in shown for name in _fault_names(case)}
-    left = {name for case in rest for name in _fault_names(case)} - named
+    left_out = {name for case in rest for name in _fault_names(case)} - named
     return {
-        "heat": _heat_map(record, left),
-        "left_out": len(left),
+        "heat": _heat_map(record, left_out),
+        "left_out": len(left_out),
         "chains": chains,
         "folded": sum(len(case["metrics"]["faults"]) for case in rest),
     }
@@ -338,9 +336,9 @@ def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
         names.update(dict.fromkeys(ids or [_NO_FAULT]))
     for verdict in record["verdicts"]:
         ids = faults_of.get((verdict["case"], verdict["component"])) or [_NO_FAULT]
-        for item in ids:
-            names.setdefault(item)
-            cells[item, verdict["requirement"]].append(verdict)
+        for fault in ids:
+            names.setdefault(fault)
+            cells[fault, verdict["requirement"]].append(verdict)
     order = sorted(names.keys() - left_out, key=lambda name: (name != _NO_FAULT, name))
     requirements = [requirement["id"] for requirement in record["requirements"]]
     return matrix(
@@ -365,20 +363,20 @@ def _heat_cell(verdicts: list[Data] | None) -> Data:
     return {"word": "", "step": step, "doubt": doubt, **counts}
 
 
-def episode_section(record: SessionRecord, gathered: ReportContents, links: EpisodeLinks) -> Data:
+def episode_section(record: SessionRecord, contents: ReportContents, links: EpisodeLinks) -> Data:
     """Rows of counts, which together count each episode once, and rows of single episodes."""
-    left = dict(gathered.cases)
+    remaining = dict(contents.cases)
     counts = []
     folded: list[tuple[Data, int]] = []
     for case in record["cases"]:
         key = case["id"], case["component"]
-        tally = left.pop(key, CaseTally())
-        if key in gathered.folded and tally.words["valid"] == tally.words.total():
-            folded.append((case, tally.words.total()))
+        tally = remaining.pop(key, CaseTally())
+        if key in contents.folded and tally.validities["valid"] == tally.validities.total():
+            folded.append((case, tally.validities.total()))
         else:
             counts.append(_case_counts(key, tally, case))
     # Episodes of a case that the record does not list are counted all the same.
-    counts += [_case_counts(key, tally, None) for key, tally in left.items()]
+    counts += [_case_counts(key, tally, None) for key, tally in remaining.items()]
     anchors: set[str] = set()
     return {
         "counts": counts,
@@ -387,20 +385,20 @@ def episode_section(record: SessionRecord, gathered: ReportContents, links: Epis
             "planned": sum(case["planned"] for case, _ in folded),
             "run": sum(run for _, run in folded),
         },
-        "several": len({key[1] for key in gathered.cases}) > 1,
-        "total": gathered.total,
-        "shown": len(gathered.listed),
+        "several": len({key[1] for key in contents.cases}) > 1,
+        "total": contents.total,
+        "shown": len(contents.listed),
         "rows": [
-            _episode_row(item, links, anchors)
-            for item in gathered.listed
-            if item.rank < UNREMARKABLE
+            _episode_row(episode, links, anchors)
+            for episode in contents.listed
+            if episode.rank < UNREMARKABLE
         ],
         "others": [
-            _episode_row(item, links, anchors)
-            for item in gathered.listed
-            if item.rank == UNREMARKABLE
+            _episode_row(episode, links, anchors)
+            for episode in contents.listed
+            if episode.rank == UNREMARKABLE
         ],
-        "left_out": gathered.total - len(gathered.listed),
+        "left_out": contents.total - len(contents.listed),
     }
 
 
@@ -413,8 +411,8 @@ def _case_counts(key: CaseKey, tally: CaseTally, case: Data | None) -> Data:
         "planned": None if case is None else case["planned"],
         "never": [] if case is None else case["missing_runs"],
         "never_total": 0 if case is None else case["missing_runs_total"],
-        "run": tally.words.total(),
-        **{name: tally.words[name] for name in ("valid", "invalid", "missing")},
+        "run": tally.validities.total(),
+        **{name: tally.validities[name] for name in ("valid", "invalid", "missing")},
     }
 
 
@@ -434,11 +432,11 @@ def _episode_row(episode: ListedEpisode, links: EpisodeLinks, anchors: set[str])
 
 
 MAX_MODE_ROWS = 500
-"""Of single cases; the record has all."""
+"""Rows of single cases; the record has all."""
 
 
 def failure_mode_section(
-    record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks
+    record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
     """A table over all cases for each component that gave accounts, and one of single cases."""
     cases = record["cases"]
@@ -463,19 +461,19 @@ def failure_mode_section(
     }
 
 
-def _failure_mode_row(item: Data) -> dict[str, Any]:
+def _failure_mode_row(mode: Data) -> dict[str, Any]:
     return {
-        **item,
-        "words": failure_mode_text(item["name"]),
-        "percent": percent_text(item["share"]),
-        "null_percent": percent_text(item["null_share"]),
-        "at_most": percent_text(item.get("upper")),
+        **mode,
+        "words": failure_mode_text(mode["name"]),
+        "percent": percent_text(mode["share"]),
+        "null_percent": percent_text(mode["null_share"]),
+        "at_most": percent_text(mode.get("upper")),
     }
 
 
 def _failure_mode_groups(rows: list[dict[str, Any]]) -> list[Data]:
     return [
-        {"heading": heading, "rows": found}
+        {"heading": heading, "rows": group}
         for kind, heading in FAILURE_MODE_HEADINGS.items()
-        if (found := [row for row in rows if row["kind"] == kind])
+        if (group := [row for row in rows if row["kind"] == kind])
     ]

@@ -26,18 +26,19 @@ from pytest_dura.reports.html.contents import (
 )
 from pytest_dura.reports.html.player import content_hash
 from pytest_dura.reports.wording import model_options, replay_command
-from pytest_dura.requirements.verdicts.campaigns import CAMPAIGN_STATUSES
+from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
 
 
+Data = Mapping[str, Any]
 _NO_VALUE = "\N{EN DASH}"
 
 
 def _number_text(value: float | None, digits: int = 3) -> str:
-    """With so many significant digits; an integer as it is."""
+    """A number with so many significant digits; an integer as it is."""
     if value is None:
         return _NO_VALUE
     if isinstance(value, int) or float(value).is_integer():
@@ -62,7 +63,7 @@ def _share_text(part: int, whole: int) -> str:
 
 
 def _size_text(count: int) -> str:
-    """Of a file: ``12 kB``."""
+    """Size of a file: ``12 kB``."""
     if count < 1000:
         return f"{count} B"
     return f"{count / 1000:.0f} kB" if count < 1_000_000 else f"{count / 1e6:.1f} MB"
@@ -76,12 +77,12 @@ def _time_text(text: str) -> str:
 
 
 def _line_text(text: str, limit: int = LINE) -> str:
-    """On one line; of a very long text only the beginning is looked at."""
+    """A text on one line; of a very long text only the beginning is looked at."""
     return one_line(text, limit) if len(text) < 50_000 else visible(text, limit)
 
 
 def _replay_text(episode: str, session: str) -> str:
-    """What runs one episode again, with ``DIR`` for the folder that holds the evidence."""
+    """The command that runs an episode again, with ``DIR`` for the folder of the evidence."""
     return replay_command(episode, "DIR", model_options(session))
 
 
@@ -102,10 +103,7 @@ FILTERS: Mapping[str, Any] = {
     "replay": _replay_text,
     "role": _role_name,
 }
-"""What templates may call."""
-
-
-Data = Mapping[str, Any]
+"""Filters of the templates."""
 
 MAX_PLAYERS = 12
 MAX_CHARACTERS = 6_000_000
@@ -113,7 +111,7 @@ MAX_CHARACTERS = 6_000_000
 
 @dataclass
 class Players:
-    """What is embedded of traces, and what could not be.
+    """The players of a report, and the traces that could not be read.
 
     Args:
         rows: In the page's order: the episode with ``anchor``, ``packed`` (the player's text, or
@@ -146,13 +144,13 @@ def embed_players(record: SessionRecord, candidates: Sequence[ListedEpisode]) ->
         packed, problem = None, ""
         try:
             packed = _packed_trace(record, candidate)
-        except Exception as error:  # told in the trace's place
+        except Exception as error:  # shown in the trace's place
             problem = describe_error(error)
         if packed is not None and len(packed) > room:
             continue
-        told = {**candidate.episode, "violates": candidate.violates, "problem": problem}
-        told["packed"] = None if packed is None else _plain_base64(packed)
-        players.rows.append({**told, "anchor": player_anchor(*candidate.key)})
+        row = {**candidate.episode, "violates": candidate.violates, "problem": problem}
+        row["packed"] = None if packed is None else _plain_base64(packed)
+        players.rows.append({**row, "anchor": player_anchor(*candidate.key)})
         if packed is not None:
             room -= len(packed)
             players.shown.append(candidate.key)
@@ -180,33 +178,33 @@ def _packed_trace(record: SessionRecord, episode: ListedEpisode) -> str:
 
 
 def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[Data]:
-    """What the record says of this very episode, its violations first."""
+    """The verdicts on an episode, its violations first."""
     violated: list[Data] = []
     others: list[Data] = []
     for verdict in record["verdicts"]:
         case = verdict["case"], verdict["component"]
         if case != (episode.episode["case"], episode.episode["component"]):
             continue
-        told = {"requirement": verdict["requirement"], "check": verdict["check"]}
-        against = [
+        row = {"requirement": verdict["requirement"], "check": verdict["check"]}
+        violations = [
             counterexample
             for counterexample in verdict["counterexamples"]
             if counterexample["episode"] == episode.episode["id"]
         ]
-        if against and episode.violates:
-            told |= {"time": against[0]["time"], "margin": against[0]["margin"]}
-            note = "" if against[0]["valid"] else "without effect of the fault"
-            violated.append({**told, "verdict": "violated", "note": note})
+        if violations and episode.violates:
+            row |= {"time": violations[0]["time"], "margin": violations[0]["margin"]}
+            note = "" if violations[0]["valid"] else "without effect of the fault"
+            violated.append({**row, "verdict": "violated", "note": note})
         else:
-            word, note = _satisfied_verdict(verdict, episode.episode)
-            others.append({**told, "verdict": word, "note": note})
+            status, note = _satisfied_verdict(verdict, episode.episode)
+            others.append({**row, "verdict": status, "note": note})
     return violated + others
 
 
 def _satisfied_verdict(verdict: Data, episode: Data) -> tuple[str, str]:
-    """What a verdict says of an episode that is none of its counterexamples, and a note on it.
+    """A verdict's status on an episode that is none of its counterexamples, and a note on it.
 
-    The record names single episodes where they violate; of others it tells the sum.
+    The record names single episodes where they violate; of others it has the sums.
     """
     # Another requirement on the case may have needed more runs than this one looked at.
     beyond = verdict["check"] and episode["run"] >= verdict["run"]
@@ -260,30 +258,30 @@ _SECTIONS: Mapping[str, Section] = {
     "episodes": episode_sections.episode_section,
     "provenance": verdict_sections.provenance_section,
 }
-"""By the name of their template, in the order of the page."""
+"""Sections by the name of their template, in the order of the page."""
 
 
 def render(record: SessionRecord) -> str:
-    """The page as a text. It reads the bundle's traces, and tells of those it cannot read."""
-    gathered = ReportContents.of(record)
-    players = embed_players(record, gathered.candidates)
-    links = EpisodeLinks.of(gathered, players.shown)
+    """The page as a text. It reads the bundle's traces, and names those that it cannot read."""
+    contents = ReportContents.of(record)
+    players = embed_players(record, contents.candidates)
+    links = EpisodeLinks.of(contents, players.shown)
     scripts = [_asset("report.js")]
     styles = [_asset("report.css")]
     if players.shown:
         scripts.insert(0, players.script)
         styles.insert(0, players.style)
-    told = {name: section(record, gathered, links) for name, section in _SECTIONS.items()}
+    sections = {name: section(record, contents, links) for name, section in _SECTIONS.items()}
     template = _environment().get_template("report.html")
     return template.render(
         record=record.head,
         links=links,
         players=players,
-        gathered=gathered,
+        contents=contents,
         scripts=_inline(scripts),
         styles=_inline(styles),
         policy=_content_policy(scripts, styles),
-        **told,
+        **sections,
     )
 
 
@@ -305,7 +303,7 @@ def _environment() -> Environment:
 
 
 def _finalized(value: Any) -> Any:
-    """What a template writes of a value; markup that a template made stays as it is."""
+    """A value as a template writes it; markup that a template made stays as it is."""
     if value is None:
         return ""
     if type(value) is str:
@@ -375,15 +373,17 @@ def read_counts(text: str) -> Counts:
         valid=episodes["valid"],
         invalid=episodes["invalid"],
         missing=episodes["missing"],
-        **{campaign_status: page.words[campaign_status] for campaign_status in CAMPAIGN_STATUSES},
+        **{
+            campaign_status: page.statuses[campaign_status] for campaign_status in CAMPAIGN_STATUSES
+        },
         waived=page.waived,
     )
 
 
-def _read_gate(found: list[str]) -> str:
-    if len(set(found)) != 1 or found[0] not in _GATE_RESULTS:
-        raise ValueError(f"the gate's result is {' and '.join(found) or 'missing'}")
-    return found[0]
+def _read_gate(gates: list[str]) -> str:
+    if len(set(gates)) != 1 or gates[0] not in _GATE_RESULTS:
+        raise ValueError(f"the gate's result is {' and '.join(gates) or 'missing'}")
+    return gates[0]
 
 
 @dataclass
@@ -392,14 +392,14 @@ class _TableRow:
 
     kinds: list[str]
     cells: list[str] = field(default_factory=list)
-    words: list[str] = field(default_factory=list)
+    statuses: list[str] = field(default_factory=list)
     waived: bool = False
     folded: int = 0
-    """What the row stands for that has none."""
+    """Verdicts or cases that the row stands for."""
 
 
 class _PageParser(HTMLParser):
-    """The rows of the two tables that count, and the words for the gate."""
+    """Parser of the two tables that are counted, and of the gate's result."""
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)
@@ -408,7 +408,7 @@ class _PageParser(HTMLParser):
         self.requirements = 0
         self.cases = 0
         self.waived = 0
-        self.words: Counter[str] = Counter()
+        self.statuses: Counter[str] = Counter()
         self.episodes: Counter[str] = Counter()
         self._table = ""
         self._columns: list[str] = []
@@ -417,10 +417,10 @@ class _PageParser(HTMLParser):
         self._marked = ""
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
-        kinds = (found.get("class") or "").split()
+        attributes = dict(attrs)
+        kinds = (attributes.get("class") or "").split()
         if tag == "table":
-            self._table = found.get("id") or ""
+            self._table = attributes.get("id") or ""
             self.seen.add(self._table)
             self._columns = []
         elif tag == "tbody":
@@ -437,38 +437,38 @@ class _PageParser(HTMLParser):
         self._text.append(data)
 
     def handle_endtag(self, tag: str) -> None:
-        strip = "".join(self._text).strip()
+        text = "".join(self._text).strip()
         if tag in ("b", "strong") and self._marked:
-            self._mark(strip)
+            self._mark(text)
             self._marked = ""
         elif tag in ("td", "th") and self._row is not None:
-            self._row.cells.append(strip)
+            self._row.cells.append(text)
         elif tag == "tr" and self._row is not None:
             self._end_row(self._row)
             self._row = None
         elif tag == "table":
             self._table = ""
 
-    def _mark(self, told: str) -> None:
+    def _mark(self, text: str) -> None:
         if self._marked == "gate-word":
-            self.gates.append(told)
+            self.gates.append(text)
         elif self._row is not None and self._marked == "word":
-            self._row.words.append(told)
+            self._row.statuses.append(text)
         elif self._row is not None and self._marked.startswith("folded-"):
-            if not told.isdecimal():
-                raise ValueError(f"what is not shown is counted as {told!r}")
-            self._row.folded = int(told)
+            if not text.isdecimal():
+                raise ValueError(f"what is not shown is counted as {text!r}")
+            self._row.folded = int(text)
         elif self._row is not None:
             self._row.waived = True
 
     def _end_row(self, row: _TableRow) -> None:
         if self._table == "verdicts" and "verdict" in row.kinds:
-            if len(row.words) != 1 or row.words[0] not in CAMPAIGN_STATUSES:
-                raise ValueError(f"a verdict reads {row.words}")
-            self.words[row.words[0]] += 1
+            if len(row.statuses) != 1 or row.statuses[0] not in CAMPAIGN_STATUSES:
+                raise ValueError(f"a verdict reads {row.statuses}")
+            self.statuses[row.statuses[0]] += 1
             self.waived += row.waived
         elif self._table == "verdicts" and "folded" in row.kinds:
-            self.words["supported"] += row.folded
+            self.statuses["supported"] += row.folded
         elif self._table == "case-counts":
             self._count(row)
 
@@ -481,8 +481,8 @@ class _PageParser(HTMLParser):
         if not {"case", "unlisted", "folded"} & set(row.kinds):
             return
         self.cases += row.folded + ("case" in row.kinds)
-        for word in COUNTED:
-            self.episodes[word] += _read_number(row.cells, self._columns.index(word))
+        for column in COUNTED:
+            self.episodes[column] += _read_number(row.cells, self._columns.index(column))
 
 
 def _read_number(cells: list[str], place: int) -> int:

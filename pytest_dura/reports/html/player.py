@@ -41,7 +41,7 @@ def _scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
 
     Args:
         scene: The scene.
-        text: What makes an id fit to be shown; two that differ stay different.
+        text: Makes an id fit to be shown; two ids that differ stay different.
 
     Returns:
         ``ego``; ``lines`` of ``[kind, x, y]``; ``truth`` and ``percept``, a list of things
@@ -49,16 +49,14 @@ def _scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
         four as lists of differences, one per tick; it ends where the thing is absent or its size
         changes. ``same`` has ``[tick, ticks]`` in which a percept is what the truth is.
     """
-    truth = {
-        item: _rounded_poses(scene.truth, column) for column, item in enumerate(scene.truth.ids)
-    }
+    truth = {id_: _rounded_poses(scene.truth, column) for column, id_ in enumerate(scene.truth.ids)}
     return {
         "ego": text(scene.ego),
         "lines": [_line_data(line, text) for line in scene.lines],
-        "truth": [_object_data(text(item), *found, None) for item, found in truth.items()],
+        "truth": [_object_data(text(id_), *track, None) for id_, track in truth.items()],
         "percept": [
-            _object_data(text(item), *_rounded_poses(scene.percept, column), truth.get(item))
-            for column, item in enumerate(scene.percept.ids)
+            _object_data(text(id_), *_rounded_poses(scene.percept, column), truth.get(id_))
+            for column, id_ in enumerate(scene.percept.ids)
         ],
     }
 
@@ -70,7 +68,7 @@ def _line_data(line: Line, text: Callable[[object], str]) -> list[Any]:
 
 
 def _rounded_poses(tracks: Tracks, column: int) -> tuple[NDArray[np.bool_], Ints]:
-    """Where a thing is present, and its poses in cm and mrad."""
+    """The ticks at which an object is present, and its poses in cm and mrad."""
     poses = tracks.poses[:, column].astype(np.float64)
     present = np.isnan(poses[:, :2]).sum(axis=1) == 0
     poses = np.clip(np.nan_to_num(poses, nan=0.0), -_FARTHEST, _FARTHEST)
@@ -101,16 +99,16 @@ def _object_data(
 
 
 def _stretches(mask: NDArray[np.bool_], cuts: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Half-open intervals in which the mask holds, cut in two where ``cuts`` says so."""
-    found: list[tuple[int, int]] = []
+    """Half-open intervals in which the mask holds, split where ``cuts`` holds."""
+    stretches: list[tuple[int, int]] = []
     start: int | None = None
     for index, (held, cut) in enumerate(zip(mask.tolist(), cuts.tolist(), strict=True)):
         if start is not None and (not held or cut):
-            found.append((start, index))
+            stretches.append((start, index))
             start = None
         if held and start is None:
             start = index
-    return found if start is None else [*found, (start, len(mask))]
+    return stretches if start is None else [*stretches, (start, len(mask))]
 
 
 def _differences(values: Ints) -> list[int]:
@@ -130,7 +128,7 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
 
     Args:
         trace: The episode.
-        verdicts: What was found of it, each with ``requirement``, ``verdict``, and if known
+        verdicts: The verdicts on it, each with ``requirement``, ``verdict``, and if known
             ``time`` of the violation in s, ``margin`` and ``check``; with a ``note`` where there is
             more to say.
 
@@ -139,31 +137,25 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
         ``words`` for each decision. Signals have six significant digits; ``None`` is NaN, and
         infinities are texts. ``margins`` are the checks' robustness over time, each with the
         ``formula`` that it is of and the ``requirements`` that it decides. For the scene see
-        :func:`~pytest_dura.reports.html.player.scene_data`.
+        :func:`_scene_data`.
     """
     recording, decisions = trace.recording, trace.decisions
     return {
         "about": {key: _plain(value) for key, value in trace.about.items()},
-        "time": [_number(item) for item in trace.time.tolist()],
-        "signals": {
-            _name(signal): [_number(item) for item in column.tolist()]
-            for signal, column in trace.signals.items()
-        },
+        "time": _numbers(trace.time),
+        "signals": {_name(signal): _numbers(column) for signal, column in trace.signals.items()},
         "verdicts": [_verdict(verdict, trace.time.tolist()) for verdict in verdicts],
         "margins": _margins(trace, verdicts),
         "decisions": {
-            item: _flag_texts(decisions[item].tolist() if item in decisions else ())
-            for item in ("proposed", "executed", "source")
+            column: _indexed_texts(decisions[column].tolist() if column in decisions else ())
+            for column in ("proposed", "executed", "source")
         },
         "attempts": [_number(attempt) for attempt in decisions.get("attempts", ())],
-        "explanations": _flag_texts(recording.explanations),
-        "reasons": _flag_texts(recording.reasons),
-        "recoveries": _flag_texts(recording.recoveries),
-        "accounts": _flag_texts([_account(account) for account in recording.accounts]),
-        "flags": {
-            _name(monitor): [_number(item) for item in column.tolist()]
-            for monitor, column in recording.flags.items()
-        },
+        "explanations": _indexed_texts(recording.explanations),
+        "reasons": _indexed_texts(recording.reasons),
+        "recoveries": _indexed_texts(recording.recoveries),
+        "accounts": _indexed_texts([_account(account) for account in recording.accounts]),
+        "flags": {_name(monitor): _numbers(column) for monitor, column in recording.flags.items()},
         "events": _events(trace),
         "faults": _faults(trace.events, len(trace.time)),
         "scene": None if recording.scene is None else _scene_data(recording.scene, _name),
@@ -183,6 +175,10 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, (bool, int)) else _text(value)
 
 
+def _numbers(column: NDArray[Any]) -> list[float | int | str | None]:
+    return [_number(value) for value in column.tolist()]
+
+
 def _number(value: float) -> float | int | str | None:
     """Six significant digits, whole numbers without a point."""
     if math.isnan(value):
@@ -193,7 +189,8 @@ def _number(value: float) -> float | int | str | None:
     return int(rounded) if abs(rounded) < _MAX_WHOLE_NUMBER and rounded.is_integer() else rounded
 
 
-def _flag_texts(texts: Sequence[object]) -> dict[str, list[Any]]:
+def _indexed_texts(texts: Sequence[object]) -> dict[str, list[Any]]:
+    """The different texts, and the index of each entry's: most entries repeat another."""
     known: dict[str, int] = {}
     at = [known.setdefault(_text(text), len(known)) for text in texts]
     return {"words": list(known), "at": at}
@@ -225,25 +222,25 @@ def _verdict(verdict: Mapping[str, Any], time: Sequence[float]) -> dict[str, Any
 
 def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """The margin over time of each check that is a formula, once for those of the same one."""
-    found: dict[str, dict[str, Any]] = {}
+    margins: dict[str, dict[str, Any]] = {}
     for verdict in sorted(verdicts, key=lambda verdict: verdict["verdict"] != "violated"):
         check = verdict.get("check") or ""
-        if check not in found:
-            if len(found) == MAX_MARGINS:
+        if check not in margins:
+            if len(margins) == MAX_MARGINS:
                 continue
             margin = margin_over_time(check, trace)
             if margin is None:
                 continue
             formula, column = margin
-            values = [_number(value) for value in column.tolist()]
-            found[check] = {"formula": _text(formula), "requirements": [], "values": values}
-            found[check]["violated"] = verdict["verdict"] == "violated"
-        found[check]["requirements"].append(_name(verdict["requirement"]))
-    return list(found.values())
+            values = _numbers(column)
+            margins[check] = {"formula": _text(formula), "requirements": [], "values": values}
+            margins[check]["violated"] = verdict["verdict"] == "violated"
+        margins[check]["requirements"].append(_name(verdict["requirement"]))
+    return list(margins.values())
 
 
 def _events(trace: Trace) -> list[list[Any]]:
-    """Rows of tick, kind, subject and detail, with the collision that a signal tells of."""
+    """Rows of tick, kind, subject and detail, with a collision that only a signal shows."""
     last = max(len(trace.time) - 1, 0)
     rows = [
         [min(max(int(event["tick"]), 0), last), _name(event["kind"]),
@@ -251,29 +248,29 @@ def _events(trace: Trace) -> list[list[Any]]:
         for event in trace.events
     ]  # fmt: skip
     collided = trace.signals.get("collided")
-    told = any(row[1] == "collision" for row in rows)
-    if not told and collided is not None and (collided > 0.5).any():
+    has_collision = any(row[1] == "collision" for row in rows)
+    if not has_collision and collided is not None and (collided > 0.5).any():
         first = int((collided > 0.5).argmax())
         rows.append([first, "collision", "collided", "the signal collided was raised"])
     return sorted(rows, key=lambda row: row[0])
 
 
 def _faults(events: Sequence[Mapping[str, Any]], ticks: int) -> list[dict[str, Any]]:
-    """When each fault was active, in ticks, and when it changed what the component read."""
-    found: list[dict[str, Any]] = []
+    """The ticks at which each fault was active, and those at which it changed what was read."""
+    faults: list[dict[str, Any]] = []
     active: dict[str, dict[str, Any]] = {}
     last = max(ticks - 1, 0)
     for event in events:
         subject, tick = event["subject"], min(max(int(event["tick"]), 0), last)
         if event["kind"] == "fault_activated":
-            item = {"id": _name(subject), "from": tick, "to": last, "manifested": []}
-            active[subject] = item
-            found.append(item)
+            fault = {"id": _name(subject), "from": tick, "to": last, "manifested": []}
+            active[subject] = fault
+            faults.append(fault)
         elif event["kind"] == "fault_manifested" and subject in active:
             active[subject]["manifested"].append(tick)
         elif event["kind"] == "fault_deactivated" and subject in active:
             active.pop(subject)["to"] = tick
-    return found
+    return faults
 
 
 _ASSETS = Path(__file__).parent / "assets"
@@ -319,7 +316,7 @@ def player_assets() -> tuple[str, str]:
 
 
 def content_hash(text: str) -> str:
-    """How a content security policy names an inline script or style of this very text."""
+    """Name of an inline script or style in a content security policy, from its text."""
     digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
     return f"'sha256-{digest}'"
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
+from pytest_dura.evidence.gate import outcome_status
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.reports.html.contents import (
     CaseTally,
@@ -23,6 +23,7 @@ from pytest_dura.reports.tables import (
     counterexample_text,
     is_notable_outcome,
     outcome_headline,
+    outcome_rank,
     parameter_changes,
     search_coverage_text,
     searcher_rows,
@@ -37,14 +38,14 @@ from pytest_dura.reports.wording import (
     selection_text,
     shard_text,
 )
+from pytest_dura.requirements.campaign_verdicts import SITUATIONS
 from pytest_dura.requirements.model import FAULTS
-from pytest_dura.requirements.verdicts.campaigns import SITUATIONS
 
 Data = Mapping[str, Any]
 
 
-def gate_section(record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks) -> Data:
-    """Sentences, and the verdicts that the gate's reasons speak of, by the words of the reason."""
+def gate_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
+    """Sentences on the session, and the anchor of the verdict behind each reason of the gate."""
     anchors = {}
     for verdict in record["verdicts"]:
         requirement, case = verdict["requirement"], verdict["case"]
@@ -68,14 +69,14 @@ _SEQUENTIAL_METHODS = ("sprt", "e-process")
 
 
 def requirement_section(
-    record: SessionRecord, gathered: ReportContents, links: EpisodeLinks
+    record: SessionRecord, contents: ReportContents, links: EpisodeLinks
 ) -> Data:
     """The requirements with their verdicts, the worst first, or else in the record's order."""
     several = len({case["component"] for case in record["cases"]}) > 1
     rows: dict[str, list[Data]] = {}
     anchors: set[str] = set()
     methods: dict[tuple[str, str], int] = {}
-    shown, rest = split_folded(record["verdicts"], gathered.folded)
+    shown, rest = split_folded(record["verdicts"], contents.folded)
     folded: dict[str, list[Data]] = {}
     for verdict in rest:
         folded.setdefault(verdict["requirement"], []).append(verdict)
@@ -113,7 +114,7 @@ def _verdict_rank(verdict: Data) -> int:
 
 
 def _folded_verdicts(verdicts: list[Data]) -> Data:
-    """What is told of verdicts without rows: all of them are supported, by valid episodes."""
+    """Sums of the verdicts without rows; all of them are supported, by valid episodes."""
     margins = [verdict["margin"] for verdict in verdicts if verdict["margin"] is not None]
     bounds = [
         verdict["bound"]["upper"] for verdict in verdicts if verdict["bound"]["upper"] is not None
@@ -142,8 +143,11 @@ def _verdict_row(verdict: Data, links: EpisodeLinks) -> Data:
     return {
         **verdict,
         "worst": [
-            {**item, "link": links.of_episode(item["episode"], verdict["component"])}
-            for item in shown
+            {
+                **counterexample,
+                "link": links.of_episode(counterexample["episode"], verdict["component"]),
+            }
+            for counterexample in shown
         ],
         "by_assertion": assertion_sentences(verdict),
         "more": len(verdict["counterexamples"]) - len(shown),
@@ -154,14 +158,14 @@ def _verdict_row(verdict: Data, links: EpisodeLinks) -> Data:
 
 
 def traceability_section(
-    record: SessionRecord, gathered: ReportContents, links: EpisodeLinks
+    record: SessionRecord, contents: ReportContents, links: EpisodeLinks
 ) -> Data:
-    """Rows of both directions."""
+    """The trace from requirements to episodes, and that from cases to requirements."""
     by_requirement: dict[str, list[Data]] = {}
     by_case: dict[tuple[str, str], list[Data]] = {}
-    shown, rest = split_folded(record["verdicts"], gathered.folded)
+    shown, rest = split_folded(record["verdicts"], contents.folded)
     folded = Counter(verdict["requirement"] for verdict in rest)
-    cases, folded_cases = split_folded(record["cases"], gathered.folded, "id")
+    cases, folded_cases = split_folded(record["cases"], contents.folded, "id")
     for verdict in shown:
         trace_step = _trace_step(verdict, links)
         by_requirement.setdefault(verdict["requirement"], []).append(trace_step)
@@ -178,7 +182,7 @@ def traceability_section(
             }
             for requirement in record["requirements"]
         ],
-        "backward": [_case_trace(case, by_case, gathered) for case in cases],
+        "backward": [_case_trace(case, by_case, contents) for case in cases],
         "folded": len(folded_cases),
         "unlisted": sorted({*by_requirement, *folded} - named),
     }
@@ -198,17 +202,17 @@ def _trace_step(verdict: Data, links: EpisodeLinks) -> Data:
         "waiver": verdict["waiver"],
         "episodes": [
             {
-                "id": item["episode"],
-                "link": links.of_episode(item["episode"], verdict["component"]),
+                "id": counterexample["episode"],
+                "link": links.of_episode(counterexample["episode"], verdict["component"]),
             }
-            for item in shown
+            for counterexample in shown
         ],
         "more": len(verdict["counterexamples"]) - len(shown),
     }
 
 
 def _case_trace(
-    case: Data, by_case: Mapping[tuple[str, str], list[Data]], gathered: ReportContents
+    case: Data, by_case: Mapping[tuple[str, str], list[Data]], contents: ReportContents
 ) -> Data:
     key = case["id"], case["component"]
     steps = by_case.get(key, [])
@@ -219,12 +223,12 @@ def _case_trace(
         "steps": steps,
         # An arm without a role is there for pairs: the verdicts stand on the case it belongs to.
         "unjudged": [] if case["without"] else sorted(set(case["requirements"]) - judged),
-        "run": gathered.cases.get(key, CaseTally()).words.total(),
+        "run": contents.cases.get(key, CaseTally()).validities.total(),
     }
 
 
-def monitor_section(record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks) -> Data:
-    """Monitors that had anything to see or to say, how many had not, and the pairs of recovery."""
+def monitor_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
+    """Monitors with violations or alarms, how many had neither, and the pairs with recovery."""
     monitors = [
         monitor
         for monitor in record["monitors"]
@@ -243,9 +247,15 @@ def monitor_section(record: SessionRecord, _gathered: ReportContents, _links: Ep
         for verdict in record["verdicts"]
         if verdict["pairs"] and ("only_with" in verdict["pairs"] or "change" in verdict["pairs"])
     ]
-    attacks = [item for item in paired if item["pairs"]["without"] == FAULTS]
-    pairs = [item for item in paired if item not in attacks and "only_with" in item["pairs"]]
-    horizons = sorted({item["horizon"] for item in monitors if item["horizon"] is not None})
+    attacks = [verdict for verdict in paired if verdict["pairs"]["without"] == FAULTS]
+    pairs = [
+        verdict
+        for verdict in paired
+        if verdict["pairs"]["without"] != FAULTS and "only_with" in verdict["pairs"]
+    ]
+    horizons = sorted(
+        {monitor["horizon"] for monitor in monitors if monitor["horizon"] is not None}
+    )
     return {
         "rows": _joined_targets(monitors),
         "horizons": horizons,
@@ -253,40 +263,37 @@ def monitor_section(record: SessionRecord, _gathered: ReportContents, _links: Ep
         "pairs": pairs,
         "attacks": attacks,
         "effectiveness": record["effectiveness"],
-        "several": len({item["component"] for item in record["effectiveness"]}) > 1,
+        "several": len({effect["component"] for effect in record["effectiveness"]}) > 1,
     }
 
 
-def _joined_targets(found: list[Data]) -> list[Data]:
-    """Rows that differ in nothing but their target as one."""
+def _joined_targets(monitors: list[Data]) -> list[Data]:
+    """Monitors, those that differ in nothing but their target joined into a row."""
     same: dict[str, dict[str, Any]] = {}
-    for item in found:
-        figures = json.dumps({key: value for key, value in item.items() if key != "target"})
-        row = same.setdefault(figures, {**item, "targets": []})
-        row["targets"].append(item["target"])
+    for monitor in monitors:
+        figures = json.dumps({key: value for key, value in monitor.items() if key != "target"})
+        row = same.setdefault(figures, {**monitor, "targets": []})
+        row["targets"].append(monitor["target"])
     return list(same.values())
 
 
 _MAX_SEARCHES = 200
 """Searches that are shown; the record has all."""
 MOST_CHANGES = 50
-_OUTCOME_RANK = {
-    objectionable_outcome: rank for rank, objectionable_outcome in enumerate(OBJECTIONABLE_OUTCOMES)
-}
 
 
-def search_section(record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks) -> Data:
+def search_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
     """The searches, the worst first, with a row for each of their requirements."""
     ordered = sorted(record["searches"], key=_search_rank)
     return {
-        "found": [
+        "searches": [
             {
-                **item,
-                "searched": simulations_text(item),
-                "coverage": search_coverage_text(item),
-                "rows": list(_outcome_rows(item)),
+                **search,
+                "searched": simulations_text(search),
+                "coverage": search_coverage_text(search),
+                "rows": list(_outcome_rows(search)),
             }
-            for item in ordered[:_MAX_SEARCHES]
+            for search in ordered[:_MAX_SEARCHES]
         ],
         "left_out": len(ordered[_MAX_SEARCHES:]),
         "note": NOTHING_SUPPORTED,
@@ -294,26 +301,27 @@ def search_section(record: SessionRecord, _gathered: ReportContents, _links: Epi
 
 
 def _search_rank(search: Data) -> int:
-    return min(
-        _OUTCOME_RANK.get(outcome_status(search, outcome), len(_OUTCOME_RANK))
-        for outcome in search["outcomes"]
-    )
+    return min(outcome_rank(search, outcome) for outcome in search["outcomes"])
 
 
 def _outcome_rows(search: Data) -> Iterator[Data]:
     for outcome in search["outcomes"]:
-        name, found = outcome["requirement"], outcome["counterexample"]
-        met = is_notable_outcome(search, outcome)
+        name, counterexample = outcome["requirement"], outcome["counterexample"]
+        notable = is_notable_outcome(search, outcome)
         yield {
             **outcome,
             "headline": outcome_headline(search, outcome),
             "baseline_alone": outcome_status(search, outcome) == "baseline",
-            "own": list(searcher_rows(search, name, "searchers")) if met else [],
-            "alone": list(searcher_rows(search, name, "baselines")) if met else [],
-            "worst": "" if found is None else counterexample_text(found, outcome["check"]),
-            "simpler": "" if found is None else shrinking_text(found),
-            "changes": [] if found is None else parameter_changes(found, MOST_CHANGES),
-            "more": 0 if found is None else len(found["changes"][MOST_CHANGES:]),
+            "own": list(searcher_rows(search, name, "searchers")) if notable else [],
+            "alone": list(searcher_rows(search, name, "baselines")) if notable else [],
+            "worst": ""
+            if counterexample is None
+            else counterexample_text(counterexample, outcome["check"]),
+            "simpler": "" if counterexample is None else shrinking_text(counterexample),
+            "changes": []
+            if counterexample is None
+            else parameter_changes(counterexample, MOST_CHANGES),
+            "more": 0 if counterexample is None else len(counterexample["changes"][MOST_CHANGES:]),
         }
 
 
@@ -321,17 +329,18 @@ UNKNOWN_COMPONENT: dict[str, Any] = {
     "name": None, "path": "", "params": {}, "version": None, "digest": None, "opaque": False,
     "file_count": 0,
 }  # fmt: skip
-"""A component of which nothing was heard."""
+"""A component that the record does not describe."""
 
 
 def provenance_section(
-    record: SessionRecord, _gathered: ReportContents, _links: EpisodeLinks
+    record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
     """Components, packages, inputs and timings, and the comparisons with the baseline."""
     under_test = record["component_under_test"]
     return {
         "components": [
-            UNKNOWN_COMPONENT | item for item in (under_test, *under_test.get("others", ()))
+            UNKNOWN_COMPONENT | component
+            for component in (under_test, *under_test.get("others", ()))
         ],
         "models": record["models"],
         "packages": sorted(record["environment"]["packages"].items()),

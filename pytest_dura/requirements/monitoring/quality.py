@@ -11,7 +11,7 @@ from typing import Any
 
 from pytest_dura.core.episode import Episode, Validity
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 
 Stretch = tuple[float, float]
 """The first and the last tick of an alarm, in seconds."""
@@ -19,7 +19,7 @@ Stretch = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class MonitorTimeline:
-    """What the monitors of one episode said; plain data that crosses processes.
+    """Alarms and alerts of one episode; plain data that crosses processes.
 
     Args:
         episode: Id of the episode.
@@ -34,7 +34,7 @@ class MonitorTimeline:
             about; ``None`` where no assessor was asked.
         manifested_at: Seconds at which a fault manifested first, if one did.
         detected_at: Seconds at which a manifested fault was detected first, if one was.
-        intervention: How a monitor's word changed what was carried out, if it did.
+        intervention: How an assessment changed the action that was carried out, if one did.
         began_at: Seconds from which on an alert could detect a fault that manifested, by then or
             later: its activation. By default its manifestation.
     """
@@ -65,7 +65,7 @@ class MonitorTimeline:
 
 
 def monitor_timeline(episode: Episode) -> MonitorTimeline:
-    """What the monitors of an episode said, from its metrics, decisions and fault records.
+    """Alarms and alerts of an episode, from its metrics, decisions and fault records.
 
     The ``unsafe`` events do not suffice for that: between ``unsafe`` and ``unsafe_ended`` there may
     be ticks at which the monitor was not asked, and a simulator may have events of that kind, too.
@@ -128,7 +128,7 @@ def _tuples(stretches: Iterable[Iterable[float]]) -> tuple[Stretch, ...]:
 
 @dataclass(frozen=True, slots=True)
 class MonitorQuality:
-    """How a monitor did on episodes in which nobody acted on its word; one count per episode.
+    """Quality of a monitor on episodes in which nothing acted on it; one count per episode.
 
     For a requirement, an episode is positive if it violated the requirement, at its time t. It is
     a true positive if an alarm stood at some time in ``[t - horizon, t)``: one that begins at t
@@ -151,7 +151,7 @@ class MonitorQuality:
             the window in which it would have detected the fault.
         early: The other false negatives with an alarm: all of them withdrawn before t - horizon;
             for faults, before the first activation.
-        untimed: Violated episodes whose check tells no time; in none of the counts above.
+        untimed: Violated episodes whose check gives no time; in none of the counts above.
         invalid: Invalid episodes; in none of the counts above.
         missing: Missing episodes; in none of the counts above.
         lead_times: Seconds of each true positive of a requirement.
@@ -242,7 +242,7 @@ _HORIZON = 5.0
 _ALERTS = "alerts"
 """The name of all alerts together, where they are judged as one monitor."""
 FAULTS = "faults"
-"""What alerts are judged against: that a fault has manifested."""
+"""Target of alerts in place of a requirement: that a fault has manifested."""
 _TOLERANCE = 1e-6
 """Seconds; times are sums of float steps."""
 
@@ -252,17 +252,17 @@ def judge_monitor(
     judged: Iterable[tuple[EpisodeVerdict, MonitorTimeline]],
     horizon: float = _HORIZON,
 ) -> MonitorQuality:
-    """How well a monitor's alarms foretold the violations of a requirement.
+    """Judge a monitor's alarms as predictions of a requirement's violations.
 
     Args:
         monitor: The monitor's role name.
-        judged: The verdict on each episode, and what the monitors said in it.
+        judged: The verdict on each episode, and its timeline.
         horizon: Seconds before a violation within which an alarm counts as a warning of it.
 
     Raises:
-        ConfigurationError: If a monitor's word changed what was carried out in an episode, if the
-            verdicts are of several requirements or components or not those of the episodes, if the
-            monitor was asked in none of them, or for a horizon that is no positive number.
+        ConfigurationError: If an assessment changed the action that was carried out in an episode,
+            if the verdicts are of several requirements or components or not those of the episodes,
+            if the monitor was asked in none of them, or for a horizon that is no positive number.
     """
     if not 0.0 < horizon < math.inf:
         raise ConfigurationError(
@@ -272,25 +272,25 @@ def judge_monitor(
             expected="a number above 0, such as 5.0",
         )
     pairs = list(judged)
-    _check_uninvolved(seen for _, seen in pairs)
-    _check_asked(monitor, [seen for _, seen in pairs])
+    _check_uninvolved(timeline for _, timeline in pairs)
+    _check_asked(monitor, [timeline for _, timeline in pairs])
     tally = _Tally()
     claims = set()
-    for verdict, seen in pairs:
-        if (verdict.episode, verdict.component) != (seen.episode, seen.component):
+    for verdict, timeline in pairs:
+        if (verdict.episode, verdict.component) != (timeline.episode, timeline.component):
             raise ConfigurationError(
                 "a verdict and what the monitors said are about one episode",
-                found=f"{verdict.episode} and {seen.episode}",
+                found=f"{verdict.episode} and {timeline.episode}",
                 remedy="give each episode's verdict with its own watch",
             )
         claims.add((verdict.requirement, verdict.component))
-        alarms = seen.alarms.get(monitor, ())
+        alarms = timeline.alarms.get(monitor, ())
         if verdict.verdict == "missing":
             tally.counts["missing"] += 1
         elif not verdict.valid or verdict.verdict == "open":  # an open one may yet be violated
             tally.counts["invalid"] += 1
         elif verdict.verdict == "satisfied":
-            tally.negative(alarms, seen.duration)
+            tally.negative(alarms, timeline.duration)
         elif verdict.time is None:
             tally.counts["untimed"] += 1
         else:
@@ -299,35 +299,35 @@ def judge_monitor(
     return tally.quality(monitor, requirement, component, horizon)
 
 
-def judge_alerts(watches: Iterable[MonitorTimeline]) -> MonitorQuality:
-    """How well the alerts told episodes with a manifested fault from those without one.
+def judge_alerts(timelines: Iterable[MonitorTimeline]) -> MonitorQuality:
+    """Judge alerts as a detector of episodes with a manifested fault.
 
     Args:
-        watches: What the monitors said in each episode; it takes episodes with and without faults
-            to tell both kinds of error.
+        timelines: Of each episode; both kinds of error show only where there are episodes with and
+            without faults.
 
     Raises:
-        ConfigurationError: If a monitor's word changed what was carried out in an episode, if no
-            assessor was asked in a valid one, or the episodes are of several components.
+        ConfigurationError: If an assessment changed the action that was carried out in an episode,
+            if no assessor was asked in a valid one, or the episodes are of several components.
     """
-    found = list(watches)
-    _check_uninvolved(found)
+    timelines = list(timelines)
+    _check_uninvolved(timelines)
     tally = _Tally()
-    for seen in found:
-        if seen.validity != "valid":
-            tally.counts[seen.validity] += 1
-        elif seen.alerts is None:
+    for timeline in timelines:
+        if timeline.validity != "valid":
+            tally.counts[timeline.validity] += 1
+        elif timeline.alerts is None:
             raise ConfigurationError(
                 "alerts are judged where there is somebody to raise them",
-                found=f"no assessor was asked in {seen.episode}",
+                found=f"no assessor was asked in {timeline.episode}",
                 expected="a loop with a SecurityAssessor in it",
             )
-        elif seen.manifested_at is None:
-            tally.negative(seen.alerts, seen.duration)
+        elif timeline.manifested_at is None:
+            tally.negative(timeline.alerts, timeline.duration)
         else:
-            began = seen.manifested_at if seen.began_at is None else seen.began_at
-            tally.attacked(seen.alerts, began, seen.detected_at)
-    target, component = _one_claim({(FAULTS, seen.component) for seen in found})
+            began = timeline.manifested_at if timeline.began_at is None else timeline.began_at
+            tally.attacked(timeline.alerts, began, timeline.detected_at)
+    target, component = _one_claim({(FAULTS, timeline.component) for timeline in timelines})
     return tally.quality(_ALERTS, target, component, None)
 
 
@@ -385,21 +385,21 @@ class _Tally:
         )
 
 
-def _check_uninvolved(watches: Iterable[MonitorTimeline]) -> None:
-    for seen in watches:
-        if seen.intervention is not None:
+def _check_uninvolved(timelines: Iterable[MonitorTimeline]) -> None:
+    for timeline in timelines:
+        if timeline.intervention is not None:
             raise ConfigurationError(
                 "a monitor is judged where nobody acts on its word: a violation that was averted"
                 " would make its true alarm a false one",
-                found=f"{seen.intervention} in {seen.episode}",
+                found=f"{timeline.intervention} in {timeline.episode}",
                 expected="episodes of the policy log_only",
                 remedy="run the case with the policy log_only, or without the recovery planner",
             )
 
 
-def _check_asked(monitor: str, watches: list[MonitorTimeline]) -> None:
-    known = sorted({name for seen in watches for name in seen.alarms})
-    if watches and monitor not in known:
+def _check_asked(monitor: str, timelines: list[MonitorTimeline]) -> None:
+    known = sorted({name for timeline in timelines for name in timeline.alarms})
+    if timelines and monitor not in known:
         raise ConfigurationError(
             f"no monitor {monitor!r} was asked in any of these episodes",
             key="monitor",
@@ -412,7 +412,8 @@ def _one_claim(claims: set[tuple[str, str]]) -> tuple[str, str]:
     if len(claims) != 1:
         raise ConfigurationError(
             "a monitor is judged on episodes of one component, against one requirement",
-            found=" and ".join(f"{item} of {who}" for item, who in sorted(claims)) or "no episodes",
+            found=" and ".join(f"{target} of {component}" for target, component in sorted(claims))
+            or "no episodes",
             remedy="judge it apart for each",
         )
     return claims.pop()

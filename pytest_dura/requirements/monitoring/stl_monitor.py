@@ -179,7 +179,7 @@ class StlSafetyMonitor(SafetyMonitor):
     def run(self, view: RoleView) -> Assessment:
         """The verdict of this tick, from all percepts so far.
 
-        Ticks at which somebody did not ask are caught up on, and none is counted twice.
+        Ticks at which it did not run are caught up on, and none is counted twice.
         """
         if len(view.percepts) != view.index + 1:
             raise ConfigurationError(

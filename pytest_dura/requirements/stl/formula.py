@@ -150,9 +150,9 @@ def walk(node: Node | Expression) -> Iterator[Node | Expression]:
     """The node and all below it, parents first, from left to right."""
     stack: list[Node | Expression] = [node]
     while stack:
-        item = stack.pop()
-        yield item
-        stack.extend(reversed(children(item)))
+        current = stack.pop()
+        yield current
+        stack.extend(reversed(children(current)))
 
 
 def conjuncts(root: Node) -> list[Node]:
@@ -206,7 +206,7 @@ def _term(node: Expression) -> str:
 
 def _joined(node: Boolean | TemporalPair) -> str:
     left = node_text(node.left)
-    # A chain of one operator associates to the left, whoever reads it.
+    # A chain of one operator associates to the left in rtamt and here.
     chain = node.operator in ("and", "or")
     if not (chain and isinstance(node.left, Boolean) and node.left.operator == node.operator):
         left = f"({left})"
@@ -214,7 +214,7 @@ def _joined(node: Boolean | TemporalPair) -> str:
 
 
 def _prefix(node: Node) -> str:
-    """The operator's word, and its window where it has one."""
+    """The operator as it is written, with its window if it has one."""
     if isinstance(node, (Temporal, TemporalPair)):
         return node.operator + (seconds(node.window) if node.window else "")
     if isinstance(node, (Boolean, Comparison)):
@@ -266,14 +266,14 @@ class Formula:
     def future_operators(self) -> tuple[tuple[str, int], ...]:
         """Operators that look ahead with their columns from zero, in the order of the text.
 
-        ``unless`` is read as ``always .. or .. until``: both are told, at the place of ``unless``.
+        ``unless`` is read as ``always .. or .. until``: both stand here, at its column.
         """
-        found = [
+        operators = [
             (node.operator, node.position)
             for node in walk(self.root)
             if isinstance(node, (Temporal, TemporalPair, Step)) and node.operator in FUTURE
         ]
-        return tuple(sorted(found, key=lambda item: item[1]))
+        return tuple(sorted(operators, key=lambda operator: operator[1]))
 
     @property
     def past_only(self) -> bool:
@@ -288,7 +288,7 @@ def unknown_signal(
     position: int | None,
     remedy: str | None = None,
 ) -> ConfigurationError:
-    """The error for a signal that nobody computes; another ``remedy`` replaces the usual ones."""
+    """The error for an unknown signal; another ``remedy`` replaces the usual ones."""
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1)
     mark = marked(formula_text, position) if position is not None else f"\n    {formula_text}"
@@ -345,7 +345,7 @@ def past_only_or_refuse(formula: Formula, what: str) -> None:
 
     Args:
         formula: The formula.
-        what: Who cannot see ahead, such as ``the monitor 'gap'``.
+        what: Its user, which cannot look ahead, such as ``the monitor 'gap'``.
 
     Raises:
         ConfigurationError: For an operator that looks ahead, with a mark under the first.
@@ -353,13 +353,13 @@ def past_only_or_refuse(formula: Formula, what: str) -> None:
     if formula.past_only:
         return
     name, position = formula.future_operators[0]
-    # The text's own word, where there is one: `G` and `unless` have other names in the nodes.
+    # As the text writes it: `G` and `unless` have other names in the nodes.
     match = re.compile(r"[A-Za-z_]\w*", re.ASCII).match(formula.text, position)
-    group = match.group() if match else name
+    written = match.group() if match else name
     raise ConfigurationError(
-        f"{what} cannot know the future: `{group}` looks ahead at column {position + 1}"
+        f"{what} cannot know the future: `{written}` looks ahead at column {position + 1}"
         f"{marked(formula.text, position)}",
-        found=group,
+        found=written,
         expected="operators that look back: once, historically, since, prev, rise, fall. Rewriting "
         "a formula into the past (pastification) is not done: it was measured to flip verdicts",
         remedy="say it with once, historically or since, as `historically[0:2] (gap > 1)`, or "

@@ -56,7 +56,7 @@ BOTTOM: Value = (-math.inf, False)
 
 
 def negated(value: Value) -> Value:
-    """The opposite."""
+    """The value of the negated formula."""
     margin, holds = value
     return -margin, not holds
 
@@ -84,12 +84,12 @@ class Running:
 
     def __init__(self, *, least: bool) -> None:
         self._join = min if least else max
-        self._found = TOP if least else BOTTOM
+        self._extreme = TOP if least else BOTTOM
 
     def __call__(self, value: Value) -> Value:
         """Take the next value."""
-        self._found = self._join(self._found, value)
-        return self._found
+        self._extreme = self._join(self._extreme, value)
+        return self._extreme
 
 
 class Sliding:
@@ -121,19 +121,19 @@ class Sliding:
 
 
 class Since:
-    """The best sample so far for ``right``, with ``left`` at all after it."""
+    """``left since right``: the best sample so far for ``right``, with ``left`` at all after it."""
 
     def __init__(self) -> None:
-        self._found = BOTTOM
+        self._best = BOTTOM
 
     def __call__(self, left: Value, right: Value) -> Value:
         """Take the next two values."""
-        self._found = max(right, min(left, self._found))
-        return self._found
+        self._best = max(right, min(left, self._best))
+        return self._best
 
 
 class SinceWithin:
-    """The same where the sample for ``right`` lies ``last`` to ``first`` samples ago.
+    """``since`` with a window: the sample for ``right`` lies ``last`` to ``first`` samples ago.
 
     ``p since[a:b] q`` is ``(once[a:b] q) and (p since[a:oo] q)``: if ``q`` held within the window,
     and ``p`` since some ``q`` before it, then ``p`` held since the ``q`` within it, too (Donzé,
@@ -144,15 +144,15 @@ class SinceWithin:
 
     def __init__(self, first: int, last: int) -> None:
         self._since = Since()
-        self._begun = Delay(first, BOTTOM)
-        self._kept_up = Sliding(0, first - 1, least=True) if first else None
+        self._before_window = Delay(first, BOTTOM)
+        self._left_since = Sliding(0, first - 1, least=True) if first else None
         self._within = Sliding(first, last, least=False)
 
     def __call__(self, left: Value, right: Value) -> Value:
         """Take the next two values."""
-        begun = self._begun(self._since(left, right))
-        kept_up = TOP if self._kept_up is None else self._kept_up(left)
-        return min(begun, kept_up, self._within(right))
+        before_window = self._before_window(self._since(left, right))
+        left_since = TOP if self._left_since is None else self._left_since(left)
+        return min(before_window, left_since, self._within(right))
 
 
 Samples: TypeAlias = Mapping[str, float]
@@ -176,8 +176,8 @@ def comparison(node: Comparison) -> Callable[[Samples], Value]:
     margin, on_bound = _MARGINS[node.operator], node.operator in (">=", "<=", "==")
 
     def compared(samples: Samples) -> Value:
-        found = margin(left(samples), right(samples))
-        return found, found > 0.0 or (on_bound and found == 0.0)
+        value = margin(left(samples), right(samples))
+        return value, value > 0.0 or (on_bound and value == 0.0)
 
     return compared
 
@@ -202,17 +202,17 @@ def _finite(
 ) -> Callable[[Samples], float]:
     def computed(samples: Samples) -> float:
         try:
-            nan = compute(samples)
+            value = compute(samples)
         except (ZeroDivisionError, ValueError):  # x / 0 and sqrt(-1)
-            nan = math.nan
-        if not math.isfinite(nan):
-            raise NotFiniteError(node, nan)
-        return nan
+            value = math.nan
+        if not math.isfinite(value):
+            raise NotFiniteError(node, value)
+        return value
 
     return computed
 
 
-# What every computer rounds alike is done in plain floats. For the rest numpy is asked, so that a
+# Operations that every computer rounds alike use plain floats. The others use numpy, so that a
 # monitor computes what a requirement does.
 def _power(base: float, exponent: float) -> float:
     with np.errstate(all="ignore"):
@@ -247,11 +247,11 @@ _MARGINS: dict[ComparisonOperator, Callable[[float, float], float]] = {
 
 
 Judged: TypeAlias = Callable[[Sequence[Value]], Value]
-"""What a part of a formula is worth now, from the values of all comparisons."""
+"""A part of a formula: its value at this sample, from the values of all comparisons."""
 
 
 class Sample(NamedTuple):
-    """What a formula says at one sample: its margin, and whether it holds."""
+    """Value of a formula at one sample: its margin, and whether it holds."""
 
     robustness: float
     holds: bool
@@ -268,7 +268,7 @@ class OnlineFormula:
     Args:
         formula: The formula.
         time_step: Seconds from sample to sample.
-        what: Who judges by it, for the message that refuses a look ahead.
+        what: The user of the formula, for the message that refuses operators that look ahead.
 
     Raises:
         ConfigurationError: For an operator that looks ahead, and for a window that is no multiple
@@ -299,7 +299,7 @@ class OnlineFormula:
                 expression that is not finite.
         """
         samples = self._read(values)
-        # All that can fail comes first: what keeps a state sees a sample whole or not at all.
+        # Everything that can fail comes first: operators with a state see a whole sample or none.
         try:
             root = self._root([compared(samples) for compared in self._comparisons])
         except NotFiniteError as error:

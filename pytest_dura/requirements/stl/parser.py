@@ -23,11 +23,11 @@ Read as in rtamt and in most languages: ``not a > 1`` is ``not (a > 1)``; ``not 
 is ``(not (a > 1)) and (b > 2)``; ``and`` before ``or`` before ``implies``; ``a - b - c`` and
 ``a / b / c`` from the left.
 
-Beyond rtamt's text: ``!=`` for ``!==``; dotted signals; signals with the names of operators, told
-by their place (see :mod:`syntax`); ``a/b`` is a division; ``a - 5``, on which rtamt fails
-because it looks for a second formula. Short of it: no comments, declarations,
-assignments, truth values, named constants, nor numbers such as ``0x1F`` and ``1_000``. Windows
-are in seconds without a unit; one bound alone has a unit only beside a zero.
+Beyond rtamt's text: ``!=`` for ``!==``; dotted signals; signals with the names of operators,
+distinguished by their place (see :mod:`syntax`); ``a/b`` is a division; ``a - 5``, on which rtamt
+fails because it looks for a second formula. Short of it: no comments, declarations, assignments,
+truth values, named constants, nor numbers such as ``0x1F`` and ``1_000``. Windows are in seconds
+without a unit; one bound alone has a unit only beside a zero.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _check_depth(text: str, tree: Tree) -> None:
 
 
 class _Conversion:
-    """Makes the nodes of one text; values and formulas are told apart on the way.
+    """Converts the syntax tree of one text to nodes, values and formulas apart.
 
     Args:
         text: The text, for messages.

@@ -1,15 +1,15 @@
 """A formula as a list of array operations, with common parts computed once.
 
-The same formula is wanted in several modes: as far as the trace goes, at least, at most, and as
-truth. They differ only where the trace ends, so that most of their steps are the same ones. A step
-is computed when a value that needs it is asked for, and then kept for the trace.
+A formula is evaluated in several modes: as far as the trace goes, at least, at most, and as truth.
+They differ only where the trace ends, and share most of their steps. A step is computed when a
+value first depends on it, once for each trace.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -52,22 +52,18 @@ FUNCTIONS: dict[FunctionName, np.ufunc] = {"abs": np.abs, "sqrt": np.sqrt, "exp"
 
 
 def _column_step(frame: Frame, name: str) -> Array:
-    """The samples of a signal."""
     return frame.columns[name]
 
 
 def _constant_step(_frame: Frame, value: np.float64) -> np.float64:
-    """A number: a scalar, which fits any column."""
     return value
 
 
 def _arithmetic_step(frame: Frame, left: Array, right: Array, node: Arithmetic) -> Array:
-    """Two expressions joined, refused where the result is not finite."""
     return _finite(frame, _ARITHMETIC[node.operator](left, right), node)
 
 
 def _function_step(frame: Frame, operand: Array, node: Function) -> Array:
-    """A function of an expression, refused where the result is not finite."""
     return _finite(frame, FUNCTIONS[node.name](operand), node)
 
 
@@ -106,40 +102,33 @@ def _truth_step(_frame: Frame, margins: Array, on_bound: bool) -> Array:
 
 
 def _negation_step(_frame: Frame, values: Array) -> Array:
-    """The margin of the opposite."""
     return -values
 
 
 def _joined_step(_frame: Frame, left: Array, right: Array, join: np.ufunc) -> Array:
-    """The lesser or the greater of two margins."""
-    text: Array = join(left, right)
-    return text
+    joined: Array = join(left, right)
+    return joined
 
 
 def _everywhere_step(frame: Frame, value: float) -> Array:
-    """The same value at each sample."""
     return np.full(frame.shape, value)
 
 
 def _sliding_step(frame: Frame, values: Array, join: np.ufunc, first: int, last: int) -> Array:
-    """See ``windows.sliding``."""
     return windows.sliding(join, frame.ended(values, _empty_window_value(join)), first, last)
 
 
 def _sliding_past_step(
     _frame: Frame, values: Array, join: np.ufunc, first: int, last: int
 ) -> Array:
-    """See ``windows.sliding_past``."""
     return windows.sliding_past(join, values, first, last)
 
 
 def _running_step(frame: Frame, values: Array, join: np.ufunc) -> Array:
-    """See ``windows.running``."""
     return windows.running(join, frame.ended(values, _empty_window_value(join)))
 
 
 def _running_past_step(_frame: Frame, values: Array, join: np.ufunc) -> Array:
-    """See ``windows.running_past``."""
     return windows.running_past(join, values)
 
 
@@ -149,7 +138,6 @@ def _until_step(frame: Frame, left: Array, right: Array, first: int, last: int |
 
 
 def _since_step(_frame: Frame, left: Array, right: Array, first: int, last: int | None) -> Array:
-    """See ``windows.since``."""
     return windows.since(left, right, first, last)
 
 
@@ -162,23 +150,20 @@ def _until_beyond_step(_frame: Frame, known: Array, least: Array, last: int | No
         last: Last sample of the window, ``None`` for one without end.
     """
     cut = 0 if last is None else max(known.shape[-1] - last, 0)
-    array: Array = known.copy()
-    np.maximum(known[..., cut:], least[..., cut:], out=array[..., cut:])
-    return array
+    values: Array = known.copy()
+    np.maximum(known[..., cut:], least[..., cut:], out=values[..., cut:])
+    return values
 
 
 def _open_tail_step(_frame: Frame, values: Array, last: int, unknown: float) -> Array:
-    """See ``windows.open_tail``."""
     return windows.open_tail(values, last, unknown)
 
 
 def _following_step(frame: Frame, values: Array, end: float) -> Array:
-    """See ``windows.following``."""
     return windows.following(frame.ended(values, end), end)
 
 
 def _preceding_step(_frame: Frame, values: Array, start: float) -> Array:
-    """See ``windows.preceding``."""
     return windows.preceding(values, start)
 
 
@@ -213,7 +198,7 @@ Operation: TypeAlias = tuple[Callable[..., Any], tuple[int, ...], tuple[Any, ...
 
 
 class Program:
-    """The steps of one formula; they grow with the modes that are asked for.
+    """The steps of one formula, compiled mode by mode as they are needed.
 
     Args:
         root: The formula.
@@ -230,7 +215,7 @@ class Program:
         self._orders: dict[int, list[tuple[int, Operation]]] = {}
 
     def slot(self, node: Node, mode: Mode) -> int:
-        """Where the values of a part of the formula are found, shape ``(..., n)``."""
+        """Number of the step that computes a part of the formula, shape ``(..., n)``."""
         # By identity, as hashing a tree takes long; the root keeps its parts alive.
         key = (id(node), mode)
         slot = self._slots.get(key)
@@ -255,12 +240,12 @@ class Program:
             needed: set[int] = set()
             stack = [slot]
             while stack:
-                item = stack.pop()
-                if item not in needed:
-                    needed.add(item)
-                    stack.extend(self._steps[item][1])
+                step = stack.pop()
+                if step not in needed:
+                    needed.add(step)
+                    stack.extend(self._steps[step][1])
             # A step's inputs were added before it.
-            order = [(item, self._steps[item]) for item in sorted(needed)]
+            order = [(step, self._steps[step]) for step in sorted(needed)]
             self._orders[slot] = order
         return order
 
@@ -274,7 +259,7 @@ class Program:
         if slot is None:
             slot = self._numbers[operation] = len(self._steps)
             self._steps.append(operation)
-            inputs_causal = all(self._causal[item] for item in inputs)
+            inputs_causal = all(self._causal[slot] for slot in inputs)
             self._causal.append(inputs_causal and kernel not in _AHEAD)
         return slot
 
@@ -293,11 +278,11 @@ class Program:
 
     def _comparison(self, node: Comparison, mode: Mode) -> int:
         sides = self._expression(node.left), self._expression(node.right)
-        add = self._add(_margin_step, *sides, options=(node.operator,))
+        margins = self._add(_margin_step, *sides, options=(node.operator,))
         if mode.truth:
             on_bound = node.operator in (">=", "<=", "==")
-            return self._add(_truth_step, add, options=(on_bound,))
-        return add
+            return self._add(_truth_step, margins, options=(on_bound,))
+        return margins
 
     def _expression(self, node: Expression) -> int:
         if isinstance(node, Arithmetic):
@@ -341,10 +326,10 @@ class Program:
         first, last = self.samples(node.window)
         sliding = _sliding_step if ahead else _sliding_past_step
         operand = self.slot(node.operand, mode)
-        add = self._add(sliding, operand, options=(join, first, last))
+        windowed = self._add(sliding, operand, options=(join, first, last))
         if shows and last > 0:
-            return self._add(_open_tail_step, add, options=(last, mode.unknown))
-        return add
+            return self._add(_open_tail_step, windowed, options=(last, mode.unknown))
+        return windowed
 
     def _pair(self, node: TemporalPair, mode: Mode) -> int:
         left, right = self.slot(node.left, mode), self.slot(node.right, mode)
@@ -353,12 +338,12 @@ class Program:
             bounds = self.samples(node.window)
         if node.operator == "since":
             return self._add(_since_step, left, right, options=bounds)
-        add = self._add(_until_step, left, right, options=bounds)
+        until = self._add(_until_step, left, right, options=bounds)
         last = bounds[1]
         if mode.unknown == math.inf and (mode.open_end if last is None else last > 0):
             least = self._add(_running_step, left, options=(np.minimum,))
-            return self._add(_until_beyond_step, add, least, options=(last,))
-        return add
+            return self._add(_until_beyond_step, until, least, options=(last,))
+        return until
 
     def _step(self, node: Step, mode: Mode) -> int:
         operand = self.slot(node.operand, mode)
@@ -380,12 +365,12 @@ class Program:
 
 def _depends_on_the_end(node: Node, open_end: bool) -> bool:
     """Whether the formula looks behind the last sample, and may see something there."""
-    for item in walk(node):
-        if isinstance(item, Step) and item.operator in FUTURE:
+    for part in walk(node):
+        if isinstance(part, Step) and part.operator in FUTURE:
             return True
-        if isinstance(item, (Temporal, TemporalPair)):
-            sees = open_end or item.window is not None
-            if sees and item.operator in FUTURE:
+        if isinstance(part, (Temporal, TemporalPair)):
+            sees = open_end or part.window is not None
+            if sees and part.operator in FUTURE:
                 return True
     return False
 
@@ -402,9 +387,9 @@ _AHEAD = (
 
 
 class Values:
-    """The values of a program on one frame, each computed when asked for.
+    """The values of a program on one frame, each computed at its first use.
 
-    The caller ignores floating-point warnings: results that are not finite are refused.
+    The caller suppresses floating-point warnings: results that are not finite are refused.
     """
 
     def __init__(self, program: Program, frame: Frame, known: dict[int, Any] | None = None) -> None:
@@ -416,14 +401,14 @@ class Values:
         known = self._known
         if slot not in known:
             frame = self.frame
-            for item, (kernel, inputs, options) in self._program.order(slot):
-                if item not in known:
-                    known[item] = kernel(frame, *[known[i] for i in inputs], *options)
-        array: Array = known[slot]
-        return array
+            for step, (kernel, inputs, options) in self._program.order(slot):
+                if step not in known:
+                    known[step] = kernel(frame, *[known[i] for i in inputs], *options)
+        values: Array = known[slot]
+        return values
 
     def prefixes(self) -> Callable[[int], Values]:
-        """Gives the values on the first so many samples, with what is known of them already."""
+        """A function of a length: the values on so many first samples, with those known already."""
         program, frame = self._program, self.frame
         known = [
             (slot, values)
@@ -439,9 +424,6 @@ class Values:
             return Values(program, shorter, cut)
 
         return prefix
-
-
-KEPT = 512
 
 
 class Conjunct:
@@ -475,7 +457,7 @@ class Conjunct:
         return self._join is np.minimum
 
     def at_start(self, values: Values, mode: Mode) -> tuple[float, int | None]:
-        """Its value at the first sample, and for always and eventually where that is reached."""
+        """Value at the first sample, and for always and eventually the sample that has it."""
         inner = values[self._program.slot(self._inner, mode)]
         if self._join is None:
             return float(inner[0]), None
@@ -496,7 +478,7 @@ class Conjunct:
 
 
 class Plan:
-    """What evaluation needs of a formula for one time step.
+    """A formula, compiled for one time step.
 
     Attributes:
         formula: The formula.
@@ -516,23 +498,13 @@ class Plan:
         )
 
 
-_plans: dict[tuple[int, float | None], Plan] = {}
-
-
+@lru_cache(maxsize=512)
 def plan_of(formula: Formula, time_step: float | None) -> Plan:
     """The plan of a formula; ``time_step=None`` is for a trace of one sample.
 
     Raises:
         ConfigurationError: For a window that is no multiple of the time step.
     """
-    # By identity, as hashing a tree takes as long as evaluating it. A plan keeps its formula
-    # alive, so that no other one can have its id.
-    key = (id(formula), time_step)
-    plan = _plans.get(key)
-    if plan is None:
-        if time_step is not None:
-            check_time_step(formula, time_step)
-        if len(_plans) >= KEPT:
-            _plans.clear()
-        plan = _plans[key] = Plan(formula, time_step)
-    return plan
+    if time_step is not None:
+        check_time_step(formula, time_step)
+    return Plan(formula, time_step)

@@ -1,7 +1,7 @@
 """Syntax of formulas: tokens with their columns, and the syntax tree; refusals point at the place.
 
-A word is understood by its place: a connective stands after an operand, a prefix operator before
-one, a function before a parenthesis. Anywhere else the word is a signal, so ``F (F > 2)`` is
+The place of a name decides what it is: a connective stands after an operand, a prefix operator
+before one, a function before a parenthesis. Anywhere else it is a signal, so ``F (F > 2)`` is
 ``eventually`` over the signal ``F``. ``F - 3`` can be either and is refused.
 """
 
@@ -35,7 +35,7 @@ _TOKEN = re.compile(
     r"(?P<space>\s+)"
     r"|(?P<comment>//|/\*|\#)"
     r"|(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)"
-    r"|(?P<word>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)"
+    r"|(?P<name>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)"
     r"|(?P<symbol>!==|===|<->|<=>|==|!=|>=|<=|->|=>|&&|\|\||\*\*|[-+*/()\[\]:,<>!&|])"
     r"|(?P<assignment>=)"
     r"|(?P<end>;)",
@@ -57,7 +57,7 @@ _OTHER_SYNTAXES = {
 
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A piece of text; ``kind`` is ``number``, ``word``, ``symbol``, or ``end`` behind the last."""
+    """A piece of text; ``kind`` is ``number``, ``name``, ``symbol``, or ``end`` behind the last."""
 
     kind: str
     text: str
@@ -133,7 +133,7 @@ def _read_window(text: str, tokens: Sequence[Token], at: int) -> tuple[Window, i
     if tokens[at].text != "]":
         _unexpected(text, tokens[at])
     if (first.unit or last.unit) and any(
-        item.unit is None and item.value for item in (first, last)
+        bound.unit is None and bound.value for bound in (first, last)
     ):
         remedy = "give both bounds a unit, such as [500ms:2s]"
         refuse(text, opening, "only one bound of the window has a unit", _SHAPE, remedy)
@@ -162,7 +162,7 @@ def _bound(text: str, tokens: Sequence[Token], at: int) -> tuple[_Bound, int]:
         _unexpected(text, number)
     finite(text, number)
     value, unit = Fraction(number.text), tokens[at + 1]
-    if unit.kind != "word":
+    if unit.kind != "name":
         return _Bound(value, None), at + 1
     if unit.text not in _UNITS:
         refuse(text, unit.position, f"`{unit.text}` is no unit of time", "s, ms, us or ns", _REMEDY)
@@ -270,7 +270,7 @@ class Tree:
 
 @dataclass(slots=True)
 class _Pending:
-    """An operator, or a parenthesis with the function before it, that waits for its operand."""
+    """An operator, or a parenthesis with the function before it, whose operand is still to come."""
 
     kind: str
     token: Token
@@ -332,8 +332,8 @@ class _Reader:
             if token.kind == "number" or token.text == "-":
                 return self._number()
             kind = "not" if token.text == "!" else token.text
-            if token.kind == "word":
-                kind = self._kind_of_word()
+            if token.kind == "name":
+                kind = self._kind_of_name()
             if kind == "signal":
                 return self._signal()
             if kind in _FUNCTIONS or kind == "(":
@@ -368,7 +368,7 @@ class _Reader:
         return True
 
     def _reduce(self, level: int) -> _Pending | None:
-        """Apply what waits and binds as tightly as ``level``; what then waits last, if anything."""
+        """Apply pending operators that bind as tightly as ``level``; return the last that stays."""
         while self._pending and self._pending[-1].level >= level:
             last = self._pending.pop()
             count = 1 if last.kind in _UNARY else 2
@@ -401,7 +401,7 @@ class _Reader:
             sign = self._take()
         number, after = self._take(), self._token
         end = number.position + len(number.text)
-        if after.position == end and after.kind in ("word", "number"):
+        if after.position == end and after.kind in ("name", "number"):
             problem = f"a number ends in `{after.text}`"
             refuse(self._text, end, problem, "digits", "mend the number")
         finite(self._text, number)
@@ -425,50 +425,50 @@ class _Reader:
         window, self._at = _read_window(self._text, self._tokens, self._at)
         return window
 
-    def _kind_of_word(self) -> str:
-        """What a word is where an operand begins."""
-        word, after = self._token.text, self._after.text
-        if word == "not":
+    def _kind_of_name(self) -> str:
+        """What a name is where an operand begins."""
+        name, after = self._token.text, self._after.text
+        if name == "not":
             return "not"
-        if word in _CONNECTIVES and (word not in _SHORT or after in ("(", "[")):
-            refuse(self._text, self._token.position, f"found `{word}`", "a formula before it")
-        if word in _FUNCTIONS:
-            return word if after == "(" else "signal"
-        if word in _PREFIXES:
-            return _PREFIXES[word] if self._is_prefix() else "signal"
-        if word in _TRUTH and not (self._signals and word in self._signals):
-            problem = f"found the truth value `{word}`"
+        if name in _CONNECTIVES and (name not in _SHORT or after in ("(", "[")):
+            refuse(self._text, self._token.position, f"found `{name}`", "a formula before it")
+        if name in _FUNCTIONS:
+            return name if after == "(" else "signal"
+        if name in _PREFIXES:
+            return _PREFIXES[name] if self._is_prefix() else "signal"
+        if name in _TRUTH and not (self._signals and name in self._signals):
+            problem = f"found the truth value `{name}`"
             remedy = "compare a signal, as in `flag > 0.5`"
             refuse(self._text, self._token.position, problem, "comparisons", remedy)
         if after in ("(", "["):
-            self._unknown_word()
+            self._unknown_name()
         return "signal"
 
     def _is_prefix(self) -> bool:
         """Whether the name of a prefix operator is meant as such, and not as a signal."""
-        word, after = self._token.text, self._after
+        name, after = self._token.text, self._after
         in_value = self._at > 0 and self._tokens[self._at - 1].text in _BETWEEN_VALUES
         if after.text in ("(", "[", "!"):
             return True
         if after.text == "-" and not in_value and self._tokens[self._at + 2].kind == "number":
             number = self._tokens[self._at + 2].text
-            problem = f"`{word} - {number}` can be read in two ways"
+            problem = f"`{name} - {number}` can be read in two ways"
             remedy = (
-                f"write `({word}) - {number}` for the signal `{word}`, or "
-                f"`{word} (-{number} ...)` for the operator"
+                f"write `({name}) - {number}` for the signal `{name}`, or "
+                f"`{name} (-{number} ...)` for the operator"
             )
             refuse(self._text, self._token.position, problem, "parentheses", remedy)
         operand = after.kind == "number" or (
-            after.kind == "word" and (after.text not in _CONNECTIVES or after.text in _SHORT)
+            after.kind == "name" and (after.text not in _CONNECTIVES or after.text in _SHORT)
         )
         return operand and not in_value
 
-    def _unknown_word(self) -> NoReturn:
-        """Refuse a word that is used as an operator, and name the nearest one."""
-        text = self._token.text
-        near = difflib.get_close_matches(text.lower(), _KEYWORDS, n=1)
+    def _unknown_name(self) -> NoReturn:
+        """Refuse a name that is used as an operator, with the nearest known one."""
+        name = self._token.text
+        near = difflib.get_close_matches(name.lower(), _KEYWORDS, n=1)
         remedy = f"did you mean `{near[0]}`?" if near else "check its spelling"
-        problem, expected = f"`{text}` is no operator or function", "one of " + ", ".join(_KEYWORDS)
+        problem, expected = f"`{name}` is no operator or function", "one of " + ", ".join(_KEYWORDS)
         refuse(self._text, self._token.position, problem, expected, remedy)
 
     def _no_window(self) -> NoReturn:
@@ -482,10 +482,10 @@ class _Reader:
             self._no_window()
         if token.text == "not" or token.text in (*_PREFIXES, *_FUNCTIONS):
             self._wrong(_OPERATOR, "join two formulas with `and`, `or` or `implies`")
-        if token.kind == "word" and self._after.text in ("(", "["):
-            self._unknown_word()
+        if token.kind == "name" and self._after.text in ("(", "["):
+            self._unknown_name()
         self._wrong(_OPERATOR)
 
     def _wrong(self, expected: str, remedy: str = _EXAMPLE) -> NoReturn:
-        text = f"`{self._token.text}`" if self._token.kind != "end" else "the end"
-        refuse(self._text, self._token.position, f"found {text}", expected, remedy)
+        unexpected = f"`{self._token.text}`" if self._token.kind != "end" else "the end"
+        refuse(self._text, self._token.position, f"found {unexpected}", expected, remedy)

@@ -36,36 +36,36 @@ def sliding(join: np.ufunc, values: Array, first: int, last: int) -> Array:
     empty = np.inf if join is np.minimum else -np.inf
     if first >= size:
         return np.full_like(values, empty)
-    full_like = np.full_like(values, empty) if first else values.copy()
-    kept = full_like[..., : size - first]
+    result = np.full_like(values, empty) if first else values.copy()
+    inside = result[..., : size - first]
     if first:
-        kept[...] = values[..., first:]
-    width, wanted = 1, min(last - first + 1, size - first)
-    while width < wanted:
+        inside[...] = values[..., first:]
+    width, target = 1, min(last - first + 1, size - first)
+    while width < target:
         # Windows may overlap, as the minimum of a sample with itself is the sample.
-        shift = min(width, wanted - width)
-        head = kept[..., :-shift]
-        join(head, kept[..., shift:], out=head)
+        shift = min(width, target - width)
+        head = inside[..., :-shift]
+        join(head, inside[..., shift:], out=head)
         width += shift
-    return full_like
+    return result
 
 
 def sliding_past(join: np.ufunc, values: Array, first: int, last: int) -> Array:
     """Minimum or maximum over the samples ``t - last .. t - first``."""
-    array: Array = sliding(join, values[..., ::-1], first, last)[..., ::-1]
-    return array
+    result: Array = sliding(join, values[..., ::-1], first, last)[..., ::-1]
+    return result
 
 
 def running(join: np.ufunc, values: Array) -> Array:
     """Minimum or maximum over this sample and all later ones."""
-    array: Array = join.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
-    return array
+    result: Array = join.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
+    return result
 
 
 def running_past(join: np.ufunc, values: Array) -> Array:
     """Minimum or maximum over this sample and all earlier ones."""
-    accumulate: Array = join.accumulate(values, axis=-1)
-    return accumulate
+    result: Array = join.accumulate(values, axis=-1)
+    return result
 
 
 def until(left: Array, right: Array, first: int = 0, last: int | None = None) -> Array:
@@ -82,9 +82,9 @@ def until(left: Array, right: Array, first: int = 0, last: int | None = None) ->
     best: Array = right[..., first:].copy()
     least: Array = left[..., first:].copy()
     width = 1
-    wanted = size - first if last is None else min(last - first + 1, size - first)
-    while width < wanted:
-        shift = min(width, wanted - width)
+    target = size - first if last is None else min(last - first + 1, size - first)
+    while width < target:
+        shift = min(width, target - width)
         head = best[..., :-shift]
         np.maximum(head, np.minimum(least[..., :-shift], best[..., shift:]), out=head)
         head = least[..., :-shift]
@@ -92,39 +92,39 @@ def until(left: Array, right: Array, first: int = 0, last: int | None = None) ->
         width += shift
     if not first:
         return best
-    full_like = np.full_like(right, -np.inf)
+    result = np.full_like(right, -np.inf)
     before = sliding(np.minimum, left, 0, first - 1)
-    np.minimum(best, before[..., :-first], out=full_like[..., :-first])
-    return full_like
+    np.minimum(best, before[..., :-first], out=result[..., :-first])
+    return result
 
 
 def since(left: Array, right: Array, first: int = 0, last: int | None = None) -> Array:
     """The best sample of ``t - last .. t - first`` for ``right``, with ``left`` at all after it."""
-    array: Array = until(left[..., ::-1], right[..., ::-1], first, last)[..., ::-1]
-    return array
+    result: Array = until(left[..., ::-1], right[..., ::-1], first, last)[..., ::-1]
+    return result
 
 
 def following(values: Array, end: float) -> Array:
     """The next sample's value, and ``end`` at the last sample."""
-    empty_like = np.empty_like(values)
-    empty_like[..., :-1] = values[..., 1:]
-    empty_like[..., -1] = end
-    return empty_like
+    result = np.empty_like(values)
+    result[..., :-1] = values[..., 1:]
+    result[..., -1] = end
+    return result
 
 
 def preceding(values: Array, start: float) -> Array:
     """The previous sample's value, and ``start`` at the first sample."""
-    empty_like = np.empty_like(values)
-    empty_like[..., 1:] = values[..., :-1]
-    empty_like[..., 0] = start
-    return empty_like
+    result = np.empty_like(values)
+    result[..., 1:] = values[..., :-1]
+    result[..., 0] = start
+    return result
 
 
 def open_tail(values: Array, last: int, unknown: float) -> Array:
     """A copy with ``unknown`` wherever the window up to ``t + last`` leaves the trace."""
-    array: Array = values.copy()
-    array[..., max(values.shape[-1] - last, 0) :] = unknown
-    return array
+    result: Array = values.copy()
+    result[..., max(values.shape[-1] - last, 0) :] = unknown
+    return result
 
 
 @dataclass(slots=True, eq=False)
@@ -152,7 +152,7 @@ class Frame:
         return values if self.beyond is None else np.where(self.beyond, neutral, values)
 
     def place(self, index: tuple[int, ...]) -> str:
-        """When a sample was, for messages."""
+        """Time, and trace, of a sample, for messages."""
         tick = index[-1]
         time = tick * self.time_step if self.times is None else self.times[tick]
         if len(index) == 1:
@@ -179,7 +179,7 @@ class Frame:
 
 def first_not_finite(values: Array) -> tuple[int, ...]:
     """Index of the first sample that is not finite."""
-    return tuple(int(item) for item in np.argwhere(~np.isfinite(values))[0])
+    return tuple(int(index) for index in np.argwhere(~np.isfinite(values))[0])
 
 
 def arrays(
@@ -195,19 +195,19 @@ def arrays(
     Raises:
         ConfigurationError: For an unknown signal, and for anything that is no array of numbers.
     """
-    found: dict[str, Array] = {}
+    samples: dict[str, Array] = {}
     for name in names:
         if name not in columns:
             raise unknown_signal(name, columns, str(formula), None)
         try:
-            found[name] = np.asarray(columns[name], dtype=float)
+            samples[name] = np.asarray(columns[name], dtype=float)
         except (TypeError, ValueError) as error:
             raise ConfigurationError(
                 f"the signal {name!r} is no array of numbers: {error}",
                 found=columns[name],
                 expected="one number per sample",
             ) from error
-    return found
+    return samples
 
 
 def empty_trace(found: str) -> ConfigurationError:

@@ -8,9 +8,9 @@ import pytest
 from handmade import handmade
 
 from pytest_dura import Episode
-from pytest_dura.campaign.causal_chains import causal_chains
+from pytest_dura.campaign.fault_tracing import causal_chains
+from pytest_dura.core.episode import Divergence
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.core.propagation import Divergence
 from pytest_dura.requirements.model import Paired, Requirement
 
 FREE = Requirement("SAF-1", check="always (gap > 0)")

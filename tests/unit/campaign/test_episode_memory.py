@@ -15,8 +15,8 @@ from pytest_dura.core.state import Event
 from pytest_dura.execution.store import EpisodeMemory, EpisodeStore, size_of
 from pytest_dura.execution.task import EpisodeTask, run_episode
 from pytest_dura.library.loading import load_library
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import JudgedEpisode
 from pytest_dura.runner import Runner
 
 WARM = EpisodeSpec(

@@ -19,12 +19,12 @@ from pytest_dura.search.space import SearchSpace
 def made(**more: Any) -> Any:
     space = SearchSpace.of(case(**more), [BIAS])
     highest = space.values([1.0] * space.layout.size)
-    return space.made(highest | {"world.start": 16.5}, 7)
+    return space.case_with(highest | {"world.start": 16.5}, 7)
 
 
 def test_what_is_kept_reads_as_the_same_episode(tmp_path) -> None:
     searched = made()
-    kept = write_counterexample(tmp_path, searched, WARM, defined=True, told=["by a test"])
+    kept = write_counterexample(tmp_path, searched, WARM, defined=True, heading=["by a test"])
     (again,) = expand_cases([kept.scenario])
     one, other = searched.spec(0, 0), again.spec(0, 5)
     assert (one.seed, one.faults, one.roles) == (other.seed, other.faults, other.roles)
@@ -85,7 +85,7 @@ def test_a_check_that_no_file_can_name_is_refused_and_nothing_is_written(tmp_pat
     "text", ["x\nname: evil", "x\r\nseed: 1", "x\u2028y: 1", "\x85a: b", "x" * 999]
 )
 def test_no_text_breaks_out_of_the_comment(tmp_path, text) -> None:
-    kept = write_counterexample(tmp_path, made(), WARM, defined=True, told=[text])
+    kept = write_counterexample(tmp_path, made(), WARM, defined=True, heading=[text])
     plain = write_counterexample(tmp_path / "plain", made(), WARM, defined=True)
     assert yaml.safe_load(kept.file.read_text()) == yaml.safe_load(plain.file.read_text())
 

@@ -11,7 +11,6 @@ from pytest_dura.library import loading
 from pytest_dura.library.loading import (
     builtin_paths,
     load_library,
-    load_requirements,
     load_scenarios,
     select_names,
 )
@@ -45,7 +44,7 @@ def test_hidden_and_requirement_files_are_no_scenarios(tmp_path: Path) -> None:
     (tmp_path / "safety.yaml").write_text(requirement("B"))
     (tmp_path / "room.yaml").write_text(scenario("room"))
     assert list(load_scenarios([tmp_path])) == ["room"]
-    assert list(load_requirements([tmp_path])) == ["A", "B"]
+    assert list(load_library([tmp_path], builtin=False).requirements) == ["A", "B"]
 
 
 def test_a_file_that_is_given_twice_is_read_once(tmp_path: Path) -> None:
@@ -67,7 +66,7 @@ def test_two_requirements_of_one_id_are_an_error_that_names_both_files(tmp_path:
     (tmp_path / "requirements.yaml").write_text(requirement("A"))
     (tmp_path / "requirements2.yaml").write_text(requirement("A"))
     with pytest.raises(ConfigurationError) as caught:
-        load_requirements([tmp_path])
+        load_library([tmp_path], builtin=False)
     assert "requirement 'A' is defined twice" in str(caught.value)
     assert caught.value.line == 2
     assert str(tmp_path / "requirements.yaml") in str(caught.value.found)
@@ -99,7 +98,7 @@ def test_a_bad_requirement_file(tmp_path: Path, text: str, line: int, key: str, 
     file = tmp_path / "requirements.yaml"
     file.write_text(text)
     with pytest.raises(ConfigurationError) as caught:
-        load_requirements([file])
+        load_library([file], builtin=False)
     assert str(caught.value).startswith(f"{file}:{line}: ")
     assert caught.value.key == key
     assert words in str(caught.value)

@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.library.loading import SCHEMA_FILE, builtin_paths
-from pytest_dura.library.scenario import Scenario
-from pytest_dura.library.schema import scenario_schema, write_schema
+from pytest_dura.library.loading import builtin_paths
+from pytest_dura.library.scenario import SCHEMA_FILE, Scenario, scenario_schema, write_schema
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +19,7 @@ def schema() -> dict[str, Any]:
 
 def test_the_committed_file_is_up_to_date(schema: dict[str, Any]) -> None:
     committed = json.loads((builtin_paths()[0] / SCHEMA_FILE).read_text("utf-8"))
-    assert committed == schema, "run `python -m pytest_dura.library.schema`"
+    assert committed == schema, "run `python -m pytest_dura.library.scenario`"
 
 
 def test_every_key_is_described(schema: dict[str, Any]) -> None:

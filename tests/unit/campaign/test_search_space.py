@@ -14,8 +14,8 @@ from pytest_dura.campaign.falsification import Limits
 from pytest_dura.library.cases import Case, case_with_faults, expand_cases
 from pytest_dura.library.loading import Library
 from pytest_dura.library.scenario import Scenario
-from pytest_dura.requirements.verdicts.episodes import SearchVerdict, judge_episode, judge_searched
-from pytest_dura.requirements.verdicts.judging import CampaignJudge
+from pytest_dura.requirements.campaign_judge import CampaignJudge
+from pytest_dura.requirements.episode_verdicts import SearchVerdict, judge_episode, judge_searched
 from pytest_dura.search.falsify import falsify
 from pytest_dura.search.space import CoverageCount, Group, Layout, SearchSpace, on_grid
 from pytest_dura.search.trials import Objective
@@ -73,8 +73,8 @@ def test_what_a_fault_is_given_stays_and_the_rest_is_searched() -> None:
 def test_faults_begin_while_there_is_somebody_to_meet() -> None:
     without_time = {"type": "bias", "target": "sensor.temperature"}
     with pytest.raises(ConfigurationError):
-        SearchSpace.of(case(), [without_time], lasting=2.0)  # nothing activates it
-    space = SearchSpace.of(case(faults=[BIAS | {"id": "off"}]), ["off"], lasting=2.0)
+        SearchSpace.of(case(), [without_time], begin_within=2.0)  # nothing activates it
+    space = SearchSpace.of(case(faults=[BIAS | {"id": "off"}]), ["off"], begin_within=2.0)
     point = [1.0] * space.layout.size
     fault = space.values(point)["faults.search-1"]
     assert fault["activation"]["at"] == pytest.approx(2.0 - 0.1)
@@ -90,19 +90,19 @@ def test_inputs_over_time_are_lists() -> None:
 
 def test_a_searched_case_is_fixed_whatever_the_sessions_seed() -> None:
     space = SearchSpace.of(case())
-    made = space.made({"world.start": 16.5}, 7)
+    made = space.case_with({"world.start": 16.5}, 7)
     assert isinstance(made, SearchedCase)
     specs = [made.spec(0, base) for base in (0, 99)]
     assert [spec.seed for spec in specs] == [7, 7]
     assert specs[0].scenario["world"]["start"] == 16.5
     assert made.scenario.variation == {}
-    assert made.id != space.made({"world.start": 16.6}, 7).id
-    assert made.id == space.made({"world.start": 16.5}, 7).id
+    assert made.id != space.case_with({"world.start": 16.6}, 7).id
+    assert made.id == space.case_with({"world.start": 16.5}, 7).id
 
 
 def test_two_added_faults_of_one_kind_have_ids_of_their_own() -> None:
     space = SearchSpace.of(case(), [BIAS], at_most=2)
-    made = space.made(space.values([1.0] * space.layout.size), 1)
+    made = space.case_with(space.values([1.0] * space.layout.size), 1)
     assert [fault["id"] for fault in made.faults] == ["bias", "bias-2"]
 
 
@@ -116,7 +116,7 @@ def test_faults_of_a_type_of_the_users_own_may_be_added_twice(monkeypatch) -> No
     }
     try:
         space = SearchSpace.of(case(), [drizzle], at_most=2)
-        made = space.made(space.values([1.0] * space.layout.size), 1)
+        made = space.case_with(space.values([1.0] * space.layout.size), 1)
         assert [one["id"] for one in made.faults] == ["oddities:Drizzle", "oddities-Drizzle-2"]
         (again,) = expand_cases([made.scenario])
         assert again.faults == made.faults
@@ -137,7 +137,7 @@ def test_a_fault_of_the_scenario_may_be_called_as_room_for_one_is() -> None:
     spread = {"faults.search-1.duration": {"min": 0.5, "max": 1.5}}
     scenario = room(faults=[BIAS | {"id": "search-1"}], variation=spread)
     space = SearchSpace.of(case_with_faults(scenario, ["search-1"]))
-    made = space.made(space.values([1.0]), 1)
+    made = space.case_with(space.values([1.0]), 1)
     assert [(one["id"], one["duration"]) for one in made.faults] == [("search-1", 1.5)]
 
 
@@ -156,7 +156,7 @@ def test_no_rate_is_made_of_what_a_search_chose() -> None:
     bench = Runner(lambda: library)
     used: list[object] = []
     bench.on_episode = lambda *told: used.append(told)
-    made = SearchSpace.of(case()).made({"world.start": 16.5}, 7)
+    made = SearchSpace.of(case()).case_with({"world.start": 16.5}, 7)
     episode = bench.episode(made)
     assert isinstance(episode, SearchedEpisode)
     assert used == []
@@ -166,7 +166,7 @@ def test_no_rate_is_made_of_what_a_search_chose() -> None:
         judge_episode(WARM, episode)
     verdict = judge_searched(WARM, episode)
     assert isinstance(verdict, SearchVerdict)
-    assert (verdict.word, verdict.margin) == ("satisfied", episode.robustness(WARM.check))
+    assert (verdict.status, verdict.margin) == ("satisfied", episode.robustness(WARM.check))
     judge = CampaignJudge(WARM, "room", planned=1)
     with pytest.raises(ConfigurationError, match="rests on verdicts on its own episodes"):
         judge.add(verdict)  # type: ignore[arg-type]
@@ -221,7 +221,7 @@ def test_a_violation_that_only_a_baseline_met_is_confirmed_and_claimed() -> None
     bench.on_search = lambda *one: told.append(one)
     found = falsify(bench, case(), [Objective(ends), Objective(middle)], limits=Limits(2, shrink=0))
     by_end, by_middle = found.outcomes
-    assert (by_end.word, by_middle.word) == ("falsified", "falsified")
+    assert (by_end.status, by_middle.status) == ("falsified", "falsified")
     assert by_end.searcher in {one.name for one in found.searchers}
     assert all(one.first["MIDDLE"] is None for one in found.searchers)
     met = {one.name: one.first["MIDDLE"] for one in found.baselines}

@@ -20,7 +20,7 @@ class Asking(Generator):
         self.power, self.model = power, model
 
     @classmethod
-    def settled(cls, params):
+    def resolve_parameters(cls, params):
         ASKED.append(dict(params))
         return {**params, "model": f"model-{len(ASKED)}"}
 
@@ -30,27 +30,46 @@ class Asking(Generator):
 
 class Unsettled(Asking):
     @classmethod
-    def settled(cls, params):
+    def resolve_parameters(cls, params):
         ASKED.append(dict(params))
         raise ConfigurationError("the server is not there")
 
 
 class Broken(Asking):
     @classmethod
-    def settled(cls, params):
+    def resolve_parameters(cls, params):
         return {}["model"]
 
 
 class NotPlain(Asking):
     @classmethod
-    def settled(cls, params):
+    def resolve_parameters(cls, params):
         return {"model": object()}
 
 
 class NoMapping(Asking):
     @classmethod
-    def settled(cls, params):
+    def resolve_parameters(cls, params):
         return ["model"]
+
+
+def test_a_role_that_resolves_by_the_deprecated_name_still_does(settled):
+    with pytest.warns(DeprecationWarning, match="Former.settled is deprecated"):
+
+        class Former(Asking):
+            @classmethod
+            def settled(cls, params):
+                return {**super().settled(params), "power": 3.0}
+
+    assert settled(LocalRole("conftest.py:Former", Former)).params == {
+        "model": "model-1",
+        "power": 3.0,
+    }
+
+    class Derived(Former):
+        pass
+
+    assert Derived.resolve_parameters({})["power"] == 3.0
 
 
 def make(power=1.0):
@@ -150,7 +169,7 @@ class Watching(SafetyMonitor):
         self.model = model
 
     @classmethod
-    def settled(cls, params):
+    def resolve_parameters(cls, params):
         return {**params, "model": "a judge"}
 
     def run(self, view):

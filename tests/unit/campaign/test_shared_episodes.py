@@ -263,7 +263,7 @@ def test_an_error_of_what_is_done_ahead_is_that_of_who_wants_it(tmp_path, monkey
     generator = RoleSpec("counted_rooms:Counted", {"folder": str(tmp_path), "wrong": 1})
     bad = replace(bad, spec=replace(bad.spec, roles={"generator": generator}))
     store = counted_store(tmp_path)
-    held = store.shelf.claim(Addresses().of(good))
+    held = store.cache.claim(Addresses().of(good))
     released = []
 
     def sleep(_):

@@ -23,8 +23,8 @@ from pytest_dura.search.drawing import (
     OMISSION_ODDS,
     SEEDS,
     CaseDrawing,
+    ChoiceScale,
     NumberScale,
-    WordScale,
     omissions,
     scaled,
     without_omissions,
@@ -98,10 +98,10 @@ def test_the_nominal_value_is_the_given_one_where_the_interval_holds_it() -> Non
 
 
 def test_words_begin_with_the_nominal_one() -> None:
-    scale = WordScale(("a", "b", "c"), "b")
+    scale = ChoiceScale(("a", "b", "c"), "b")
     assert [scale.value(one, 0, 0) for one in range(scale.count())] == ["b", "a", "c"]
     assert scale.count(1) == scale.count(1, 0) == 1
-    assert WordScale(("a", "b"), "z").value(0, 0, 0) == "a"
+    assert ChoiceScale(("a", "b"), "z").value(0, 0, 0) == "a"
 
 
 def test_a_list_of_numbers_has_a_scale_for_each() -> None:

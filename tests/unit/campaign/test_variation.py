@@ -10,8 +10,7 @@ import pytest
 
 from pytest_dura import ConfigurationError
 from pytest_dura.library.loading import load_scenarios
-from pytest_dura.library.scenario import Choice, Range
-from pytest_dura.library.variation import draw_value, replace_value, split_path
+from pytest_dura.library.scenario import Choice, Range, draw_value, replace_value, split_path
 
 ROOM = (
     "name: room\nsimulator: rooms:Room\nduration: 4.0\n"

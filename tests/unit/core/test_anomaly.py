@@ -47,7 +47,7 @@ def test_absurd_rows_have_finite_scores_and_name_their_feature(kind, parameters)
     absurd = np.array([[1e300, 0.0], [math.nan, 0.0], [0.0, -math.inf]])
     scored = model(kind, parameters)
     assert np.isfinite(scored.scores(absurd)).all()
-    assert [scored.strangest(row) for row in absurd] == ["a.x", "a.x", "b.y"]
+    assert [scored.farthest_feature(row) for row in absurd] == ["a.x", "a.x", "b.y"]
 
 
 def test_many_rows_score_as_each_by_itself() -> None:

@@ -80,8 +80,8 @@ def test_the_process_is_only_guarded_as_long_as_anybody_wants_it() -> None:
             for call in (os._exit, guarded):
                 with pytest.raises(ExitRefusedError):
                     call(0)
-                assert boundary.take_misdeed() == "tried to end the process by os._exit(0)"
-            assert boundary.take_misdeed() is None
+                assert boundary.take_misuse() == "tried to end the process by os._exit(0)"
+            assert boundary.take_misuse() is None
         assert os._exit is guarded
     assert os._exit is real
 

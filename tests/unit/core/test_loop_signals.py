@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from handmade import decided, handmade
 
-from pytest_dura.core.loop_signals import LOOP_SIGNALS, loop_signals
-from pytest_dura.core.propagation import switching
+from pytest_dura.core.loop_signals import LOOP_SIGNALS, loop_signals, switching
 
 
 def found(sources: str, verdicts: str | None = None, *, dt: float = 0.5) -> dict[str, Any]:

@@ -10,8 +10,8 @@ import pytest
 from handmade import handmade
 
 from pytest_dura import Episode
+from pytest_dura.core.episode import Divergence, Propagation
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.core.propagation import Divergence, Propagation
 
 
 def episode(proposals: str, failure: str | None = None) -> Episode:
@@ -59,7 +59,7 @@ def test_a_fault_that_manifested_where_there_is_nothing_to_compare_is_not_contai
     assert found.of_fault(fault(0.1)) == Propagation("contained")
     late = found.of_fault(fault(0.2))
     assert late is not None
-    assert (late.word, late.reason) == (
+    assert (late.status, late.reason) == (
         "unknown",
         "one of the runs has no proposal after 0.10 s to compare",
     )
@@ -101,7 +101,7 @@ def test_what_had_manifested_by_then_answers_for_it() -> None:
     assert found.of_fault(fault(0.5)) == Propagation("propagated", 0.5)
     later = found.of_fault(fault(0.6))
     assert later is not None
-    assert (later.word, later.at) == ("unknown", None)
+    assert (later.status, later.at) == ("unknown", None)
     assert "from 0.50 s on, through another fault" in later.reason
 
 

@@ -10,7 +10,7 @@ import pytest
 from roads import always, bodies_at, drive, events_of
 
 from pytest_dura.core.state import Tick
-from pytest_dura.driving import geometry
+from pytest_dura.driving.bodies import box_gap
 from pytest_dura.driving.highway import WRECK_TIME, HighwaySimulator
 from pytest_dura.driving.maneuvers import Command, Maneuver
 
@@ -41,7 +41,7 @@ def gap_to(tick: Tick, name: str) -> float:
     assert body is not None
     mine = np.array([[ego.x, ego.y, ego.heading, 5.0, 2.0]])
     other = np.array([[body.x, body.y, body.heading, body.length, body.width]])
-    return float(geometry.box_gap(mine, other)[0])
+    return float(box_gap(mine, other)[0])
 
 
 def check_contact(simulator: HighwaySimulator, ticks: list[Tick], code: int, partner: str) -> str:

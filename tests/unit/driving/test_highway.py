@@ -15,8 +15,7 @@ from pytest_dura import Simulator
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.simulator_conformance import check_simulator
 from pytest_dura.core.state import Percept
-from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.geometry import GAP_CAP, TTC_CAP
+from pytest_dura.driving.bodies import GAP_CAP, TTC_CAP, BodyList
 from pytest_dura.driving.highway import HighwaySimulator
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, route
 from pytest_dura.driving.signals import NAMES, PERCEPT_NAMES

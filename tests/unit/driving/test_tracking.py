@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from roads import car, car_on, channels_of, walker
 
-from pytest_dura.driving import geometry, prediction
-from pytest_dura.driving.bodies import NO_BODIES, Body, BodyList
+from pytest_dura.driving import prediction
+from pytest_dura.driving.bodies import NO_BODIES, Body, BodyList, box_gap
 from pytest_dura.driving.junction import route
 from pytest_dura.driving.percepts import CrossCheck, compare_sensors, with_unexplained_returns
 from pytest_dura.driving.roles.security import Tracker
@@ -131,7 +131,7 @@ def test_predicted_separation_is_never_more_than_the_gap() -> None:
         x, y, heading = (float(value) for value in way.pose(s))
         mine = np.array([[x, y, heading, 5.0, 2.0]])
         box = np.array([[other.x, other.y, other.heading, 5.0, 2.0]])
-        gap = float(geometry.box_gap(mine, box)[0])
+        gap = float(box_gap(mine, box)[0])
         assert apart <= gap + 1e-9, "discs cover the boxes: it errs to the safe side"
         assert apart >= gap - 2.6 or gap == 0.0
 

@@ -22,7 +22,7 @@ def one_compared(new, old):
 
 def test_equal_seeds_are_pairs():
     found = one_compared(record(verdict(10, {0, 1, 2, 3, 4, 9})), record(verdict(10, {9})))
-    assert (found.word, found.test, found.only_now, found.only_baseline) == (
+    assert (found.status, found.test, found.only_now, found.only_baseline) == (
         "worse", "McNemar", 5, 0,
     )  # fmt: skip
     assert (found.p_worse, found.p_better) == (1 / 32, 1.0)
@@ -32,18 +32,18 @@ def test_equal_seeds_are_pairs():
 
 def test_the_other_way_round_is_better():
     found = one_compared(record(verdict(10)), record(verdict(10, range(5))))
-    assert (found.word, found.p_better, found.only_baseline) == ("better", 1 / 32, 5)
+    assert (found.status, found.p_better, found.only_baseline) == ("better", 1 / 32, 5)
 
 
 def test_other_seeds_are_independent_campaigns():
     found = one_compared(record(verdict(3, range(3)), seed=1), record(verdict(3)))
-    assert (found.word, found.test, found.p_worse) == ("worse", "Fisher", 0.05)
+    assert (found.status, found.test, found.p_worse) == ("worse", "Fisher", 0.05)
     assert found.only_now is None
 
 
 def test_other_numbers_of_runs_are_compared_by_their_counts():
     found = one_compared(record(verdict(3, range(3))), record(verdict(40)))
-    assert (found.word, found.test) == ("worse", "Fisher")
+    assert (found.status, found.test) == ("worse", "Fisher")
 
 
 def test_an_invalid_run_leaves_no_pairs_since_its_number_is_unknown():
@@ -69,25 +69,25 @@ def test_the_words_have_the_requirements_own_confidence(seed):
     strict = verdict(10, range(5))
     strict["bound"] = {**strict["bound"], "confidence": 0.99}
     found = one_compared(record(strict, seed=seed), record(verdict(10)))
-    assert (found.word, found.confidence) == ("no evidence of a change", 0.99)
+    assert (found.status, found.confidence) == ("no evidence of a change", 0.99)
     assert found.uncorrected == "no evidence of a change"
     assert found.p_worse <= 0.05
 
 
 def test_the_component_may_differ():
     found = one_compared(record(verdict(10, range(5))), record(verdict(10, component="Old")))
-    assert (found.component, found.baseline_component, found.word) == ("C", "Old", "worse")
+    assert (found.component, found.baseline_component, found.status) == ("C", "Old", "worse")
 
 
 def test_new_and_gone():
     new = record(verdict(3), verdict(3, requirement="N"))
     old = record(verdict(3), verdict(3, case="a/c"))
     words = {(one.requirement, one.case): one for one in compared(new, old)}
-    assert words["N", "a/b"].word == "new"
+    assert words["N", "a/b"].status == "new"
     assert words["N", "a/b"].baseline_component is None
-    assert words["R", "a/c"].word == "gone"
+    assert words["R", "a/c"].status == "gone"
     assert words["R", "a/c"].component is None
-    assert words["R", "a/b"].word == "no evidence of a change"
+    assert words["R", "a/b"].status == "no evidence of a change"
     assert [one.p_worse_holm for one in words.values()].count(None) == 2
 
 
@@ -104,15 +104,15 @@ def pairs_without(role):
 ])  # fmt: skip
 def test_another_question_is_no_comparison_and_no_test(changes, reason):
     found = one_compared(record(verdict(10, range(5), **changes)), record(verdict(10)))
-    assert (found.word, found.test, found.p_worse) == ("no comparison", None, None)
+    assert (found.status, found.test, found.p_worse) == ("no comparison", None, None)
     assert found.reason.startswith(reason)
 
 
 def test_pairs_without_the_same_are_compared():
     new, old = (verdict(10, some, pairs=pairs_without("faults")) for some in (range(5), ()))
-    assert one_compared(record(new), record(old)).word == "worse"
+    assert one_compared(record(new), record(old)).status == "worse"
     other = verdict(10, pairs=pairs_without("recovery_planner"))
-    assert one_compared(record(new), record(other)).word == "no comparison"
+    assert one_compared(record(new), record(other)).status == "no comparison"
 
 
 def test_another_bound_on_the_change_of_a_measure_is_another_question():
@@ -120,7 +120,7 @@ def test_another_bound_on_the_change_of_a_measure_is_another_question():
         paired = {"without": "faults", "measure": "m:f", "change_at_most": value}
         return record(verdict(10, check="", paired=paired, pairs=pairs_without("faults")))
 
-    assert one_compared(with_bound(0.0), with_bound(0.0)).word == "no evidence of a change"
+    assert one_compared(with_bound(0.0), with_bound(0.0)).status == "no evidence of a change"
     assert "change_at_most 0.5" in one_compared(with_bound(0.0), with_bound(0.5)).reason
     assert "change_at_most 0.0" in one_compared(with_bound(0.0), with_bound(None)).reason
 
@@ -134,7 +134,7 @@ def test_another_bound_on_the_change_of_a_measure_is_another_question():
 def test_what_the_outcome_keeps_from_being_compared_counts_as_a_test(changes, reason):
     spoilt, fine = verdict(10, **changes), verdict(10, range(5))
     now = one_compared(record(spoilt), record(fine))
-    assert (now.word, now.test, now.p_worse) == ("no comparison", None, 1.0)
+    assert (now.status, now.test, now.p_worse) == ("no comparison", None, 1.0)
     assert now.reason == reason.format("").strip()
     before = one_compared(record(fine), record(spoilt))
     assert before.reason == reason.format("of the baseline ").strip()
@@ -142,7 +142,7 @@ def test_what_the_outcome_keeps_from_being_compared_counts_as_a_test(changes, re
         record(fine, verdict(10, case="a/c", **changes)),
         record(verdict(10), verdict(10, case="a/c")),
     )
-    assert [one.word for one in beside] == ["no evidence of a change", "no comparison"]
+    assert [one.status for one in beside] == ["no evidence of a change", "no comparison"]
     assert (beside[0].uncorrected, beside[0].p_worse_holm) == ("worse", 2 / 32)
 
 
@@ -159,7 +159,7 @@ def test_the_words_rest_on_holms_correction():
     new = record(*(verdict(10, some, case) for some, case in zip(violating, cases, strict=True)))
     old = record(*(verdict(10, case=case) for case in cases))
     found = compared(new, old)
-    assert [one.word for one in found] == [
+    assert [one.status for one in found] == [
         "worse", "no evidence of a change", "no evidence of a change",
     ]  # fmt: skip
     assert [one.uncorrected for one in found] == ["worse", "worse", "no evidence of a change"]
@@ -209,7 +209,7 @@ def test_other_roles_and_policies_are_what_is_compared():
     for episode in new["episodes"]:
         episode["spec"]["roles"]["safety_monitor"] = {"path": "m:M", "params": {}}
         episode["spec"]["policy"] = "halt"
-    assert one_compared(new, record(verdict(3))).word == "no evidence of a change"
+    assert one_compared(new, record(verdict(3))).status == "no evidence of a change"
 
 
 def made(*told):
@@ -225,7 +225,7 @@ def made(*told):
 ])  # fmt: skip
 def test_of_several_verdicts_on_a_case_those_that_agree_most_are_compared(new, old):
     found = compared(made(*new.split()), made(*old.split()))
-    assert {one.word for one in found} == {"no evidence of a change"}
+    assert {one.status for one in found} == {"no evidence of a change"}
     assert len(found) == len(new.split())
     names = {component for component, _ in new.split()} & {
         component for component, _ in old.split()
@@ -235,7 +235,7 @@ def test_of_several_verdicts_on_a_case_those_that_agree_most_are_compared(new, o
 
 def test_what_could_be_compared_with_several_is_compared_with_none():
     found = compared(made("Ai"), made("Bj", "Dj"))
-    assert sorted(one.word for one in found) == ["gone", "gone", "new"]
+    assert sorted(one.status for one in found) == ["gone", "gone", "new"]
 
 
 def test_tests_with_other_checks_are_not_mixed_up():
@@ -254,7 +254,7 @@ def test_tests_with_other_checks_are_not_mixed_up():
 def test_several_components_are_matched_by_name_and_never_twice():
     new = record(verdict(3, component="A"), verdict(3, component="B"))
     old = record(verdict(3, component="B"), verdict(3, component="D"))
-    found = {(one.component, one.baseline_component): one.word for one in compared(new, old)}
+    found = {(one.component, one.baseline_component): one.status for one in compared(new, old)}
     assert found == {
         ("B", "B"): "no evidence of a change", ("A", "D"): "no evidence of a change",
     }  # fmt: skip

@@ -252,3 +252,10 @@ def test_a_gate_that_failed_for_something_else():
 def test_an_undecided_search_passes_a_gate_that_was_told_to_let_it():
     assert gate_problems(entry("undecided")) != []
     assert gate_problems(entry("undecided"), warn_undecided=True) == []
+
+
+def test_a_violation_of_a_baseline_alone_passes_verify_where_it_passed_the_gate():
+    search = copy.deepcopy(entry("nothing found"))
+    search["baselines"][1]["first"]["SAF-1"] = 3
+    assert gate_problems(search) != []
+    assert gate_problems(search, warn_undecided=True) == []

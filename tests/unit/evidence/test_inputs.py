@@ -217,8 +217,8 @@ def test_what_the_session_itself_replaces_has_not_changed(tmp_path):
 def test_files_that_another_process_read(tmp_path):
     (tmp_path / "a.py").write_text("a")
     inputs = InputFiles(tmp_path)
-    inputs.add_told("component", [{"path": "a.py", "sha256": sha256("older")}])
-    inputs.add_told("component", [{"path": "pkg/b.py", "sha256": sha256("b")}])
+    inputs.add_reported("component", [{"path": "a.py", "sha256": sha256("older")}])
+    inputs.add_reported("component", [{"path": "pkg/b.py", "sha256": sha256("b")}])
     assert [(one["path"], one["changed"]) for one in inputs.to_json()] == [
         ("a.py", True),
         ("pkg/b.py", False),

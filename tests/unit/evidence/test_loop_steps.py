@@ -50,7 +50,7 @@ def test_the_six_steps_of_a_tick():
         "Act: BRAKE",
         "Log: t = 0.30 s",
     ]
-    update, propose, assess, decide, act, log = [dict(one.told) for one in steps]
+    update, propose, assess, decide, act, log = [dict(one.details) for one in steps]
     assert update == {"gap": "1", "percept.gap": "9"}
     assert propose.keys() == {"explanation"}
     assert propose["explanation"].startswith("<b>xxx")
@@ -69,14 +69,14 @@ def test_the_six_steps_of_a_tick():
 
 def test_a_tick_in_the_middle_of_an_episode():
     steps = loop_steps(trace(), 1, ["gap"])
-    assert steps[0].told == {"gap": "3", "percept.gap": "9", "fault_manifested": "ghost"}
+    assert steps[0].details == {"gap": "3", "percept.gap": "9", "fault_manifested": "ghost"}
     assert steps[3].name == "Decide: proposal"
-    assert steps[5].told == {}
+    assert steps[5].details == {}
 
 
 def test_an_episode_that_was_not_recorded_tells_its_decisions():
     steps = loop_steps(trace(recording=Recording()), 2, [])
-    assert steps[1].told == {}
+    assert steps[1].details == {}
     assert steps[3].name == "Decide: recovery"
 
 

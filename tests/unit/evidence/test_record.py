@@ -4,9 +4,9 @@ import copy
 
 from pytest_dura.evidence.gather import UNKNOWN_COMPONENT, RecordBuilder
 from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics
+from pytest_dura.requirements.campaign_judge import judge_campaign
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
-from pytest_dura.requirements.verdicts.judging import judge_campaign
 
 REQUIREMENT = {"id": "R", "text": "t", "kind": "safety", "source": "", "check": "", "reason": ""}
 

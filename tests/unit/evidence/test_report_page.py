@@ -352,7 +352,7 @@ def test_clearance_times_are_those_of_valid_planned_runs():
     cases = contents.ReportContents.of(session_record(episodes=episodes)).cases
     assert cases["a/clear", "C"].times == [1.5, 1.8]
     assert cases["a/clear+ghost", "C"].times == []
-    assert cases["a/clear", "C"].words["valid"] == 3
+    assert cases["a/clear", "C"].validities["valid"] == 3
 
 
 def test_anchors_tell_apart_parts_that_read_alike():

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import threading
 import time
 
 import pytest
 from dask_clusters import Cluster, children_of
-from distributed import Client
 from distributed.scheduler import KilledWorker
 from shaky import begun, shaky
 
@@ -37,7 +37,12 @@ COLD = Requirement(id="R", check="always (temperature < 16)", at_most=0.3)
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    made = Cluster(tmp_path_factory.mktemp("dask"))
+    """The cluster of all tests; Dask's own limits are 3 lost workers, and no end of waiting."""
+    settings = {"ALLOWED_FAILURES": "1", "NO_WORKERS_TIMEOUT": "3s"}
+    made = Cluster(
+        tmp_path_factory.mktemp("dask"),
+        {f"DASK_DISTRIBUTED__SCHEDULER__{name}": value for name, value in settings.items()},
+    )
     yield made
     made.close()
 
@@ -45,6 +50,12 @@ def cluster(tmp_path_factory):
 @pytest.fixture(scope="module")
 def workers(cluster):
     return [cluster.worker(), cluster.worker()]
+
+
+@pytest.fixture(autouse=True)
+def short_end(monkeypatch):
+    """A scheduler that does not answer is asked to end our processes for half a second."""
+    monkeypatch.setattr(dask, "_SECONDS_TO_END", 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +160,8 @@ def test_a_worker_that_differs_is_refused_also_if_it_joins_later(
     cluster, executor, store, workers, tmp_path
 ):
     (tmp_path / "something_else-1.0.dist-info").mkdir()
-    cluster.worker({"PYTHONPATH": str(tmp_path)})
+    kept = filter(None, [os.environ.get("PYTHONPATH")])
+    other = cluster.worker({"PYTHONPATH": os.pathsep.join([str(tmp_path), *kept])})
     until(lambda: executor.width == 2)
     with pytest.raises(ConfigurationError, match="differs in other packages") as refused:
         DaskExecutor(cluster.address)
@@ -159,111 +171,85 @@ def test_a_worker_that_differs_is_refused_also_if_it_joins_later(
     errors = [one.exception() for one in futures]
     told = {one.problem for one in errors if isinstance(one, ConfigurationError)}
     assert told == {refused.value.problem}
+    cluster.kill(other)
 
 
-def test_dask_logs_nothing_here_and_logs_again_afterwards(cluster, executor):
+def test_who_leaves_the_cluster_ends_what_it_started_there_and_dask_logs_again(
+    executor, store, workers
+):
     assert logging.getLogger("distributed.client").disabled
+    assert store.get(shaky(1)).failure is None
+    assert any(children_of(worker) for worker in workers if worker.poll() is None)
     executor.shutdown(wait=False, cancel_futures=True)
     assert not logging.getLogger("distributed.client").disabled
     with pytest.raises(RuntimeError, match="closed"):
         Execution("dask", executor).submit(shaky(1))
-
-
-def test_nothing_is_left_on_the_workers(workers):
-    until(lambda: children_of(workers[1]) == [])
+    until(lambda: not any(children_of(worker) for worker in workers if worker.poll() is None))
 
 
 def test_what_dask_tells_of_a_lost_worker(executor):
     killed = KilledWorker("task", last_worker=None, allowed_failures=3)
-    assert str(executor._told_as(killed)) == "it ended 4 workers"
-    assert isinstance(executor._told_as(killed), ProcessLostError)
-    assert isinstance(executor._told_as(ModuleNotFoundError("x")), CallFailedError)
+    assert str(executor._episode_error(killed)) == "it ended 4 workers"
+    assert isinstance(executor._episode_error(killed), ProcessLostError)
+    assert isinstance(executor._episode_error(ModuleNotFoundError("x")), CallFailedError)
 
 
-def test_a_scheduler_that_is_gone_is_told_and_nobody_waits(tmp_path):
-    cluster = Cluster(tmp_path)
-    try:
-        cluster.worker()
-        executor = DaskExecutor(cluster.address)
-        execution = Execution("dask", executor)
-        future = execution.submit(shaky(1, None, seconds=30.0))
-        cluster.kill(cluster.scheduler)
-        with pytest.raises(ConfigurationError, match=r"connection .* is lost") as lost:
-            future.result(timeout=20.0)
-        assert "--dura-resume" in lost.value.remedy
-        assert execution.is_lost, "so that the session stops, and can be resumed"
-        begun_at = time.monotonic()
-        execution.close()
-        assert time.monotonic() - begun_at < 15.0
-    finally:
-        cluster.close()
+# -- Workers and schedulers that are lost: each test connects to the cluster by itself --------
 
 
 @pytest.fixture
-def small(tmp_path):
-    """A cluster and its executor, for a test that leaves little of them."""
-    made, executors = [], []
+def connect(cluster):
+    """Connect to the cluster that all tests share, as often as a test does, and leave it."""
+    executors = []
 
-    def of(workers, **settings):
-        cluster = Cluster(
-            tmp_path, {f"DASK_DISTRIBUTED__SCHEDULER__{k}": v for k, v in settings.items()}
-        )
-        made.append(cluster)
-        started = [cluster.worker() for _ in range(workers)]
-        with Client(cluster.address, set_as_default=False) as client:
-            client.wait_for_workers(workers)
-        return cluster, started
-
-    def executor_of(cluster):
+    def executor_of():
         executors.append(DaskExecutor(cluster.address))
         return executors[-1]
 
-    yield of, executor_of
-    for one in executors:
-        one.shutdown(wait=False, cancel_futures=True)
-    for one in made:
-        one.close()
+    yield executor_of
+    for executor in executors:
+        executor.shutdown(wait=False, cancel_futures=True)
 
 
-def test_a_worker_that_is_lost_while_it_is_compared_is_left_out(small):
-    cluster_of, executor_of = small
-    cluster, (stays, goes) = cluster_of(2)
+def test_a_worker_that_is_lost_while_it_is_compared_is_left_out(cluster, connect):
+    stays, goes = cluster.keep(2)
     goes.send_signal(signal.SIGSTOP)  # it is there, and never answers
     made = []
-    asking = threading.Thread(target=lambda: made.append(executor_of(cluster)))
+    asking = threading.Thread(target=lambda: made.append(connect()))
     asking.start()
     until(lambda: children_of(stays))  # which answers in a process of its own
     cluster.kill(goes)
     asking.join(timeout=10.0)
-    assert [one.width for one in made] == [1]
+    assert [executor.width for executor in made] == [1]
 
 
-def test_an_episode_that_ends_every_worker_it_is_given_to_is_missing(small, tmp_path):
-    cluster_of, executor_of = small
-    # 3 lost workers, and no end of waiting, where nobody sets them.
-    cluster, workers = cluster_of(3, ALLOWED_FAILURES="1", NO_WORKERS_TIMEOUT="1s")
-    store = EpisodeStore(execution=Execution("dask", executor_of(cluster)))
-    (log := tmp_path / "log").mkdir()
-    lost = store.get(shaky(1, log, deeds={"1": "ends its worker"}))
+def test_an_episode_that_ends_every_worker_it_is_given_to_is_missing(cluster, connect, tmp_path):
+    workers = cluster.keep(3)
+    store = EpisodeStore(execution=Execution("dask", connect()))
+    lost = store.get(shaky(1, tmp_path, deeds={"1": "ends its worker"}))
     assert lost.failure == "infrastructure: it ended 2 workers"
-    assert begun(log) == [1, 1], "each of them simulated it once, and the third is spared"
-    assert store.get(shaky(2, log)).failure is None
-    until(lambda: [one.poll() for one in workers].count(None) == 1)
-    cluster.kill(next(one for one in workers if one.poll() is None))
-    with pytest.raises(ConfigurationError, match="no worker for 1 s"):
-        store.get(shaky(3, log))
+    assert begun(tmp_path) == [1, 1], "each of them simulated it once, and the third is spared"
+    assert store.get(shaky(2, tmp_path)).failure is None
+    until(lambda: [worker.poll() for worker in workers].count(None) == 1)
 
 
-def test_nobody_waits_for_ever_where_the_last_worker_is_gone(small, monkeypatch):
+def test_where_dask_gives_up_without_workers_its_limit_is_told(cluster, connect):
+    (worker,) = cluster.keep(1)
+    store = EpisodeStore(execution=Execution("dask", connect()))
+    cluster.kill(worker)
+    with pytest.raises(ConfigurationError, match="no worker for 3 s"):
+        store.get(shaky(3))
+
+
+def test_nobody_waits_for_ever_where_the_last_worker_is_gone(cluster, connect, monkeypatch):
     monkeypatch.setattr(dask, "SECONDS_WITHOUT_WORKERS", 1.0)
     monkeypatch.setattr(dask, "_POLL_SECONDS", 0.5)
-    cluster_of, executor_of = small
-    cluster, (worker,) = cluster_of(1)
-    execution = Execution("dask", executor_of(cluster))
+    (worker,) = cluster.keep(1)
+    execution = Execution("dask", connect())
     future = execution.submit(shaky(1, seconds=30.0))
     until(lambda: children_of(worker))
     cluster.kill(worker)
-    with pytest.raises(ConfigurationError, match="the Dask scheduler has had no worker") as told:
+    with pytest.raises(ConfigurationError, match="no worker for 1 s") as told:
         future.result(timeout=10.0)
     assert told.value.remedy == f"start some: dask worker {cluster.address} --nthreads 1"
     # The next one does not wait as long once more. A worker that comes is not given the first.
@@ -274,14 +260,31 @@ def test_nobody_waits_for_ever_where_the_last_worker_is_gone(small, monkeypatch)
     assert execution.submit(shaky(3)).result(timeout=20.0)
 
 
-def test_nobody_waits_for_ever_for_a_scheduler_that_does_not_answer(small, monkeypatch):
+def test_nobody_waits_for_ever_for_a_scheduler_that_does_not_answer(cluster, connect, monkeypatch):
     monkeypatch.setattr(dask, "SECONDS_WITHOUT_ANSWER", 1.0)
     monkeypatch.setattr(dask, "_POLL_SECONDS", 0.2)
-    cluster_of, executor_of = small
-    cluster, _ = cluster_of(1)
-    execution = Execution("dask", executor_of(cluster))
+    cluster.keep(1)
+    execution = Execution("dask", connect())
     future = execution.submit(shaky(1, seconds=30.0))
     cluster.scheduler.send_signal(signal.SIGSTOP)
-    with pytest.raises(ConfigurationError, match=r"connection .* is lost"):
-        future.result(timeout=15.0)
-    assert execution.is_lost
+    try:
+        with pytest.raises(ConfigurationError, match=r"connection .* is lost"):
+            future.result(timeout=15.0)
+        assert execution.is_lost
+    finally:
+        cluster.scheduler.send_signal(signal.SIGCONT)
+
+
+def test_a_scheduler_that_is_gone_is_told_and_nobody_waits(cluster, connect):
+    """The last test of the cluster, which it ends."""
+    cluster.keep(1)
+    execution = Execution("dask", connect())
+    future = execution.submit(shaky(1, seconds=30.0))
+    cluster.kill(cluster.scheduler)
+    with pytest.raises(ConfigurationError, match=r"connection .* is lost") as lost:
+        future.result(timeout=20.0)
+    assert "--dura-resume" in lost.value.remedy
+    assert execution.is_lost, "so that the session stops, and can be resumed"
+    begun_at = time.monotonic()
+    execution.close()
+    assert time.monotonic() - begun_at < 15.0

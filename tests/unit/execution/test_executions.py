@@ -16,10 +16,9 @@ from thermostat import Controller
 
 from pytest_dura import ConfigurationError, RoleSpec
 from pytest_dura.core.episode import Policy, Termination
-from pytest_dura.execution.address import Addresses
+from pytest_dura.execution.address import Addresses, machine_json, simulate
 from pytest_dura.execution.executors import Execution, ExecutorChoice, time_limit_of
 from pytest_dura.execution.processes import ProcessPool, usable_cores
-from pytest_dura.execution.simulation import Conditions, machine_json, simulate
 from pytest_dura.execution.store import IN_FLIGHT, EpisodeStore
 from pytest_dura.execution.task import EpisodeTask, reason_not_portable
 from pytest_dura.library.loading import load_library
@@ -230,8 +229,8 @@ def test_another_environment_is_refused_here_and_is_its_own_affair_elsewhere(
             Execution("processes", fresh).submit(task, address).result()
         assert "differs in environment variable DURA_PLACE" in str(refused.value)
         assert "set it before the session begins" in refused.value.remedy
-        told = {**Conditions.of(address).to_json(), "where": "the worker X"}
-        assert fresh.submit(simulate, json.dumps(task.to_json()), told).result()
+        there = {"name": address.name, "parts": address.parts, "where": "the worker X"}
+        assert fresh.submit(simulate, json.dumps(task.to_json()), there).result()
     finally:
         fresh.shutdown(wait=False)
 
@@ -240,9 +239,9 @@ def test_a_machine_with_other_versions_is_refused():
     task = shaky(1)
     address = Addresses().of(task)
     other = replace(address, name="0" * 64, parts={**address.parts, "numpy": "0.1"})
-    conditions = Conditions(**{**Conditions.of(other).to_json(), "where": "the worker X"})
+    conditions = {"name": other.name, "parts": other.parts, "where": "the worker X"}
     with pytest.raises(ConfigurationError) as refused:
-        simulate(json.dumps(task.to_json()), conditions.to_json())
+        simulate(json.dumps(task.to_json()), conditions)
     assert str(refused.value).startswith("the worker X would simulate other episodes")
     assert "expected: numpy: 0.1" in str(refused.value)
     assert f"found:    'numpy: {address.parts['numpy']}'" in str(refused.value)

@@ -145,7 +145,7 @@ def test_a_rate_is_a_poisson_process() -> None:
     # p = 1 - exp(-0.05)), and the gaps are geometric, whose mean and sd are nearly equal.
     ticks, rate = 40_000, 0.5
     hits = Chance(-np.expm1(-rate * 0.1), stream(3, "poisson"))
-    found = np.array([tick for tick in range(ticks) if hits.happens(tick)])
+    found = np.array([tick for tick in range(ticks) if hits.hits(tick)])
     p = -np.expm1(-rate * 0.1)
     assert abs(len(found) - ticks * p) < 4 * np.sqrt(ticks * p * (1 - p))
     gaps = np.diff(found)
@@ -173,7 +173,7 @@ def test_chance_does_not_depend_on_when_it_is_asked(probability: float, asked: l
     draws = stream(1, "x").random(4 * BLOCK) < probability
     chance = Chance(probability, stream(1, "x"))
     for tick in asked:
-        assert chance.happens(tick) == draws[tick]
+        assert chance.hits(tick) == draws[tick]
         following = chance.next(tick)
         assert following >= tick
         assert not draws[tick:following].any()

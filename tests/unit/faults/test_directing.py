@@ -10,7 +10,7 @@ from injecting import fault
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import Injection
 from pytest_dura.core.state import Percept, StateManager, Tick
-from pytest_dura.faults.attack_plan import AttackPlan
+from pytest_dura.faults.activation import AttackPlan
 
 
 class Ticks:

@@ -40,7 +40,7 @@ def test_every_type_has_a_line_and_each_of_its_parameters_one(name: str, page: s
 
 def test_every_description_says_something_and_ranges_and_defaults_stand_there(page: str) -> None:
     assert (
-        "| `noise` | `sigma` | number ≥ 0 | 0.5 | 0 to 5, mildest 0 | Standard deviation of each"
+        "| `noise` | `sigma` | number ≥ 0 | 0.5 | 0 to 5, neutral 0 | Standard deviation of each"
         " distribution, in the field's unit. |" in page
     )
     assert (

@@ -16,7 +16,7 @@ from pytest_dura.core.seeding import stream
 from pytest_dura.driving.bodies import Body
 from pytest_dura.faults.catalogue import FAULT_TYPES, default_fault, fault_class, load_fault
 from pytest_dura.faults.model import Fault, Moment
-from pytest_dura.faults.parameters import (
+from pytest_dura.faults.parts import (
     Choices,
     FaultPart,
     Span,
@@ -53,12 +53,12 @@ def fault(name: str, **parameters: Any) -> Fault:
     return load_fault({**data, "activation": {"at": 0.0}, "duration": None, "parameters": given})
 
 
-def mildest(name: str) -> dict[str, Any]:
+def neutral(name: str) -> dict[str, Any]:
     found = {}
     for path, span in spans_of(fault_class(name)).items():
         parameter = path.rpartition(".")[2]
         if declared_span(parameters_of(fault_class(name)).model_fields[parameter]) is not None:
-            found[parameter] = span.values[0] if isinstance(span, Choices) else span.mildest
+            found[parameter] = span.values[0] if isinstance(span, Choices) else span.neutral
     return found
 
 
@@ -73,13 +73,13 @@ def test_every_number_of_the_catalogue_has_a_span() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(FAULT_TYPES))
-def test_every_value_of_a_span_that_is_an_end_or_the_mildest_makes_a_fault(name: str) -> None:
+def test_every_value_of_a_span_that_is_an_end_or_the_neutral_makes_a_fault(name: str) -> None:
     for path, span in spans_of(fault_class(name)).items():
         parameter = path.rpartition(".")[2]
         if isinstance(span, Choices):
             values, simplest = span.values, span.values[0]
         else:
-            values, simplest = (span.low, span.high), span.mildest
+            values, simplest = (span.low, span.high), span.neutral
         for value in (*values, simplest):
             made = fault(name, **{parameter: value})
             assert getattr(made.parameters, parameter) == value
@@ -101,15 +101,15 @@ def test_all_parameters_at_either_end_make_a_fault(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(set(FAULT_TYPES) - NO_IDENTITY))
-def test_at_the_mildest_values_nothing_is_changed(name: str) -> None:
-    assert mildest(name), "a type with an identity has a magnitude"
-    assert not changes(fault(name, **mildest(name)))
+def test_at_the_neutral_values_nothing_is_changed(name: str) -> None:
+    assert neutral(name), "a type with an identity has a magnitude"
+    assert not changes(fault(name, **neutral(name)))
 
 
 @pytest.mark.parametrize("name", sorted(set(FAULT_TYPES) - NO_IDENTITY))
 def test_at_the_far_end_of_its_spans_something_is_changed(name: str) -> None:
     far: dict[str, Any] = {}
-    for parameter, calm in mildest(name).items():
+    for parameter, calm in neutral(name).items():
         span = declared_span(parameters_of(fault_class(name)).model_fields[parameter])
         assert span is not None
         kind = type(calm)
@@ -147,16 +147,16 @@ def _changes_percept(one: Fault) -> bool:
     return any(one.apply(memory, before, moment(at)) is not before for at in (0.0, 0.5, 2.0))
 
 
-def test_a_whole_number_has_whole_values_the_mildest_first() -> None:
+def test_a_whole_number_has_whole_values_the_neutral_first() -> None:
     assert spans_of(fault_class("duplicate"))["parameters.n"] == Choices(tuple(range(10)))
-    given = spans_of(_with(int, Span(-1, 2, mildest=1)))
+    given = spans_of(_with(int, Span(-1, 2, neutral=1)))
     assert given == {"parameters.number": Choices((1, 0, 2, -1))}
     with pytest.raises(ConfigurationError, match="whole number"):
-        spans_of(_with(int, Span(0.5, 2.0, mildest=1.0)))
+        spans_of(_with(int, Span(0.5, 2.0, neutral=1.0)))
 
 
 def test_a_type_of_ones_own_declares_its_spans_in_the_same_way() -> None:
-    assert spans_of(_with(float, Span(1.0, 2.0, mildest=1.5))) == {
+    assert spans_of(_with(float, Span(1.0, 2.0, neutral=1.5))) == {
         "parameters.number": Span(1.0, 2.0, 1.5)
     }
     assert spans_of(_with(float)) == {}, "what nothing is said of stays as it is"
@@ -177,7 +177,7 @@ def _with(kind: Any, *metadata: Any) -> type[Fault]:
     return create_model("F", __base__=Bare, parameters=(model, model()))
 
 
-@pytest.mark.parametrize("low, high, mildest", [(1.0, 0.0, 0.5), (0, 1, 2), (1, 1, 1)])
-def test_a_span_that_is_not_in_order_is_refused(low, high, mildest) -> None:
+@pytest.mark.parametrize("low, high, neutral", [(1.0, 0.0, 0.5), (0, 1, 2), (1, 1, 1)])
+def test_a_span_that_is_not_in_order_is_refused(low, high, neutral) -> None:
     with pytest.raises(ConfigurationError, match="not in order"):
-        Span(low, high, mildest)
+        Span(low, high, neutral)

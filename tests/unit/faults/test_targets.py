@@ -22,8 +22,7 @@ from pytest_dura.faults.model import (
     check_target,
     possible_targets,
 )
-from pytest_dura.faults.parameters import RefusedError
-from pytest_dura.faults.targets import AbsentRowError, Target, part_of, with_part
+from pytest_dura.faults.parts import AbsentRowError, RefusedError, Target, part_of, with_part
 
 
 class Point(NamedTuple):

@@ -31,13 +31,13 @@ def of(**changes):
 def test_an_answer_is_read_as_it_stands():
     reading = read("\n " + json.dumps(GOOD) + "\n")
     assert reading.answered
-    assert reading.said == GOOD
+    assert reading.content == GOOD
 
 
 @pytest.mark.parametrize("failure", ["unavailable", "timeout", "empty", "refused", "truncated"])
 def test_what_failed_on_the_wire_is_not_read(failure):
     reading = read(json.dumps(GOOD), failure=failure, detail="why")
-    assert (reading.outcome, reading.detail, reading.said) == (failure, "why", {})
+    assert (reading.outcome, reading.detail, reading.content) == (failure, "why", {})
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_what_failed_on_the_wire_is_not_read(failure):
 def test_each_failure_has_its_class(text, outcome):
     reading = read(text)
     assert reading.outcome == outcome
-    assert reading.said == {}
+    assert reading.content == {}
     assert 0 < len(reading.detail) <= 200
 
 

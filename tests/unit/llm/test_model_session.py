@@ -18,8 +18,7 @@ from pytest_dura.core.errors import (
     environment_errors,
 )
 from pytest_dura.llm import session as sessions
-from pytest_dura.llm.cassette import Cassette
-from pytest_dura.llm.cassette_miss import LONGEST, CassetteMissError
+from pytest_dura.llm.cassette import LONGEST_MISS, Cassette, CassetteMissError
 from pytest_dura.llm.port import Answer, Delivery, Image, Message, Request
 from pytest_dura.llm.session import ModelSession
 
@@ -364,7 +363,7 @@ def test_the_message_of_a_miss_is_bounded_and_shows_where_long_lines_differ(tape
     found = missed(tape, request("a" * 50_000 + "d" + "c" * 1000, model="m"))
     assert "ab" in found
     assert "ad" in found
-    assert len(found) <= LONGEST
+    assert len(found) <= LONGEST_MISS
     assert "\n" not in missed(tape, request("one\x1b[31m\u2028two" * 3000))
 
 

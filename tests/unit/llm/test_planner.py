@@ -345,7 +345,7 @@ def test_the_spec_states_the_model_and_what_its_server_can_do():
     }  # fmt: skip
     assert params["decide_every"] == 3
     with answering(lambda *_: said(), vision=True):
-        assert dict(LlmPlanner.settled(params)) == dict(params)
+        assert dict(LlmPlanner.resolve_parameters(params)) == dict(params)
 
 
 def test_templates_that_changed_meanwhile_are_refused():

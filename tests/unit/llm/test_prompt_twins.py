@@ -9,7 +9,7 @@ import pytest
 from roads import car, channels_of, walker
 
 from pytest_dura.core.seeding import stream
-from pytest_dura.driving.faults.channels import PromptTextParameters
+from pytest_dura.driving.channel_faults import PromptTextParameters
 from pytest_dura.driving.sensors import Odometry, Sign
 from pytest_dura.llm.driving.blocks import BLOCKS, MOST, MOST_SIGNS, percept_prompt
 from pytest_dura.llm.driving.planner import (

@@ -24,8 +24,15 @@ from pytest_dura.llm.driving.planner import (
     probes,
 )
 from pytest_dura.llm.port import Answer
-from pytest_dura.llm.prompts import Block, PerceivedText, Prompt
-from pytest_dura.llm.templates import FILTERS, LONGEST_RENDERED, Sources, Templates
+from pytest_dura.llm.prompts import (
+    FILTERS,
+    LONGEST_RENDERED,
+    Block,
+    PerceivedText,
+    Prompt,
+    Sources,
+    Templates,
+)
 
 PERCEPT = channels_of(car("V1", -20.0, 40.0, 0.0, 8.0))
 PROMPT = percept_prompt(PERCEPT)
@@ -69,11 +76,11 @@ def test_examples_are_what_a_model_might_answer_and_what_the_sensors_might_say()
     answers = [one.text for one in templates.messages(PROMPT) if one.role == "assistant"]
     said = [read_answer(Answer(text), SCHEMA) for text in answers]
     assert [one.outcome for one in said] == ["answered"] * 3
-    assert {one.said["maneuver"] for one in said} == {"wait", "proceed", "emergency_brake"}
+    assert {one.content["maneuver"] for one in said} == {"wait", "proceed", "emergency_brake"}
     for example, reading in zip(templates._examples[""], said, strict=True):
         blocks = {one.name: one.facts for one in example.blocks}
         listed = blocks["LIDAR"]["objects"]
-        assert set(reading.said["threat_ids"]) <= {one["id"] for one in listed}
+        assert set(reading.content["threat_ids"]) <= {one["id"] for one in listed}
         for one in listed:
             ahead, left = one["ahead"], one["left"]
             assert math.hypot(ahead, left) == pytest.approx(one["distance"], abs=0.06)

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError, Requirement
-from pytest_dura.requirements.verdicts.campaigns import CampaignVerdict, UncountedEpisode
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict
-from pytest_dura.requirements.verdicts.judging import CampaignJudge, judge_campaign
+from pytest_dura.requirements.campaign_judge import CampaignJudge, judge_campaign
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, UncountedEpisode
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 
 KEYS_OF_THE_RECORD = {
     "requirement", "case", "component", "verdict", "planned", "episodes", "violations", "invalid",

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binomtest, fisher_exact
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics.comparison import (
+from pytest_dura.requirements.comparison import (
     compare_counts,
     compare_pairs,
     holm,
@@ -58,25 +58,25 @@ def test_counts_are_compared_by_fishers_exact_test(k, n, base_k, base_n) -> None
 
 
 def test_the_words() -> None:
-    assert compare_counts(1, 100, 12, 100).word == "better"
-    assert compare_counts(12, 100, 1, 100).word == "worse"
-    assert compare_counts(5, 100, 6, 100).word == "no evidence of a change"
-    assert compare_counts(1, 100, 8, 100, confidence=0.99).word == "no evidence of a change"
-    assert compare_counts(1, 100, 8, 100).word == "better"
+    assert compare_counts(1, 100, 12, 100).status == "better"
+    assert compare_counts(12, 100, 1, 100).status == "worse"
+    assert compare_counts(5, 100, 6, 100).status == "no evidence of a change"
+    assert compare_counts(1, 100, 8, 100, confidence=0.99).status == "no evidence of a change"
+    assert compare_counts(1, 100, 8, 100).status == "better"
 
 
 def test_a_p_value_that_equals_the_level_counts() -> None:
     # 1 of C(6, 3) = 20 ways.
     assert compare_counts(0, 3, 3, 3).p_better == 0.05
-    assert compare_counts(0, 3, 3, 3).word == "better"
-    assert compare_counts(3, 3, 0, 3).word == "worse"
-    assert compare_counts(0, 3, 3, 3, confidence=0.951).word == "no evidence of a change"
+    assert compare_counts(0, 3, 3, 3).status == "better"
+    assert compare_counts(3, 3, 0, 3).status == "worse"
+    assert compare_counts(0, 3, 3, 3, confidence=0.951).status == "no evidence of a change"
 
 
 @pytest.mark.parametrize("counts", [(0, 0, 3, 10), (3, 10, 0, 0), (0, 0, 0, 0), (0, 50, 0, 50)])
 def test_without_episodes_or_violations_there_is_no_evidence(counts) -> None:
     found = compare_counts(*counts)
-    assert (found.word, found.p_better, found.p_worse) == ("no evidence of a change", 1.0, 1.0)
+    assert (found.status, found.p_better, found.p_worse) == ("no evidence of a change", 1.0, 1.0)
 
 
 @pytest.mark.parametrize("rate", [0.02, 0.1, 0.5])
@@ -88,7 +88,7 @@ def test_the_words_keep_their_level_at_every_common_rate(rate) -> None:
     wrong = {"better": 0.0, "worse": 0.0, "no evidence of a change": 0.0}
     for k in range(n + 1):
         for j in range(m + 1):
-            word = compare_counts(k, n, j, m).word
+            word = compare_counts(k, n, j, m).status
             wrong[word] += binom.pmf(k, n, rate) * binom.pmf(j, m, rate)
     assert wrong["better"] <= 0.05
     assert wrong["worse"] <= 0.05
@@ -108,7 +108,7 @@ def test_counts_that_make_no_sense(counts) -> None:
 ])  # fmt: skip
 def test_the_words_on_pairs(new, old, word) -> None:
     found = compare_pairs(new, old)
-    assert found.word == word
+    assert found.status == word
     greater = binomtest(new, new + old, alternative="greater").pvalue if new + old else 1.0
     assert found.p_worse == pytest.approx(greater, rel=1e-9)
     assert found.p_better == compare_pairs(old, new).p_worse

@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import quad
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics.rate_tests import EProcess, log_e_value
-from pytest_dura.requirements.statistics.sequential import operating_characteristics
+from pytest_dura.requirements.rate_tests import EProcess, log_e_value
+from pytest_dura.requirements.sequential import operating_characteristics
 
 
 def integrated(k, n, rate, side):

@@ -13,12 +13,11 @@ from loops import run_loop
 from thermostat import Bias, Overheater, Thermostat
 
 from pytest_dura import Episode, EpisodeSpec, Proposal, RoleSpec, Termination, Tick
+from pytest_dura.core.episode import Divergence
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.propagation import Divergence
-from pytest_dura.requirements.checks import CheckResult
-from pytest_dura.requirements.early_end import RequirementJudge
+from pytest_dura.requirements.checks import CheckResult, RequirementJudge
+from pytest_dura.requirements.episode_verdicts import judge_episode
 from pytest_dura.requirements.model import Paired, Requirement
-from pytest_dura.requirements.verdicts.episodes import judge_episode
 
 WARM = "eventually (temperature > 15.5)"
 HOT = "always (temperature < 15.5)"
@@ -130,7 +129,7 @@ def test_a_fault_that_never_manifests_leaves_the_episode_as_invalid_as_it_was() 
     hit = [planned(3.0, by_chance=True)]
     late = run(HOT, faults=hit, fault_injector=Bias())
     assert ended(late)[0] == "decided"
-    assert late.idle_faults == ()
+    assert late.not_manifested == ()
 
 
 def test_what_is_violated_waits_for_no_fault() -> None:

@@ -11,8 +11,8 @@ from episodes import episode, idle, manifested
 
 from pytest_dura import ConfigurationError, Episode, FaultRecord
 from pytest_dura.requirements.checks import CheckResult
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, JudgedEpisode, judge_episode
 
 FAILURE = "infrastructure: safety_monitor at tick 3 (t = 3.0 s): ValueError: x"
 

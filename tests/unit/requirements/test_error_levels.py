@@ -11,13 +11,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pytest_dura.requirements.statistics.rate_tests import (
-    METHODS,
-    lower_bound,
-    make_test,
-    upper_bound,
-)
-from pytest_dura.requirements.statistics.sequential import (
+from pytest_dura.requirements.model import METHODS
+from pytest_dura.requirements.rate_tests import lower_bound, make_test, upper_bound
+from pytest_dura.requirements.sequential import (
     Boundaries,
     error_level,
     operating_characteristics,

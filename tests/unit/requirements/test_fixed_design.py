@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import binom
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics.rate_tests import FixedN, lower_bound, upper_bound
-from pytest_dura.requirements.statistics.sequential import operating_characteristics
+from pytest_dura.requirements.rate_tests import FixedN, lower_bound, upper_bound
+from pytest_dura.requirements.sequential import operating_characteristics
 
 
 def full_design(violations, planned, limit, confidence):

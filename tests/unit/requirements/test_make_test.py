@@ -8,13 +8,8 @@ import sys
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics.rate_tests import (
-    METHODS,
-    EProcess,
-    FixedN,
-    Sprt,
-    make_test,
-)
+from pytest_dura.requirements.model import METHODS
+from pytest_dura.requirements.rate_tests import EProcess, FixedN, Sprt, make_test
 
 GOOD = {"fixed": {"planned": 60}, "sprt": {"p0": 0.01}, "e-process": {}}
 
@@ -64,7 +59,7 @@ def test_what_makes_no_sense_names_its_key(method, change, key) -> None:
 
 
 def test_importing_the_statistics_imports_nothing_heavy() -> None:
-    code = "import sys, pytest_dura.requirements.statistics as s; s.make_test('e-process', 0.05)\n"
+    code = "import sys, pytest_dura.requirements.rate_tests as s; s.make_test('e-process', 0.05)\n"
     code += "print([m for m in ('numpy', 'scipy', 'rtamt', 'pydantic') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

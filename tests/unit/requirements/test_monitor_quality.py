@@ -21,6 +21,7 @@ from pytest_dura import (
     SecurityAssessment,
     SecurityAssessor,
 )
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import (
     MonitorQuality,
@@ -29,7 +30,6 @@ from pytest_dura.requirements.monitoring.quality import (
     judge_monitor,
     monitor_timeline,
 )
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
 
 BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pytest_dura.requirements.statistics.rate_tests import make_test
-from pytest_dura.requirements.statistics.sequential import (
+from pytest_dura.requirements.rate_tests import make_test
+from pytest_dura.requirements.sequential import (
     Boundaries,
     operating_characteristics,
     simulate,

@@ -13,9 +13,9 @@ from scipy.stats import binomtest
 from thermostat import HeatMonitor, Overheater, SwitchOff
 
 from pytest_dura import ConfigurationError, Episode
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
 from pytest_dura.requirements.model import Paired, Requirement
 from pytest_dura.requirements.pairs import Change, Pair, PairCounts, check_comparison, judge_pairs
-from pytest_dura.requirements.verdicts.episodes import EpisodeVerdict, judge_episode
 
 WORDS = ("satisfied", "violated", "invalid", "missing")
 RUNS = itertools.count()
@@ -49,7 +49,7 @@ def test_a_pair_falls_into_one_cell_and_only_judged_runs_compare(own: str, twin:
         ("violated", "violated"): "both",
         ("satisfied", "satisfied"): "neither",
     }.get((own, twin), "incomplete")
-    assert pair(own, twin).word == expected
+    assert pair(own, twin).status == expected
 
 
 def test_each_cell_has_its_word_for_a_recovery() -> None:

@@ -8,9 +8,9 @@ from fractions import Fraction
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics import rate_tests
-from pytest_dura.requirements.statistics.rate_tests import Sprt, _Ratio
-from pytest_dura.requirements.statistics.sequential import (
+from pytest_dura.requirements import rate_tests
+from pytest_dura.requirements.rate_tests import Sprt, _Ratio
+from pytest_dura.requirements.sequential import (
     decimal_fraction,
     operating_characteristics,
 )

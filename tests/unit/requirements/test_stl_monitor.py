@@ -35,9 +35,8 @@ from pytest_dura.driving.roles.planners import Aggressive
 from pytest_dura.library.cases import expand_cases
 from pytest_dura.library.scenario import Scenario
 from pytest_dura.requirements.monitoring.stl_monitor import StlSafetyMonitor
-from pytest_dura.requirements.stl.evaluation import evaluate
+from pytest_dura.requirements.stl.evaluation import evaluate, robustness
 from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.requirements.stl.robustness import robustness
 
 PERCEPT = "pytest_dura.driving.signals:percept_at"
 COOL = "historically[0:0.2] (thermometer < 16)"

@@ -10,9 +10,9 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.stl import online
+from pytest_dura.requirements.stl.evaluation import robustness
 from pytest_dura.requirements.stl.online import OnlineFormula, Sample
 from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.requirements.stl.robustness import robustness
 
 
 def judged(text: str, values: Any, time_step: float = 0.5) -> list[Sample]:

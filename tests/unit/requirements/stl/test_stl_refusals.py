@@ -10,9 +10,13 @@ import pytest
 from stl_judging import judge
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.evaluation import _time_step, evaluate
+from pytest_dura.requirements.stl.evaluation import (
+    _time_step,
+    evaluate,
+    robustness,
+    robustness_batch,
+)
 from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.requirements.stl.robustness import robustness, robustness_batch
 
 INF = math.inf
 

@@ -1,7 +1,7 @@
-"""Tests of a rate by name: a fixed number with exact bounds, Wald's SPRT, and the e-process.
+"""Tests of a rate: a fixed number of episodes with exact bounds, Wald's SPRT, and the e-process.
 
 The e-process is anytime-valid and has a confidence sequence. The test of a fixed number ends early
-only where nothing can change any more.
+only where no further episode can change its decision. ``make_test`` chooses one by its name.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from itertools import islice
 from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.statistics.sequential import (
-    CountingTest,
+from pytest_dura.requirements.model import METHODS
+from pytest_dura.requirements.sequential import (
     Decision,
     SequentialTest,
     Tally,
@@ -81,7 +81,7 @@ def _check(violations: int, episodes: int, confidence: float) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class FixedN(CountingTest):
+class FixedN(SequentialTest):
     """The exact one-sided bounds after ``planned`` episodes, with curtailment.
 
     The full design says ``supported`` if the Clopper-Pearson upper bound after all planned
@@ -186,7 +186,7 @@ _STEPS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
-class Sprt(CountingTest):
+class Sprt(SequentialTest):
     """Decides between a rate of ``p0`` or less and one of ``limit`` or more, in few episodes.
 
     Wald, "Sequential Tests of Statistical Hypotheses", Annals of Mathematical Statistics 16
@@ -309,7 +309,7 @@ _Side = Literal["below", "above"]
 
 
 @dataclass(frozen=True, eq=False)
-class EProcess(CountingTest):
+class EProcess(SequentialTest):
     r"""Is the rate below ``limit`` (supported) or above it (violated)? Without a second hypothesis.
 
     Against "the rate is at least t", after k violations in n episodes the e-value is the
@@ -397,15 +397,15 @@ class EProcess(CountingTest):
 
         The limit is looked at first: whatever the rounding, the bound lies on its side of it.
         """
-        kept, middle = violations / episodes, self.limit
-        if not min(kept, rejected) < middle < max(kept, rejected):
-            middle = (kept + rejected) / 2
-        while middle not in (kept, rejected):
+        accepted, middle = violations / episodes, self.limit
+        if not min(accepted, rejected) < middle < max(accepted, rejected):
+            middle = (accepted + rejected) / 2
+        while middle not in (accepted, rejected):
             if self._rejects(side, violations, episodes, middle):
                 rejected = middle
             else:
-                kept = middle
-            middle = (kept + rejected) / 2
+                accepted = middle
+            middle = (accepted + rejected) / 2
         return rejected
 
 
@@ -434,10 +434,6 @@ def log_e_value(violations: int, episodes: int, rate: float, side: _Side = "belo
     # The incomplete beta function of the prior alone is twice the arc sine (or cosine) of the root.
     average = math.log(share) + float(betaln(a, b)) - math.log(prior)
     return average - violations * math.log(rate) - (episodes - violations) * math.log1p(-rate)
-
-
-METHODS = ("fixed", "sprt", "e-process")
-"""The names that :func:`make_test` knows."""
 
 
 def make_test(

@@ -10,11 +10,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from pytest_dura.driving.faults.objects import PoseFault
+from pytest_dura.driving.object_faults import PoseFault
 from pytest_dura.driving.scene import HALF
 from pytest_dura.driving.sensors import Pose, Sign
 from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, Finite, NotNegative, Positive, Span
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Span
 
 _LEAP = Span(-20.0, 20.0)
 """m; the junction is about as wide, and what leaps farther is off every road."""
@@ -48,10 +48,10 @@ class GnssJump(PoseFault):
 
     def begin(self, value: Pose, moment: Moment) -> tuple[float, float]:
         """The offset in x and y, in m, fixed to the ground from now on."""
-        given, c, s = self.parameters, math.cos(value.heading), math.sin(value.heading)
+        parameters, c, s = self.parameters, math.cos(value.heading), math.sin(value.heading)
         # y points south, so that right of the heading (c, s) is (-s, c).
-        dx = given.east + given.along * c - given.across * s
-        return dx, -given.north + given.along * s + given.across * c
+        dx = parameters.east + parameters.along * c - parameters.across * s
+        return dx, -parameters.north + parameters.along * s + parameters.across * c
 
     def apply(self, memory: tuple[float, float], value: Pose, moment: Moment) -> Pose:
         """The pose with its offset."""
@@ -72,7 +72,7 @@ class DragOffParameters(FaultPart):
             " begins.",
         )
     )
-    at_most: Annotated[Positive | None, Span(0.5, 20.0, mildest=0.5)] = Field(
+    at_most: Annotated[Positive | None, Span(0.5, 20.0, neutral=0.5)] = Field(
         None,
         description="The offset stays at so many metres once it has grown to that; null: no limit.",
     )
@@ -127,7 +127,7 @@ class GnssJam(PoseFault):
         return last
 
     def apply(self, memory: Pose, value: Pose, moment: Moment) -> Pose:
-        """That pose."""
+        """The last pose that was received."""
         return memory
 
 
@@ -151,7 +151,7 @@ class PromptTextParameters(FaultPart):
         max_length=2000,
         description="What can be read on it; without a text there is no sign.",
     )
-    ahead: Annotated[Positive, Span(2.0, 60.0, mildest=60.0)] = Field(
+    ahead: Annotated[Positive, Span(2.0, 60.0, neutral=60.0)] = Field(
         20.0, description="Metres ahead of the ego's front along its route, when it appears."
     )
 

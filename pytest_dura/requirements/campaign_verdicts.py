@@ -1,6 +1,7 @@
-"""CampaignVerdict: what a requirement says of a campaign, its figures, and whether its runs differ.
+"""CampaignVerdict: the verdict of a requirement on a campaign with all its figures.
 
-Runs with equal trajectories are one observation, however many they are: no rate follows from them.
+Situations says whether the runs differ. Runs with equal trajectories are one observation, however
+many they are: no rate follows from them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pytest_dura.core.episode import Episode
-from pytest_dura.requirements.statistics.rate_tests import EXACT_METHOD
+from pytest_dura.requirements.rate_tests import EXACT_METHOD
 
 Situation = Literal["repeated", "without effect"]
 REPEATED: Situation = "repeated"
@@ -24,13 +25,13 @@ SITUATIONS: dict[str, str] = {
     REPEATED: "one situation, repeated",
     WITHOUT_EFFECT: "the declared variation has no effect",
 }
-"""How users are told of them."""
+"""Texts of the two in messages."""
 EQUAL_RUNS = 2
 """Runs after which a campaign ends if nothing is declared to vary and they are equal."""
 
 
 class Situations:
-    """Takes in the runs of a campaign, and of its twins, in any order; none of them is kept.
+    """Collects whether the runs of a campaign, and their twins, are equal, in any order.
 
     Args:
         varies: Whether something is declared to vary, see :func:`varies`.
@@ -43,7 +44,7 @@ class Situations:
         self._differ = False
 
     def add(self, episode: Episode) -> None:
-        """A run, or its twin."""
+        """Take in a run, or its twin."""
         spec = episode.spec
         self.add_run(
             spec.case,
@@ -54,14 +55,14 @@ class Situations:
         )
 
     def add_run(self, case: str, number: int, trajectory: str, *, valid: bool, drawn: bool) -> None:
-        """A run as the record has it.
+        """Take in a run as the record has it.
 
         Args:
             case: Id of its case.
             number: Of the run.
             trajectory: :attr:`Episode.trajectory`.
-            valid: Whether it is valid; others show nothing, and so not that all are equal.
-            drawn: Whether random numbers were drawn in it: what draws declares that it varies.
+            valid: Whether it is valid; with an invalid run, equality of all is not shown.
+            drawn: Whether random numbers were drawn in it: drawing counts as declared variation.
         """
         first, known = self._first.setdefault(case, (number, trajectory))
         if number != first:
@@ -71,7 +72,7 @@ class Situations:
 
     @property
     def situation(self) -> Situation | None:
-        """What the runs are if all are equal; ``None`` if they differ, or there is only one."""
+        """Kind of campaign if all runs are equal; ``None`` if they differ, or there is only one."""
         if self._differ or not self._first or self._several != self._first.keys():
             return None
         return WITHOUT_EFFECT if self._varies else REPEATED
@@ -115,7 +116,7 @@ class Bound:
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """How the robustness is distributed over the valid episodes that have one."""
+    """Distribution of robustness over the valid episodes that have a margin."""
 
     n: int
     min: float
@@ -126,7 +127,7 @@ class Margins:
 
     @classmethod
     def of(cls, margins: Sequence[float]) -> Margins | None:
-        """Of a sample; ``None`` of an empty one."""
+        """Quantiles of a sample; ``None`` of an empty one."""
         if not margins:
             return None
         points = np.quantile(margins, [0.0, 0.25, 0.5, 0.75, 1.0])

@@ -25,7 +25,7 @@ Decision = Literal["supported", "violated"]
 
 
 class Rule(Protocol):
-    """What counts of violations decide.
+    """A decision rule on counts of violations.
 
     Every rule here is monotone: more violations in as many episodes, or fewer clean episodes with
     as many violations, never turn ``violated`` into anything else nor anything else into
@@ -36,49 +36,6 @@ class Rule(Protocol):
 
     def verdict(self, violations: int, episodes: int) -> Decision | None:
         """The decision at these counts, given none at the counts before them."""
-        ...
-
-
-class SequentialTest(Rule, Protocol):
-    """A test of one campaign's rate of violations that may be looked at after every episode."""
-
-    @property
-    def method(self) -> str:
-        """Name of the method, for reports."""
-        ...
-
-    @property
-    def violations(self) -> int:
-        """Violations so far."""
-        ...
-
-    @property
-    def episodes(self) -> int:
-        """Valid episodes so far."""
-        ...
-
-    @property
-    def decision(self) -> Decision | None:
-        """The decision at the first crossing, ``None`` before."""
-        ...
-
-    @property
-    def hopeless(self) -> bool:
-        """Whether no further episode can make the decision ``supported``."""
-        ...
-
-    @property
-    def upper(self) -> float | None:
-        """Upper confidence bound on the rate, valid whenever one stops; ``None`` where none is."""
-        ...
-
-    @property
-    def lower(self) -> float | None:
-        """Lower confidence bound on the rate, valid whenever one stops; ``None`` where none is."""
-        ...
-
-    def update(self, violated: bool) -> Decision | None:
-        """Count one valid episode and return the decision, if there is one now."""
         ...
 
 
@@ -98,7 +55,7 @@ class Tally:
     _last: bool | None = None
 
     def count(self, violated: bool) -> None:
-        """One more episode."""
+        """Count an episode."""
         if self._last is not None and violated != self._last:
             self.turns.append((self.violations, self.episodes))
         self._last = violated
@@ -106,14 +63,32 @@ class Tally:
         self.episodes += 1
 
 
-class CountingTest(ABC):
-    """The part that all tests share: counting, and the first crossing that is final."""
+class SequentialTest(ABC):
+    """A test of one campaign's rate of violations that may be looked at after every episode.
+
+    It is a :class:`Rule`. The decision falls at the first crossing of its boundaries, and is final.
+    """
 
     tally: Tally
 
     @abstractmethod
     def verdict(self, violations: int, episodes: int) -> Decision | None:
         """The decision at these counts, given none at the counts before them."""
+
+    @property
+    @abstractmethod
+    def method(self) -> str:
+        """Name of the method, for reports."""
+
+    @property
+    @abstractmethod
+    def upper(self) -> float | None:
+        """Upper confidence bound on the rate, valid whenever one stops; ``None`` where none is."""
+
+    @property
+    @abstractmethod
+    def lower(self) -> float | None:
+        """Lower confidence bound on the rate, valid whenever one stops; ``None`` where none is."""
 
     @property
     def violations(self) -> int:
@@ -180,7 +155,7 @@ def require_between(key: str, value: float, low: float, high: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Probabilities after some episodes; the three of them make one."""
+    """Probabilities after some episodes; the three of them add up to 1."""
 
     episodes: int
     supported: float
@@ -256,7 +231,7 @@ class Boundaries:
 
 @dataclass(frozen=True, slots=True)
 class Characteristics:
-    """What a test does at one true rate within a budget.
+    """Characteristics of a test at one true rate within a budget.
 
     Args:
         rate: The true rate.

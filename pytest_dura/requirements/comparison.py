@@ -8,22 +8,22 @@ from fractions import Fraction
 from math import comb
 from typing import Literal
 
-from pytest_dura.requirements.statistics.sequential import error_level, require_between
+from pytest_dura.requirements.sequential import error_level, require_between
 
 ComparisonStatus = Literal["better", "worse", "no evidence of a change"]
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What two counts say of a change.
+    """Result of comparing two counts.
 
     Args:
-        word: ``better`` or ``worse`` at the confidence asked for, or neither.
+        status: ``better`` or ``worse`` at the given confidence, or no evidence of a change.
         p_better: One-sided p-value against "the rate is not lower than the baseline's".
         p_worse: One-sided p-value against "the rate is not higher than the baseline's".
     """
 
-    word: ComparisonStatus
+    status: ComparisonStatus
     p_better: float
     p_worse: float
 
@@ -76,11 +76,12 @@ def compare_counts(
     the new episodes are hypergeometric if nothing changed (Fisher, "Statistical Methods for
     Research Workers", 1925). Boschloo's test has more power, but its p-value is a supremum over
     the unknown rate that must be searched for numerically, and a search that misses it errs
-    towards "worse" and "better" alike. Fisher's is a sum of whole numbers that anybody can check,
-    its level holds for every rate, and here it is computed without any rounding.
+    towards "worse" and "better" alike. Fisher's is a sum of whole numbers that can be checked by
+    hand, its level holds for every rate, and here it is computed without any rounding.
 
-    The words have level ``1 - confidence`` each. "No evidence of a change" is not evidence of no
-    change: two small campaigns always say so, and one without episodes does with p-values of 1.
+    "Better" and "worse" have level ``1 - confidence`` each. "No evidence of a change" is not
+    evidence of no change: two small campaigns always come to it, and one without episodes does with
+    p-values of 1.
 
     Args:
         violations: Violating episodes of the new campaign.
@@ -124,7 +125,7 @@ def compare_pairs(only_new: int, only_baseline: int, confidence: float = 0.95) -
 
 
 def comparison_status(p_better: float, p_worse: float, confidence: float) -> ComparisonStatus:
-    """What two one-sided p-values say; the two words exclude each other above one half."""
+    """Status from two one-sided p-values; above one half, better and worse exclude each other."""
     level = error_level(confidence)
     if p_better <= level:
         return "better"
@@ -160,9 +161,9 @@ def _as_few(violations: int, n: int, others: int, other_n: int) -> Fraction:
     """Probability of so few violations among the n, given the sum of both counts."""
     total = violations + others
     fewest = max(0, total - other_n)
-    ways, found = comb(n, fewest) * comb(other_n, total - fewest), 0
+    ways, as_few = comb(n, fewest) * comb(other_n, total - fewest), 0
     for k in range(fewest, violations + 1):
-        found += ways
+        as_few += ways
         # From C(n, k) C(m, t - k) to k + 1; the division leaves no remainder.
         ways = ways * (n - k) * (total - k) // ((k + 1) * (other_n - total + k + 1))
-    return Fraction(found, comb(n + other_n, total))
+    return Fraction(as_few, comb(n + other_n, total))

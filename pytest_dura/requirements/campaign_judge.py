@@ -1,4 +1,4 @@
-"""CampaignJudge: takes the verdicts on episodes as they come, and says when they suffice."""
+"""CampaignJudge: from verdicts on episodes, one by one, to the verdict on their campaign."""
 
 from __future__ import annotations
 
@@ -7,16 +7,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.statistics.rate_tests import (
-    EXACT_METHOD,
-    lower_bound,
-    make_test,
-    runs_needed,
-    upper_bound,
-)
-from pytest_dura.requirements.statistics.sequential import SequentialTest
-from pytest_dura.requirements.verdicts.campaigns import (
+from pytest_dura.requirements.campaign_verdicts import (
     EVERY_EPISODE,
     REPEATED,
     SITUATIONS,
@@ -29,7 +20,16 @@ from pytest_dura.requirements.verdicts.campaigns import (
     Situation,
     UncountedEpisode,
 )
-from pytest_dura.requirements.verdicts.episodes import EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.rate_tests import (
+    EXACT_METHOD,
+    lower_bound,
+    make_test,
+    runs_needed,
+    upper_bound,
+)
+from pytest_dura.requirements.sequential import SequentialTest
 
 
 def method_of(requirement: Requirement, *, until_decided: bool = False) -> str:
@@ -69,7 +69,7 @@ def _check_share(key: str, value: float, *, above: float) -> None:
 
 
 def _rate_test(requirement: Requirement, method: str, planned: int) -> SequentialTest | None:
-    """What decides on the requirement's rate; ``None`` where no violation is accepted.
+    """Test of the requirement's rate; ``None`` where no violation is accepted.
 
     Raises:
         ConfigurationError: For a method that cannot decide on this rate.
@@ -82,19 +82,24 @@ def _rate_test(requirement: Requirement, method: str, planned: int) -> Sequentia
 
 
 def _not_manifested(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
-    """The planned faults that manifested in none of the episodes: nothing is known of them."""
+    """The planned faults that manifested in none of the episodes."""
     if not verdicts:
         return []
-    return [name for name in verdicts[0].idle if all(name in verdict.idle for verdict in verdicts)]
+    first, *others = verdicts
+    return [
+        name
+        for name in first.not_manifested
+        if all(name in verdict.not_manifested for verdict in others)
+    ]
 
 
 def _first_uncounted(verdicts: Sequence[EpisodeVerdict]) -> UncountedEpisode | None:
     """The first missing episode, or else the first invalid one, or else the first open one."""
-    words: tuple[Literal["missing", "invalid", "open"], ...] = ("missing", "invalid", "open")
-    for word in words:
+    statuses: tuple[Literal["missing", "invalid", "open"], ...] = ("missing", "invalid", "open")
+    for status in statuses:
         for verdict in verdicts:
-            if verdict.verdict == word:
-                return UncountedEpisode(verdict.episode, word, verdict.detail)
+            if verdict.verdict == status:
+                return UncountedEpisode(verdict.episode, status, verdict.detail)
     return None
 
 
@@ -102,20 +107,20 @@ def counterexamples(judged: Sequence[EpisodeVerdict]) -> tuple[Counterexample, .
     """The violating episodes, the valid ones first, of each kind the largest violation first."""
     violated = [verdict for verdict in judged if verdict.verdict == "violated"]
     violated.sort(
-        key=lambda item: (
-            item.without_effect,
-            item.margin if item.margin is not None else 0.0,
-            item.episode,
+        key=lambda verdict: (
+            verdict.without_effect,
+            verdict.margin if verdict.margin is not None else 0.0,
+            verdict.episode,
         )
     )
     return tuple(
-        Counterexample(item.episode, item.time, item.margin, not item.without_effect)
-        for item in violated
+        Counterexample(verdict.episode, verdict.time, verdict.margin, not verdict.without_effect)
+        for verdict in violated
     )
 
 
 MAX_INVALID_SHARE = 0.2
-"""Share of invalid episodes above which a campaign says nothing."""
+"""Share of invalid episodes above which a campaign is undecided."""
 _MIN_VALID_PROPOSALS = 0.5
 """Share of valid proposals below which a claim would rest on the recovery, not on the component."""
 
@@ -149,7 +154,7 @@ class CampaignJudge:
         self.component, self.until_decided = component, until_decided
         self.verdicts: list[EpisodeVerdict] = []
         self.situation: Situation | None = None
-        """What the runs are, if all are equal; whoever adds them sees their trajectories."""
+        """What the runs are, if all are equal; set by the caller, who has their trajectories."""
         self._counts: Counter[str] = Counter()
         _check_share("confidence", requirement.confidence, above=0.5)
         if requirement.at_most is not None:
@@ -216,7 +221,7 @@ class CampaignJudge:
 
     @property
     def decided(self) -> bool:
-        """Whether further episodes are of no use.
+        """Whether further episodes cannot change the verdict.
 
         For a plan of a fixed number of runs only if they repeat one situation.
         """
@@ -238,20 +243,20 @@ class CampaignJudge:
     def verdict(self) -> CampaignVerdict:
         """The verdict on what was added so far."""
         decide = self._decide if self.situation is None else self._decide_on_one_situation
-        word, reason = decide()
+        status, reason = decide()
         valid = [verdict for verdict in self.verdicts if verdict.valid]
         margins = [
             verdict.margin
             for verdict in valid
             if verdict.margin is not None and verdict.verdict != "open"
         ]
-        early = self.sequential and self.decided and word != "undecided"
+        early = self.sequential and self.decided and status != "undecided"
         early = early or self.situation == REPEATED
         return CampaignVerdict(
             requirement=self.requirement.id,
             case=self.case,
             component=self.verdicts[0].component if self.verdicts else self.component or "none",
-            verdict=word,
+            verdict=status,
             reason=reason,
             method=self.method,
             planned=self.planned,
@@ -266,7 +271,7 @@ class CampaignJudge:
             without_effect=self._count("without effect"),
             invalid=self._invalid,
             missing=self._count("missing"),
-            vacuous=sum(item.vacuous for item in valid),
+            vacuous=sum(verdict.vacuous for verdict in valid),
             bound=self._bound(len(valid)),
             margin=min(margins) if margins else None,
             margins=Margins.of(margins),
@@ -275,8 +280,8 @@ class CampaignJudge:
             situation=self.situation,
         )
 
-    def _count(self, word: str) -> int:
-        return self._counts[word]
+    def _count(self, status: str) -> int:
+        return self._counts[status]
 
     @property
     def _valid(self) -> int:
@@ -323,23 +328,25 @@ class CampaignJudge:
     def _decide_on_one_situation(self) -> tuple[CampaignStatus, str]:
         """Equal runs are one observation: it violates the requirement or not, at no rate."""
         assert self.situation is not None
-        violations, valid, told = self._count("violated"), self._valid, SITUATIONS[self.situation]
+        situation = SITUATIONS[self.situation]
+        violations, valid = self._count("violated"), self._valid
         if violations and (self.test is None or violations == valid):
-            return "violated", f"{violations} of {valid} valid {self._noun} violated it: {told}"
+            counts = f"{violations} of {valid} valid {self._noun} violated it"
+            return "violated", f"{counts}: {situation}"
         obstacles = self._obstacles(decided=self.decided)
         if self.situation == WITHOUT_EFFECT:
-            obstacles.append(f"{told}: all {len(self.verdicts)} {self._noun} are equal")
+            obstacles.append(f"{situation}: all {len(self.verdicts)} {self._noun} are equal")
         elif self.test is not None:
-            obstacles.append(f"{told}: no rate can be bound")
+            obstacles.append(f"{situation}: no rate can be bound")
         if obstacles:
             return "undecided", "; ".join(obstacles)
-        return "supported", f"all {valid} valid {self._noun} satisfied it: {told}"
+        return "supported", f"all {valid} valid {self._noun} satisfied it: {situation}"
 
     def _decide_sequential(self, test: SequentialTest, counts: str) -> tuple[CampaignStatus, str]:
         limit, confidence = self.requirement.at_most, self.requirement.confidence
         text = f"{counts}; {self.method} at {confidence:g} confidence"
         if self._rejecting is not None and self._rejecting.decision == "violated":
-            # What this test shows is weaker than its word: the limit itself may hold.
+            # What this test shows is weaker than "violated" says: the limit itself may hold.
             p0 = self.requirement.p0
             why = "" if p0 is None else f", since the rate is above p0 = {p0:g}"
             return "violated", f"{text} rejects a rate of at most {limit:g}{why}"
@@ -383,60 +390,64 @@ class CampaignJudge:
         )
 
     def _obstacles(self, *, decided: bool = False) -> list[str]:
-        """Everything for which this campaign cannot support a claim."""
+        """Reasons why this campaign cannot support a claim."""
         run, valid = len(self.verdicts), self._valid
         missing, invalid = self._count("missing"), self._invalid
-        found = []
+        obstacles = []
         if run < self.planned and not decided:
-            found.append(f"only {run} of {self.planned} planned {self._noun} were run")
+            obstacles.append(f"only {run} of {self.planned} planned {self._noun} were run")
         if missing:
-            found.append(f"{missing} of {run} {self._noun} are missing (infrastructure)")
+            obstacles.append(f"{missing} of {run} {self._noun} are missing (infrastructure)")
         if run and invalid / run > MAX_INVALID_SHARE:
             share = f"more than {MAX_INVALID_SHARE:.0%}"
-            found.append(f"{invalid} of {run} {self._noun} are invalid, {share}")
+            obstacles.append(f"{invalid} of {run} {self._noun} are invalid, {share}")
         if not valid:
-            found.append(f"none of the {self._noun} was valid")
-        found += self._early_ends()
+            obstacles.append(f"none of the {self._noun} was valid")
+        obstacles += self._early_ends()
         if self.test is not None and self._count("without effect"):
-            found.append(self._violated_without_effect())
+            obstacles.append(self._violated_without_effect())
         if self._after_support:
             before = 0 if self.test is None else self.test.episodes
-            found.append(
+            obstacles.append(
                 f"supported after {before} {self._noun}, and {self._after_support} after these "
                 "violated it or ended before it was decided"
             )
         satisfied = self._count("satisfied")
         vacuous = sum(verdict.vacuous for verdict in self.verdicts)
         if satisfied and satisfied == vacuous and not self._count("violated"):
-            found.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
+            obstacles.append(
+                f"its condition held in none of the {valid} valid {self._noun} (vacuous)"
+            )
         never = _not_manifested([verdict for verdict in self.verdicts if verdict.valid])
         if never:
-            found.append(f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}")
-        asked = sum(verdict.proposals for verdict in self.verdicts)
-        answered = sum(verdict.valid_proposals for verdict in self.verdicts)
-        if answered < _MIN_VALID_PROPOSALS * asked:
-            ticks = f"{answered} of {asked} ticks"
-            found.append(f"the component made a valid proposal at only {ticks}")
-        return found
+            obstacles.append(
+                f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}"
+            )
+        proposals = sum(verdict.proposals for verdict in self.verdicts)
+        valid_proposals = sum(verdict.valid_proposals for verdict in self.verdicts)
+        if valid_proposals < _MIN_VALID_PROPOSALS * proposals:
+            ticks = f"{valid_proposals} of {proposals} ticks"
+            obstacles.append(f"the component made a valid proposal at only {ticks}")
+        return obstacles
 
     def _early_ends(self) -> list[str]:
         """Runs whose end the component may have caused, where no bound counts them."""
-        found = []
+        obstacles = []
         open_ = [verdict for verdict in self.verdicts if verdict.verdict == "open"]
         if open_ and self.test is None:
             count = f"{len(open_)} of {self._valid} valid {self._noun}"
-            found.append(f"{count} ended before it was decided ({_ends(open_)})")
+            obstacles.append(f"{count} ended before it was decided ({_ends(open_)})")
         unharmed = [
             verdict for verdict in self.verdicts if verdict.verdict == "invalid" and verdict.ended
         ]
         if unharmed:
             count = f"{len(unharmed)} invalid {self._noun}"
-            found.append(f"{count} ended before a fault had an effect ({_ends(unharmed)})")
+            obstacles.append(f"{count} ended before a fault had an effect ({_ends(unharmed)})")
         unseen = [verdict.episode for verdict in self.verdicts if verdict.unseen_crash]
         if unseen:
             runs = f"{unseen[0]} and {len(unseen) - 1} more" if unseen[1:] else unseen[0]
-            found.append(f"a crash that no requirement sees: {runs} ended critical")
-        return found
+            obstacles.append(f"a crash that no requirement sees: {runs} ended critical")
+        return obstacles
 
 
 def _ends(verdicts: Sequence[EpisodeVerdict]) -> str:

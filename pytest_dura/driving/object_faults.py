@@ -23,7 +23,7 @@ from pytest_dura.driving.bodies import (
 )
 from pytest_dura.driving.sensors import RANGE
 from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parameters import FaultPart, Finite, NotNegative, Positive, Share, Span
+from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Share, Span
 
 Ids = Annotated[tuple[str, ...], Field(strict=False)]
 """Ids of objects; a list in a scenario file."""
@@ -90,7 +90,7 @@ class ObjectMiss(ObjectFault):
 
     @property
     def hits_by_chance(self) -> bool:
-        """Unless nothing or everything is missed."""
+        """Whether draws decide: not where nothing or everything is missed."""
         return 0.0 < self.parameters.probability < 1.0
 
     def apply(self, memory: Any, value: BodyList, moment: Moment) -> BodyList:
@@ -133,7 +133,7 @@ class PositionNoise(ObjectFault):
 class RangeCutParameters(FaultPart):
     """How far the sensor still reaches."""
 
-    reach: Annotated[NotNegative, Span(0.0, RANGE, mildest=RANGE)] = Field(
+    reach: Annotated[NotNegative, Span(0.0, RANGE, neutral=RANGE)] = Field(
         25.0, description="Metres from the ego's centre to an object's, beyond which there is none."
     )
 
@@ -173,11 +173,11 @@ class ClassChange(ObjectFault):
 
     @property
     def hits_by_chance(self) -> bool:
-        """Unless none or all are mistaken."""
+        """Whether draws decide: not where none or all are mistaken."""
         return 0.0 < self.parameters.probability < 1.0
 
     def begin(self, value: BodyList, moment: Moment) -> dict[str, bool]:
-        """By id, whether an object is mistaken; filled as objects come into sight."""
+        """Whether an object is mistaken, by id; filled as objects come into sight."""
         return {}
 
     def apply(self, memory: dict[str, bool], value: BodyList, moment: Moment) -> BodyList:
@@ -224,14 +224,10 @@ class IdSwitch(ObjectFault):
     parameters: IdSwitchParameters = IdSwitchParameters()
 
     def begin(self, value: BodyList, moment: Moment) -> dict[str, str] | None:
-        """By id, the one that is reported in its place; ``None`` while there are not two."""
-        given = self.parameters.ids
-        if given is not None:
-            return (
-                dict(zip(given, reversed(given), strict=True))
-                if set(given) <= {*value.ids}
-                else None
-            )
+        """The id that is reported in an id's place; ``None`` while there are not two objects."""
+        ids = self.parameters.ids
+        if ids is not None:
+            return dict(zip(ids, reversed(ids), strict=True)) if set(ids) <= {*value.ids} else None
         if len(value) < 2:
             return None
         pose = moment.channels["localisation"]
@@ -280,8 +276,8 @@ class MovedObstacle(ObjectFault):
     def begin(self, value: BodyList, moment: Moment) -> tuple[str, float] | None:
         """The victim's id and the route's heading beside it; ``None`` while it is not in sight."""
         pose, route = moment.channels["localisation"], moment.channels["map"].route
-        wanted = self.parameters.id
-        bodies = [body for body in value if wanted in (None, body.id)]
+        victim_id = self.parameters.id
+        bodies = [body for body in value if victim_id in (None, body.id)]
         if not bodies:
             return None
         victim = min(bodies, key=lambda body: distance(body, pose))
@@ -290,15 +286,16 @@ class MovedObstacle(ObjectFault):
     def apply(self, memory: tuple[str, float], value: BodyList, moment: Moment) -> BodyList:
         """The objects with the victim out of its place."""
         name, heading = memory
-        body, given = value.get(name), self.parameters
-        if body is None or given.dx == given.dy == 0.0:
+        body, parameters = value.get(name), self.parameters
+        if body is None or parameters.dx == parameters.dy == 0.0:
             return value
-        if given.frame == "object":
+        if parameters.frame == "object":
             heading = body.heading
         c, s = math.cos(heading), math.sin(heading)
         # y points south, so that right of the heading (c, s) is (-s, c).
         moved = body._replace(
-            x=body.x + given.dx * c - given.dy * s, y=body.y + given.dx * s + given.dy * c
+            x=body.x + parameters.dx * c - parameters.dy * s,
+            y=body.y + parameters.dx * s + parameters.dy * c,
         )
         return value.with_body(moved)
 
@@ -311,7 +308,7 @@ class GhostParameters(FaultPart):
         description="Where `ahead` is measured from: the ego's front, or the stop line before it.",
     )
     # Farther away a car at the speed limit of 10 m/s stops for it without any haste.
-    ahead: Annotated[Positive, Span(2.0, 60.0, mildest=60.0)] = Field(
+    ahead: Annotated[Positive, Span(2.0, 60.0, neutral=60.0)] = Field(
         14.0,
         description="Metres on the ego's route, from `place` to the ghost's near end, when it"
         " appears.",
@@ -327,10 +324,10 @@ class GhostParameters(FaultPart):
     speed: Annotated[NotNegative, Span(0.0, 10.0)] = Field(
         0.0, description="Along its own heading, straight on, in m/s."
     )
-    length: Annotated[Positive, Span(0.5, 12.0, mildest=CAR_LENGTH)] = Field(
+    length: Annotated[Positive, Span(0.5, 12.0, neutral=CAR_LENGTH)] = Field(
         CAR_LENGTH, description="In m."
     )
-    width: Annotated[Positive, Span(0.5, 3.0, mildest=CAR_WIDTH)] = Field(
+    width: Annotated[Positive, Span(0.5, 3.0, neutral=CAR_WIDTH)] = Field(
         CAR_WIDTH, description="In m."
     )
 
@@ -348,20 +345,26 @@ class GhostObstacle(ObjectFault):
 
     def begin(self, value: BodyList, moment: Moment) -> Body:
         """The ghost as it appears."""
-        given, channels, rng = self.parameters, moment.channels, moment.rng
+        parameters, channels, rng = self.parameters, moment.channels, moment.rng
         pose, way = channels["localisation"], channels["map"]
         start = way.stop_line
-        if given.place == "ego":
+        if parameters.place == "ego":
             start = way.route.project(pose.x, pose.y)[0] + CAR_LENGTH / 2
-        s = start + given.ahead + given.length / 2
+        s = start + parameters.ahead + parameters.length / 2
         x, y, heading = (float(value) for value in way.route.pose(s))
         # y points south, so that right of the heading (c, s) is (-s, c).
-        x, y = x - given.lateral * math.sin(heading), y + given.lateral * math.cos(heading)
-        heading += given.heading
+        x, y = (
+            x - parameters.lateral * math.sin(heading),
+            y + parameters.lateral * math.cos(heading),
+        )
+        heading += parameters.heading
         # Adding 0 makes -0 of a standing ghost 0.
-        velocity = given.speed * math.cos(heading) + 0.0, given.speed * math.sin(heading) + 0.0
+        velocity = (
+            parameters.speed * math.cos(heading) + 0.0,
+            parameters.speed * math.sin(heading) + 0.0,
+        )
         name = f"V{900 + int(rng.integers(100))}"  # looks like any other id
-        return Body(name, x, y, heading, *velocity, given.length, given.width)
+        return Body(name, x, y, heading, *velocity, parameters.length, parameters.width)
 
     def apply(self, memory: Body, value: BodyList, moment: Moment) -> BodyList:
         """The objects with the ghost among them."""
@@ -389,11 +392,11 @@ class SpoofParameters(FaultPart):
         description="The false velocity in m/s, along the ego's route beside the vehicle and to"
         " the right of it; null: the one that leads it to where `lead` says.",
     )
-    lead: Annotated[Positive, Span(0.5, 5.0, mildest=5.0)] = Field(
+    lead: Annotated[Positive, Span(0.5, 5.0, neutral=5.0)] = Field(
         2.0, description="The false path meets the ego's route this many seconds ahead of the ego."
     )
     # The longer it takes, the slower the vehicle seems to come.
-    duration: Annotated[Positive, Span(0.5, 10.0, mildest=10.0)] = Field(
+    duration: Annotated[Positive, Span(0.5, 10.0, neutral=10.0)] = Field(
         4.0, description="Seconds until the false path ends."
     )
 
@@ -410,22 +413,22 @@ class TrajectorySpoof(ObjectFault):
 
     def begin(self, value: BodyList, moment: Moment) -> Any:
         """The victim and its false path; ``None`` while there is no such car within sight."""
-        given, pose = self.parameters, moment.channels["localisation"]
+        parameters, pose = self.parameters, moment.channels["localisation"]
         route = moment.channels["map"].route
         cars = [body for body in value if not body.is_pedestrian]
-        if given.victim == "oncoming":
+        if parameters.victim == "oncoming":
             cars = [body for body in cars if _is_oncoming(body, pose)]
         if not cars:
             return None
         victim = min(cars, key=lambda body: distance(body, pose))
-        if given.velocity is not None:
+        if parameters.velocity is not None:
             heading = route.heading_at(route.project(victim.x, victim.y)[0])
-            (along, right), c, s = given.velocity, math.cos(heading), math.sin(heading)
+            (along, right), c, s = parameters.velocity, math.cos(heading), math.sin(heading)
             return victim, along * c - right * s, along * s + right * c
         s, _ = route.project(pose.x, pose.y)
-        meet = s + CAR_LENGTH + max(moment.channels["odometry"].speed, 3.0) * given.lead
+        meet = s + CAR_LENGTH + max(moment.channels["odometry"].speed, 3.0) * parameters.lead
         x, y, _ = (float(value) for value in route.pose(meet))
-        return victim, (x - victim.x) / given.duration, (y - victim.y) / given.duration
+        return victim, (x - victim.x) / parameters.duration, (y - victim.y) / parameters.duration
 
     def apply(self, memory: Any, value: BodyList, moment: Moment) -> BodyList:
         """The objects with the victim on its false path, where it stops at the end."""

@@ -1,4 +1,4 @@
-"""Verdicts on episodes: one of a campaign, one by a test's formula, one that a search chose.
+"""Verdicts on episodes of campaigns and of searches, and the episode that test functions get.
 
 A search looks where it expects violations, so that its episodes are no sample of anything. They
 have types of their own, which neither :func:`judge_episode` nor a campaign takes.
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.boundary import Boundary
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_signals
@@ -93,7 +94,7 @@ _ENDINGS: dict[str, Ending] = {
     "violation": "open",
     "decided": "open",
 }
-"""What an episode's termination is for its trace; otherwise it is the time limit."""
+"""How a trace ended, by the episode's termination; otherwise at the time limit."""
 _WHOLE = (
     "run it with --dura-end=complete if that is known with hindsight: the episode ended once the "
     "requirements of its case were decided"
@@ -102,7 +103,7 @@ _WHOLE = (
 
 @dataclass(frozen=True, slots=True)
 class EpisodeVerdict:
-    """What one requirement says of one episode; plain data that crosses processes.
+    """Verdict of one requirement on one episode; plain data that crosses processes.
 
     Args:
         requirement: Id of the requirement.
@@ -117,8 +118,8 @@ class EpisodeVerdict:
             have shown the failure mode that it looks at.
         proposals: How often the component was asked.
         valid_proposals: How often it answered with a valid action.
-        idle: Ids of planned faults that never manifested. A valid episode has such where hits are
-            drawn.
+        not_manifested: Ids of planned faults that never manifested. A valid episode has such where
+            hits are drawn.
         without_effect: Whether it is violated in a run that is invalid, since a planned fault never
             manifested: the violation counts, and the run is no sample of runs with that fault.
         ended: How the episode ended, if that was an early end: a key of :data:`EARLY_ENDS`.
@@ -135,10 +136,12 @@ class EpisodeVerdict:
     proposals: int
     valid_proposals: int
     vacuous: bool = False
-    idle: tuple[str, ...] = ()
+    not_manifested: tuple[str, ...] = ()
     without_effect: bool = False
     ended: str = ""
     unseen_crash: bool = False
+
+    idle = renamed("idle", "not_manifested")
 
     @property
     def valid(self) -> bool:
@@ -146,13 +149,15 @@ class EpisodeVerdict:
         return self.verdict in ("satisfied", "violated", "open") and not self.without_effect
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
+        """Plain data, in which ``not_manifested`` has the key ``idle``."""
+        data = asdict(self)
+        return {"idle" if name == "not_manifested" else name: data[name] for name in data}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EpisodeVerdict:
-        """The inverse of :meth:`to_json`."""
-        return cls(**{**data, "idle": tuple(data.get("idle", ()))})
+        """The inverse of :meth:`to_json`; it passes over keys of others."""
+        own = {name: data[name] for name in cls.__dataclass_fields__ if name in data}
+        return cls(**own, not_manifested=tuple(data.get("idle", ())))
 
 
 def judge_episode(
@@ -184,21 +189,21 @@ def judge_episode(
             expected="a formula such as `always (gap > 0)`, or the path of a function",
             remedy="add a check, or judge it in test code",
         )
-    word, result = judged(check, episode)
+    status, result = judged(check, episode)
     early = episode.termination in EARLY_ENDS
     return EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
         component=episode.spec.component,
-        verdict=word,
+        verdict=status,
         margin=result.margin,
-        time=result.time if word == "violated" else None,
+        time=result.time if status == "violated" else None,
         detail=result.detail,
         proposals=episode.metrics.proposals,
         valid_proposals=episode.metrics.valid_proposals,
-        vacuous=result.vacuous and word == "satisfied",
-        idle=episode.idle_faults,
-        without_effect=word == "violated" and episode.validity == "invalid",
+        vacuous=result.vacuous and status == "satisfied",
+        not_manifested=episode.not_manifested,
+        without_effect=status == "violated" and episode.validity == "invalid",
         ended=episode.termination if early else "",
     )
 
@@ -231,7 +236,7 @@ def _violates(check: Check, episode: Episode) -> bool:
 
 
 def judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
-    """The word and the result of a check on an episode, of whatever kind.
+    """Status and result of a check on an episode of any kind.
 
     Raises:
         ConfigurationError: If the check cannot be read or imported, or names a signal that the
@@ -244,27 +249,27 @@ def judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
 
 
 def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
-    found, gap = evaluate_episode(formula, episode)
-    if found is None:
+    evaluation, gap = evaluate_episode(formula, episode)
+    if evaluation is None:
         return "missing", CheckResult(False, detail=episode.failure or "the episode has no samples")
-    margin = found.margin if math.isfinite(found.margin) else None
+    margin = evaluation.margin if math.isfinite(evaluation.margin) else None
 
     def result(detail: str, *, holds: bool = False) -> CheckResult:
-        vacuous = found.vacuous or bool(_unmeasured_failure_modes(formula, episode))
-        return CheckResult(holds, margin, found.time, detail, holds and vacuous)
+        vacuous = evaluation.vacuous or bool(_unmeasured_failure_modes(formula, episode))
+        return CheckResult(holds, margin, evaluation.time, detail, holds and vacuous)
 
-    if found.status == "violated":
-        return "violated", result(found.detail)
+    if evaluation.status == "violated":
+        return "violated", result(evaluation.detail)
     spoilt = _uncounted(episode)
     if spoilt is not None:
         return spoilt[0], result(spoilt[1])
-    if found.status == "undecided":
-        range_ = f"robustness between {found.lower:.3g} and {found.upper:.3g}"
+    if evaluation.status == "undecided":
+        interval = f"robustness between {evaluation.lower:.3g} and {evaluation.upper:.3g}"
         early = EARLY_ENDS.get(episode.termination)
         if gap is None and early is not None:
-            return "open", result(f"{early}: {found.detail}: {range_}")
-        return "invalid", result(gap or f"{found.detail}: {range_}")
-    return "satisfied", result(found.detail, holds=True)
+            return "open", result(f"{early}: {evaluation.detail}: {interval}")
+        return "invalid", result(gap or f"{evaluation.detail}: {interval}")
+    return "satisfied", result(evaluation.detail, holds=True)
 
 
 def _by_function(
@@ -300,7 +305,7 @@ def _by_function(
 
 
 def _uncounted(episode: Episode) -> tuple[EpisodeStatus, str] | None:
-    """Why an episode that violated nothing says nothing, if so."""
+    """Status and reason of an episode that cannot satisfy anything; ``None`` for a valid one."""
     if episode.failure is not None:
         return "missing", episode.failure
     if episode.validity == "invalid":
@@ -309,10 +314,10 @@ def _uncounted(episode: Episode) -> tuple[EpisodeStatus, str] | None:
 
 
 def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | None, str | None]:
-    """The formula on the finite part of an episode's signals, and what cut it short, if anything.
+    """Evaluate a formula on the finite part of an episode's signals; say what cut it short, if so.
 
-    ``None`` stands for an episode without samples. What a component that gives no account of its
-    proposals would have told leaves the formula undecided, unless a part without it is violated.
+    The evaluation is ``None`` for an episode without samples. Where the component gives no account
+    of its proposals, a formula that needs one is undecided, unless a part without it is violated.
     After an infrastructure error the trace is a prefix: it can show a violation, but not that there
     was none.
 
@@ -338,20 +343,20 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         if samples == 0:
             undecided = Evaluation("undecided", np.inf, -np.inf, np.inf, None, 0.0, gap)
             return undecided, gap
-    # Who judged that the episode may end early did not ask for every formula.
+    # The episode may have ended early for other formulas than this one.
     whole = samples == episode.ticks and episode.failure is None
     cut = {name: column[:samples] for name, column in columns.items()}
-    text = evaluate(
+    evaluation = evaluate(
         formula,
         episode.time[:samples],
         cut,
         ending=_ENDINGS.get(episode.termination, "time") if whole else "open",
         time_step=episode.spec.time_step,
     )
-    if episode.termination == "decided" and text.status == "satisfied":
-        # So far it may be more: what would have followed can lessen it to this.
-        text = replace(text, margin=text.lower)
-    return text, gap
+    if episode.termination == "decided" and evaluation.status == "satisfied":
+        # What would have followed can lower the margin to this.
+        evaluation = replace(evaluation, margin=evaluation.lower)
+    return evaluation, gap
 
 
 def _without_account(
@@ -362,9 +367,9 @@ def _without_account(
     for part in conjuncts(formula.root):
         known = Formula(part, formula.text)
         if not set(missing) & set(known.signals):
-            found, _ = evaluate_episode(known, episode)
-            if found is not None and found.status == "violated":
-                return found, detail
+            evaluation, _ = evaluate_episode(known, episode)
+            if evaluation is not None and evaluation.status == "violated":
+                return evaluation, detail
     return Evaluation("undecided", np.nan, -np.inf, np.inf, None, 0.0, detail), detail
 
 
@@ -377,17 +382,14 @@ def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.floa
 
 @dataclass
 class JudgedEpisode(Episode):
-    """An episode that answers to formulas; what test functions get."""
+    """An episode with methods that evaluate formulas; what test functions get."""
 
     searched: ClassVar[bool] = False
-    """Whether a search chose it, so that it stands for no others."""
+    """Whether a search chose it, so that no rate can rest on it."""
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
-        """The same episode, with the judging methods.
-
-        It cannot be changed: what one requirement looks at, the next one looks at too.
-        """
+        """The same episode with these methods, read-only: all requirements share it."""
         made = cls(**{field.name: getattr(episode, field.name) for field in fields(Episode)})
         made.time.flags.writeable = False
         made.signals = SealedColumns(made.signals)
@@ -396,7 +398,7 @@ class JudgedEpisode(Episode):
         return made
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Refuse it on an episode that others look at."""
+        """Refuse it once the episode is sealed."""
         if "_sealed" in vars(self):
             raise AttributeError(f"`{name}` of an episode cannot be changed")
         super().__setattr__(name, value)
@@ -410,8 +412,8 @@ class JudgedEpisode(Episode):
         Raises:
             ConfigurationError: If the formula cannot be read or names an unknown signal.
         """
-        found, _ = evaluate_episode(read_formula(formula), self)
-        return -math.inf if found is None else found.robustness
+        evaluation, _ = evaluate_episode(read_formula(formula), self)
+        return -math.inf if evaluation is None else evaluation.robustness
 
     def satisfies(self, check: Check) -> bool:
         """Whether a check is decided and holds on this episode, which is itself valid.
@@ -423,19 +425,19 @@ class JudgedEpisode(Episode):
 
 
 class SearchedEpisode(JudgedEpisode):
-    """An episode that a search or a strategy chose. It answers to formulas, and enters no rate."""
+    """An episode that a search or a strategy chose; it enters no rate."""
 
     searched: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, slots=True)
 class SearchVerdict:
-    """What one requirement says of one episode of a search; no :class:`EpisodeVerdict`.
+    """Verdict of one requirement on one episode of a search; no :class:`EpisodeVerdict`.
 
     Args:
         requirement: Id of the requirement.
         episode: Id of the episode.
-        word: ``satisfied``, ``violated``, ``open``, ``invalid`` or ``missing``.
+        status: ``satisfied``, ``violated``, ``open``, ``invalid`` or ``missing``.
         margin: Robustness; ``None`` where there is no trace to measure it on, and for a check that
             gives none.
         time: Seconds at which it was violated first, for a violation.
@@ -445,7 +447,7 @@ class SearchVerdict:
 
     requirement: str
     episode: str
-    word: EpisodeStatus
+    status: EpisodeStatus
     margin: float | None
     time: float | None
     detail: str
@@ -455,7 +457,7 @@ class SearchVerdict:
 def judge_searched(
     requirement: Requirement, episode: SearchedEpisode, check: Check | None = None
 ) -> SearchVerdict:
-    """What a requirement's check says of an episode of a search.
+    """Judge an episode of a search by a requirement's check.
 
     Args:
         requirement: The requirement.
@@ -466,13 +468,13 @@ def judge_searched(
         ConfigurationError: If the check cannot be read or imported, or names a signal that the
             episode does not have.
     """
-    word, result = judged(requirement.check if check is None else check, episode)
+    status, result = judged(requirement.check if check is None else check, episode)
     return SearchVerdict(
         requirement.id,
         episode.id,
-        word,
+        status,
         result.margin,
-        result.time if word == "violated" else None,
+        result.time if status == "violated" else None,
         result.detail,
-        result.vacuous and word == "satisfied",
+        result.vacuous and status == "satisfied",
     )
