@@ -211,7 +211,7 @@ class SessionHooks:
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         """Note what will run, in a record that replaces an earlier session's."""
         own_items = list(filter(uses_runner, session.items))
-        if self.session.shard is None:  # which leaves out what other shards run
+        if self.session.shard is None:  # a shard deselects what other shards run
             self.session.selection.select(own_items)
         node_ids = [item.nodeid for item in own_items]
         if node_ids:
@@ -324,7 +324,7 @@ class SessionHooks:
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the evidence."""
         self._end_forked_copy()
-        # Whatever is still under way must not come in once the episodes are cleared away.
+        # What is still under way must not arrive once the episodes are removed.
         self.session.executor.close()
         if self.session.is_worker:
             workeroutput = vars(session.config)["workeroutput"]

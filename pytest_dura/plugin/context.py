@@ -172,7 +172,7 @@ def replay_command(context: SessionContext, episode: str, evidence: Path | None 
         given = context.options.given
         options += [f"{name}={value}" for name, value in given if name == "--dura-evidence"]
     if context.cassette is not None:
-        # It answers again, whatever the mode of this session.
+        # The cassette answers, whatever the mode of this session.
         given = context.options.given
         options.append("--dura-llm=replay")
         options += [f"{name}={value}" for name, value in given if name == "--dura-cassette"]

@@ -1,4 +1,4 @@
-"""Who simulates the episodes of this process, how processes share them, and their repetition.
+"""Simulation of episodes in this process, sharing between processes, and repetition.
 
 One episode per case is repeated. Sharing covers what ``--dura-resume`` and ``--dura-reuse`` take
 over from earlier sessions.
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 _SIMULATED_HERE_KEY = "dura_simulated_here"
-"""Key of what a worker of pytest-xdist tells the controller at its end."""
+"""Key in the output of a worker of pytest-xdist."""
 
 
 class SessionExecutor:
@@ -150,10 +150,10 @@ class SessionExecutor:
 
 
 EPISODES_FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle
-"""In the evidence directory, as long as a session runs, and after one that was not whole."""
+"""Folder in the evidence directory while a session runs, and after one that was not whole."""
 _SESSION_KEY = "dura_session"
 _LOST_KEY = "dura_lost"
-"""Key of what a worker of pytest-xdist tells the controller at its end."""
+"""Key in the output of a worker of pytest-xdist."""
 
 
 class SharedEpisodes:
@@ -260,7 +260,7 @@ class SharedEpisodes:
         options = self.context.options
         count = self.cache.count()
         kept = f"{count} episode{'' if count == 1 else 's'}"
-        # Removed once a session is whole, so that a session which was not has left it.
+        # It is removed once a session is whole, so that only other sessions leave it.
         unfinished = self.cache.directory.is_dir()
         if options.reuse is not None:
             place = typed_path(options.reuse, self.context.config.invocation_params.dir)
@@ -304,7 +304,7 @@ class SharedEpisodes:
         self.is_whole = written and record["status"] == "complete" and not lost
         if self.context.options.reuse is not None:
             return
-        # What cannot be removed is in nobody's way: the next session does it, or tells why not.
+        # What cannot be removed does no harm: the next session removes it, or says why it cannot.
         with suppress(OSError):
             if self.is_whole:
                 self.cache.clear()
@@ -442,7 +442,7 @@ class Repeats:
         try:
             with self._models.uncounted():
                 repetition = self.context.runner.store.repeat(due.task)
-        except Exception as error:  # whatever user code raises: the first time it did not
+        except Exception as error:  # whatever user code raises, which it did not the first time
             return {
                 "result": "failed",
                 "repeated_digest": None,

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.files import DirectoryLock
     from pytest_dura.evidence.gather import RecordBuilder, Status
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.inputs import SessionInputs
@@ -109,7 +108,7 @@ class GivenFiles:
         known = set(self.context.named_requirements)
         known.update(name for planned in self.context.plan for name in planned.requirements)
         if self.context.config.getoption("numprocesses", None):
-            # Which of them the tests claim is known to the workers.
+            # Only the workers know which of them the tests claim.
             known.update(self.context.library().requirements)
         check_requirements(self.argument, known - {""})
 
@@ -145,10 +144,14 @@ def _expected_items(
     """
     if not context.plan:
         return []
+    from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
+
     chosen_ids, requirements = set(chosen), context.library().requirements
     names = {name for planned in context.plan for name in planned.requirements}
     recorded = {name: requirements[name].to_json() for name in sorted(names)}
-    component_of = _Components(context, roles)
+    overrides = roles.chosen()
+    in_conftest = root_conftest_with(context.config, "generator") is not None
+    components: dict[tuple[str, tuple[str, ...]], str] = {}
     expected: list[Expected] = []
     for planned in context.plan:
         case = planned.case
@@ -156,30 +159,15 @@ def _expected_items(
         items = [item for item in items if item[0] in chosen_ids]
         if items:
             runs = context.options.runs or case.scenario.planned
-            off = case.roles_off(roles.chosen())
-            record = case_record(case, component_of(case), runs, context.options.runs, off)
+            key = case.scenario.name, case.without  # a case's faults make no difference
+            if key not in components:
+                components[key] = (
+                    UNKNOWN_COMPONENT if in_conftest else case.roles(overrides)["generator"].label
+                )
+            off = case.roles_off(overrides)
+            record = case_record(case, components[key], runs, context.options.runs, off)
             expected += [(item, requirement, record) for item, requirement in items]
     return expected
-
-
-class _Components:
-    """Names of the components under test, as far as known before anything runs."""
-
-    def __init__(self, context: SessionContext, roles: SessionRoles) -> None:
-        self._overrides = roles.chosen()
-        self._in_conftest = root_conftest_with(context.config, "generator") is not None
-        self._known: dict[tuple[str, tuple[str, ...]], str] = {}
-
-    def __call__(self, case: Case) -> str:
-        """Name the component of a case; its faults make no difference."""
-        if self._in_conftest:
-            from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
-
-            return UNKNOWN_COMPONENT
-        key = case.scenario.name, case.without
-        if key not in self._known:
-            self._known[key] = case.roles(self._overrides)["generator"].label
-        return self._known[key]
 
 
 class SessionEvidence:
@@ -286,7 +274,7 @@ class SessionEvidence:
 
         self._expected = items
         expected = _expected_items(self.context, self._roles, items)
-        for item in self.context.redact(expected):  # as the items themselves will tell it
+        for item in self.context.redact(expected):  # as the reports of the items will hold it
             self.record.expect(*item)
 
     def note_tests(self, items: list[str], claiming: Iterable[str] = ()) -> None:
@@ -307,7 +295,7 @@ class SessionEvidence:
         if self.context.is_worker:
             return
         started, self._any_report = perf_counter(), True
-        # Terminal and others keep the reports of all items.
+        # It is taken out, since the terminal and others keep the reports of all items.
         item_report = vars(report).pop(REPORT_ATTRIBUTE, None)
         if item_report is not None or report.nodeid not in self._claiming:
             self._unreported.discard(report.nodeid)
@@ -336,7 +324,7 @@ class SessionEvidence:
             self.record.add(item_report)
             self._sources().add_report(item_report)
         except ConfigurationError as error:
-            # Without its episodes there is nothing that the session could still show.
+            # Without the episodes the session can show nothing.
             pytest.exit(error_text(error))
 
     def finish(self, session: pytest.Session) -> None:
@@ -420,7 +408,7 @@ class SessionEvidence:
             warn_undecided=warn_undecided,
         )
         if session.exitstatus == pytest.ExitCode.OK and not interrupted:
-            # Of runs that `-k` left out, or a violation that a test caught.
+            # Such as runs that `-k` left out, or a violation that a test caught.
             self.objections += [
                 f"the gate fails: {objection}, though every test passed"
                 for objection in verdict_objections(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Data = Mapping[str, Any]
 BUILTIN = "pytest_dura/scenarios"
-"""Where the built-in scenarios lie in an installed package, and what they are called elsewhere."""
+"""Folder of the built-in scenarios in an installed package, and their recorded name elsewhere."""
 
 
 class SessionInputs:

@@ -1,4 +1,4 @@
-"""What other reports show of our items: properties in JUnit files, and Allure's results.
+"""Items in the reports of others: properties in JUnit files, and Allure's results.
 
 pytest writes properties with every ``junit_family``; ``xunit1`` adds file and line of the test.
 There is one group per requirement, in order, which begins with ``requirement``.
@@ -232,7 +232,7 @@ def _requirement_url(config: pytest.Config, requirement: str) -> str:
 LARGEST = 2_000_000
 """Bytes of an attachment."""
 _COUNTEREXAMPLES = 100
-"""As many stand in the attached verdict."""
+"""Counterexamples in the attached verdict."""
 
 
 def report_item(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
@@ -241,7 +241,7 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
     Args:
         context: The session's context.
         item: An item that uses the runner, whose result is not written yet.
-        results: What it came to.
+        results: Its results.
     """
     from allure_commons import plugin_manager
 
@@ -253,7 +253,7 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
     for result in results:
         prefix = f"{one_line(result.requirement.id, 100)}: " if len(results) > 1 else ""
         for parameter, value in _parameters(context, result).items():
-            # A result must not make another test of this one in Allure's history.
+            # Allure's history tells tests apart by parameters: results must not be among them.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
     description = _description(context, item, results)
     if description:

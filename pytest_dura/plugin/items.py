@@ -137,7 +137,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
 _MOST_LISTED = 20
 """Verdicts that are named of those that were left out."""
 _SELECTION_KEY = "dura_selection"
-"""Key of what a worker of pytest-xdist tells the controller, which collects nothing."""
+"""Key in the output of a worker; the controller collects nothing."""
 
 
 class Selection:
@@ -213,7 +213,7 @@ class Selection:
             return []
         try:
             names = [requirement.id for requirement in marked_requirements(self.context, item)]
-        except ConfigurationError:  # the test's own error says so
+        except ConfigurationError:  # the test reports it itself
             names = []
         return [f"{name} on {case} by {test}" for name in dict.fromkeys(names)] or [
             f"{test} on {case}"
@@ -221,7 +221,7 @@ class Selection:
 
 
 _SHARD_KEY = "dura_shard"
-"""Key of what a worker tells the controller, which does not collect."""
+"""Key in the output of a worker; the controller collects nothing."""
 _LOST_ITEMS_KEY = "dura_shard_lost"
 _MAY_DIFFER = frozenset(
     f"dura_{name}"
@@ -245,7 +245,7 @@ _DISPLAY_SETTINGS = (
     "faulthandler_",
     "dura_progress",
 )
-"""How settings begin that ``-o`` may change in one shard alone."""
+"""Prefixes of settings that ``-o`` may change in one shard alone."""
 
 
 class ShardHooks:
@@ -364,7 +364,7 @@ def _units_of(
 
     A campaign that is compared with runs without faults runs those of another case, so that both
     are one unit. What a test asks of a runner itself is not known before it runs: an episode that
-    two shards ran that way is told by both, and has to be the same one.
+    two shards ran that way is recorded by both, and has to be the same one.
 
     Args:
         context: The session's context.
@@ -399,7 +399,7 @@ def _units_of(
         ids = [item.nodeid for item in own_items]
         units[ShardUnit.of("case", names[root], ids, episodes[root])] = own_items
     for name, own_items in tests.items():
-        # One that chooses its episodes itself has at least one, for all that is known.
+        # A test that chooses its episodes itself is counted as one episode.
         runs = any("dura_metrics" in getattr(item, "fixturenames", ()) for item in own_items)
         units[ShardUnit.of("test", name, [name] * len(own_items), int(runs))] = own_items
     return units

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Data = dict[str, Any]
 _MOST_MODELS = 3
-"""So many models of a cassette are named in the header."""
+"""Models of a cassette that the header names."""
 _OUTCOMES = ("asked", "reused", "injected", "missed")
 _SESSION_MODULE = "pytest_dura.llm.session"
 
@@ -57,7 +57,7 @@ class LanguageModels:
             workerinput["dura_cassette"] = str(self.context.cassette.absolute())
             workerinput["dura_llm_session"] = self._name
         elif self._active is not None:
-            # Each worker's own probe might come to something else, and so to another component.
+            # Each worker's own probe might differ, and so describe another component.
             workerinput["dura_llm_described"] = [
                 description.to_json() for description in self._active.descriptions
             ]
@@ -273,7 +273,7 @@ class LanguageModels:
 
         sha256 = sha256_of(file)
         if session.mode == "record":
-            # The session itself has changed it.
+            # Recording has changed the file.
             inputs.inputs.add("cassette", file, sha256)
         cassette = {
             "file": recorded_path(file, self.context.config.rootpath),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean, error_at
 from pytest_dura.plugin.messages import error_text
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ def marked_requirements(context: SessionContext, node: pytest.Item) -> list[Requ
 
 
 def _requirement(context: SessionContext, marker: pytest.Mark) -> Requirement:
-    from pytest_dura.core.errors import did_you_mean
     from pytest_dura.requirements.model import Kind, Requirement
 
     given = _marker_arguments(marker, _requirement_marker)
@@ -107,8 +106,6 @@ def _marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
     try:
         bound = known.bind(*marker.args, **marker.kwargs)
     except TypeError as error:
-        from pytest_dura.core.errors import did_you_mean
-
         wrong = sorted(set(marker.kwargs) - set(known.parameters))
         remedy = did_you_mean(wrong[0], known.parameters) if wrong else "add what is missing"
         raise ConfigurationError(
@@ -283,8 +280,6 @@ def _errors_at(definition: pytest.Item) -> Iterator[None]:
     try:
         yield
     except ConfigurationError as error:
-        from pytest_dura.core.errors import error_at
-
         file, line, _ = definition.location
         located = error
         if error.file is None:

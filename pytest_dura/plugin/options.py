@@ -591,7 +591,7 @@ _EXCLUDED_OPTIONS = {
     "dura_reduce": "it runs an episode of the evidence",
     "dura_baseline": "a baseline is that of a whole session: give it to the merge of the shards",
 }
-"""What makes no sense with a part of a session, and why."""
+"""Options that exclude a shard, and why."""
 
 
 def _shard_of(config: pytest.Config) -> Shard | None:

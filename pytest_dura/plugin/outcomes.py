@@ -1,4 +1,4 @@
-"""What an item came to, requirement by requirement, and whether a test that passed may pass.
+"""Results of items, requirement by requirement, and checks of tests that passed.
 
 A pass rests on the episodes that the test looked at, on the verdicts that it asked for, and on
 the requirement's own check.
@@ -128,7 +128,7 @@ def item_results(
     Args:
         context: The session's context.
         item: An item that uses the runner.
-        report: What it told when it ran.
+        report: What it recorded when it ran.
 
     Returns:
         The results in the order of their requirements in the item's markers. What was to be
@@ -139,7 +139,7 @@ def item_results(
     results = _decided_results(context, item, report, claimed)
     answered = {verdict.requirement.id for verdict in results}
     if report is not None:
-        # Of what a test searches it asks for no verdict.
+        # A search decides its requirements without a verdict.
         answered |= {
             outcome["requirement"] for search in report.searches for outcome in search["outcomes"]
         }
@@ -252,7 +252,7 @@ def _case_of_result(context: SessionContext, item: pytest.Item, name: str) -> Ca
         return case
     try:
         return context.runner.case(name)
-    except ConfigurationError:  # faults of the test's own making: no name leads to them
+    except ConfigurationError:  # faults that the test made itself have no name
         return None
 
 
@@ -317,7 +317,7 @@ def failed_assertion(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseExcept
 
     error = excinfo.value
     lines = [line for line in str(error).split("\n") if line.strip()]
-    # Behind a message of the test's own stands what pytest makes of the comparison.
+    # pytest appends the comparison to the test's own message.
     compared = [line for line in lines[1:] if line.startswith("assert ")]
     text = "; ".join([*lines[:1], *compared[:1]]) or type(error).__name__
     own_entries = [entry for entry in excinfo.traceback if entry.path == item.path]
@@ -386,7 +386,7 @@ def check_passed(
         _check_violations(context, item, looked_at)
     for episode in used.values():
         if episode.early_end:
-            # What else the test looked at might have come out otherwise.
+            # What the test read beyond that end might have been otherwise.
             text = (
                 f"invalid: {episode.early_end}: it shows a test nothing of what would have followed"
             )

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 BOUND_SHARE = 1 / 500
-"""Of the time, at most that much goes into bounds."""
+"""Share of the time that goes into bounds, at most."""
 LONGEST_BOUND_AGE = 10.0
 """Seconds after which a bound is made anew, whatever the last one took."""
 
@@ -74,7 +74,7 @@ class Snapshots:
             self._due = ended + min((ended - started) / BOUND_SHARE, LONGEST_BOUND_AGE)
             return self._bounded
         known = self._bounded
-        # From fewer runs with as many violations the bound is too great, and so it still holds.
+        # A bound from fewer runs with as many violations is greater, so it still holds.
         if known is None or known.violations != progress.violations:
             return progress
         return replace(progress, upper=known.upper, confidence=known.confidence)
@@ -82,7 +82,7 @@ class Snapshots:
 
 PROGRESS_FOLDER = ".progress"
 WRITE_INTERVAL = 0.25
-"""Seconds after which a worker tells again."""
+"""Seconds after which a worker writes again."""
 _FILE_NAME = re.compile(r"([0-9a-f]{16})\.([A-Za-z0-9_-]{1,32})\.(json|tmp)")
 _FIELDS = {field.name for field in fields(CampaignProgress)}
 _MOST_BYTES, _MOST_FILES, _LONGEST, _GREATEST = 4096, 256, 500, 10**9
@@ -167,7 +167,7 @@ def remove_files(folder: Path, worker: str | None = None) -> None:
         folder: The folder.
         worker: Remove the files of this worker alone.
     """
-    # Whatever cannot be removed does no harm: it is of no session that is to come.
+    # What cannot be removed does no harm: the token of a later session differs.
     with suppress(OSError):
         if folder.is_symlink():
             folder.unlink()

@@ -1,4 +1,4 @@
-"""How progress is shown: live below pytest's output in a terminal, or as lines in a log."""
+"""Display of progress: live below pytest's output in a terminal, or as lines in a log."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def terminal_line(row: Row, width: int) -> str:
     """Write as much as fits into so many columns of a terminal."""
     place = f"{row.place} " if row.place else ""
     text = place + log_line(row)
-    # In between, a figure more or less would make the line jump from one form to the other.
+    # Below that width, the line would change form with every digit more or less.
     if width < WIDE or columns(text) > width:
         text = place + short_line(row)
     return text if columns(text) <= width else _cut(text, width)
@@ -172,7 +172,7 @@ def _cut(text: str, width: int) -> str:
 
 
 def _campaign_name(progress: CampaignProgress) -> str:
-    # A name with an escape sequence in it would write to the terminal what it likes.
+    # Escape sequences in a name would act on the terminal.
     name = f"{progress.case} {progress.subject}".rstrip()
     return "".join(character if character.isprintable() else "?" for character in name)
 
@@ -344,7 +344,7 @@ class LiveScreen:
             size = os.get_terminal_size(self._stream.fileno())
         except OSError:
             return _USUAL_SIZE
-        # A terminal that does not know says 0.
+        # A terminal that does not know its size reports 0.
         return os.terminal_size(
             (size.columns or _USUAL_SIZE.columns, size.lines or _USUAL_SIZE.lines)
         )
@@ -412,7 +412,7 @@ def display_mode(config: pytest.Config) -> DisplayMode | None:
     reporter = config.pluginmanager.getplugin("terminalreporter")
     if reporter is None or hasattr(config, "workerinput") or config.getoption("verbose") < 0:
         return None
-    # What is not captured, the tests themselves write into the terminal at any time.
+    # Without capture, tests write into the terminal at any time.
     live = (
         bool(reporter.isatty)
         and os.name == "posix"
@@ -469,7 +469,7 @@ class Ticker:
         self._thread.start()
 
     def _run(self) -> None:
-        # If the terminal is gone, pytest itself tells whoever still listens.
+        # If the terminal is gone, pytest itself reports that.
         with suppress(OSError):
             while not self._over.wait(self._interval):
                 self._refresh()

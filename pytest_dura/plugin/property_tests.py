@@ -75,7 +75,7 @@ def counterexample_store(context: SessionContext) -> CounterexampleStore:
 
 PROFILE = "dura"
 _PROFILE_KEY = "dura_hypothesis"
-"""Key of what a worker of pytest-xdist tells the controller at its end."""
+"""Key in the output of a worker of pytest-xdist."""
 _FAILURES = (Exception, pytest.fail.Exception)
 _MOST_FAILURES = 8
 """Failing runs that are remembered: the last ones are those that are reported."""
@@ -97,7 +97,7 @@ class PropertyTests:
     def __init__(self, context: SessionContext) -> None:
         self.context = context
         self._cases: list[SearchedCase] = []
-        """Those that the present run of a test function has looked at."""
+        """Cases that the present run of a test function has looked at."""
         self._failed: deque[tuple[BaseException, list[SearchedCase]]] = deque(maxlen=_MOST_FAILURES)
         self._lines: list[str] = []
         self._settings: dict[str, Any] | None = None

@@ -84,7 +84,7 @@ def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
 Reason = Literal["all", "sample", "missing", "violation"]
 
 _REASON_RANK: dict[Reason, int] = {"all": 0, "sample": 1, "missing": 2, "violation": 3}
-"""Of several reasons to keep a trace the last one is told."""
+"""Rank of the reasons to keep a trace; of several the highest is recorded."""
 
 
 class TraceKeeper:
@@ -105,7 +105,7 @@ class TraceKeeper:
         self.traces: list[dict[str, Any]] = []
         """``{id, component, digest, trace}`` of what was written and not yet taken."""
         self.problems: list[str] = []
-        """Why a trace could not be written; the first reason alone is told."""
+        """Why a trace could not be written; only the first reason."""
 
     def used(self, episode: Episode) -> None:
         """Note an episode that a test looked at."""
@@ -178,7 +178,7 @@ def _check_inside(folder: Path) -> None:
 
 
 REPORT_ATTRIBUTE = "dura"
-"""Of a test report. pytest and xdist carry further attributes along, and unlike
+"""Attribute of a test report. pytest and xdist carry such attributes along, and unlike
 ``user_properties`` they do not end up in JUnit files, where kilobytes per test have no place."""
 
 
@@ -187,9 +187,9 @@ class ItemRecorder:
 
     Args:
         context: The session's context.
-        models: Told which language models episodes asked.
-        properties: Told which cases property tests looked at.
-        repeats: Told which episodes may be repeated.
+        models: Notes which language models episodes asked.
+        properties: Notes which cases property tests looked at.
+        repeats: Notes which episodes may be repeated.
         shared: What could not be shared, and what searches took over.
         executor: Who simulates.
         take: Takes a part of the report of an item that holds a great many episodes.
@@ -316,9 +316,8 @@ class ItemRecorder:
         verdict, search = getattr(error, "verdict", None), getattr(error, "falsification", None)
         undecided = verdict is not None and verdict.verdict == "undecided"
         if search is not None:
-            undecided = not search.found and any(
-                outcome.word == "undecided" for outcome in search.outcomes
-            )
+            statuses = {outcome.status for outcome in search.outcomes}
+            undecided = not search.violations and "undecided" in statuses
         if undecided and self.context.options.warn_undecided:
             return pytest.skip.Exception(str(error))
         return pytest.fail.Exception(str(error))
@@ -432,7 +431,7 @@ class ItemRecorder:
             description = describe_component(generator.path, factory, generator.params, file, root)
             sources = description.pop("sources")
             if description["digest"] is not None:
-                # They are many: the first report of each process has them.
+                # The sources are many: only the first report of each process has them.
                 self._report.sources[description["digest"]] = sources
             named = {"name": component, **description, "opaque": generator.opaque}
             self._components[key] = named

@@ -74,7 +74,7 @@ def _conftest_defining(config: pytest.Config, value: object) -> str | None:
     """Return the ``conftest.py`` at whose top level a class or function is defined, if any.
 
     pytest may have loaded several modules of the name ``conftest``, of which ``sys.modules`` holds
-    one; so the class itself does not tell.
+    one, so the class itself does not identify its file.
     """
     name = getattr(value, "__qualname__", None)
     for file, module in _conftests(config):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.plugin.context import Planned, SessionContext
 from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
 from pytest_dura.plugin.evidence import SessionEvidence
@@ -65,7 +65,7 @@ def _case_name(context: SessionContext, path: str) -> str | None:
     except ConfigurationError as error:
         if context.options.any_given:
             raise
-        # Whoever misspelt a path should hear of the path, and whoever meant a scenario of it.
+        # The argument may be a misspelt path or a scenario: the message names both.
         raise ConfigurationError(
             f"file or directory not found: {path}\n"
             f"and it names no scenario as long as these cannot be read:\n{error}"
@@ -82,8 +82,6 @@ def _case_name(context: SessionContext, path: str) -> str | None:
 def _requirement_name(context: SessionContext, name: str, requirement: str) -> str:
     known = context.runner.case(name).requirements
     if requirement and requirement not in known:
-        from pytest_dura.core.errors import did_you_mean
-
         raise ConfigurationError(
             f"the case {name!r} has no requirement {requirement!r}",
             found=f"{name}::{requirement}",

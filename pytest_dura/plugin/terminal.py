@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 _MOST_REASONS = 8
-"""Reasons that are told."""
+"""Reasons that are shown."""
 
 
 def _reuse_lines(record: SessionRecord) -> Iterator[str]:
@@ -366,7 +366,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
     if session.options.runs is not None:
         terminal.line(f"--dura-runs={session.options.runs} replaced the planned number of runs")
     terminal.line("")
-    # Runs without a role that serve a comparison are told in its table.
+    # Runs without a role that serve a comparison are shown in its table.
     twins = {verdict["pairs"]["case"] for verdict in record["verdicts"] if verdict["pairs"]}
     shown = [case for case in record["cases"] if not case["without"] or case["id"] not in twins]
     most = None if session.config.option.verbose > 0 else MOST_ROWS

@@ -278,7 +278,7 @@ def _complete(complete: int, incomplete: int) -> str:
 
 
 def _p_value(verdict: Data, value: float) -> str:
-    # The test's level holds for a number of pairs that does not depend on what they show.
+    # The test's level holds only where the number of pairs does not depend on their results.
     return "-" if verdict["method"] in ("sprt", "e-process") else f"{value:.2g}"
 
 
@@ -350,7 +350,7 @@ def _monitor_row(monitor: Data) -> list[str]:
 T = TypeVar("T")
 
 MOST_ROWS = 100
-"""Rows of a table, verdicts, or failures that are shown at most, unless pytest is told ``-v``."""
+"""Rows of a table, verdicts, or failures that are shown at most, unless ``-v`` is given."""
 VERDICT_RANK = {"violated": 0, "undecided": 1, "supported": 2}
 WHERE_ALL_ARE = "-v shows all of them, as do the report and evidence.json"
 
@@ -407,8 +407,8 @@ def fault_table(cases: Sequence[Data]) -> list[str]:
     names, rows = [], []
     for case in cases:
         for fault in case["metrics"]["faults"]:
-            # Most cases are named after their only fault, which need not be said twice. Of several
-            # none is left out: what remained would be the name of another case.
+            # Most cases are named after their only fault, which is not repeated. One of several
+            # stays: without it the name would be that of another case.
             is_only = len(case["metrics"]["faults"]) == 1
             case_name = case["id"].removesuffix(f"+{fault['id']}") if is_only else case["id"]
             component = f" ({case['component']})" if several else ""

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 
 LONGEST_TEXT = 2000
-"""Characters of a text that is told in several lines."""
+"""Characters of a text that is shown in several lines."""
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 """Keeps a requirement and its margin on one line, and is shown as a space."""
 _VERDICT_COLOURS = {
@@ -83,7 +83,7 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
     failures: dict[tuple[str, ...], list[Data]] = {}
     for verdict in shown:
         if verdict["verdict"] != "supported":
-            # What is undecided for one reason is told once for all requirements of a case.
+            # What is undecided for one reason is shown once for all requirements of a case.
             cause = verdict["reason"], (verdict["spoilt"] or {}).get("detail", "")
             own_key = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
             failures.setdefault((verdict["case"], verdict["component"], *own_key), []).append(
@@ -202,7 +202,7 @@ def _show_episode(
         terminal.line(f"  worst:  {describe_counterexample(verdict['counterexamples'][0])}")
         if not verdict["counterexamples"][0]["valid"]:
             terminal.line(f"  invalid: {episode.get('invalid_reason')}")
-        # What ended the episode before its time, if anything did.
+        # Events that ended the episode early, if any did.
         for event in episode["events"]:
             if event["kind"] == "critical":
                 terminal.line(f"  event:  {event_text(event)}")
@@ -231,7 +231,7 @@ def _shown_episode_id(verdict: Data) -> str | None:
 def _shown_episodes(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tuple[str, str], Data]:
     """Return the episodes that stand for verdicts, by id and component, planned ones first.
 
-    They are found in one go, since a record may have a great many.
+    The record is read once, since it may have a great many.
     """
     named = [(_shown_episode_id(verdict), verdict["component"]) for verdict in verdicts]
     keys = {(shown_id, component) for shown_id, component in named if shown_id is not None}
@@ -246,7 +246,7 @@ def _shown_episodes(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tup
 _SEARCH_WIDTH = 80
 MOST_CHANGES = 12
 _LONGEST_SEARCH_TEXT = 500
-"""Characters of a text that is told in several lines."""
+"""Characters of a text that is shown in several lines."""
 _SEARCH_COLOURS: Mapping[str, dict[str, bool]] = {
     "falsified": {"red": True},
     "not repeatable": {"red": True},

@@ -1,4 +1,4 @@
-"""How pytest-xdist spreads our items over its workers, and work stealing.
+"""Scheduling of our items over the workers of pytest-xdist, and work stealing.
 
 Items of a case are split over all workers, which share its episodes. A worker that has no item
 left simulates episodes of the last campaigns that no other worker has claimed, and stops where
@@ -43,12 +43,12 @@ def steal_work(context: SessionContext, last: pytest.Item) -> None:
         requirement = known[item.name]
         campaign = runner.campaign(item.planned.case, requirement=requirement)
         try:
-            # A component that asks a language model is asked where that is counted, and no more.
+            # A component that asks a language model runs only where its requests are counted.
             if not runner.task(campaign.case).portable:
                 return
             if not _is_simulated(campaign, requirement):
                 campaign.judge(requirement)
-        except Exception:  # whatever it is, the worker that has the item tells it
+        except Exception:  # whatever it is, the worker that has the item reports it
             return
 
 
