@@ -19,7 +19,7 @@ from pathlib import Path
 
 from machine import machine, table
 
-from pytest_dura.execution.executors import Execution, execution_of
+from pytest_dura.execution.executors import Execution, ExecutorChoice
 from pytest_dura.execution.store import EpisodeStore
 from pytest_dura.execution.task import EpisodeTask
 from pytest_dura.library.cases import expand_cases
@@ -100,7 +100,7 @@ def main() -> None:
             f"processes:{WIDTH}": f"processes:{WIDTH}",
             f"dask, {WIDTH} workers": cluster.scheduler_address.replace("tcp", "dask"),
         }
-        executions = {name: execution_of(text) for name, text in names.items()}
+        executions = {name: ExecutorChoice.parse(text).execution() for name, text in names.items()}
         try:
             compare(executions, wanted, options.repeats)
         finally:

@@ -260,9 +260,9 @@ def simulate(
     task: str,
     conditions: Mapping[str, Any] | None = None,
     *,
-    seconds: float | None = None,  # noqa: ARG001 - whoever calls it in another process reads it
+    seconds: float | None = None,  # noqa: ARG001 - the parent process reads it
 ) -> bytes:
-    """An episode, simulated in whatever process this is called.
+    """Simulate an episode in the process in which this is called.
 
     Args:
         task: JSON of :meth:`EpisodeTask.to_json`.
@@ -287,7 +287,8 @@ def simulate(
             key="--dura-executor",
             found=here.spec.component,
             expected="parameters `model` and `fingerprint`, which `Role.resolve_parameters` states",
-            remedy="derive it from pytest_dura.llm.LlmGenerator, or use --dura-executor=in-process",
+            remedy="derive it from pytest_dura.llm.planner.LlmGenerator, or use"
+            " --dura-executor=in-process",
         )
     try:
         return pack(episode)

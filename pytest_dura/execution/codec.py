@@ -135,7 +135,7 @@ def _split(data: bytes) -> tuple[Data, list[NDArray[Any]]]:
             raise ValueError("a column is no plain data")
         kind = np.dtype(dtype)
         end = place + kind.itemsize * math.prod(shape)
-        # A copy: columns of an episode can be written to, whoever made it.
+        # A copy: columns of an episode can be written to, wherever it comes from.
         columns.append(np.frombuffer(rest[place:end], dtype=kind).reshape(shape).copy())
         place = end
     if place != len(rest):
@@ -219,13 +219,13 @@ def _metrics_of(data: Data, columns: list[NDArray[Any]]) -> DependabilityMetrics
         }
         for name in SERIES
     }
-    made = {
+    restored = {
         "violations": Counter(data["violations"]),
         "reactions": Counter(data["reactions"]),
         "recoveries": [tuple(recovery) for recovery in data["recoveries"]],
         "tallies": {name: Tally(**tally) for name, tally in data["tallies"].items()},
     }
-    return replace(DependabilityMetrics(), **{**data, **series, **made})
+    return replace(DependabilityMetrics(), **{**data, **series, **restored})
 
 
 def _recording(recording: Recording, columns: _Columns) -> Data:
@@ -252,9 +252,9 @@ def _recording_of(data: Data, columns: list[NDArray[Any]]) -> Recording:
         lines = tuple(Line(kind, columns[place]) for kind, place in scene["lines"])
         scene = Scene(lines, tracks["truth"], tracks["percept"], scene["ego"])
     texts = ("explanations", "reasons", "recoveries", "accounts")
-    made = {name: tuple(data[name]) for name in texts}
+    columns_of_texts = {name: tuple(data[name]) for name in texts}
     flags = {name: columns[place] for name, place in data["flags"].items()}
-    return Recording(**{**data, **made, "flags": flags, "scene": scene})
+    return Recording(**{**data, **columns_of_texts, "flags": flags, "scene": scene})
 
 
 def _plain(value: Any) -> Any:

@@ -98,15 +98,6 @@ class ExecutorChoice:
         return Execution()
 
 
-def execution_of(text: str | None) -> Execution:
-    """Make the executor that an option names; see :class:`ExecutorChoice`.
-
-    Raises:
-        ConfigurationError: If there is no such executor, or it cannot be used.
-    """
-    return ExecutorChoice.parse(text).execution()
-
-
 T = TypeVar("T")
 P = ParamSpec("P")
 

@@ -229,21 +229,21 @@ class UpcomingTasks:
 
     def __init__(self, steps: int, make: Callable[[int], Sequence[EpisodeTask]]) -> None:
         self._steps, self._make = steps, make
-        self._made: dict[int, Sequence[EpisodeTask]] = {}
+        self._tasks: dict[int, Sequence[EpisodeTask]] = {}
         self._at = 0
 
     def reach(self, step: int) -> None:
         """Begin with this step from now on."""
         for passed in range(self._at, step):
-            self._made.pop(passed, None)
+            self._tasks.pop(passed, None)
         self._at = step
 
     def __iter__(self) -> Iterator[EpisodeTask]:
         """The tasks from the present step on."""
         for step in range(self._at, self._steps):
-            if step not in self._made:
-                self._made[step] = self._make(step)
-            yield from self._made[step]
+            if step not in self._tasks:
+                self._tasks[step] = self._make(step)
+            yield from self._tasks[step]
 
 
 def missing_episode(spec: EpisodeSpec, cause: str) -> Episode:

@@ -167,7 +167,7 @@ def _reply_to(request: dict[str, Any]) -> bytes:
 def _memory() -> int:
     """Bytes of memory that this process has; 0 where the system does not tell."""
     try:
-        # The peak that getrusage tells is on Linux that of whoever started this process, if higher.
+        # The peak that getrusage tells is on Linux that of its parent, if higher.
         pages = Path("/proc/self/statm").read_bytes().split()[1]
         return int(pages) * os.sysconf("SC_PAGE_SIZE")
     except OSError:

@@ -56,48 +56,6 @@ class Capabilities:
         """Plain data."""
         return asdict(self) | {"words": dict(self.words)}
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Capabilities:
-        """The inverse of :meth:`to_json`.
-
-        Raises:
-            ConfigurationError: For what is no capabilities.
-        """
-        for key, kinds in _KINDS.items():
-            if key not in data or type(data[key]) not in kinds:
-                raise _refused(key, data.get(key), " or ".join(kind.__name__ for kind in kinds))
-        if unknown := sorted(set(data) - set(_KINDS)):
-            raise _refused(unknown[0], data[unknown[0]], "one of " + ", ".join(_KINDS))
-        if data["structured"] not in LEVELS:
-            raise _refused("structured", data["structured"], "one of " + ", ".join(LEVELS))
-        if not all(isinstance(text, str) for pair in data["words"].items() for text in pair):
-            raise _refused("words", data["words"], "texts by name")
-        return cls(**{**data, "words": dict(data["words"])})
-
-
-_KINDS: Mapping[str, tuple[type, ...]] = {
-    "model": (str,),
-    "fingerprint": (str,),
-    "structured": (str,),
-    "enforced": (bool,),
-    "vision": (bool,),
-    "seed": (bool,),
-    "context": (int, type(None)),
-    "attempts": (int,),
-    "requests": (int,),
-    "words": (dict,),
-}
-
-
-def _refused(key: str, found: object, expected: str) -> ConfigurationError:
-    return ConfigurationError(
-        f"the capabilities of a language model cannot be read at {key!r}",
-        key=key,
-        found=found,
-        expected=expected,
-        remedy="record them anew",
-    )
-
 
 _STABLE = (
     "id",

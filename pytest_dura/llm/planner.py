@@ -144,7 +144,7 @@ class Settings(BaseModel):
         return self.server or KnownServer()
 
     @property
-    def again(self) -> tuple[str, ...]:
+    def further_samples(self) -> tuple[str, ...]:
         """Names of the further samples of a deciding request."""
         return tuple(
             "again" if number == 1 else f"again_{number}" for number in range(1, self.samples)
@@ -364,7 +364,7 @@ class LlmGenerator(Generator):
         show nothing and is left out.
         """
         beside = {}
-        for number, name in enumerate(self.settings.again, start=1):
+        for number, name in enumerate(self.settings.further_samples, start=1):
             beside[name] = self._read(self._ask(prompt, number, Delivery()))
         for name in self.settings.beside:
             variant = self.variant(name, prompt)

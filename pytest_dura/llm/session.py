@@ -194,11 +194,6 @@ class OpenAiServer:
         return self.endpoint.scrub(text)
 
 
-def connect(environ: Mapping[str, str], model: str | None) -> ModelServer:
-    """Connect to the server that the environment names; see :class:`Connect`."""
-    return OpenAiServer(environ, model)
-
-
 Mode = Literal["live", "record", "replay"]
 Scrub = Callable[[Any], Any]
 
@@ -240,7 +235,7 @@ class ModelSession:
         environ: Mapping[str, str] | None = None,
         session: str = "",
         scrub: Scrub = _unchanged,
-        connect: Connect = connect,
+        connect: Connect = OpenAiServer,
     ) -> None:
         self.mode = mode
         self.cassette: Cassette | None = None
