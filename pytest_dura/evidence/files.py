@@ -18,7 +18,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any, Literal, get_args
+from typing import IO, Any, Literal
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.files import OwnedHandle, WrittenFile, is_named, lock, replace_file
@@ -316,7 +316,6 @@ InputKind = Literal[
     "scenario", "requirements", "faults", "test", "conftest", "component", "check", "role",
     "configuration", "baseline", "argument", "cassette",
 ]  # fmt: skip
-_INPUT_KINDS: tuple[str, ...] = get_args(InputKind)
 
 
 class InputFiles:
