@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.state import shared
+from pytest_dura.core.state import sealed, shared
 from pytest_dura.driving.bodies import (
     CAR_LENGTH,
     CAR_WIDTH,
@@ -62,17 +62,11 @@ class _Columns:
     def __init__(self, **ranges: tuple[float, float]) -> None:
         self.names = tuple(ranges)
         self.low, self.high = np.array(list(ranges.values())).T
-        self._last: tuple[Any, bool] = None, False
 
     def contain(self, data: Floats) -> bool:
-        """Whether all numbers are in range; several roles ask of the same array in turn."""
-        last, answer = self._last
-        if last is not data:
-            within = (data >= self.low) & (data <= self.high)
-            answer = b"\0" not in within.tobytes()  # for a few rows quicker than all()
-            # Who may still write into it could change the answer.
-            self._last = (None if data.flags.writeable else data), answer
-        return answer
+        """Whether all numbers are in range."""
+        within = (data >= self.low) & (data <= self.high)
+        return b"\0" not in within.tobytes()  # for a few rows quicker than all()
 
     def clipped(self, data: Floats, angle: int) -> Floats:
         """A copy within the ranges; the column of the angle is turned back."""
@@ -139,7 +133,11 @@ def own_motion(percept: Mapping[str, Any]) -> Imu:
 
 
 def plausible_objects(percept: Mapping[str, Any]) -> BodyList:
-    """The objects of the channel lidar."""
+    """The objects of the channel lidar, computed once for a percept."""
+    return shared(_plausible_objects, percept)
+
+
+def _plausible_objects(percept: Mapping[str, Any]) -> BodyList:
     bodies: BodyList = percept["lidar"]
     if _BODIES.contain(bodies.data):
         return bodies
@@ -150,9 +148,13 @@ def plausible_objects(percept: Mapping[str, Any]) -> BodyList:
 
 
 def plausible_returns(percept: Mapping[str, Any]) -> Floats:
-    """The returns of the channel radar; see ``sensors.radar_returns``."""
+    """The channel radar, computed once for a percept; see ``sensors.radar_returns``."""
+    return shared(_plausible_returns, percept)
+
+
+def _plausible_returns(percept: Mapping[str, Any]) -> Floats:
     radar: Floats = percept["radar"]
-    return radar if _RETURNS.contain(radar) else _RETURNS.clipped(radar, 1)
+    return radar if _RETURNS.contain(radar) else sealed(_RETURNS.clipped(radar, 1))
 
 
 class ImplausibleValue(NamedTuple):
@@ -176,7 +178,7 @@ def out_of_range(percept: Mapping[str, Any]) -> list[ImplausibleValue]:
     if "imu" in percept and not _is_motion(*(imu := percept["imu"])):
         limits = (ACCELERATION, ACCELERATION, YAW_RATE, ANGLE)
         values.append(_beyond("imu", imu, limits))
-    if "radar" in percept and not _RETURNS.contain(radar := percept["radar"]):
+    if "radar" in percept and plausible_returns(percept) is not (radar := percept["radar"]):
         row, names = next(iter(_RETURNS.beyond(radar).items()))
         values.append(ImplausibleValue("radar", "radar", _RETURNS.describe(radar[row], names)))
     return values
@@ -230,7 +232,7 @@ def _implausible_in(percept: Mapping[str, Any]) -> tuple[ImplausibleValue, ...]:
     if not _is_speed(speed):
         values.append(ImplausibleValue("odometry", "odometry", _listed({"speed": speed})))
     bodies: BodyList = percept["lidar"]
-    if not _BODIES.contain(bodies.data):
+    if plausible_objects(percept) is not bodies:
         for row, names in _BODIES.beyond(bodies.data).items():
             far = "x" in names or "y" in names
             detail = _BODIES.describe(bodies.data[row], names)

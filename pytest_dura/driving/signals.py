@@ -99,7 +99,7 @@ def _least_gap(ego: _Box, apart: list[tuple[float, tuple[float, ...]]]) -> float
     return gap
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=1024)  # bodies have few sizes
 def _circles(length: float, width: float) -> float:
     """Radii of the circles around the ego and around a body, together."""
     return _EGO_CIRCLE + math.hypot(length, width) / 2

@@ -169,7 +169,7 @@ def _least_square(some: Sequence[Point], others: Sequence[Point]) -> float:
     return least
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=1024)  # bodies have few sizes
 def _radii(length: float, width: float) -> float:
     """Radii of a disc of the ego and a disc of a body, together; see ``prediction.radii``."""
     return EGO_RADIUS + float(np.hypot(length / 6.0, width / 2.0))

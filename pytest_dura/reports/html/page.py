@@ -47,7 +47,7 @@ def _number_text(value: float | None, digits: int = 3) -> str:
     return f"{value:.0f}" if "e+" in shown and abs(value) < 1e9 else shown
 
 
-def percent_text(value: float | None) -> str:
+def _percent_text(value: float | None) -> str:
     """A share as a percentage with three significant digits: ``18.1 %``."""
     return _NO_VALUE if value is None else f"{100 * value:.3g}\N{NO-BREAK SPACE}%"
 
@@ -55,11 +55,6 @@ def percent_text(value: float | None) -> str:
 def _seconds_text(value: float | None, digits: int = 2) -> str:
     """``6.50 s``."""
     return _NO_VALUE if value is None else f"{value:.{digits}f}\N{NO-BREAK SPACE}s"
-
-
-def _share_text(part: int, whole: int) -> str:
-    """``3/15``: a rate never stands without its n."""
-    return f"{part}/{whole}"
 
 
 def _size_text(count: int) -> str:
@@ -91,12 +86,12 @@ def _role_name(role: str) -> str:
     return STANDARD_ROLES[role].__name__ if role in STANDARD_ROLES else name(role)
 
 
-FILTERS: Mapping[str, Any] = {
+_FILTERS: Mapping[str, Any] = {
     "name": name,
     "line": _line_text,
     "prose": visible,
     "number": _number_text,
-    "percent": percent_text,
+    "percent": _percent_text,
     "seconds": _seconds_text,
     "moment": _time_text,
     "size": _size_text,
@@ -298,7 +293,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(FILTERS)
+    environment.filters.update(_FILTERS)
     return environment
 
 
