@@ -243,7 +243,7 @@ def _size(change: ParameterChange) -> int:
 
 def _leaves(value: Any) -> int:
     if isinstance(value, Mapping):
-        return sum(_leaves(item) for key, item in value.items() if key != "id")
+        return sum(_leaves(inner) for key, inner in value.items() if key != "id")
     return sum(map(_leaves, value)) if _is_list(value) else 1
 
 
@@ -286,8 +286,8 @@ def _differences(value: Any, nominal: Any, name: Keys, place: Keys = ()) -> Iter
             entry_place = (*place, index if index is not None else -1)
             yield from _differences(entry, other, (*name, entry_name), entry_place)
     elif _is_list(value) and _is_list(nominal) and len(value) == len(nominal):
-        for i, (item, other) in enumerate(zip(value, nominal, strict=True)):
-            yield from _differences(item, other, (*name, i), (*place, i))
+        for i, (entry, other) in enumerate(zip(value, nominal, strict=True)):
+            yield from _differences(entry, other, (*name, i), (*place, i))
     elif value != nominal:
         yield name, value, nominal, place
 
@@ -297,9 +297,9 @@ def _reduced(nominal: Nominal, world: Mapping[str, Any], difference: Difference)
     name, value, plain, place = difference
     if isinstance(value, Mapping) and _or_none(plain) is None:
         value = {
-            key: item
-            for key, item in value.items()
-            if key == "id" or nominal.default(world, (*place, key)) != item
+            key: inner
+            for key, inner in value.items()
+            if key == "id" or nominal.default(world, (*place, key)) != inner
         }
     return ParameterChange(f"world.{_dotted_path(name)}", _or_none(value), _or_none(plain))
 
@@ -502,8 +502,8 @@ class Simplification:
         ):
             plain = nominal if _is_list(nominal) else [nominal] * len(value)
             plain = plain if len(plain) == len(value) else [None] * len(value)
-            for i, (item, other) in enumerate(zip(value, plain, strict=True)):
-                yield from self._inside(item, other, (*keys, i), added=added)
+            for i, (number, other) in enumerate(zip(value, plain, strict=True)):
+                yield from self._inside(number, other, (*keys, i), added=added)
         elif value != nominal and not _left_out(value, nominal):
             yield Knob("world", ("world", *keys), self._world_values(value, nominal, keys, added))
 
