@@ -24,8 +24,8 @@ import corridor
 
 def pytest_configure(config):
     if hasattr(config, "workerinput"):
-        from pytest_dura.plugin.session import files
-        files.INTERVAL = 0.005
+        from pytest_dura.plugin import progress
+        progress.WRITE_INTERVAL = 0.005
 
 reset = corridor.Corridor.reset
 def slow_reset(self, scenario, seed):
