@@ -6,6 +6,7 @@ import importlib.metadata
 import json
 import os
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,55 @@ MODES = {
 }
 
 
-class Project:
+class Outcome:
+    """What a session left in its folder."""
+
+    path: Path
+
+    def evidence(self, folder="dura-evidence"):
+        return json.loads((self.path / folder / "evidence.json").read_text())
+
+    def verdict(self, requirement, case="corridor/it"):
+        (verdict,) = [
+            verdict
+            for verdict in self.evidence()["verdicts"]
+            if (verdict["requirement"], verdict["case"]) == (requirement, case)
+        ]
+        return verdict
+
+    def verdicts(self):
+        return {
+            (verdict["case"], verdict["requirement"]): verdict["verdict"]
+            for verdict in self.evidence()["verdicts"]
+        }
+
+
+class Reference(Outcome):
+    """A session of the example project with a reckless component, for reading alone.
+
+    Two of its three verdicts are violated. It wrote ``junit.xml`` and, into ``allure``, results
+    for Allure; a warning would have failed it. ``result`` is what pytest printed and returned.
+    """
+
+    def __init__(self, folder: Path, workers: ForkedWorkers, *mode: str) -> None:
+        self.path = folder
+        shutil.copytree(PROJECT, self.path, dirs_exist_ok=True)
+        kept = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
+        done = subprocess.run(
+            workers.command(
+                "-m", "pytest", "-p", "no:cacheprovider", "-W", "error", *mode,
+                "--dura-scenarios", "--dura-select=corridor/*",
+                "--dura-generator=corridor:Reckless", "--alluredir=allure",
+                "--junit-xml=junit.xml",
+            ),
+            cwd=self.path, env=kept, capture_output=True, text=True, check=False, timeout=120,
+        )  # fmt: skip
+        self.result = pytest.RunResult(
+            done.returncode, done.stdout.splitlines(), done.stderr.splitlines(), 0.0
+        )
+
+
+class Project(Outcome):
     """A copy of the example project, in which pytest runs in this process."""
 
     def __init__(self, pytester: pytest.Pytester, workers: ForkedWorkers) -> None:
@@ -55,22 +104,6 @@ class Project:
         file = self.path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
-
-    def evidence(self, folder="dura-evidence"):
-        return json.loads((self.path / folder / "evidence.json").read_text())
-
-    def verdict(self, requirement, case="corridor/it"):
-        (found,) = [
-            one
-            for one in self.evidence()["verdicts"]
-            if (one["requirement"], one["case"]) == (requirement, case)
-        ]
-        return found
-
-    def verdicts(self):
-        return {
-            (one["case"], one["requirement"]): one["verdict"] for one in self.evidence()["verdicts"]
-        }
 
 
 @functools.cache
@@ -110,6 +143,18 @@ def fast_sessions(monkeypatch, forked_workers):
         monkeypatch.setattr(importlib.metadata.PathDistribution, name, kept)
     if AVAILABLE:
         monkeypatch.setattr("execnet.gateway_io.popen_args", forked_workers.arguments)
+
+
+@pytest.fixture(scope="session")
+def reference(tmp_path_factory, forked_workers):
+    """The reference session of a mode, made when the first test asks for it."""
+
+    @functools.cache
+    def made(mode):
+        folder = tmp_path_factory.mktemp(f"reference-{mode}")
+        return Reference(folder, forked_workers, *MODES[mode])
+
+    return made
 
 
 @pytest.fixture

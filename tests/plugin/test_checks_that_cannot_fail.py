@@ -78,6 +78,7 @@ def rendered(project):
     ]
 
 
+@pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
 def test_a_verdict_by_assertion_says_so_and_what_the_test_looked_at(project, mode):
     body = ["assert episode.signals['gap'].min() > 0", "assert not episode.collided"]
     project.write("test_it.py", a_test(body, marks=[OWN]))

@@ -19,9 +19,8 @@ KEYS = {
 }  # fmt: skip
 
 
-def test_the_record_has_the_keys_of_the_design(project):
-    project.scenarios()
-    evidence = project.evidence()
+def test_the_record_has_the_keys_of_the_design(reference):
+    evidence = reference("plain").evidence()
     assert set(evidence) == KEYS
     assert set(evidence["environment"]) >= {"python", "platform", "packages", "git"}
     assert {"id", "text", "kind", "source"} <= set(evidence["requirements"][0])
@@ -36,20 +35,22 @@ def test_the_record_has_the_keys_of_the_design(project):
     assert set(verdict["bound"]) >= {"confidence", "upper", "method"}
 
 
-def test_plain_and_distributed_runs_leave_the_same_record(project):
-    def told():
-        evidence = project.evidence()
+def test_plain_and_distributed_runs_leave_the_same_record(reference):
+    def comparable(mode):
+        evidence = reference(mode).evidence()
         for episode in evidence["episodes"]:
             del episode["metrics"]["processing_us"], episode["timings"]["processing_seconds"]
         return {key: evidence[key] for key in ("cases", "episodes", "verdicts", "requirements")}
 
-    project.scenarios()
-    plain = told()
-    project.scenarios("-n", "2")
-    assert told() == plain
+    assert comparable("n2") == comparable("plain")
 
 
-@pytest.mark.parametrize("fixture", ["generator", "simulator", "episode", "campaign"])
+@pytest.mark.parametrize(
+    "fixture, mode",
+    [("generator", "plain"), ("simulator", "plain"), ("episode", "plain"), ("campaign", "plain"),
+     ("campaign", "n2"), ("episode", "n0"), ("generator", "without xdist")],
+    indirect=["mode"],
+)  # fmt: skip
 def test_a_forgotten_fixture_of_somebody_else_leaves_nothing_behind(
     pytester, fast_sessions, fixture, mode
 ):
@@ -66,9 +67,8 @@ def test_a_forgotten_marker_leaves_no_earlier_pass_behind(project):
     assert project.evidence()["gate"]["exit_code"] == 1
 
 
-def test_no_temporary_file_is_left(project):
-    project.scenarios()
-    folder = project.path / "dura-evidence"
+def test_no_temporary_file_is_left(reference):
+    folder = reference("plain").path / "dura-evidence"
     assert (folder / "evidence.json").exists()
     assert [file.name for file in folder.rglob("*") if file.name.startswith((".", "tmp"))] == []
 

@@ -140,11 +140,10 @@ def test_two_tests_cannot_run_other_faults_under_one_id(project):
     result.stdout.fnmatch_lines(["*test_own.py:2: the case 'corridor/it+bias' stands for other*"])
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_a_case_among_the_arguments_is_run_under_its_faults(project, mode):
+def test_a_case_among_the_arguments_is_run_under_its_faults(project):
     near_the_wall(project)
     campaigns(project, BIAS)
-    result = project.run("corridor/it+bias::GAP-1", "--dura-faults=campaigns.yaml", *mode)
+    result = project.run("corridor/it+bias::GAP-1", "--dura-faults=campaigns.yaml")
     assert (result.ret, words(project)) == (1, {"corridor/it+bias": "violated"})
 
 

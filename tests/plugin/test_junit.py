@@ -125,9 +125,9 @@ def test_a_scenario_item_has_the_figures_of_its_verdict(junit, project):
     }
 
 
-def test_the_same_file_in_every_mode_and_family(junit, mode):
+def test_the_same_file_in_every_mode_and_family(junit, reference, mode):
     arguments = ["--dura-scenarios", "--dura-select=corridor/*", RECKLESS]
-    plain = junit(*arguments, "-p", "no:xdist").tests
+    plain = Results(reference("plain").path / "junit.xml").tests
     found = junit(*arguments, *mode, "-W", "error", "-o", "junit_family=xunit1")
     assert found.tests == plain
     assert len(plain) == 3

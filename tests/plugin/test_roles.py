@@ -119,6 +119,7 @@ def test_classes_of_one_name_in_two_modules_pass_no_gate(project):
     ]
 
 
+@pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
 def test_the_option_and_a_fixture_together_are_a_usage_error(project, mode):
     project.write("conftest.py", CONFTEST)
     result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", *mode)

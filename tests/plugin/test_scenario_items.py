@@ -4,6 +4,7 @@ from collections import Counter
 
 import pytest
 
+plain_and_n2 = pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
 ITEMS = ["corridor/free::GAP-1", "corridor/free::GO-1", "corridor/tight::GAP-1"]
 
 
@@ -27,8 +28,10 @@ def test_scenarios_run_in_every_mode(project, mode):
     assert set(project.verdicts().values()) == {"supported"}
 
 
-def test_a_violation_fails_the_gate_in_every_mode(project, mode):
-    result = project.scenarios("--dura-generator=corridor:Reckless", *mode)
+@pytest.mark.parametrize("mode", ["plain", "n2"])
+def test_a_violation_fails_the_gate_in_every_mode(reference, mode):
+    session = reference(mode)
+    result = session.result
     result.assert_outcomes(passed=1, failed=2)
     assert result.ret == 1
     text = result.stdout.str()
@@ -36,8 +39,8 @@ def test_a_violation_fails_the_gate_in_every_mode(project, mode):
     assert "worst:    corridor/tight#0 at t = 0.20 s" in text
     assert "Traceback" not in text
     assert ".py:" not in text.partition("FAILURES")[2]
-    assert project.verdicts()["corridor/free", "GO-1"] == "supported"
-    assert project.verdicts()["corridor/free", "GAP-1"] == "violated"
+    assert session.verdicts()["corridor/free", "GO-1"] == "supported"
+    assert session.verdicts()["corridor/free", "GAP-1"] == "violated"
 
 
 def test_collection_is_sorted_and_runs_nothing(project):
@@ -54,6 +57,7 @@ def test_the_builtin_scenarios_are_there(project):
     assert "corridor/tight::GAP-1" in text
 
 
+@plain_and_n2
 def test_an_item_is_selected_by_its_node_id(project, mode):
     result = project.run("corridor/free::GO-1", "-v", *mode)
     result.assert_outcomes(passed=1)
@@ -100,7 +104,7 @@ def test_a_path_that_does_not_exist_is_pytests_to_tell(project):
     assert "file or directory not found: corridor/fre" in result.stderr.str()
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+@plain_and_n2
 def test_a_path_that_does_not_exist_beside_a_broken_scenario(project, mode):
     project.write("scenarios/broken.yaml", "name: [")
     result = project.run("tsets", *mode)
@@ -195,6 +199,7 @@ def test_autouse_fixtures_of_the_root_conftest_apply(project):
     assert "noted GAP-1" in result.stdout.str()
 
 
+@plain_and_n2
 def test_xfail_is_a_waiver(project, mode):
     project.write(
         "conftest.py",

@@ -21,10 +21,9 @@ def test_the_header_says_what_is_tested(project):
     assert "dura: component under test Careful, base seed 5, 2 cases, 5 episodes" in result.outlines
 
 
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_the_summary_of_a_campaign(project, mode):
-    result = project.scenarios("--dura-generator=corridor:Reckless", *mode)
-    lines = section(result)
+@pytest.mark.parametrize("mode", ["plain", "n2"])
+def test_the_summary_of_a_campaign(reference, mode):
+    lines = section(reference(mode).result)
     assert lines[0] == "component under test: Reckless, base seed 0"
     table = [re.split(r"\s{2,}", line) for line in lines if line.startswith(("case ", "corridor/"))]
     assert table[0] == [
