@@ -169,7 +169,7 @@ class SessionHooks:
 
     def pytest_itemcollected(self, item: pytest.Item) -> None:
         """Let the runner follow the role fixtures that the item sees, before any other fixture."""
-        ours = uses_runner(item)
+        is_ours = uses_runner(item)
         # One pass, and no iterator of pytest's own: there may be tens of thousands of items.
         node: pytest.Item | pytest.Collector | None = item
         while node is not None:
@@ -177,10 +177,10 @@ class SessionHooks:
                 if marker.name == "requirement":
                     self.session.named_requirements.update(map(str, marker.args[:1]))
                     self.session.named_requirements.add(str(marker.kwargs.get("id", "")))
-                elif ours and marker.name == "xfail":
+                elif is_ours and marker.name == "xfail":
                     escape_reason(marker)
             node = node.parent
-        if ours:
+        if is_ours:
             names: list[str] = item.fixturenames  # type: ignore[attr-defined]
             if names[0] != "_dura_roles":
                 names.insert(0, "_dura_roles")
@@ -238,10 +238,10 @@ class SessionHooks:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Refuse a marker that pytest hides from us, and which would run nothing and pass."""
-        own = any(
+        names_scenario = any(
             marker.name == "dura" and not names_no_scenario(marker) for marker in item.own_markers
         )
-        if own and not hasattr(item, "callspec"):
+        if names_scenario and not hasattr(item, "callspec"):
             pytest.fail(
                 "the marker dura runs nothing here: a test of unittest.TestCase takes no fixtures; "
                 "write a function, or a class of its own",

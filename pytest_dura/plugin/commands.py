@@ -386,10 +386,10 @@ def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:
     """Compare what became of the faults, which the record holds without a trace."""
     from pytest_dura.evidence.model import plain_data
 
-    for before, fault in zip(recorded.faults, episode.faults, strict=False):
+    for earlier, fault in zip(recorded.faults, episode.faults, strict=False):
         for key, value in plain_data(asdict(fault)).items():
-            if key in before and before[key] != value:
-                return [f"  fault {fault.id}: {key}: recorded {before[key]}, replayed {value}"]
+            if key in earlier and earlier[key] != value:
+                return [f"  fault {fault.id}: {key}: recorded {earlier[key]}, replayed {value}"]
     return ["  it is not known where they differ"]
 
 
@@ -483,7 +483,7 @@ def reduce(session: DuraSession) -> int:
     recorded = next((candidate for candidate in candidates if candidate.violated), candidates[0])
     _check_reducible(recorded, name)
     session.models.prepare(recorded.spec)
-    judged = [
+    requirements = [
         requirement for requirement in recorded.requirements if requirement.id in recorded.violated
     ]
     budget = BUDGET if options.runs is None else options.runs
@@ -491,7 +491,7 @@ def reduce(session: DuraSession) -> int:
     violates = f"violates {', '.join(recorded.violated)}; at most {budget} runs"
     print_lines([f"{name} ({spec.component}): {counted(len(spec.faults), 'fault')}, {violates}"])
     with _damage_as_error(options, name, _REDUCE_OPTION):
-        reduction = reduce_faults(spec, judged, recorded.run, budget=budget, on_run=_show_run)
+        reduction = reduce_faults(spec, requirements, recorded.run, budget=budget, on_run=_show_run)
     lines = _result_lines(reduction, budget)
     if reduction.episode is not None:
         folder = sibling_directory(options.evidence, _REDUCED)

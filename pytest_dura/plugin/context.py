@@ -183,9 +183,13 @@ def replay_command(context: SessionContext, episode: str, evidence: Path | None 
 def rerun_command(context: SessionContext, item: str) -> str:
     """Return the command that runs one item again."""
     # Test functions name their faults themselves, and without scenario cases the option is refused.
-    test = item.partition("::")[0].endswith(".py")
-    given = [item for item in context.options.given if not (test and item[0] == "--dura-faults")]
-    return _pytest_command(context, [item, *(f"{name}={value}" for name, value in given)])
+    is_test = item.partition("::")[0].endswith(".py")
+    given = [
+        f"{name}={value}"
+        for name, value in context.options.given
+        if not (is_test and name == "--dura-faults")
+    ]
+    return _pytest_command(context, [item, *given])
 
 
 def _path_arguments(context: SessionContext) -> list[str]:

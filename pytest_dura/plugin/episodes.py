@@ -259,20 +259,20 @@ class SharedEpisodes:
         """
         options = self.context.options
         count = self.cache.count()
-        kept = f"{count} episode{'' if count == 1 else 's'}"
+        episodes = f"{count} episode{'' if count == 1 else 's'}"
         # It is removed once a session is whole, so that only other sessions leave it.
         unfinished = self.cache.directory.is_dir()
         if options.reuse is not None:
             place = typed_path(options.reuse, self.context.config.invocation_params.dir)
-            self.lines = [f"reusing: {kept} of earlier sessions in {place}"]
+            self.lines = [f"reusing: {episodes} of earlier sessions in {place}"]
             return
         # Reading a great record takes its time, and after most sessions there is nothing left.
-        earlier = self._unfinished(left_episodes=unfinished) if options.resume or count else None
+        session = self._unfinished(left_episodes=unfinished) if options.resume or count else None
         if options.resume:
-            self.lines = [f"resuming: {kept} of {earlier}"]
+            self.lines = [f"resuming: {episodes} of {session}"]
             return
-        if earlier is not None:
-            dropped = f"dropped: {kept} of {earlier}"
+        if session is not None:
+            dropped = f"dropped: {episodes} of {session}"
             self.lines = [f"{dropped}; --dura-resume would have taken them over"]
         self._clear()
 

@@ -147,17 +147,16 @@ def _expected_items(
     from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
 
     chosen_ids, requirements = set(chosen), context.library().requirements
-    names = {name for planned in context.plan for name in planned.requirements}
-    recorded = {name: requirements[name].to_json() for name in sorted(names)}
+    used = {name for planned in context.plan for name in planned.requirements}
+    recorded = {name: requirements[name].to_json() for name in sorted(used)}
     overrides = roles.chosen()
     in_conftest = root_conftest_with(context.config, "generator") is not None
     components: dict[tuple[str, tuple[str, ...]], str] = {}
     expected: list[Expected] = []
     for planned in context.plan:
         case = planned.case
-        items = [(f"{case.id}::{name}", recorded[name]) for name in planned.requirements]
-        items = [item for item in items if item[0] in chosen_ids]
-        if items:
+        names = [name for name in planned.requirements if f"{case.id}::{name}" in chosen_ids]
+        if names:
             runs = context.options.runs or case.scenario.planned
             key = case.scenario.name, case.without  # a case's faults make no difference
             if key not in components:
@@ -166,7 +165,7 @@ def _expected_items(
                 )
             off = case.roles_off(overrides)
             record = case_record(case, components[key], runs, context.options.runs, off)
-            expected += [(item, requirement, record) for item, requirement in items]
+            expected += [(f"{case.id}::{name}", recorded[name], record) for name in names]
     return expected
 
 
@@ -274,8 +273,8 @@ class SessionEvidence:
 
         self._expected = items
         expected = _expected_items(self.context, self._roles, items)
-        for item in self.context.redact(expected):  # as the reports of the items will hold it
-            self.record.expect(*item)
+        for entry in self.context.redact(expected):  # as the reports of the items will hold it
+            self.record.expect(*entry)
 
     def note_tests(self, items: list[str], claiming: Iterable[str] = ()) -> None:
         """Note the tests that will run, and hash their files close to when they were read.

@@ -375,8 +375,8 @@ def _worst_episode(context: SessionContext, result: ItemResult) -> Episode | Non
     if verdict is None or result.case is None or not verdict["run"]:
         return None
     spoilt = verdict.get("spoilt")
-    shown = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
-    run = int(shown[0]["episode"].rpartition("#")[2]) if shown else 0
+    examples = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
+    run = int(examples[0]["episode"].rpartition("#")[2]) if examples else 0
     return context.runner.fetch(result.case, run)
 
 
@@ -465,20 +465,20 @@ def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
 
 def _verdict_json(verdict: Mapping[str, Any]) -> str:
     examples = verdict.get("counterexamples", ())
-    bounded = dict(verdict)
+    shown = dict(verdict)
     if len(examples) > _COUNTEREXAMPLES:
-        bounded["counterexamples"] = examples[:_COUNTEREXAMPLES]
-        bounded["counterexamples_left_out"] = len(examples) - _COUNTEREXAMPLES
-    return json.dumps(_bounded(bounded), indent=1, allow_nan=False) + "\n"
+        shown["counterexamples"] = examples[:_COUNTEREXAMPLES]
+        shown["counterexamples_left_out"] = len(examples) - _COUNTEREXAMPLES
+    return json.dumps(_bounded(shown), indent=1, allow_nan=False) + "\n"
 
 
 def _bounded(value: Any) -> Any:
     if isinstance(value, str):
         return visible(value)
     if isinstance(value, Mapping):
-        return {visible(str(name)): _bounded(item) for name, item in value.items()}
+        return {visible(str(name)): _bounded(entry) for name, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_bounded(item) for item in value]
+        return [_bounded(entry) for entry in value]
     return value
 
 

@@ -287,9 +287,9 @@ class ShardHooks:
         result = yield
         units = _units_of(self.context, items)
         holds = split_units(units, self.shard.count)[self.shard.index - 1]
-        kept = {id(item) for unit in holds for item in units[unit]}
-        deselected = [item for item in items if id(item) not in kept]
-        self._own_items = items[:] = [item for item in items if id(item) in kept]
+        held_ids = {id(item) for unit in holds for item in units[unit]}
+        deselected = [item for item in items if id(item) not in held_ids]
+        self._own_items = items[:] = [item for item in items if id(item) in held_ids]
         if deselected:
             config.hook.pytest_deselected(items=deselected)
         self._split = {

@@ -235,12 +235,12 @@ class LanguageModels:
     @contextmanager
     def uncounted(self) -> Iterator[None]:
         """Context of a repetition, whose requests enter no count."""
-        before = Counter({} if self._active is None else self._active.counts)
+        earlier = Counter({} if self._active is None else self._active.counts)
         try:
             yield
         finally:
-            after = Counter({} if self._active is None else self._active.counts)
-            self._counted += after - before
+            later = Counter({} if self._active is None else self._active.counts)
+            self._counted += later - earlier
 
     def _register(self, key: tuple[Any, ...]) -> None:
         if key not in self._used:

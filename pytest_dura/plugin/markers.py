@@ -67,26 +67,26 @@ def _requirement(context: SessionContext, marker: pytest.Mark) -> Requirement:
         )
     source = "" if given["source"] is None else str(given["source"])
     requirement = Requirement(name, str(given["text"]), kind, source)
-    before = context.marked.setdefault(name, requirement)
-    if before != requirement:
-        raise _conflicting_meaning(name, "another marker", before.text, requirement.text)
+    earlier = context.marked.setdefault(name, requirement)
+    if earlier != requirement:
+        raise _conflicting_meaning(name, "another marker", earlier.text, requirement.text)
     return requirement
 
 
 def _check_same(known: Requirement, given: Mapping[str, Any]) -> None:
     """Refuse a marker that gives a requirement of the files another meaning."""
     for key in ("text", "kind", "source"):
-        own, value = getattr(known, key), given[key]
-        if value is not None and str(value).split() != own.split():
-            raise _conflicting_meaning(known.id, "a requirement file", own, value)
+        known_value, value = getattr(known, key), given[key]
+        if value is not None and str(value).split() != known_value.split():
+            raise _conflicting_meaning(known.id, "a requirement file", known_value, value)
 
 
-def _conflicting_meaning(name: str, where: str, before: str, given: Any) -> ConfigurationError:
+def _conflicting_meaning(name: str, where: str, earlier: str, given: Any) -> ConfigurationError:
     return ConfigurationError(
         f"the marker gives the requirement {name!r} another meaning than {where}",
         key="pytest.mark.requirement",
         found=given,
-        expected=before,
+        expected=earlier,
         remedy=f'name it alone, requirement("{name}"), or give the test an id of its own',
     )
 
@@ -289,13 +289,15 @@ def _errors_at(definition: pytest.Item) -> Iterator[None]:
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
     """Refuse a marker that would run nothing, which must not read as a pass."""
-    own = [marker for marker in definition.own_markers if marker.name == "dura"]
-    verdicts = [
-        marker.kwargs["verdict"] for marker in own if marker.kwargs.get("verdict", True) is not True
+    markers = [marker for marker in definition.own_markers if marker.name == "dura"]
+    declared = [
+        marker.kwargs["verdict"]
+        for marker in markers
+        if marker.kwargs.get("verdict", True) is not True
     ]
-    if verdicts and verdicts[0] is not False:
-        raise _unusable("verdict", verdicts[0], "False, for a test that decides nothing")
-    if verdicts and looked_at and definition.get_closest_marker("requirement") is not None:
+    if declared and declared[0] is not False:
+        raise _unusable("verdict", declared[0], "False, for a test that decides nothing")
+    if declared and looked_at and definition.get_closest_marker("requirement") is not None:
         raise ConfigurationError(
             "the test names a requirement, and says that it decides nothing",
             key="pytest.mark.dura(verdict=)",
@@ -303,15 +305,15 @@ def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
             expected="one of them",
             remedy="remove the one that is not meant",
         )
-    if len(own) > 1:
+    if len(markers) > 1:
         raise ConfigurationError(
             "the test has several markers dura, of which one alone would count",
             key="pytest.mark.dura",
-            found=f"{len(own)} markers",
+            found=f"{len(markers)} markers",
             expected="one marker",
             remedy='name all scenarios in one: dura(scenario=["...", "..."])',
         )
-    if own and not looked_at and not names_no_scenario(own[0]):
+    if markers and not looked_at and not names_no_scenario(markers[0]):
         raise ConfigurationError(
             "the marker dura runs nothing, since the test looks at no episode",
             key="pytest.mark.dura",

@@ -59,10 +59,10 @@ def apply_code_places(config: pytest.Config) -> None:
         given = get("dura_evidence")
         foreign.append(here / given if given else config.rootpath / DEFAULT_EVIDENCE)
     places = Places.of([config.rootpath], [] if get("dura_trust_code") else foreign)
-    before = use_places(places)
+    previous = use_places(places)
 
     def restore() -> None:
-        use_places(before)
+        use_places(previous)
 
     config.add_cleanup(restore)
 

@@ -100,11 +100,11 @@ class ObservedEpisode(JudgedEpisode):
     def of(cls, episode: Episode) -> Self:
         """Copy an episode, with nothing noted yet."""
         observed = super().of(episode)
-        own, observations = vars(observed), Observations()
+        attributes, observations = vars(observed), Observations()
         for name in ("signals", "decisions"):
-            own[name] = _NotedColumns(own[name], name, observations)
-        own["digest"] = episode.digest  # computed once for all that look at the episode
-        own["_observations"] = observations
+            attributes[name] = _NotedColumns(attributes[name], name, observations)
+        attributes["digest"] = episode.digest  # computed once for all that look at the episode
+        attributes["_observations"] = observations
         return observed
 
     def __getattribute__(self, name: str) -> Any:
@@ -124,8 +124,9 @@ class ObservedEpisode(JudgedEpisode):
 
     def __repr__(self) -> str:
         """Describe the episode in a line: pytest shows the arguments of a test that fails."""
-        own = vars(self)
-        return f"<episode {self.id}, {own['termination']} after {len(own['time'])} ticks>"
+        attributes = vars(self)
+        ticks = len(attributes["time"])
+        return f"<episode {self.id}, {attributes['termination']} after {ticks} ticks>"
 
     def robustness(self, formula: str) -> float:
         """See :meth:`JudgedEpisode.robustness`."""

@@ -148,11 +148,11 @@ def item_results(
         if name not in answered:
             results.append(_undecided_result(context, item, requirement, target))
     violated = {
-        item.question: item
-        for item in item.stash.get(_EARLIER_RESULTS, [])
-        if item.status == "violated"
+        result.question: result
+        for result in item.stash.get(_EARLIER_RESULTS, [])
+        if result.status == "violated"
     }
-    results = [violated.get(item.question, item) for item in results]
+    results = [violated.get(result.question, result) for result in results]
     item.stash[_EARLIER_RESULTS] = results
     return results
 
@@ -378,19 +378,18 @@ def check_passed(
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
-    for episode in used.values():
-        if episode.failure:
-            pytest.fail(episode.failure, pytrace=False)
+    for episodes in used.values():
+        if episodes.failure:
+            pytest.fail(episodes.failure, pytrace=False)
     looked_at = item.funcargs.get("episode")
     if isinstance(looked_at, JudgedEpisode):
         _check_violations(context, item, looked_at)
-    for episode in used.values():
-        if episode.early_end:
+    for episodes in used.values():
+        if episodes.early_end:
             # What the test read beyond that end might have been otherwise.
-            text = (
-                f"invalid: {episode.early_end}: it shows a test nothing of what would have followed"
-            )
-            _fail_undecided(context, f"{text}; run such tests with --dura-end=complete")
+            text = "it shows a test nothing of what would have followed"
+            remedy = "run such tests with --dura-end=complete"
+            _fail_undecided(context, f"invalid: {episodes.early_end}: {text}; {remedy}")
     if isinstance(looked_at, JudgedEpisode):
         if looked_at.validity == "invalid":
             _fail_undecided(context, f"invalid: {looked_at.id}: {looked_at.invalid_reason}")

@@ -243,7 +243,7 @@ class TerminalGuard:
 
     def __init__(self, writer: Any) -> None:
         self.lock = RLock()
-        self.before: Callable[[], None] = _wipe_nothing
+        self.before_write: Callable[[], None] = _wipe_nothing
         self._writer = writer
         for name in ("write", "write_raw"):
             if hasattr(writer, name):
@@ -252,7 +252,7 @@ class TerminalGuard:
     def _guarded(self, write: Callable[..., None]) -> Callable[..., None]:
         def guarded(*arguments: Any, **options: Any) -> None:
             with self.lock:
-                self.before()
+                self.before_write()
                 write(*arguments, **options)
                 # What waited in a buffer would come out below what is drawn meanwhile.
                 self._writer.flush()
@@ -288,7 +288,7 @@ class LiveScreen:
         self._stream, self._guard = stream, guard
         self._drawn: list[str] = []
         self._paused = False
-        guard.before = self._wipe
+        guard.before_write = self._wipe
 
     def show(self, rows: Sequence[Row], now: float) -> None:  # noqa: ARG002 - a log waits
         """Draw these rows in place of those that are there."""

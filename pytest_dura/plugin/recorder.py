@@ -140,10 +140,10 @@ class TraceKeeper:
             }
         )
         key = tuple(about.values())
-        before = self._kept.get(key)
-        if before is not None and _REASON_RANK[before[0]] >= _REASON_RANK[reason]:
+        earlier = self._kept.get(key)
+        if earlier is not None and _REASON_RANK[earlier[0]] >= _REASON_RANK[reason]:
             return
-        written = self._write(episode, about) if before is None else before[1]
+        written = self._write(episode, about) if earlier is None else earlier[1]
         self._kept[key] = reason, written
         if written is not None:
             named = {name: about[name] for name in ("id", "component", "digest")}
@@ -162,10 +162,10 @@ class TraceKeeper:
         except Exception as error:  # whatever it is, the verdicts do not need the trace
             if not self._problem_reported:
                 self._problem_reported = True
-                why = error.strerror if isinstance(error, OSError) and error.strerror else None
+                reason = error.strerror if isinstance(error, OSError) and error.strerror else None
                 self.problems.append(
                     f"infrastructure: the trace of {episode.id} cannot be written: "
-                    f"{why or describe_error(error)}"
+                    f"{reason or describe_error(error)}"
                 )
             return None
 

@@ -78,8 +78,8 @@ def _conftest_defining(config: pytest.Config, value: object) -> str | None:
     """
     name = getattr(value, "__qualname__", None)
     for file, module in _conftests(config):
-        own = getattr(value, "__module__", None) == module.__name__
-        if name is not None and own and vars(module).get(name) is value:
+        is_own = getattr(value, "__module__", None) == module.__name__
+        if name is not None and is_own and vars(module).get(name) is value:
             return Path(os.path.relpath(file, config.rootpath)).as_posix()
     return None
 

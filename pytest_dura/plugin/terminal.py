@@ -379,12 +379,12 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
         terminal.line(
             f"and {counted(len(shown) - len(listed), 'case')} more: {text}; {WHERE_ALL_ARE}"
         )
-    left = {case["id"] for case in shown}.difference(case["id"] for case in listed)
-    verdicts = [verdict for verdict in record["verdicts"] if verdict["case"] not in left]
-    early = sum(case["metrics"]["ended_early"] for case in record["cases"])
-    if early:
+    hidden = {case["id"] for case in shown}.difference(case["id"] for case in listed)
+    verdicts = [verdict for verdict in record["verdicts"] if verdict["case"] not in hidden]
+    ended_early = sum(case["metrics"]["ended_early"] for case in record["cases"])
+    if ended_early:
         text = "ended early, once all was decided; figures are up to then"
-        terminal.line(f"{counted(early, 'episode')} {text}")
+        terminal.line(f"{counted(ended_early, 'episode')} {text}")
     for line in _reuse_lines(record):
         terminal.line(line)
     by_hand = sum(not episode["planned"] for episode in record.episodes())
@@ -404,7 +404,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
                 [
                     monitor
                     for monitor in record["monitors"]
-                    if monitor["case"].partition("~")[0] not in left
+                    if monitor["case"].partition("~")[0] not in hidden
                 ]
             ),
             *effectiveness_lines(record["effectiveness"]),

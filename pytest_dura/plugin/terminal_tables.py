@@ -112,14 +112,14 @@ def aligned(
     table = [[name(column) for column in columns], *rows]
     widths = [max(len(row[i]) for row in table) for i in range(len(columns))]
     room = max(24, WIDTH - sum(widths) - 2 * len(widths))
-    left = min(max(map(len, [title, *names])), room)
+    label_width = min(max(map(len, [title, *names])), room)
     lines = []
     for label, row in zip([title, *names], table, strict=True):
         cells = "".join(f"  {cell:>{width}}" for cell, width in zip(row, widths, strict=True))
-        if len(label) > left:
-            lines += [label, " " * left + cells]
+        if len(label) > label_width:
+            lines += [label, " " * label_width + cells]
         else:
-            lines.append(f"{label:<{left}}{cells}")
+            lines.append(f"{label:<{label_width}}{cells}")
     return lines
 
 
@@ -365,8 +365,8 @@ def keep_worst(rows: Sequence[T], ranks: Sequence[int], *, most: int | None = MO
     """
     if most is None or len(rows) <= most:
         return list(rows)
-    kept = sorted(range(len(rows)), key=ranks.__getitem__)[:most]
-    return [rows[place] for place in sorted(kept)]
+    places = sorted(range(len(rows)), key=ranks.__getitem__)[:most]
+    return [rows[index] for index in sorted(places)]
 
 
 def worst_cases(
@@ -433,19 +433,19 @@ def _fault_row(fault: Data) -> list[str]:
     ]
 
 
-def _known(count: int, known: int, whole: int, apart: int = 0) -> str:
+def _known(count: int, known: int, whole: int, beside: int = 0) -> str:
     """Write a count, with the number of runs in which it is known if not all of them.
 
     Args:
         count: Runs.
         known: Runs in which it is known.
         whole: All runs.
-        apart: Runs that are counted beside it.
+        beside: Runs that are counted beside it.
     """
-    shown = f"{count}+{apart}" if apart else str(count)
+    text = f"{count}+{beside}" if beside else str(count)
     if known == whole:
-        return shown
-    return f"{shown}/{known}" if known else "-"
+        return text
+    return f"{text}/{known}" if known else "-"
 
 
 def _median(latency: Data | None) -> str:

@@ -68,7 +68,7 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
     shown = keep_worst(
         verdicts, [VERDICT_RANK[verdict["verdict"]] for verdict in verdicts], most=most
     )
-    kept = {id(verdict) for verdict in shown}
+    shown_ids = {id(verdict) for verdict in shown}
     by_heading: dict[tuple[str, ...], list[Data]] = {}
     for verdict in shown:
         heading = verdict["verdict"], _where(verdict), _counts(verdict), *_rests_on(verdict)
@@ -76,7 +76,7 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
     for heading, group in by_heading.items():
         _show_alike(terminal, heading, group)
     for line in left_out_lines(
-        verdict["verdict"] for verdict in verdicts if id(verdict) not in kept
+        verdict["verdict"] for verdict in verdicts if id(verdict) not in shown_ids
     ):
         terminal.line(line)
     terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
@@ -169,11 +169,13 @@ def _show_failure(
     )
     for line in textwrap.wrap(one_line(first["reason"], LONGEST_TEXT), WIDTH - 2):
         terminal.line(f"  {line}")
-    own = first["assertion"] or {"failed": [], "by_check": 0}
-    for line in assertion_sentences(first)[: len(own["failed"][:1])]:
+    assertion = first["assertion"] or {"failed": [], "by_check": 0}
+    for line in assertion_sentences(first)[: len(assertion["failed"][:1])]:
         terminal.line(f"  {one_line(line, LONGEST_TEXT)}")
-    held = own["failed"] and not own["by_check"]  # what failed is an assertion of the test
-    if check and len(verdicts) == 1 and check != first["requirement"] and not held:
+    check_held = (
+        assertion["failed"] and not assertion["by_check"]
+    )  # what failed is an assertion of the test
+    if check and len(verdicts) == 1 and check != first["requirement"] and not check_held:
         terminal.line(f"  check:  {check}")
     _show_episode(context, terminal, first, episodes)
     items = list(
@@ -316,11 +318,11 @@ def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome:
         for line in _searcher_table(search, requirement):
             terminal.line(f"  {line}")
     counterexample = outcome["counterexample"]
-    kept = counterexample is not None and counterexample["file"] is not None
-    if kept:
+    is_stored = counterexample is not None and counterexample["file"] is not None
+    if is_stored:
         terminal.line(f"  kept:     {one_line(counterexample['file'])}")
     if status != "nothing found":
-        to_rerun = counterexample["name"] if kept else search["item"]
+        to_rerun = counterexample["name"] if is_stored else search["item"]
         terminal.line(f"  rerun:    {rerun_command(context, to_rerun)}")
 
 
@@ -361,11 +363,11 @@ def _wrapped(text: str, indent: int) -> list[str]:
 
 def _searcher_table(search: Data, requirement: str) -> Iterator[str]:
     """Write the searchers, and below them each trivial baseline by itself."""
-    own = list(searcher_rows(search, requirement, "searchers"))
-    alone = list(searcher_rows(search, requirement, "baselines"))
-    rows = [*own, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *alone]
-    if not alone:
-        rows[len(own)] = ("trivial: none was run", [""] * len(SEARCHER_COLUMNS))
+    searchers = list(searcher_rows(search, requirement, "searchers"))
+    baselines = list(searcher_rows(search, requirement, "baselines"))
+    rows = [*searchers, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *baselines]
+    if not baselines:
+        rows[len(searchers)] = ("trivial: none was run", [""] * len(SEARCHER_COLUMNS))
     names, cells = [searcher for searcher, _ in rows], [figures for _, figures in rows]
     yield from (line.rstrip() for line in aligned("searcher", SEARCHER_COLUMNS, names, cells))
     yield from textwrap.wrap(SEARCHER_LEGEND, _SEARCH_WIDTH - 2)

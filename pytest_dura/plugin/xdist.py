@@ -143,11 +143,11 @@ class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
         units = self.assigned_work[node]
         crashed: str | None = None
         for name, unit in list(units.items()):
-            left = [item for item, completed in unit.items() if not completed]
-            if left and crashed is None:
-                crashed = left.pop(0)
+            unfinished = [item for item, is_done in unit.items() if not is_done]
+            if unfinished and crashed is None:
+                crashed = unfinished.pop(0)
                 unit[crashed] = True
-            if not left:
+            if not unfinished:
                 del units[name]
         super().remove_node(node)
         return crashed
