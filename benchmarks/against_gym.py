@@ -17,9 +17,8 @@ import gymnasium
 import highway_env  # noqa: F401 - registers the environments
 from machine import machine, table
 
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.core import Orchestrator
+from pytest_dura.library import expand_cases, load_library
 
 
 def ours(seed: int) -> tuple[float, int, float]:

@@ -25,11 +25,9 @@ from reads import can_reach, channels_read
 from scipy.stats import chi2
 
 from pytest_dura import Runner
-from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core import FaultRecord, RoleSpec
 from pytest_dura.domains import DOMAINS
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import expand_cases, load_library
 
 Roles = dict[str, RoleSpec | None]
 DRIVING = DOMAINS["driving"]

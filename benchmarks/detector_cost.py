@@ -14,13 +14,9 @@ from time import perf_counter
 from detection_table import DRIVING, MONITORS
 from machine import machine, table
 
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import Role, RoleContext
-from pytest_dura.core.state import Percept, StateManager, Tick
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.core import Orchestrator, Percept, Role, RoleContext, RoleSpec, StateManager, Tick
+from pytest_dura.driving import Command, Maneuver
+from pytest_dura.library import expand_cases, load_library
 
 KEEP = Command(Maneuver.PROCEED, 0.0)
 

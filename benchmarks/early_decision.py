@@ -15,8 +15,8 @@ from machine import machine, table
 
 from pytest_dura import Requirement, RoleSpec, Runner
 from pytest_dura.domains import DOMAINS
-from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.model import Method
+from pytest_dura.library import load_library
+from pytest_dura.requirements import Method
 
 LIMIT, P0 = 0.05, 0.01
 PLANNERS = (("rule_based", True), ("aggressive", False))

@@ -19,10 +19,8 @@ from machine import machine, table
 
 from pytest_dura import Orchestrator, Requirement, RoleSpec, Simulator, Termination, Tick
 from pytest_dura.domains import DOMAINS
-from pytest_dura.library.cases import Case, expand_cases
-from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.checks import RequirementJudge
-from pytest_dura.requirements.episode_verdicts import judge_episode
+from pytest_dura.library import Case, expand_cases, load_library
+from pytest_dura.requirements import RequirementJudge, judge_episode
 
 PLANNERS = DOMAINS["driving"].short_names["generator"]
 ASKED = (

@@ -19,11 +19,8 @@ from pathlib import Path
 
 from machine import machine, table
 
-from pytest_dura.execution.executors import Execution, ExecutorChoice
-from pytest_dura.execution.store import EpisodeStore
-from pytest_dura.execution.task import EpisodeTask
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.execution import EpisodeStore, EpisodeTask, Execution, ExecutorChoice
+from pytest_dura.library import expand_cases, load_library
 from pytest_dura.runner import Runner
 
 WIDTH = 2

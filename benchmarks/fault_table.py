@@ -20,11 +20,10 @@ from machine import machine, table
 from reads import can_reach, channels_read
 
 from pytest_dura import Runner
-from pytest_dura.campaign.fault_tracing import CausalChain
-from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.campaign import CausalChain
+from pytest_dura.core import RoleSpec
 from pytest_dura.domains import DOMAINS
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import expand_cases, load_library
 
 DRIVING = DOMAINS["driving"]
 PLANNERS = ("rule_based", "reactive", "aggressive")

@@ -16,9 +16,13 @@ import argparse
 import numpy as np
 from machine import table
 
-from pytest_dura.requirements.campaign_judge import CampaignJudge
-from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
-from pytest_dura.requirements.model import Method, Requirement
+from pytest_dura.requirements import (
+    CampaignJudge,
+    EpisodeStatus,
+    EpisodeVerdict,
+    Method,
+    Requirement,
+)
 
 LIMIT, P0, CONFIDENCE = 0.05, 0.01, 0.95
 SHARES = (0.0, 0.5, 0.8, 1.0)

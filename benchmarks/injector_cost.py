@@ -18,13 +18,10 @@ from typing import Any
 
 from machine import machine, table
 
-from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.driving.sensors import FAULT_TARGETS
-from pytest_dura.faults.catalogue import parse_fault
-from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.core import Episode, EpisodeSpec, Orchestrator
+from pytest_dura.driving import FAULT_TARGETS
+from pytest_dura.faults import CampaignInjector, parse_fault
+from pytest_dura.library import expand_cases, load_library
 
 NEVER = 1e6
 """s; later than any episode ends."""

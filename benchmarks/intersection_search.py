@@ -16,14 +16,12 @@ import statistics
 from machine import machine, table
 
 from pytest_dura import RoleSpec, Runner
-from pytest_dura.campaign.falsification import Limits
+from pytest_dura.campaign import Limits
 from pytest_dura.domains import DOMAINS
-from pytest_dura.library.cases import case_with_faults
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import case_with_faults, load_library
+from pytest_dura.search import Objective, SearchSpace, Trials, trivial_searchers
 from pytest_dura.search.falsify import falsify
-from pytest_dura.search.portfolio import trivial_searchers
-from pytest_dura.search.space import SearchSpace
-from pytest_dura.search.trials import Objective, Trials, run_alone
+from pytest_dura.search.trials import run_alone
 
 FAULTS = (
     "object-miss", "position-noise", "range-cut", "class-change", "moved-obstacle",

@@ -32,16 +32,10 @@ from typing import Any
 import numpy as np
 from machine import machine, table
 
-from pytest_dura.core.episode import EpisodeSpec
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import STANDARD_ROLES
+from pytest_dura.core import STANDARD_ROLES, EpisodeSpec, Orchestrator, RoleSpec
 from pytest_dura.domains import DOMAINS
-from pytest_dura.driving import measures
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import Command
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.driving import Command, HighwaySimulator, measures
+from pytest_dura.library import expand_cases, load_library
 
 Parts = Counter[str]
 Laps = dict[str, list[int]]

@@ -28,13 +28,10 @@ import numpy as np
 from machine import machine, table
 from scipy.stats import binomtest, fisher_exact
 
-from pytest_dura.core.metrics import DISCOMFORT, REACTIONS
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core import DISCOMFORT, REACTIONS, Orchestrator, RoleSpec
 from pytest_dura.domains import DOMAINS
-from pytest_dura.library.cases import Case, expand_cases
-from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.comparison import mcnemar
+from pytest_dura.library import Case, expand_cases, load_library
+from pytest_dura.requirements import mcnemar
 
 Key = tuple[str, bool, str, int]
 """Scenario, with its own faults, policy, run."""

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.core.state import StateManager
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.core import Orchestrator, RoleContext, RoleSpec, StateManager
+from pytest_dura.library import expand_cases, load_library
 
 
 def channels_read(scenario: str, generator: RoleSpec, seed: int) -> set[str]:

@@ -19,14 +19,11 @@ from statistics import mean, quantiles
 import numpy as np
 from machine import machine, table
 
-from pytest_dura.core.loop_signals import switching
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core import Orchestrator, RoleSpec, switching
 from pytest_dura.domains import DOMAINS
-from pytest_dura.driving.measures import clearance_time
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.comparison import mcnemar
+from pytest_dura.driving import clearance_time
+from pytest_dura.library import expand_cases, load_library
+from pytest_dura.requirements import mcnemar
 
 OFF = "off"
 PLANNERS = tuple(DOMAINS["driving"].short_names["recovery_planner"])

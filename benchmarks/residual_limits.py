@@ -22,16 +22,11 @@ from typing import Any
 import numpy as np
 from machine import machine, table
 
-from pytest_dura.core.anomaly_monitor import Cusum
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import Role
-from pytest_dura.core.state import RoleView
+from pytest_dura.core import Cusum, Orchestrator, Role, RoleSpec, RoleView
 from pytest_dura.domains import DOMAINS
+from pytest_dura.driving import LIMITS, Snapshot, residuals
 from pytest_dura.driving.roles.learned import NOISE, noisy
-from pytest_dura.driving.roles.residuals import LIMITS, Snapshot, residuals
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import expand_cases, load_library
 
 PLANNERS = ("rule_based", "random")
 Tape = list[tuple[Snapshot, Any]]

@@ -17,15 +17,17 @@ import numpy as np
 from machine import machine, table
 from scipy.stats import binom
 
-from pytest_dura.requirements.rate_tests import EProcess, FixedN, Sprt, runs_needed
-from pytest_dura.requirements.sequential import (
+from pytest_dura.requirements import (
     Boundaries,
-    Characteristics,
-    Decision,
+    EProcess,
+    FixedN,
     SequentialTest,
+    Sprt,
     operating_characteristics,
+    runs_needed,
     simulate,
 )
+from pytest_dura.requirements.sequential import Characteristics, Decision
 
 LIMIT, P0, LEVEL = 0.05, 0.01, 0.05
 RATES = (0.0, 0.005, 0.01, 0.02, 0.0258, 0.05, 0.1, 0.3)

@@ -21,7 +21,7 @@ from subprocess import DEVNULL, run
 
 from machine import machine, table
 
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import load_library
 
 COUNTED = "intersection/nominal"
 TEN = "bench/ten"

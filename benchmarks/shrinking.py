@@ -19,16 +19,10 @@ from statistics import median
 
 from machine import machine, table
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.seeding import derive_seed, stream
-from pytest_dura.driving.scenario import concrete_world
-from pytest_dura.library.cases import Case, SearchedCase, expand_cases
-from pytest_dura.library.loading import load_library
-from pytest_dura.search.shrinking import shrink
-from pytest_dura.search.simplification import changes_of, count_parameters
-from pytest_dura.search.space import SearchSpace
+from pytest_dura.core import ConfigurationError, Orchestrator, RoleSpec, derive_seed, stream
+from pytest_dura.driving import concrete_world
+from pytest_dura.library import Case, SearchedCase, expand_cases, load_library
+from pytest_dura.search import SearchSpace, changes_of, count_parameters, shrink
 
 PLANNERS = ("reactive", "aggressive")
 Job = tuple[str, str, bool, int, int, int]

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from pytest_dura import StlSafetyMonitor
-from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment, SecurityAssessor
-from pytest_dura.core.state import Alert, RoleView
-from pytest_dura.driving.junction import SPEED_LIMIT
-from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
+from pytest_dura.core import (
+    Alert,
+    Assessed,
+    RoleContext,
+    RoleView,
+    SecurityAssessment,
+    SecurityAssessor,
+)
+from pytest_dura.driving import MAX_ACCELERATION, MAX_BRAKING, SPEED_LIMIT
 
 FORMULA = f"""
 odometry.speed >= -0.1 and odometry.speed <= {1.25 * SPEED_LIMIT:g}

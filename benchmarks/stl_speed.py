@@ -25,9 +25,7 @@ from typing import Any
 import numpy as np
 from machine import machine, table
 
-from pytest_dura.requirements.stl.evaluation import evaluate, robustness, robustness_batch
-from pytest_dura.requirements.stl.online import OnlineFormula
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements import OnlineFormula, evaluate, parse, robustness, robustness_batch
 
 STEP = 0.1
 SAMPLES = 200

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from falsification.systems import Floats, Signals, System
-from pytest_dura.search.space import Group, Layout
+from pytest_dura.search import Group, Layout
 
 STEP = 0.01
 END = 100.0

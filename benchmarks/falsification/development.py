@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from falsification.systems import Floats, Signals, System
-from pytest_dura.search.space import Group, Layout
+from pytest_dura.search import Group, Layout
 
 STEP = 0.1
 

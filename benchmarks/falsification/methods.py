@@ -10,9 +10,8 @@ import numpy as np
 from scipy.optimize import dual_annealing
 
 from falsification.systems import Floats
-from pytest_dura.search.portfolio import Batch, Outcome, Portfolio, search, trivial_searchers
+from pytest_dura.search import Batch, Layout, Outcome, Portfolio, search, trivial_searchers
 from pytest_dura.search.searchers import Searcher
-from pytest_dura.search.space import Layout
 
 
 class OverError(Exception):

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.requirements.stl.evaluation import robustness_batch
-from pytest_dura.requirements.stl.parser import parse
-from pytest_dura.search.space import Layout
+from pytest_dura.requirements import parse, robustness_batch
+from pytest_dura.search import Layout
 
 Floats = NDArray[np.float64]
 Signals = Mapping[str, Floats]

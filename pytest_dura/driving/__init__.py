@@ -1,1 +1,5 @@
 """The autonomous-driving domain: bodies, geometry, sensors, simulators, roles and faults."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """The fault catalogue, activation and duration, composition, and the injector role."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Files: scenarios, requirements, cases and fault campaigns, read and checked."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Requirements: formulas, statistics, and verdicts on episodes, pairs and campaigns."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

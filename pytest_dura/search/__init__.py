@@ -1,1 +1,5 @@
 """Search for counterexamples: spaces, searchers, confirmation, and shrinking."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

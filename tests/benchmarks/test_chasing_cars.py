@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pytest_dura.requirements.stl.evaluation import robustness
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements import parse, robustness
 
 PIECES = 20
 

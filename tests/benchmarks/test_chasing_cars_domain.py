@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 from pytest_dura import ConfigurationError, Runner
-from pytest_dura.campaign.falsification import Limits
-from pytest_dura.library.cases import case_with_faults
-from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.stl.evaluation import robustness
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.campaign import Limits
+from pytest_dura.library import case_with_faults, load_library
+from pytest_dura.requirements import parse, robustness
+from pytest_dura.search import Group, Objective, SearchSpace
 from pytest_dura.search.falsify import falsify
-from pytest_dura.search.space import Group, SearchSpace
-from pytest_dura.search.trials import Objective
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 

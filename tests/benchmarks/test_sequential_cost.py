@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura.requirements.rate_tests import FixedN
+from pytest_dura.requirements import FixedN
 
 
 @pytest.fixture

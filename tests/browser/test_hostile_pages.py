@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 from hostile_bundles import SORTS, Spoiler, real_session, session
 
-from pytest_dura.evidence.mcap import read_trace
+from pytest_dura.evidence import read_trace
+from pytest_dura.reports import player_page
 from pytest_dura.reports.html.page import render
-from pytest_dura.reports.html.player import player_page
 
 FIRST = (
     "<img src=x onerror=window.pwned=1>", "__proto__", "constructor", "'\"><svg onload=pwned=1>",

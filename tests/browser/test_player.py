@@ -18,12 +18,11 @@ from player_traces import (
     without_scene,
 )  # fmt: skip
 
-from pytest_dura.core.simulator import Recording, Scene, Tracks
-from pytest_dura.evidence.traces import Trace
-from pytest_dura.execution.task import run_episode
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
-from pytest_dura.reports.html.player import pack_data, player_assets, player_data, player_page
+from pytest_dura.core import Recording, Scene, Tracks
+from pytest_dura.evidence import Trace
+from pytest_dura.execution import run_episode
+from pytest_dura.library import expand_cases, load_library
+from pytest_dura.reports import pack_data, player_assets, player_data, player_page
 
 LAST = TICKS - 1
 DRAWN = """

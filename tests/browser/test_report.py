@@ -9,7 +9,7 @@ from hostile_records import HOSTILE, spoilt
 from report_pages import VIOLATING, record_with_trace
 from session_records import session_record, totals
 
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence import SessionRecord
 from pytest_dura.reports.html.page import render
 
 PHONE = {"viewport": {"width": 360, "height": 740}}

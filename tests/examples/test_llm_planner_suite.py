@@ -13,9 +13,9 @@ from models import llm_episode, said
 from scripted_server import answers_by
 from suites import SUITES, run_suite
 
-from pytest_dura.library.loading import load_library
-from pytest_dura.llm.port import Answer
-from pytest_dura.requirements.episode_verdicts import judge_episode
+from pytest_dura.library import load_library
+from pytest_dura.llm import Answer
+from pytest_dura.requirements import judge_episode
 
 SUITE = SUITES / "llm_planner"
 TEMPLATES = SUITES.parent / "pytest_dura" / "llm" / "driving" / "templates"

@@ -7,8 +7,7 @@ from functools import cache
 import pytest
 
 from pytest_dura import CampaignVerdict, RoleSpec, Runner
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import expand_cases, load_library
 
 BAD = {
     "aggressive": "aggressive",

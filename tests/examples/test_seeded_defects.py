@@ -15,11 +15,15 @@ import pytest
 from roads import spec_of_drive
 
 from pytest_dura import Episode, RoleSpec
-from pytest_dura.execution.task import run_episode
-from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.episode_verdicts import judge_episode
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.pairs import change_verdict, measured, pair_verdict
+from pytest_dura.execution import run_episode
+from pytest_dura.library import load_library
+from pytest_dura.requirements import (
+    Requirement,
+    change_verdict,
+    judge_episode,
+    measured,
+    pair_verdict,
+)
 
 RULE_BASED = RoleSpec("pytest_dura.driving.roles.planners:RuleBased")
 

@@ -18,7 +18,7 @@ from roads import spec_of_drive
 
 from pytest_dura import Episode, EpisodeSpec, RoleSpec
 from pytest_dura.driving.roles import performance, safety, security
-from pytest_dura.execution.task import run_episode
+from pytest_dura.execution import run_episode
 
 RULE_BASED = RoleSpec("pytest_dura.driving.roles.planners:RuleBased")
 MONITORS = {

@@ -7,10 +7,8 @@ from functools import cache
 import pytest
 
 from pytest_dura import CampaignVerdict, RoleSpec, Runner
-from pytest_dura.evidence.conclude import PairedCourses, effectiveness
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
-from pytest_dura.library.scenario import Range, Scenario
+from pytest_dura.evidence import PairedCourses, effectiveness
+from pytest_dura.library import Range, Scenario, expand_cases, load_library
 
 PLANNERS = {
     "REC-1": RoleSpec("reactive"),

@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 from forked_workers import AVAILABLE, ForkedWorkers, import_all
 
-from pytest_dura.evidence.bundle import all_formats
-from pytest_dura.library.documents import read_yaml
-from pytest_dura.library.loading import builtin_paths
+from pytest_dura.evidence import all_formats
+from pytest_dura.library import builtin_paths, read_yaml
 
 # In-process runs forget what they imported: what is ours would be compiled anew for each of them,
 # and numpy and its like cannot be imported twice.

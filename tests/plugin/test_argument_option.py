@@ -8,8 +8,7 @@ import pytest
 import yaml
 from outputs import output
 
-from pytest_dura.evidence.merge import merge_bundles
-from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence import merge_bundles, verify_bundle
 
 ARGUMENT = """
 G1:

@@ -8,7 +8,7 @@ import shutil
 
 import pytest
 
-from pytest_dura.requirements.comparison import mcnemar_one_sided
+from pytest_dura.requirements import mcnemar_one_sided
 
 RATE = """
 import pytest

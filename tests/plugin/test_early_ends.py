@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from corridors import IDLE, expect, requirement, scenario
 
-from pytest_dura.requirements.rate_tests import upper_bound
+from pytest_dura.requirements import upper_bound
 
 CRASHES = '''
 """A corridor that crashes, or reaches its goal, at a tick that the world names."""

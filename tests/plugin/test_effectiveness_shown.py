@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_dura.core.roles import STANDARD_ROLES
+from pytest_dura.core import STANDARD_ROLES
 
 CONFTEST = """
 import pytest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from corridors import requirement, scenario
 
-from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence import verify_bundle
 
 OPTION = "--dura-end=decided"
 SOON = "always[0:1.5] (x < 5)"

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from pytest_dura.evidence.model import Counts, SessionRecord
-from pytest_dura.evidence.verify import recomputed_problems, verify_bundle
+from pytest_dura.evidence import Counts, SessionRecord, verify_bundle
+from pytest_dura.evidence.verify import recomputed_problems
 from pytest_dura.evidence.verify_record import episode_problems
 from pytest_dura.reports.summary import read_counts
 

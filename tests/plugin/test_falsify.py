@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence import verify_bundle
 
 HASTY = """
 from corridor import Careful

@@ -7,7 +7,7 @@ import json
 import pytest
 from corridors import scenario
 
-from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence import verify_bundle
 
 INJECTOR = "pytest_dura.faults.injector:CampaignInjector"
 BIAS = "{type: bias, target: gap, activation: {at: 0.5}, parameters: {offset: 5.0}}"

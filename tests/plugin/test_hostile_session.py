@@ -13,9 +13,9 @@ import pytest
 from corridors import scenario
 
 from pytest_dura.__main__ import main
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.verify import verify_bundle
-from pytest_dura.library.loading import load_library
+from pytest_dura.core import ConfigurationError
+from pytest_dura.evidence import verify_bundle
+from pytest_dura.library import load_library
 from pytest_dura.plugin.messages import error_text
 
 # What a terminal acts on, or hides; ends of lines and tabs are pytest's own business.

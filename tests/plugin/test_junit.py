@@ -5,9 +5,8 @@ from collections import Counter
 import pytest
 from junitparser import JUnitXml, Properties
 
-from pytest_dura.evidence import gather
-from pytest_dura.evidence.junit import junit_key, junit_name, junit_outcomes, junit_verdicts
-from pytest_dura.evidence.text import LINE
+from pytest_dura.evidence import LINE, gather, junit_name
+from pytest_dura.evidence.junit import junit_key, junit_outcomes, junit_verdicts
 
 RECKLESS = "--dura-generator=corridor:Reckless"
 ON_EPISODES = """

@@ -17,10 +17,7 @@ from corridors import scenario
 from test_fault_campaigns_option import BIAS, NOISE, near_the_wall
 from test_secrets import texts
 
-from pytest_dura.evidence.bundle import read_record
-from pytest_dura.evidence.model import Counts, SessionRecord
-from pytest_dura.evidence.verify import verify_bundle
-from pytest_dura.evidence.verify_record import record_problems
+from pytest_dura.evidence import Counts, SessionRecord, read_record, record_problems, verify_bundle
 from pytest_dura.llm import session as sessions
 
 SUPPORT = str(Path(__file__).parents[1] / "support")

@@ -10,7 +10,7 @@ import pytest
 
 import pytest_dura.llm.capabilities
 import pytest_dura.llm.driving.planner  # noqa: F401 - see above
-from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence import verify_bundle
 
 SUPPORT = str(Path(__file__).parents[1] / "support")
 if SUPPORT not in sys.path:

@@ -10,8 +10,8 @@ from corridors import scenario
 from outputs import output
 from pool_calls import KilledStarts
 
-from pytest_dura.evidence.verify import verify_bundle
-from pytest_dura.execution.processes import MAX_STARTS
+from pytest_dura.evidence import verify_bundle
+from pytest_dura.execution import MAX_STARTS
 
 COUNTED = """
 import os, signal, time

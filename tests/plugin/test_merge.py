@@ -15,17 +15,24 @@ from forging import forgeries
 from sealing import seal
 
 from pytest_dura.__main__ import main
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core import ConfigurationError
+from pytest_dura.evidence import (
+    Baseline,
+    Counts,
+    DirectoryLock,
+    SessionRecord,
+    ShardUnit,
+    file_entry,
+    files_below,
+    merge_bundles,
+    plan_digest,
+    read_session_record,
+    record_problems,
+    record_schema,
+    verify_bundle,
+    write_bundle,
+)
 from pytest_dura.evidence import bundle as bundle_directory
-from pytest_dura.evidence.baseline import Baseline
-from pytest_dura.evidence.bundle import read_session_record, write_bundle
-from pytest_dura.evidence.files import DirectoryLock, file_entry, files_below
-from pytest_dura.evidence.merge import merge_bundles
-from pytest_dura.evidence.model import Counts, SessionRecord
-from pytest_dura.evidence.schema import record_schema
-from pytest_dura.evidence.sessions import ShardUnit, plan_digest
-from pytest_dura.evidence.verify import verify_bundle
-from pytest_dura.evidence.verify_record import record_problems
 
 PROJECT = Path(__file__).with_name("project")
 TESTS = """

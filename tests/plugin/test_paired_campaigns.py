@@ -9,7 +9,7 @@ import pytest
 from corridors import IDLE, expect, scenario
 
 from pytest_dura.__main__ import main
-from pytest_dura.requirements.pairs import Change
+from pytest_dura.requirements import Change
 
 HARM = {
     "duration": 2.0,

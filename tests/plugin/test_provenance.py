@@ -6,7 +6,7 @@ import hashlib
 
 import pytest
 
-from pytest_dura.evidence.schema import check_record
+from pytest_dura.evidence import check_record
 
 OWN_TEST = """
 import pytest

@@ -10,7 +10,7 @@ from urllib.request import url2pathname
 import pytest
 from sealing import alter, seal
 
-from pytest_dura.evidence.mcap import read_trace, write_trace
+from pytest_dura.evidence import read_trace, write_trace
 
 
 def test_a_replay_has_the_same_digest(project):

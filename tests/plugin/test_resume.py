@@ -15,8 +15,8 @@ import pytest
 from corridors import scenario
 from outputs import output
 
-from pytest_dura.core.seeding import derive_seed
-from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.core import derive_seed
+from pytest_dura.evidence import verify_bundle
 
 WAIT = 60.0
 """Seconds that a session may take on a busy machine."""

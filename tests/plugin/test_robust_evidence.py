@@ -13,9 +13,8 @@ import pytest
 from corridors import scenario
 from outputs import output
 
-from pytest_dura.evidence.bundle import RENDERED_FILES, read_session_record
+from pytest_dura.evidence import RENDERED_FILES, DirectoryLock, read_session_record
 from pytest_dura.evidence.episodes import EPISODES_PER_PART
-from pytest_dura.evidence.files import DirectoryLock
 
 WAIT = 60.0
 """Seconds that a session may take to get going on a busy machine."""

@@ -6,11 +6,9 @@ import re
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle import read_session_record
-from pytest_dura.evidence.merge import merge_bundles
+from pytest_dura.core import ConfigurationError
+from pytest_dura.evidence import merge_bundles, read_session_record, verify_bundle
 from pytest_dura.evidence.merge_checks import ShardBundle, check_consistent
-from pytest_dura.evidence.verify import verify_bundle
 
 SEARCHED = """
 name: corridor/searched

@@ -8,8 +8,7 @@ import re
 import pytest
 from corridors import scenario
 
-from pytest_dura.evidence.bundle import all_formats
-from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence import all_formats, verify_bundle
 
 TESTS = """
 import pytest

@@ -15,7 +15,7 @@ import pytest
 from corridors import scenario
 from outputs import output
 
-from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence import verify_bundle
 
 DEADLY = """
 import os, signal

@@ -9,8 +9,7 @@ import pytest
 from corridors import IDLE, scenario
 from outputs import output
 
-from pytest_dura.evidence import mcap
-from pytest_dura.evidence.traces import trace_path
+from pytest_dura.evidence import mcap, trace_path
 
 BY_HAND = """
 import pytest

@@ -17,11 +17,16 @@ import pytest
 from sealing import alter, seal
 
 from pytest_dura.__main__ import main
-from pytest_dura.evidence.bundle import write_bundle
-from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text
-from pytest_dura.evidence.model import Counts, SessionRecord
-from pytest_dura.evidence.verify import verify_bundle
-from pytest_dura.requirements.rate_tests import upper_bound
+from pytest_dura.evidence import (
+    MANIFEST_FILE,
+    Counts,
+    SessionRecord,
+    file_entry,
+    manifest_text,
+    verify_bundle,
+    write_bundle,
+)
+from pytest_dura.requirements import upper_bound
 
 PROJECT = Path(__file__).with_name("project")
 WAIVED = """
@@ -302,7 +307,7 @@ def test_a_format_that_says_something_else_is_found_though_its_hash_is_true(bund
 
 
 def test_a_signal_of_a_trace_that_was_changed_is_found_by_judging_it_again(bundle):
-    from pytest_dura.evidence.mcap import read_trace, write_trace
+    from pytest_dura.evidence import read_trace, write_trace
 
     def change(record):
         violating = {one["episode"] for v in record["verdicts"] for one in v["counterexamples"]}

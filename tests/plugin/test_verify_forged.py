@@ -16,19 +16,22 @@ from pathlib import Path
 import pytest
 from forging import forgeries
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle import read_session_record
-from pytest_dura.evidence.model import Counts, SessionRecord
-from pytest_dura.evidence.schema import record_schema
+from pytest_dura.core import ConfigurationError
+from pytest_dura.evidence import (
+    Counts,
+    SessionRecord,
+    read_session_record,
+    record_problems,
+    record_schema,
+    verify_bundle,
+)
 from pytest_dura.evidence.verify import (
     DAMAGE_ERRORS,
     RejudgedCount,
     derived_problems,
     trace_problems,
-    verify_bundle,
 )
-from pytest_dura.evidence.verify_record import record_problems
-from pytest_dura.requirements.rate_tests import upper_bound
+from pytest_dura.requirements import upper_bound
 
 PROJECT = Path(__file__).with_name("project")
 NUDGED = """

@@ -13,16 +13,18 @@ from hypothesis import strategies as st
 from models import answering, said
 from roads import Views, car_on, channels_of, walker
 
+from pytest_dura.core import Generator, Percept, Proposal, RecoveryPlanner, RoleContext, RoleSpec
 from pytest_dura.core.outputs import check_output, required_output
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import Generator, RecoveryPlanner, RoleContext
-from pytest_dura.core.state import Percept, Proposal
 from pytest_dura.domains import DOMAINS
-from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.junction import route
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.signals import percept_at, percept_signals
+from pytest_dura.driving import (
+    BodyList,
+    Command,
+    HighwaySimulator,
+    Maneuver,
+    percept_at,
+    percept_signals,
+    route,
+)
 
 DRIVING = DOMAINS["driving"]
 PATHS = {

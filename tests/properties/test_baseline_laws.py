@@ -10,8 +10,8 @@ from baseline_records import record, verdict
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.evidence.baseline import BaselineComparison, claims_of, compare_claims
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence import SessionRecord, claims_of, compare_claims
+from pytest_dura.evidence.baseline import BaselineComparison
 
 lawful = settings(derandomize=True, deadline=None, max_examples=15)
 RUNS = 12

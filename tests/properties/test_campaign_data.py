@@ -10,14 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura import ConfigurationError, EpisodeSpec, RoleSpec
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.documents import parse_yaml
-from pytest_dura.library.scenario import Scenario
-from pytest_dura.requirements.campaign_judge import judge_campaign
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.rate_tests import lower_bound, runs_needed, upper_bound
+from pytest_dura.library import Scenario, expand_cases, parse_yaml
+from pytest_dura.requirements import (
+    CampaignVerdict,
+    EpisodeVerdict,
+    Requirement,
+    judge_campaign,
+    lower_bound,
+    runs_needed,
+    upper_bound,
+)
 
 relaxed = settings(deadline=None, max_examples=60)
 fewer = settings(relaxed, max_examples=30)

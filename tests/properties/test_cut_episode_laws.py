@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pytest_dura import DependabilityMetrics, Episode, JudgedEpisode, Requirement
-from pytest_dura.requirements.episode_verdicts import judge_episode
+from pytest_dura.requirements import judge_episode
 
 NAMES = ("a", "b")
 STEP = 0.1

@@ -17,11 +17,9 @@ from injecting import Drawing, fault
 from loops import run_loop
 
 from pytest_dura import Assessment, Proposal, RoleContext, SafetyMonitor, stream
-from pytest_dura.core.state import GeneratorView
-from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.library.cases import Case, case_with_faults, expand_cases
-from pytest_dura.library.loading import load_library
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.core import GeneratorView
+from pytest_dura.faults import CampaignInjector
+from pytest_dura.library import Case, Scenario, case_with_faults, expand_cases, load_library
 
 law = settings(derandomize=True, deadline=None, max_examples=25)
 

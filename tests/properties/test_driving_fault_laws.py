@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from roads import channels_of
 
-from pytest_dura.core.seeding import stream
-from pytest_dura.driving.bodies import CAR_LENGTH, HEADING, LENGTH, VX, Body, BodyList
-from pytest_dura.driving.sensors import RANGE, Pose
-from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault
-from pytest_dura.faults.model import Fault, Moment
+from pytest_dura.core import stream
+from pytest_dura.driving import CAR_LENGTH, Body, BodyList, Pose
+from pytest_dura.driving.bodies import HEADING, LENGTH, VX
+from pytest_dura.driving.sensors import RANGE
+from pytest_dura.faults import FAULT_TYPES, Fault, Moment, load_fault
 
 laws = settings(derandomize=True, deadline=None, max_examples=60)
 

@@ -29,13 +29,20 @@ from pytest_dura import (
     Tick,
     stream,
 )
-from pytest_dura.core.state import GeneratorView
+from pytest_dura.core import GeneratorView
+from pytest_dura.requirements import (
+    Boolean,
+    EpisodeVerdict,
+    Formula,
+    Requirement,
+    RequirementJudge,
+    Temporal,
+    judge_campaign,
+    judge_episode,
+    node_text,
+    read_formula,
+)
 from pytest_dura.requirements import checks as judging
-from pytest_dura.requirements.campaign_judge import judge_campaign
-from pytest_dura.requirements.checks import RequirementJudge, read_formula
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.stl.formula import Boolean, Formula, Temporal, node_text
 
 NAMES = ("a", "b")
 STEPS = (0.1, 0.05, 0.3, 0.25, 1 / 15, 1 / 3)

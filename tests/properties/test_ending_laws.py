@@ -13,11 +13,19 @@ from formulas import formulas, nodes, traces, windows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pytest_dura.requirements import (
+    Boolean,
+    Ending,
+    Evaluation,
+    Formula,
+    Requirement,
+    RequirementJudge,
+    Temporal,
+    evaluate,
+    node_text,
+)
 from pytest_dura.requirements import checks as judging
-from pytest_dura.requirements.checks import RequirementJudge
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate
-from pytest_dura.requirements.stl.formula import Boolean, Formula, Temporal, node_text, reach
+from pytest_dura.requirements.stl.formula import reach
 
 NAMES = ("a", "b")
 STEP = 0.1

@@ -18,14 +18,10 @@ from roads import run, spec_of_drive
 from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, SwitchOff, Thermostat
 
 from pytest_dura import DependabilityMetrics, FaultRecord
-from pytest_dura.core.episode import EpisodeSpec, Termination
-from pytest_dura.core.metrics import Tally
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.state import Event
-from pytest_dura.evidence.episodes import episode_record
-from pytest_dura.execution.codec import DamagedEpisodeError, pack, unpack
-from pytest_dura.execution.task import missing_episode
+from pytest_dura.core import EpisodeSpec, Event, Orchestrator, RoleSpec, Tally, Termination
+from pytest_dura.evidence import episode_record
+from pytest_dura.execution import missing_episode, pack
+from pytest_dura.execution.codec import DamagedEpisodeError, unpack
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60, database=None)
 GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}

@@ -13,18 +13,19 @@ import stl_oracle
 from formulas import formulas, traces
 from hypothesis import given, settings
 
-from pytest_dura.requirements.stl.evaluation import Ending, evaluate
-from pytest_dura.requirements.stl.formula import (
+from pytest_dura.requirements import (
     Boolean,
     Comparison,
+    Ending,
     Formula,
     Node,
     Not,
     Step,
     Temporal,
     TemporalPair,
+    evaluate,
+    parse,
 )
-from pytest_dura.requirements.stl.parser import parse
 
 STEP = 0.5
 NAMES = ("a", "b")

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.evidence.text import LEAST_LIMIT, code, markdown, name, one_line, visible
+from pytest_dura.evidence import code, markdown, name, one_line, visible
+from pytest_dura.evidence.text import LEAST_LIMIT
 
 HOSTILE = (
     "\x00\x1b[31m", "\x7f\x9b", "\u202e\u2066\u200b\u2060\ufeff", "\ud800", "\udfff",

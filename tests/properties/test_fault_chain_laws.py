@@ -30,10 +30,9 @@ from pytest_dura import (
     SecurityAssessor,
     Termination,
 )
-from pytest_dura.core.episode import Divergence
-from pytest_dura.core.state import GeneratorView
-from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.requirements.checks import RequirementJudge
+from pytest_dura.core import Divergence, GeneratorView
+from pytest_dura.faults import CampaignInjector
+from pytest_dura.requirements import RequirementJudge
 
 DT = 0.1
 GRACE = 10

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.driving.sensors import FAULT_TARGETS
-from pytest_dura.faults.catalogue import FAULT_TYPES, default_fault, load_fault, plain_fault
+from pytest_dura.core import ConfigurationError
+from pytest_dura.driving import FAULT_TARGETS
+from pytest_dura.faults import FAULT_TYPES, default_fault, load_fault, plain_fault
 
 SECONDS = st.floats(0.001, 40.0) | st.integers(1, 40)
 ACTIVATIONS = st.fixed_dictionaries(

@@ -13,9 +13,10 @@ from injecting import Bench, Drawing, fault
 from roads import run, spec_of_drive
 
 from pytest_dura import Episode
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.driving.roles.planners import Aggressive
-from pytest_dura.faults.injector import NOW, CampaignInjector
+from pytest_dura.core import RoleSpec
+from pytest_dura.driving import Aggressive
+from pytest_dura.faults import CampaignInjector
+from pytest_dura.faults.injector import NOW
 
 TICKS = 60
 NAMES = ("a", "b", "c", "d", "e")

@@ -17,8 +17,8 @@ from fault_runs import CHANNEL, commanded, fault, through
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.core.state import Lazy
-from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+from pytest_dura.core import Lazy
+from pytest_dura.faults import FAULT_TYPES, fault_class
 
 law = settings(derandomize=True, deadline=None, max_examples=40)
 

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from injecting import Bench, Drawing, fault
 
-from pytest_dura.faults.catalogue import load_fault
+from pytest_dura.faults import load_fault
 
 STEPS = (0.1, 0.05, 0.02, 1 / 15, 0.3)
 TICKS = 40

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.driving.bodies import box_gap, box_time_to_collision, boxes_overlap
+from pytest_dura.driving import box_gap, box_time_to_collision
+from pytest_dura.driving.bodies import boxes_overlap
 
 CAP = 10.0
 

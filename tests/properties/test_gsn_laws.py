@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_records import REQUIREMENTS, episode, session_record, verdict
 
-from pytest_dura.evidence.model import Counts
+from pytest_dura.evidence import Counts
+from pytest_dura.reports import rule_problems
 from pytest_dura.reports.gsn import svg_file, yaml_file
-from pytest_dura.reports.gsn.element import rule_problems
 
 HOSTILE = st.sampled_from(
     [

@@ -30,11 +30,9 @@ from markdown_it import MarkdownIt
 from mcap.reader import NonSeekingReader
 
 from pytest_dura.__main__ import main
-from pytest_dura.evidence.bundle import all_formats, write_bundle
-from pytest_dura.evidence.mcap import read_trace
-from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.evidence import all_formats, read_trace, verify_bundle, write_bundle
 from pytest_dura.plugin.terminal import summary
-from pytest_dura.reports.gsn.element import rule_problems
+from pytest_dura.reports import rule_problems
 
 # What a terminal, an editor or a reader might act on instead of showing it.
 CONTROL = re.compile(

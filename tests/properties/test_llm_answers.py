@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from pytest_dura.llm.answers import OUTCOMES, answer_schema, read_answer
-from pytest_dura.llm.port import Answer
+from pytest_dura.llm import Answer, answer_schema, read_answer
+from pytest_dura.llm.answers import OUTCOMES
 
 SCHEMA = answer_schema(("wait", "proceed"), ("slow_down", "hold", "speed_up"))
 JSON = st.recursive(

@@ -13,12 +13,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from PIL import Image as Picture
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core import ConfigurationError
+from pytest_dura.llm import Answer, Endpoint, Image
 from pytest_dura.llm.answers import FAILURES
 from pytest_dura.llm.capabilities import ServerListing
 from pytest_dura.llm.client import LONGEST_TEXT, data_url, read_completion, refusal_of
-from pytest_dura.llm.endpoint import Endpoint
-from pytest_dura.llm.port import Answer, Image
 
 laws = settings(derandomize=True, deadline=None, max_examples=80)
 

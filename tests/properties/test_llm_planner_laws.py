@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura import Episode
-from pytest_dura.llm.port import Answer, Request
+from pytest_dura.llm import Answer, Request
 
 law = settings(derandomize=True, deadline=None, max_examples=12)
 MANEUVERS = ("proceed", "yield", "accelerate", "proceed_cautiously")

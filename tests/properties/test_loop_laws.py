@@ -32,9 +32,8 @@ from pytest_dura import (
     derive_seed,
     stream,
 )
-from pytest_dura.core.loop_signals import switching
-from pytest_dura.core.state import GeneratorView
-from pytest_dura.requirements.checks import RequirementJudge
+from pytest_dura.core import GeneratorView, switching
+from pytest_dura.requirements import RequirementJudge
 
 DT = 0.1
 CRITICAL = 3

@@ -17,8 +17,7 @@ from in_toto_attestation.v1.resource_descriptor import ResourceDescriptor
 from in_toto_attestation.v1.statement import Statement
 from markdown_it import MarkdownIt
 
-from pytest_dura.evidence.bundle import write_record
-from pytest_dura.evidence.model import Counts
+from pytest_dura.evidence import Counts, write_record
 from pytest_dura.reports import cyclonedx, intoto, summary
 
 some = settings(derandomize=True, deadline=None, max_examples=25)

@@ -7,8 +7,8 @@ from typing import get_args
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.faults.catalogue import default_fault, load_fault
-from pytest_dura.llm.port import Delivery, ServerFault
+from pytest_dura.faults import default_fault, load_fault
+from pytest_dura.llm import Delivery, ServerFault
 
 WAYS = [one for one in get_args(ServerFault) if one]
 SECONDS = st.floats(0.0, 60.0, allow_nan=False)

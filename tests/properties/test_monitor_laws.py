@@ -12,12 +12,8 @@ from hypothesis import strategies as st
 from loops import Says, doing, run_loop
 
 from pytest_dura import Assessed, Assessment, EpisodeVerdict, Proposal, SafetyMonitor
-from pytest_dura.requirements.monitoring.quality import (
-    MonitorTimeline,
-    Stretch,
-    judge_monitor,
-    monitor_timeline,
-)
+from pytest_dura.requirements import MonitorTimeline, judge_monitor, monitor_timeline
+from pytest_dura.requirements.monitoring.quality import Stretch
 
 STEP = 0.1
 TICKS = 30

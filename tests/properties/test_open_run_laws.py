@@ -12,10 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from pytest_dura.requirements.campaign_judge import judge_campaign
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
-from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
-from pytest_dura.requirements.model import METHODS, Requirement
+from pytest_dura.requirements import (
+    METHODS,
+    CampaignVerdict,
+    EpisodeStatus,
+    EpisodeVerdict,
+    Requirement,
+    judge_campaign,
+)
 
 WORDS: tuple[EpisodeStatus, ...] = ("satisfied",) * 8 + ("violated", "open")
 LIMIT = 0.3

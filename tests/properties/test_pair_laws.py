@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from pytest_dura import EpisodeVerdict, Paired, Requirement
-from pytest_dura.requirements.pairs import (
+from pytest_dura.requirements import (
     Change,
     Pair,
     PairCounts,

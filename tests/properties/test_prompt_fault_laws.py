@@ -10,15 +10,18 @@ from hypothesis import strategies as st
 from injecting import DT
 from roads import car, channels_of
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.core.seeding import stream
-from pytest_dura.driving.sensors import CHANNELS
-from pytest_dura.faults.catalogue import default_fault, load_fault, parse_fault
-from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.faults.model import Fault, Moment, check_target
-from pytest_dura.llm.driving.blocks import BLOCKS, percept_prompt
-from pytest_dura.llm.prompts import Prompt
+from pytest_dura.core import ConfigurationError, RoleContext, stream
+from pytest_dura.driving import CHANNELS
+from pytest_dura.faults import (
+    CampaignInjector,
+    Fault,
+    Moment,
+    check_target,
+    default_fault,
+    load_fault,
+    parse_fault,
+)
+from pytest_dura.llm import BLOCKS, Prompt, percept_prompt
 
 laws = settings(derandomize=True, deadline=None, max_examples=40)
 counts = st.integers(0, 6)

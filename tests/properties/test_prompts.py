@@ -15,15 +15,29 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from roads import channels_of
 
-from pytest_dura.core.seeding import stream
-from pytest_dura.core.state import PastDecision
-from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.percepts import DISTANCE_TOLERANCE
-from pytest_dura.driving.sensors import Imu, Odometry, Pose, Sign
-from pytest_dura.llm.driving.blocks import percept_prompt
-from pytest_dura.llm.driving.planner import driving_templates, with_conflict, with_injection
-from pytest_dura.llm.prompts import LONGEST_PERCEIVED, PerceivedText, Prompt, harmless, reordered
+from pytest_dura.core import PastDecision, stream
+from pytest_dura.driving import (
+    DISTANCE_TOLERANCE,
+    Body,
+    BodyList,
+    Command,
+    Imu,
+    Maneuver,
+    Odometry,
+    Pose,
+    Sign,
+)
+from pytest_dura.llm import (
+    PerceivedText,
+    Prompt,
+    driving_templates,
+    harmless,
+    percept_prompt,
+    reordered,
+    with_conflict,
+    with_injection,
+)
+from pytest_dura.llm.prompts import LONGEST_PERCEIVED
 
 laws = settings(derandomize=True, deadline=None, max_examples=60)
 fewer = settings(laws, max_examples=30)

@@ -9,15 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.driving.bodies import (
-    GAP_CAP,
-    TTC_CAP,
-    Body,
-    BodyList,
-    box_gap,
-    box_time_to_collision,
-    proximity,
-)
+from pytest_dura.driving import GAP_CAP, TTC_CAP, Body, BodyList, box_gap, box_time_to_collision
+from pytest_dura.driving.bodies import proximity
 
 places = st.floats(-70.0, 70.0)
 speeds = st.floats(-12.0, 12.0)

@@ -14,14 +14,15 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.stats import binom, binomtest, fisher_exact
 
-from pytest_dura.requirements.comparison import (
+from pytest_dura.requirements import (
+    SequentialTest,
     compare_counts,
     compare_pairs,
     holm,
+    make_test,
     mcnemar,
+    runs_needed,
 )
-from pytest_dura.requirements.rate_tests import make_test, runs_needed
-from pytest_dura.requirements.sequential import SequentialTest
 
 lawful = settings(derandomize=True, deadline=None, max_examples=100)
 ANGLES, WEIGHTS = np.polynomial.legendre.leggauss(80)

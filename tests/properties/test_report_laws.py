@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from report_pages import Page
 
-from pytest_dura.evidence.model import Counts
+from pytest_dura.evidence import Counts
+from pytest_dura.reports import anchor
 from pytest_dura.reports.html import page as report
-from pytest_dura.reports.html.contents import anchor
 
 some = settings(derandomize=True, deadline=None, max_examples=8)
 

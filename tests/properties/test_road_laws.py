@@ -11,12 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from published_road import network, published_road
 
-from pytest_dura.core.episode import Policy
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core import Orchestrator, Policy, RoleSpec
 from pytest_dura.driving.highway import _network
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import expand_cases, load_library
 
 PUBLISHED = network()
 LANES = PUBLISHED.lanes_dict()
@@ -105,7 +102,8 @@ def test_a_lane_of_another_kind_is_refused() -> None:
 def test_the_steering_angle_is_highway_env_s_to_the_last_bit(place, speed, lane) -> None:
     from highway_env.vehicle.controller import ControlledVehicle
 
-    from pytest_dura.driving.traffic import Ego, JunctionRoad
+    from pytest_dura.driving import Ego
+    from pytest_dura.driving.traffic import JunctionRoad
 
     x, y, heading = place
     ego = Ego(JunctionRoad(_network()), [x, y], heading=heading, speed=speed)

@@ -9,9 +9,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.search.portfolio import Batch, Portfolio, trivial_searchers
-from pytest_dura.search.searchers import Description, Pulses, Steps, filled
-from pytest_dura.search.space import Group, Layout
+from pytest_dura.search import Batch, Group, Layout, Portfolio, Pulses, trivial_searchers
+from pytest_dura.search.searchers import Description, Steps, filled
 
 lawful = settings(derandomize=True, deadline=None, max_examples=15)
 

@@ -12,7 +12,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from session_records import session_record
 
-from pytest_dura.evidence.redaction import Redactor, count_redactions, is_common
+from pytest_dura.evidence import Redactor, count_redactions
+from pytest_dura.evidence.redaction import is_common
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
 SECRETS = st.text(

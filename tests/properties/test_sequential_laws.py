@@ -5,14 +5,14 @@ from __future__ import annotations
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.comparison import (
+from pytest_dura.requirements import (
+    METHODS,
+    SequentialTest,
     compare_counts,
+    make_test,
     mcnemar,
     mcnemar_one_sided,
 )
-from pytest_dura.requirements.model import METHODS
-from pytest_dura.requirements.rate_tests import make_test
-from pytest_dura.requirements.sequential import SequentialTest
 
 law = settings(derandomize=True, deadline=None, max_examples=120)
 brief = settings(law, max_examples=60)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.evidence.sessions import ShardUnit, plan_digest, split_units
+from pytest_dura.evidence import ShardUnit, plan_digest, split_units
 
 lawful = settings(derandomize=True, deadline=None, max_examples=50)
 units = st.lists(

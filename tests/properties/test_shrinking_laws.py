@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shrinkable import crossing, fault, found, ids
 
-from pytest_dura.library.cases import SearchedCase
-from pytest_dura.search.shrinking import minimise, shrink
-from pytest_dura.search.simplification import changes_of, count_parameters, simpler_values
+from pytest_dura.library import SearchedCase
+from pytest_dura.search import changes_of, count_parameters, minimise, shrink, simpler_values
 
 CASE = crossing()
 NUMBERS = st.floats(-1e6, 1e6).map(lambda one: round(one, 3)) | st.integers(-1000, 1000)

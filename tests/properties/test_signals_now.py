@@ -10,11 +10,19 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.core.state import Percept
-from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.junction import all_routes, route
-from pytest_dura.driving.sensors import Odometry, Pose, route_map
-from pytest_dura.driving.signals import PERCEPT_NAMES, percept_at, percept_signals
+from pytest_dura.core import Percept
+from pytest_dura.driving import (
+    PERCEPT_NAMES,
+    Body,
+    BodyList,
+    Odometry,
+    Pose,
+    all_routes,
+    percept_at,
+    percept_signals,
+    route,
+    route_map,
+)
 from pytest_dura.driving.traffic_rules import SAME_DIRECTION
 
 places = st.floats(-60.0, 60.0)

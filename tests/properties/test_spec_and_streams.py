@@ -20,7 +20,7 @@ from pytest_dura import (
     derive_seed,
     stream,
 )
-from pytest_dura.core.conformance import first_difference, leaves
+from pytest_dura.core import first_difference, leaves
 
 numbers = st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(2**53), 2**53)
 plain = st.recursive(

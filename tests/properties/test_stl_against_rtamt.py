@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from stl_oracle import robustness as by_the_textbook
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.evaluation import robustness
-from pytest_dura.requirements.stl.formula import Formula
+from pytest_dura.requirements import Formula, robustness
 from pytest_dura.requirements.stl.syntax import Tree, read_tree
 
 STEP = 0.1

@@ -13,17 +13,11 @@ from formulas import formulas, traces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.stl.evaluation import (
-    Ending,
-    evaluate,
-    robustness,
-    robustness_batch,
-    robustness_interval,
-)
-from pytest_dura.requirements.stl.formula import (
+from pytest_dura.requirements import (
     Boolean,
     Comparison,
     Constant,
+    Ending,
     Formula,
     Node,
     Signal,
@@ -31,10 +25,13 @@ from pytest_dura.requirements.stl.formula import (
     Temporal,
     TemporalPair,
     Window,
-    children,
+    evaluate,
     node_text,
-    walk,
+    robustness,
+    robustness_batch,
+    robustness_interval,
 )
+from pytest_dura.requirements.stl.formula import children, walk
 
 NAMES = ("a", "b")
 STEP = 0.1

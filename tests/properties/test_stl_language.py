@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from stl_oracle import robustness, satisfaction
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.formula import Formula, Signal, check_time_step, walk
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements import Formula, Signal, check_time_step, parse
+from pytest_dura.requirements.stl.formula import walk
 
 STEP = 0.1
 NAMES = ("gap", "percept.gap", "F", "s", "prev", "true")

@@ -10,10 +10,8 @@ from formulas import FINITE, formulas, traces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.stl.evaluation import robustness, robustness_batch
-from pytest_dura.requirements.stl.formula import Formula
-from pytest_dura.requirements.stl.online import OnlineFormula
+from pytest_dura.core import ConfigurationError
+from pytest_dura.requirements import Formula, OnlineFormula, robustness, robustness_batch
 
 NAMES = ("a", "b")
 STEP = 0.1

@@ -13,9 +13,8 @@ import pytest
 from hypothesis import HealthCheck, Phase, find, given, settings
 
 from pytest_dura import strategies
-from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.library.cases import SearchedCase
-from pytest_dura.library.loading import current_library
+from pytest_dura.faults import load_fault
+from pytest_dura.library import SearchedCase, current_library
 
 NAME = "intersection/congested"
 law = settings(derandomize=True, deadline=None, max_examples=40)

@@ -11,15 +11,18 @@ from hypothesis import strategies as st
 from roads import channels_of, walker
 from scipy.stats import beta
 
-from pytest_dura.core.loop_signals import account_columns, account_problem, copied_account
-from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.explanations import NAMES, SIGNALS, account_measures
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import Maneuver
-from pytest_dura.driving.sensors import EgoState
-from pytest_dura.evidence.metrics import FailureModes
-from pytest_dura.reports.tables import percent_text
+from pytest_dura.core import Percept, Tick, account_columns, account_problem, copied_account
+from pytest_dura.driving import (
+    SIGNALS,
+    BodyList,
+    EgoState,
+    HighwaySimulator,
+    Maneuver,
+    account_measures,
+)
+from pytest_dura.driving.explanations import NAMES
+from pytest_dura.evidence import FailureModes
+from pytest_dura.reports import percent_text
 
 lawful = settings(derandomize=True, deadline=None, max_examples=60)
 

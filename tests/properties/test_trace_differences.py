@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from traces import ABOUT, simple_trace, traces
 
-from pytest_dura.core.simulator import Scene, Tracks
-from pytest_dura.evidence.mcap import pack_columns, unpack_columns
-from pytest_dura.evidence.traces import first_difference
+from pytest_dura.core import Scene, Tracks
+from pytest_dura.evidence import first_difference, pack_columns, unpack_columns
 
 TRACE = simple_trace(8)
 

@@ -10,14 +10,8 @@ from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader
 from traces import same, simple_trace, traces
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.mcap import (
-    pack_columns,
-    read_trace,
-    trace_bytes,
-    unpack_columns,
-    write_trace,
-)
+from pytest_dura.core import ConfigurationError
+from pytest_dura.evidence import pack_columns, read_trace, trace_bytes, unpack_columns, write_trace
 
 FILE = trace_bytes(simple_trace())
 COLUMNS = pack_columns(simple_trace())

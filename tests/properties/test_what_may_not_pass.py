@@ -14,9 +14,8 @@ import pytest
 from scipy.stats import binom
 
 from pytest_dura import CampaignVerdict, EpisodeVerdict, Requirement
-from pytest_dura.evidence.gate import Gate
-from pytest_dura.requirements.campaign_judge import CampaignJudge, judge_campaign
-from pytest_dura.requirements.rate_tests import lower_bound, upper_bound
+from pytest_dura.evidence import Gate
+from pytest_dura.requirements import CampaignJudge, judge_campaign, lower_bound, upper_bound
 
 RUNS = 40
 LIMIT = 0.3

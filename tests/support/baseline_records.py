@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 
-from pytest_dura.evidence.gather import SCHEMA_VERSION
-from pytest_dura.requirements.campaign_judge import judge_campaign
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.evidence import SCHEMA_VERSION
+from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
 
 
 def spec(run, seed, wall=4.0, case="a/b"):

@@ -19,7 +19,7 @@ from pytest_dura import (
     Runner,
     Tick,
 )
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import load_library
 
 INJECTOR = "pytest_dura.faults.injector:CampaignInjector"
 BIAS = (

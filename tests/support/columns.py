@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura import Generator, Proposal, Simulator, Tick
-from pytest_dura.core.state import GeneratorView
+from pytest_dura.core import GeneratorView
 
 
 class Columns(Simulator):

@@ -13,11 +13,8 @@ from typing import Any
 
 from thermostat import Controller
 
-from pytest_dura.core.episode import EpisodeSpec, Termination
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.execution.cache import EpisodeCache
-from pytest_dura.execution.store import EpisodeStore
-from pytest_dura.execution.task import EpisodeTask
+from pytest_dura.core import EpisodeSpec, RoleSpec, Termination
+from pytest_dura.execution import EpisodeCache, EpisodeStore, EpisodeTask
 
 FORKS = multiprocessing.get_context("fork") if hasattr(os, "fork") else None
 

@@ -17,12 +17,17 @@ from pytest_dura import (
     RoleContext,
     RoleView,
 )
-from pytest_dura.core.state import GeneratorView, Tick
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import MAX_BRAKING, Command, Maneuver
-from pytest_dura.driving.roles.planners import RuleBased
-from pytest_dura.driving.roles.safety import SeparationMonitor
-from pytest_dura.driving.scene import InLane, Scene
+from pytest_dura.core import GeneratorView, Tick
+from pytest_dura.driving import (
+    MAX_BRAKING,
+    Command,
+    HighwaySimulator,
+    Maneuver,
+    RuleBased,
+    Scene,
+    SeparationMonitor,
+)
+from pytest_dura.driving.scene import InLane
 
 
 class BlindToPedestrians(RuleBased):

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.core.state import Lazy
-from pytest_dura.faults.catalogue import parse_fault
-from pytest_dura.faults.injector import CampaignInjector
+from pytest_dura.core import Lazy, RoleContext
+from pytest_dura.faults import CampaignInjector, parse_fault
 
 CHANNEL = "link"
 

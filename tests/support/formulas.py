@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 from hypothesis import strategies as st
 
-from pytest_dura.requirements.stl.formula import (
+from pytest_dura.requirements import (
     Arithmetic,
     Boolean,
     Comparison,
     Constant,
     Expression,
     Formula,
-    Function,
     Node,
     Not,
     Signal,
@@ -23,6 +22,7 @@ from pytest_dura.requirements.stl.formula import (
     Window,
     node_text,
 )
+from pytest_dura.requirements.stl.formula import Function
 
 # Few distinct values, so that samples often lie on the bound.
 VALUES = st.integers(-3, 3).map(float)

@@ -24,18 +24,24 @@ from hostile_records import HOSTILE
 from hypothesis import strategies as st
 from traces import simple_trace
 
-from pytest_dura.core.seeding import derive_seed
-from pytest_dura.core.simulator import Line, Scene, Tracks
-from pytest_dura.evidence.baseline import Baseline
-from pytest_dura.evidence.bundle import read_session_record
-from pytest_dura.evidence.conclude import PairedCourses, conclude_record, effectiveness
-from pytest_dura.evidence.gate import Gate
-from pytest_dura.evidence.mcap import read_trace, write_trace
-from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics
-from pytest_dura.evidence.model import SessionRecord, plain_data
-from pytest_dura.evidence.schema import record_schema
-from pytest_dura.evidence.text import name as shown
-from pytest_dura.evidence.traces import trace_path
+from pytest_dura.core import Line, Scene, Tracks, derive_seed
+from pytest_dura.evidence import (
+    Baseline,
+    CaseMetrics,
+    Gate,
+    PairedCourses,
+    PooledMetrics,
+    SessionRecord,
+    conclude_record,
+    effectiveness,
+    plain_data,
+    read_session_record,
+    read_trace,
+    record_schema,
+    trace_path,
+    write_trace,
+)
+from pytest_dura.evidence import name as shown
 from pytest_dura.provenance import digest_of
 
 PROJECT = Path(__file__).parents[1] / "plugin" / "project"

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from searches import entry
 from session_records import session_record, totals, verdict
 
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence import SessionRecord
 
 HOSTILE = (
     "\x00", "\x1b[31m", "\x7f\x9b", "\u202e", "\u2066\u200b\ufeff", "\ud800", "\udfff", "\u2028",

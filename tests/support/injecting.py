@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
-from pytest_dura.core.roles import RoleContext, SecurityAssessment
-from pytest_dura.core.state import Percept, StateManager, Tick
-from pytest_dura.faults.catalogue import parse_fault
-from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.faults.model import Fault, Kind, Moment
-from pytest_dura.faults.parts import FaultPart, Finite
+from pytest_dura.core import Percept, RoleContext, SecurityAssessment, StateManager, Tick
+from pytest_dura.faults import CampaignInjector, Fault, FaultPart, Finite, Kind, Moment, parse_fault
 
 DT = 0.1
 

@@ -8,8 +8,7 @@ import null_model
 import pytest
 import scripted_server as scripted
 
-from pytest_dura.llm.client import OpenAiClient
-from pytest_dura.llm.endpoint import Endpoint
+from pytest_dura.llm import Endpoint, OpenAiClient
 
 KEY = "sk-0123456789abcdef"
 """Of the clients that the fixture `client` makes."""

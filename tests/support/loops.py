@@ -19,7 +19,7 @@ from pytest_dura import (
     Simulator,
     Termination,
 )
-from pytest_dura.core.state import GeneratorView
+from pytest_dura.core import GeneratorView
 
 
 class Says(Generator):

@@ -8,13 +8,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from pytest_dura.core.episode import Termination
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.execution.task import run_episode
-from pytest_dura.library.cases import case_with_faults
-from pytest_dura.library.loading import load_library
-from pytest_dura.llm import session
-from pytest_dura.llm.port import Answer, Request
+from pytest_dura.core import RoleSpec, Termination
+from pytest_dura.execution import run_episode
+from pytest_dura.library import case_with_faults, load_library
+from pytest_dura.llm import Answer, Request, session
 
 PLANNER = "pytest_dura.llm.driving.planner:LlmPlanner"
 ALONE = {"samples": 1, "beside": ()}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from traces import ABOUT
 
-from pytest_dura.core.simulator import Line, Recording, Scene, Tracks
-from pytest_dura.evidence.traces import Trace
+from pytest_dura.core import Line, Recording, Scene, Tracks
+from pytest_dura.evidence import Trace
 
 TICKS = 41
 GHOST = range(10, 20)

@@ -11,14 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura import Orchestrator, RoleSpec, Termination
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.core.state import GeneratorView, Proposal
-from pytest_dura.driving.roles.planners import RuleBased
-from pytest_dura.faults.catalogue import parse_fault
-from pytest_dura.library.loading import load_library
-from pytest_dura.llm.driving.blocks import driving_prompt
-from pytest_dura.llm.driving.planner import driving_templates
-from pytest_dura.llm.prompts import Prompt
+from pytest_dura.core import GeneratorView, Proposal, RoleContext
+from pytest_dura.driving import RuleBased
+from pytest_dura.faults import parse_fault
+from pytest_dura.library import load_library
+from pytest_dura.llm import Prompt, driving_prompt, driving_templates
 from pytest_dura.runner import Runner
 
 GOLDEN = Path(__file__).parents[1] / "unit" / "llm" / "golden"

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from session_records import episode, session_record
 from traces import ABOUT, simple_trace
 
-from pytest_dura.evidence.mcap import write_trace
+from pytest_dura.evidence import write_trace
 
 VIOLATING = "a/clear+ghost#1"
 

@@ -9,14 +9,21 @@ from typing import Any
 import numpy as np
 
 from pytest_dura import Episode, EpisodeSpec, Orchestrator, Policy, Proposal, RoleSpec, Termination
-from pytest_dura.core.state import GeneratorView, Percept, RoleView, StateManager, Tick
+from pytest_dura.core import GeneratorView, Percept, RoleView, StateManager, Tick
 from pytest_dura.domains import DOMAINS
-from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.junction import route
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.sensors import EgoState, channels, route_map, signs
-from pytest_dura.faults.catalogue import parse_fault
+from pytest_dura.driving import (
+    Body,
+    BodyList,
+    Command,
+    EgoState,
+    HighwaySimulator,
+    Maneuver,
+    route,
+    route_map,
+    signs,
+)
+from pytest_dura.driving.sensors import channels
+from pytest_dura.faults import parse_fault
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 

@@ -12,15 +12,7 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.requirements.stl.formula import (
-    Boolean,
-    Formula,
-    Not,
-    Signal,
-    Window,
-    in_samples,
-    node_text,
-)
+from pytest_dura.requirements import Boolean, Formula, Not, Signal, Window, in_samples, node_text
 
 pytest.importorskip("rtamt", reason="rtamt's ANTLR 4.7 cannot be imported from Python 3.13 on")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
+from pytest_dura.evidence import MANIFEST_FILE, file_entry, files_below, manifest_text
 from pytest_dura.evidence.bundle import RESUME_FOLDER
-from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, files_below, manifest_text
 
 
 def seal(bundle):

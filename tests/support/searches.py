@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pytest_dura.campaign.falsification import (
+from pytest_dura.campaign import (
     Falsification,
     FoundCounterexample,
     ParameterChange,

@@ -7,12 +7,9 @@ from pathlib import Path
 
 from baseline_records import spec
 
-from pytest_dura.evidence.gather import SCHEMA_VERSION
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence import SCHEMA_VERSION, SessionRecord
 from pytest_dura.provenance import digest_of
-from pytest_dura.requirements.campaign_judge import judge_campaign
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
 
 SOURCES = {"m/__init__.py": "e" * 64}
 DIGEST = digest_of(SOURCES)

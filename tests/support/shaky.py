@@ -13,8 +13,8 @@ from typing import Any
 from thermostat import Thermostat
 
 from pytest_dura import EpisodeSpec, RoleSpec, Tick
-from pytest_dura.core.state import NOTHING
-from pytest_dura.execution.task import EpisodeTask
+from pytest_dura.core import NOTHING
+from pytest_dura.execution import EpisodeTask
 
 
 class ShakyRoom(Thermostat):

@@ -5,9 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pytest_dura.faults.catalogue import default_fault
-from pytest_dura.library.cases import Case, SearchedCase, expand_cases, make_searched_case
-from pytest_dura.library.scenario import Scenario, replace_value
+from pytest_dura.faults import default_fault
+from pytest_dura.library import (
+    Case,
+    Scenario,
+    SearchedCase,
+    expand_cases,
+    make_searched_case,
+    replace_value,
+)
 
 WORLD = {
     "ego": {"distance": 50.0, "speed": 8.0},

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements import Ending, Evaluation, evaluate, parse
 
 
 def judge(

@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from pytest_dura.requirements.stl.formula import (
+from pytest_dura.requirements import (
     Arithmetic,
     Boolean,
     Comparison,

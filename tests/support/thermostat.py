@@ -33,7 +33,7 @@ from pytest_dura import (
     Tick,
     stream,
 )
-from pytest_dura.core.state import NOTHING, GeneratorView, Lazy
+from pytest_dura.core import NOTHING, GeneratorView, Lazy
 
 LIMIT = 30.0
 """°C above which a room is too hot."""

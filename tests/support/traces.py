@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from pytest_dura.core.simulator import Line, Recording, Scene, Tracks
-from pytest_dura.evidence.traces import Trace
+from pytest_dura.core import Line, Recording, Scene, Tracks
+from pytest_dura.evidence import Trace
 
 TEXTS = st.text(st.characters(), max_size=8) | st.sampled_from(
     ["", "<script>alert(1)</script>", "../../x", "\ud800", "\x00\x1b[31m", "\u202e", "%s %d {0}"]

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from pytest_dura import Proposal
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.core.state import GeneratorView
-from pytest_dura.driving.roles.planners import RuleBased
+from pytest_dura.core import GeneratorView, RoleContext
+from pytest_dura.driving import RuleBased
 
 
 class Stale(RuleBased):

@@ -18,7 +18,7 @@ from pytest_dura import (
     RecoveryPlanner,
     SafetyMonitor,
 )
-from pytest_dura.faults.model import Fault
+from pytest_dura.faults import Fault
 
 
 class Stumbles(Careful):

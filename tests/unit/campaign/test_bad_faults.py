@@ -9,8 +9,7 @@ import pytest
 from rooms import Room
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_scenarios
+from pytest_dura.library import expand_cases, load_scenarios
 
 HEAD = """\
 name: intersection/some

@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError, EpisodeSpec, Orchestrator, Policy, RoleSpec, derive_seed
-from pytest_dura.core.roles import STANDARD_ROLES
+from pytest_dura.core import STANDARD_ROLES
 from pytest_dura.domains import DOMAINS, role_spec
-from pytest_dura.library.cases import Case, expand_cases
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.library import Case, Scenario, expand_cases
 
 GHOST = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 4.0}
 SPOOF = {"type": "trajectory-spoof", "id": "spoof", "activation": {"at": 1.0}}

@@ -9,9 +9,8 @@ from handmade import handmade
 
 from pytest_dura import Episode
 from pytest_dura.campaign.fault_tracing import causal_chains
-from pytest_dura.core.episode import Divergence
-from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.requirements.model import Paired, Requirement
+from pytest_dura.core import Divergence, FaultRecord
+from pytest_dura.requirements import Paired, Requirement
 
 FREE = Requirement("SAF-1", check="always (gap > 0)")
 NEAR = Requirement("SAF-2", check="always (gap > 1)")

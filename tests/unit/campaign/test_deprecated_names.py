@@ -6,7 +6,7 @@ import pytest
 from support.searches import falsification
 
 from pytest_dura import Runner
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
+from pytest_dura.requirements import EpisodeVerdict
 
 VERDICT = EpisodeVerdict(
     "R", "a#0", "C", "satisfied", 1.0, None, "", 2, 2, not_manifested=("ghost",)

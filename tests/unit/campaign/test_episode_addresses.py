@@ -10,14 +10,12 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_dura.core.episode import EpisodeSpec, Policy, Termination
-from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core import EpisodeSpec, Policy, RoleSpec, Termination
+from pytest_dura.execution import Addresses, EpisodeTask, describe_machine
 from pytest_dura.execution import address as module
-from pytest_dura.execution.address import Addresses, describe_machine
-from pytest_dura.execution.task import EpisodeTask
-from pytest_dura.library.roles import LocalRole
+from pytest_dura.library import LocalRole
 from pytest_dura.provenance import user_code
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements import Requirement
 
 FILES = {
     "planning/__init__.py": "",

@@ -10,13 +10,11 @@ from handmade import SPEC, handmade
 from thermostat import Controller
 
 from pytest_dura import RoleSpec
-from pytest_dura.core.episode import EpisodeSpec
-from pytest_dura.core.state import Event
-from pytest_dura.execution.store import EpisodeMemory, EpisodeStore, size_of
-from pytest_dura.execution.task import EpisodeTask, run_episode
-from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.episode_verdicts import JudgedEpisode
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.core import EpisodeSpec, Event
+from pytest_dura.execution import EpisodeStore, EpisodeTask, run_episode
+from pytest_dura.execution.store import EpisodeMemory, size_of
+from pytest_dura.library import load_library
+from pytest_dura.requirements import JudgedEpisode, Requirement
 from pytest_dura.runner import Runner
 
 WARM = EpisodeSpec(

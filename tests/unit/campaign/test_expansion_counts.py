@@ -7,9 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura.library import planned_faults
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import expand_cases, load_library, planned_faults
 from pytest_dura.library.planned_faults import FaultReader
 
 SCENARIO = """\

@@ -9,17 +9,21 @@ from typing import Any, Literal
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.driving.sensors import FAULT_TARGETS
-from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class, load_fault
-from pytest_dura.faults.model import Moment
-from pytest_dura.faults.types.base import NumberFault, Numeric
+from pytest_dura.driving import FAULT_TARGETS
+from pytest_dura.faults import FAULT_TYPES, Moment, NumberFault, fault_class, load_fault
+from pytest_dura.faults.types.base import Numeric
 from pytest_dura.faults.types.scalar import GainParameters
-from pytest_dura.library import fault_campaigns
-from pytest_dura.library.cases import Case, case_with_faults, expand_cases
-from pytest_dura.library.checks import scenario_problems
-from pytest_dura.library.documents import parse_yaml
-from pytest_dura.library.fault_campaigns import catalogue_for, read_campaigns
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.library import (
+    Case,
+    Scenario,
+    case_with_faults,
+    expand_cases,
+    fault_campaigns,
+    parse_yaml,
+    read_campaigns,
+    scenario_problems,
+)
+from pytest_dura.library.fault_campaigns import catalogue_for
 
 GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}
 

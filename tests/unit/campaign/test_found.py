@@ -10,10 +10,8 @@ import yaml
 from test_search_space import BIAS, WARM, case
 
 from pytest_dura import ConfigurationError, Requirement
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
-from pytest_dura.search.counterexamples import write_counterexample
-from pytest_dura.search.space import SearchSpace
+from pytest_dura.library import expand_cases, load_library
+from pytest_dura.search import SearchSpace, write_counterexample
 
 
 def made(**more: Any) -> Any:

@@ -7,13 +7,7 @@ from pathlib import Path
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.library import loading
-from pytest_dura.library.loading import (
-    builtin_paths,
-    load_library,
-    load_scenarios,
-    select_names,
-)
+from pytest_dura.library import builtin_paths, load_library, load_scenarios, loading, select_names
 
 
 def scenario(name: str, *requirements: str) -> str:

@@ -6,9 +6,8 @@ import pytest
 from thermostat import Thermostat
 
 from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT
-from pytest_dura.library.loading import load_library
-from pytest_dura.library.roles import role_of_fixture
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.library import load_library, role_of_fixture
+from pytest_dura.requirements import Requirement
 from pytest_dura.runner import Runner
 
 SCENARIO = """

@@ -10,17 +10,17 @@ import pytest
 from counted_rooms import counted_store, counted_task, simulated
 
 from pytest_dura.__main__ import main
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.execution.address import Addresses
-from pytest_dura.execution.cache import (
+from pytest_dura.core import ConfigurationError
+from pytest_dura.execution import (
     CLAIM,
     EPISODE,
-    NEW,
+    Addresses,
     EpisodeCache,
     prune,
     read_age,
     read_size,
 )
+from pytest_dura.execution.cache import NEW
 
 DAY = 86400.0
 

@@ -14,8 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura import Episode, EpisodeSpec, RoleSpec
-from pytest_dura.campaign.reduction import Reduction, reduce_faults, with_faults
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.campaign import Reduction, reduce_faults
+from pytest_dura.campaign.reduction import with_faults
+from pytest_dura.requirements import Requirement
 
 FREE = Requirement("SAF-1", check="always (gap > 0)")
 NAMES = tuple("abcdefgh")

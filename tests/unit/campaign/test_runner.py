@@ -7,9 +7,8 @@ from thermostat import Controller, Thermostat
 
 from pytest_dura import ConfigurationError, RoleSpec
 from pytest_dura.campaign.runs import RequirementViolated
-from pytest_dura.library.loading import load_library
-from pytest_dura.library.roles import LocalRole, generator_of_option, role_of_fixture
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.library import LocalRole, generator_of_option, load_library, role_of_fixture
+from pytest_dura.requirements import Requirement
 from pytest_dura.runner import Runner
 
 SCENARIO = """

@@ -8,9 +8,7 @@ from typing import NamedTuple
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.library.documents import parse_yaml
-from pytest_dura.library.loading import load_library, load_scenarios
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.library import Scenario, load_library, load_scenarios, parse_yaml
 
 HEAD = """\
 name: room/warm

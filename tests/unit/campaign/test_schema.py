@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.library.loading import builtin_paths
-from pytest_dura.library.scenario import SCHEMA_FILE, Scenario, scenario_schema, write_schema
+from pytest_dura.library import Scenario, builtin_paths
+from pytest_dura.library.scenario import SCHEMA_FILE, scenario_schema, write_schema
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pytest_dura.search.portfolio import Batch, Outcome, search
+from pytest_dura.search import Batch, Outcome, search
 
 
 class Counting:

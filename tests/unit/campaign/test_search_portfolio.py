@@ -7,17 +7,16 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pytest_dura.search.portfolio import OPENING, SHARES, Batch, Portfolio, trivial_searchers
+from pytest_dura.search import Batch, Group, Layout, Portfolio, Pulses, trivial_searchers
+from pytest_dura.search.portfolio import OPENING, SHARES
 from pytest_dura.search.searchers import (
     GENERATIONS,
     BangBang,
     CmaEs,
     CmaEsOfPulses,
     Constants,
-    Pulses,
     QuasiRandom,
 )
-from pytest_dura.search.space import Group, Layout
 
 OVER_TIME = Layout((Group("throttle", 10), Group("brake", 10), Group("speed")))
 NUMBERS = Layout((Group("speed"), Group("grip")))

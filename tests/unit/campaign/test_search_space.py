@@ -10,15 +10,12 @@ import numpy as np
 import pytest
 
 from pytest_dura import ConfigurationError, Requirement, Runner, SearchedCase, SearchedEpisode
-from pytest_dura.campaign.falsification import Limits
-from pytest_dura.library.cases import Case, case_with_faults, expand_cases
-from pytest_dura.library.loading import Library
-from pytest_dura.library.scenario import Scenario
-from pytest_dura.requirements.campaign_judge import CampaignJudge
-from pytest_dura.requirements.episode_verdicts import SearchVerdict, judge_episode, judge_searched
+from pytest_dura.campaign import Limits
+from pytest_dura.library import Case, Library, Scenario, case_with_faults, expand_cases
+from pytest_dura.requirements import CampaignJudge, SearchVerdict, judge_episode, judge_searched
+from pytest_dura.search import Group, Layout, Objective, SearchSpace, on_grid
 from pytest_dura.search.falsify import falsify
-from pytest_dura.search.space import CoverageCount, Group, Layout, SearchSpace, on_grid
-from pytest_dura.search.trials import Objective
+from pytest_dura.search.space import CoverageCount
 
 WARM = Requirement("WARM", check="always (temperature > 10)")
 

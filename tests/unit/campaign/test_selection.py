@@ -6,8 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from pytest_dura.core.errors import MAX_LISTED_NAMES, ConfigurationError
-from pytest_dura.library.cases import may_match_scenario, select_cases
+from pytest_dura.core import ConfigurationError
+from pytest_dura.core.errors import MAX_LISTED_NAMES
+from pytest_dura.library import select_cases
+from pytest_dura.library.cases import may_match_scenario
 
 
 def case(name):

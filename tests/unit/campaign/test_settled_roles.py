@@ -6,9 +6,7 @@ import pytest
 from thermostat import Controller
 
 from pytest_dura import ConfigurationError, Generator, Proposal, RoleSpec, SafetyMonitor
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
-from pytest_dura.library.roles import LocalRole, ParameterResolver
+from pytest_dura.library import LocalRole, ParameterResolver, expand_cases, load_library
 
 ASKED: list[dict] = []
 

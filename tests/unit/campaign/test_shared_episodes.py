@@ -19,14 +19,10 @@ from counted_rooms import (
     simulated,
 )
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core import ConfigurationError, RoleSpec
+from pytest_dura.execution import CLAIM, EPISODE, Addresses, EpisodeCache, EpisodeStore, pack
 from pytest_dura.execution import store as store_module
-from pytest_dura.execution.address import Addresses
-from pytest_dura.execution.cache import CLAIM, EPISODE, EpisodeCache
-from pytest_dura.execution.codec import pack
-from pytest_dura.execution.store import EpisodeStore
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import load_library
 from pytest_dura.runner import Runner
 
 needs_forks = pytest.mark.skipif(FORKS is None, reason="the system does not fork")
@@ -204,7 +200,7 @@ def test_an_earlier_session_counts_only_where_it_is_asked_for(shelved):
 
 
 def test_what_was_missing_in_an_earlier_session_is_tried_again(tmp_path):
-    from pytest_dura.execution.task import missing_episode
+    from pytest_dura.execution import missing_episode
 
     task = counted_task(tmp_path, 0)
     address = Addresses().of(task)

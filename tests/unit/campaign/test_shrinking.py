@@ -14,13 +14,8 @@ from hypothesis import strategies as st
 from shrinkable import crossing, fault, found, ids
 
 from pytest_dura import ConfigurationError, Orchestrator, RoleSpec
-from pytest_dura.search.shrinking import minimise, shrink
-from pytest_dura.search.simplification import (
-    changes_of,
-    count_parameters,
-    rounded_values,
-    simpler_values,
-)
+from pytest_dura.search import changes_of, count_parameters, minimise, shrink, simpler_values
+from pytest_dura.search.simplification import rounded_values
 
 DELAY = fault("delay", "odometry", activation__at=3.21, duration=7.31)
 BIAS = fault("bias", "odometry.speed", activation__at=1.23, parameters__offset=-3.7)

@@ -14,22 +14,29 @@ from hypothesis import Phase, find, given, settings
 from hypothesis.vendor.pretty import pretty
 
 from pytest_dura import strategies
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.faults.catalogue import FAULT_TYPES
-from pytest_dura.library.cases import Case, SearchedCase, expand_cases
-from pytest_dura.library.loading import Library, current_library, load_library, use_library
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.core import ConfigurationError
+from pytest_dura.faults import FAULT_TYPES
+from pytest_dura.library import (
+    Case,
+    Library,
+    Scenario,
+    SearchedCase,
+    current_library,
+    expand_cases,
+    load_library,
+    use_library,
+)
+from pytest_dura.search import CaseDrawing, SearchSpace, on_grid
 from pytest_dura.search.drawing import (
     OMISSION_ODDS,
     SEEDS,
-    CaseDrawing,
     ChoiceScale,
     NumberScale,
     omissions,
     scaled,
     without_omissions,
 )
-from pytest_dura.search.space import Interval, OneOf, SearchSpace, on_grid
+from pytest_dura.search.space import Interval, OneOf
 
 ROOM = f"{rooms.__name__}:Room"
 simplest = settings(database=None, derandomize=True, deadline=None, max_examples=20)

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.library.loading import load_scenarios
-from pytest_dura.library.scenario import Choice, Range, draw_value, replace_value, split_path
+from pytest_dura.library import Choice, Range, load_scenarios, replace_value, split_path
+from pytest_dura.library.scenario import draw_value
 
 ROOM = (
     "name: room\nsimulator: rooms:Room\nduration: 4.0\n"

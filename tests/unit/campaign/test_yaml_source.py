@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.library.documents import MAX_BYTES, parse_yaml, read_yaml
+from pytest_dura.library import parse_yaml, read_yaml
+from pytest_dura.library.documents import MAX_BYTES
 
 
 def refused(path: Path) -> ConfigurationError:

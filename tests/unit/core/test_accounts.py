@@ -10,8 +10,8 @@ from loops import Says, run_loop
 from thermostat import Thermostat
 
 from pytest_dura import Proposal
-from pytest_dura.core.loop_signals import DEEPEST, LONGEST, account_columns, copied_account
-from pytest_dura.core.metrics import Tally
+from pytest_dura.core import Tally, account_columns, copied_account
+from pytest_dura.core.loop_signals import DEEPEST, LONGEST
 
 
 class Told(Thermostat):

@@ -8,8 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from pytest_dura.core.anomaly_monitor import AnomalyModel, average_depth
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core import AnomalyModel, ConfigurationError, average_depth
 
 FOREST = {"sample": 4, "trees": [[[0, -1, 1, -1, -1], [1.0, 1.0, 0.5, 2.0, 3.0]], [[-1], [2.0]]]}
 SVM = {"gamma": 0.5, "weights": [0.75, 0.25], "vectors": [[0.0, 0.0], [2.0, 0.0]]}

@@ -17,7 +17,8 @@ from loops import doing, run_loop
 from thermostat import Thermostat
 
 from pytest_dura import ActionError, Assessment, Lazy, Proposal, SafetyMonitor, Simulator, sealed
-from pytest_dura.core.boundary import Boundary, ExitRefusedError, lasting_guard, let_pass
+from pytest_dura.core import Boundary, lasting_guard, let_pass
+from pytest_dura.core.boundary import ExitRefusedError
 from pytest_dura.core.component import exact_copy
 
 
@@ -262,7 +263,7 @@ def test_sealing_keeps_an_array_and_seals_it_once(shape: tuple[int, ...]) -> Non
 
 @pytest.mark.parametrize("channel", ["lidar", "radar", "camera_front"])
 def test_what_the_intersection_perceives_is_sealed(channel: str) -> None:
-    from pytest_dura.driving.highway import HighwaySimulator
+    from pytest_dura.driving import HighwaySimulator
 
     simulator = HighwaySimulator()
     tick = simulator.reset({"route": {"origin": "south", "turn": "left"}, "traffic": {}}, 3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pytest_dura import Assessed, Lazy, Percept
-from pytest_dura.core.conformance import first_difference, leaves, mutable_parts
+from pytest_dura.core import first_difference, leaves, mutable_parts
 
 
 class Point(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pytest_dura import ConfigurationError, InfrastructureError
-from pytest_dura.core.errors import ConformanceError, describe_error, shorten
+from pytest_dura.core import ConformanceError, describe_error, shorten
 
 
 def test_a_configuration_error_names_place_key_value_and_remedy() -> None:

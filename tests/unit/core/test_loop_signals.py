@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from handmade import decided, handmade
 
-from pytest_dura.core.loop_signals import LOOP_SIGNALS, loop_signals, switching
+from pytest_dura.core import LOOP_SIGNALS, switching
+from pytest_dura.core.loop_signals import loop_signals
 
 
 def found(sources: str, verdicts: str | None = None, *, dt: float = 0.5) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from pytest_dura import (
     SafetyMonitor,
     SecurityAssessor,
 )
-from pytest_dura.core.roles import SecurityAssessment
+from pytest_dura.core import SecurityAssessment
 
 
 def unsafe_at(*ticks: int) -> Any:

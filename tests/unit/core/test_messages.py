@@ -9,9 +9,7 @@ import pytest
 from loops import Says, doing, run_loop
 
 from pytest_dura import FaultInjector, Injection, Proposal, Recovery, RecoveryPlanner, SafetyMonitor
-from pytest_dura.core.errors import ComponentEnvironmentError
-from pytest_dura.core.roles import Assessed, Assessment
-from pytest_dura.core.state import NOTHING
+from pytest_dura.core import NOTHING, Assessed, Assessment, ComponentEnvironmentError
 
 LOUDER = [{"id": "louder", "target": "prompt", "activation": {"at": 0.3}}]
 

@@ -6,11 +6,7 @@ import pytest
 from loops import Says, run_loop
 
 from pytest_dura import Proposal
-from pytest_dura.core.errors import (
-    ComponentEnvironmentError,
-    environment_errors,
-    report_environment_error,
-)
+from pytest_dura.core import ComponentEnvironmentError, environment_errors, report_environment_error
 
 
 def fails(view):

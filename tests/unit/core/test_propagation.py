@@ -10,8 +10,8 @@ import pytest
 from handmade import handmade
 
 from pytest_dura import Episode
-from pytest_dura.core.episode import Divergence, Propagation
-from pytest_dura.core.metrics import FaultRecord
+from pytest_dura.core import Divergence, FaultRecord
+from pytest_dura.core.episode import Propagation
 
 
 def episode(proposals: str, failure: str | None = None) -> Episode:

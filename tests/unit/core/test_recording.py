@@ -8,7 +8,7 @@ from loops import doing, run_loop
 from thermostat import Thermostat
 
 from pytest_dura import Assessed, Assessment, Proposal, Recovery, RecoveryPlanner, SafetyMonitor
-from pytest_dura.core.simulator import Scene, Tracks
+from pytest_dura.core import Scene, Tracks
 
 
 def heats(view):

@@ -42,7 +42,7 @@ from pytest_dura import (
     check_role,
     stream,
 )
-from pytest_dura.core.errors import ConformanceError
+from pytest_dura.core import ConformanceError
 
 BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.3}, "duration": 0.5}
 CONTEXT = RoleContext(0, 0.1, {}, (BIAS,))

@@ -13,8 +13,7 @@ from thermostat import Thermostat
 
 import pytest_dura
 from pytest_dura import DuraError, Line, RoleSpec, Scene, Simulator, Tick, Tracks, check_simulator
-from pytest_dura.core.errors import ConformanceError
-from pytest_dura.core.state import Lazy
+from pytest_dura.core import ConformanceError, Lazy
 
 ACTIONS = [1.0, 0.5, 0.0, 1.0, 1.0, 0.25, 0.0, 1.0]
 SCENARIO = {"world": {"start": 18.0}}

@@ -11,7 +11,8 @@ from loops import Says, doing, run_loop
 from thermostat import HeatMonitor, Overheater, SwitchOff
 
 from pytest_dura import Assessed, Assessment, Episode, Proposal, SafetyMonitor
-from pytest_dura.core.loop_signals import Switching, switching
+from pytest_dura.core import switching
+from pytest_dura.core.loop_signals import Switching
 
 
 def episode(sources: str, verdicts: str | None = None, *, dt: float = 0.5) -> Episode:

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.core.boundary import CallNotStopped, TimeBudgetExceeded, call_within
+from pytest_dura.core import TimeBudgetExceeded, call_within
+from pytest_dura.core.boundary import CallNotStopped
 
 context: ContextVar[str] = ContextVar("context", default="none")
 

@@ -10,7 +10,7 @@ import pytest
 from thermostat import Controller
 
 from pytest_dura import ConfigurationError, EpisodeSpec, Orchestrator, RoleSpec, factory
-from pytest_dura.core.trust import Places, use_places
+from pytest_dura.core import Places, use_places
 
 
 def plain(episode: Any) -> bool:

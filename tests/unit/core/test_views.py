@@ -22,8 +22,8 @@ from pytest_dura import (
     StateManager,
     Tick,
 )
-from pytest_dura.core.roles import SecurityAssessment
-from pytest_dura.core.state import NOTHING, Alert, History, shared
+from pytest_dura.core import NOTHING, Alert, SecurityAssessment, shared
+from pytest_dura.core.state import History
 
 
 def state_with(*channels: dict[str, Any]) -> StateManager:

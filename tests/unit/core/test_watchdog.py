@@ -12,11 +12,9 @@ import pytest
 from thermostat import Controller, HeatMonitor, Thermostat
 
 from pytest_dura import Assessment, Generator, Proposal
-from pytest_dura.core.boundary import CallBlocked, CallTimer, alarms, call_within
+from pytest_dura.core import Episode, EpisodeSpec, Orchestrator, RoleSpec, Termination, call_within
+from pytest_dura.core.boundary import CallBlocked, CallTimer, alarms
 from pytest_dura.core.component import ABANDON_AFTER
-from pytest_dura.core.episode import Episode, EpisodeSpec, Termination
-from pytest_dura.core.orchestrator import Orchestrator
-from pytest_dura.core.role_spec import RoleSpec
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="there is no alarm")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura.core.files import WrittenFile, replace_file, temporary_prefix
+from pytest_dura.core import WrittenFile, replace_file, temporary_prefix
 
 
 @pytest.mark.parametrize("durable", [False, True])

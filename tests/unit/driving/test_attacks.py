@@ -10,10 +10,9 @@ import pytest
 from roads import SCENARIOS, SIX, run, spec_of_drive, truth_of
 
 from pytest_dura import Episode
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.driving.roles.planners import Aggressive
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_scenarios
+from pytest_dura.core import RoleSpec
+from pytest_dura.driving import Aggressive
+from pytest_dura.library import expand_cases, load_scenarios
 
 WORLD: dict[str, Any] = {
     "ego": {"distance": 50.0, "speed": 8.0},

@@ -8,11 +8,18 @@ import pickle
 import numpy as np
 import pytest
 
-from pytest_dura.core.conformance import first_difference, leaves, mutable_parts
-from pytest_dura.driving.bodies import NO_BODIES, Body, BodyList
-from pytest_dura.driving.junction import all_routes, route
+from pytest_dura.core import first_difference, leaves, mutable_parts
+from pytest_dura.driving import (
+    NO_BODIES,
+    Body,
+    BodyList,
+    Odometry,
+    Pose,
+    all_routes,
+    route,
+    route_map,
+)
 from pytest_dura.driving.scene import ego_of
-from pytest_dura.driving.sensors import Odometry, Pose, route_map
 
 CARS = [
     Body("A", 2.0, 30.0, 0.1, 1.0, -2.0, 5.0, 2.0),

@@ -10,11 +10,9 @@ import pytest
 from roads import begin, drive, run, spec_of_drive
 
 from pytest_dura import Generator, GeneratorView, Proposal, RoleSpec
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.driving import camera
+from pytest_dura.core import RoleContext
+from pytest_dura.driving import Pose, camera, route
 from pytest_dura.driving.camera import COLOURS, Solid, front, third_person
-from pytest_dura.driving.junction import route
-from pytest_dura.driving.sensors import Pose
 
 Picture = np.ndarray[Any, Any]
 

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from roads import always, bodies_at, drive, events_of
 
-from pytest_dura.core.state import Tick
-from pytest_dura.driving.bodies import box_gap
-from pytest_dura.driving.highway import WRECK_TIME, HighwaySimulator
-from pytest_dura.driving.maneuvers import Command, Maneuver
+from pytest_dura.core import Tick
+from pytest_dura.driving import Command, HighwaySimulator, Maneuver, box_gap
+from pytest_dura.driving.highway import WRECK_TIME
 
 
 def go_until(s: float) -> Callable[[Tick], Command]:

@@ -10,11 +10,8 @@ import pytest
 from roads import SCENARIOS, always, begin, bodies_at, drive, run
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.junction import ARM_LENGTH, route
-from pytest_dura.driving.scenario import concrete_world
-from pytest_dura.library.cases import case_with_faults
-from pytest_dura.library.loading import load_scenarios
+from pytest_dura.driving import ARM_LENGTH, HighwaySimulator, concrete_world, route
+from pytest_dura.library import case_with_faults, load_scenarios
 
 
 @pytest.mark.parametrize(

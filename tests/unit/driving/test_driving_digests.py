@@ -13,8 +13,7 @@ import pytest
 from roads import SCENARIOS, SIX, run
 
 from pytest_dura import EpisodeSpec, RoleSpec
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_scenarios
+from pytest_dura.library import expand_cases, load_scenarios
 
 GENERATORS = ("rule_based", "reactive", "random")
 

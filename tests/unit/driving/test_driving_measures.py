@@ -11,16 +11,9 @@ from handmade import handmade
 from roads import always, drive, run, spec_of_drive
 
 from pytest_dura import ConfigurationError, Episode, RoleSpec
-from pytest_dura.core.roles import Generator
-from pytest_dura.core.state import GeneratorView, Proposal
-from pytest_dura.driving.junction import route
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.measures import (
-    clearance_time,
-    minimum_gap,
-    peak_deceleration,
-    time_stopped,
-)
+from pytest_dura.core import Generator, GeneratorView, Proposal
+from pytest_dura.driving import Command, Maneuver, clearance_time, route
+from pytest_dura.driving.measures import minimum_gap, peak_deceleration, time_stopped
 
 MEASURES = (clearance_time, minimum_gap, peak_deceleration, time_stopped)
 

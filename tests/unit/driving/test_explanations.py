@@ -11,22 +11,26 @@ import pytest
 from roads import car, channels_of, run, spec_of_drive, walker
 
 from pytest_dura import Episode, RoleSpec
-from pytest_dura.core.roles import Generator
-from pytest_dura.core.state import GeneratorView, Percept, Proposal, Tick
-from pytest_dura.driving.bodies import BodyList
+from pytest_dura.core import Generator, GeneratorView, Percept, Proposal, Tick
+from pytest_dura.driving import (
+    ARM_LENGTH,
+    SIGNALS,
+    BodyList,
+    Command,
+    EgoState,
+    Maneuver,
+    acceleration_for,
+    account_measures,
+)
 from pytest_dura.driving.explanations import (
     FAILURE_CLASSES,
     KINDS,
     NAMES,
-    SIGNALS,
-    account_measures,
     ages,
     contradicts,
     threats,
 )
-from pytest_dura.driving.junction import ARM_LENGTH
-from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for, speeds_of
-from pytest_dura.driving.sensors import EgoState
+from pytest_dura.driving.maneuvers import speeds_of
 
 DT = 0.1
 AHEAD = car("V1", 2.0, 30.0, heading=-math.pi / 2)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from roads import always, car, car_on, drive, walker
 
-from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.junction import route
+from pytest_dura.driving import Body, BodyList, route
 from pytest_dura.driving.traffic_rules import (
     CUT_IN_GRACE,
     LEADER_CAP,

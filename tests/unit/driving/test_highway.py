@@ -12,14 +12,20 @@ from pydantic import ValidationError
 from roads import always, begin, bodies_at, car, drive
 
 from pytest_dura import Simulator
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core import ConfigurationError, Percept
 from pytest_dura.core.simulator_conformance import check_simulator
-from pytest_dura.core.state import Percept
-from pytest_dura.driving.bodies import GAP_CAP, TTC_CAP, BodyList
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.junction import ARM_LENGTH, ARMS, route
-from pytest_dura.driving.signals import NAMES, PERCEPT_NAMES
-from pytest_dura.driving.traffic import Ego
+from pytest_dura.driving import (
+    ARM_LENGTH,
+    ARMS,
+    GAP_CAP,
+    PERCEPT_NAMES,
+    TTC_CAP,
+    BodyList,
+    Ego,
+    HighwaySimulator,
+    route,
+)
+from pytest_dura.driving.signals import NAMES
 from pytest_dura.driving.traffic_rules import NOT_A_CAR
 
 EMPTY: dict[str, Any] = {"ego": {"distance": 50.0, "speed": 8.0}}

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pytest_dura import Orchestrator, RoleSpec
 from pytest_dura.domains import DOMAINS
 from pytest_dura.driving.signals import HINDSIGHT, NAMES
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library
+from pytest_dura.library import expand_cases, load_library
 
 
 def test_the_signals_that_later_ticks_change_are_those_that_say_so() -> None:

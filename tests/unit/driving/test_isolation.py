@@ -16,13 +16,8 @@ from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.vehicle.behavior import IDMVehicle
 from roads import always, begin, bodies_at, drive, run, spec_of_drive
 
-from pytest_dura.core.conformance import leaves
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving import camera
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.junction import route
-from pytest_dura.driving.maneuvers import Command, Maneuver
+from pytest_dura.core import ConfigurationError, Percept, Tick, leaves
+from pytest_dura.driving import Command, HighwaySimulator, Maneuver, camera, route
 
 WORLD: dict[str, Any] = {
     "ego": {"distance": 40.0, "speed": 8.0, "turn": "left"},

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from highway_env.envs.intersection_env import IntersectionEnv
 
-from pytest_dura.driving.junction import ARM_LENGTH, Route, all_routes, conflict, route
+from pytest_dura.driving import ARM_LENGTH, Route, all_routes, conflict, route
 
 ROUTES = all_routes()
 

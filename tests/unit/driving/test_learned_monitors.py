@@ -14,26 +14,26 @@ import pytest
 from roads import SCENARIOS, SIX, Views, car, channels_of, run, spec_of_drive, truth_of
 
 from pytest_dura.__main__ import main
-from pytest_dura.campaign.detector_training import Training, detector_class, train
-from pytest_dura.core.anomaly_monitor import AnomalyModel
-from pytest_dura.core.conformance import check_role
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import Assessed, RoleContext
+from pytest_dura.campaign import Training, train
+from pytest_dura.campaign.detector_training import detector_class
+from pytest_dura.core import (
+    AnomalyModel,
+    Assessed,
+    ConfigurationError,
+    RoleContext,
+    RoleSpec,
+    check_role,
+)
 from pytest_dura.domains import DOMAINS
-from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.highway import HighwaySimulator
+from pytest_dura.driving import BodyList, HighwaySimulator
 from pytest_dura.driving.roles.learned import (
     CAP,
     DrivingFeatures,
     IsolationForestMonitor,
     OneClassSvmMonitor,
 )
-from pytest_dura.execution.address import Addresses
-from pytest_dura.execution.task import EpisodeTask
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_library, load_scenarios
-from pytest_dura.library.roles import ParameterResolver
+from pytest_dura.execution import Addresses, EpisodeTask
+from pytest_dura.library import ParameterResolver, expand_cases, load_library, load_scenarios
 
 KINDS = ["isolation_forest", "one_class_svm"]
 BUSY = {
@@ -235,7 +235,7 @@ def test_scores_are_those_of_scikit_learn(kind) -> None:
     from sklearn.svm import OneClassSVM
 
     from pytest_dura.campaign.detector_training import BORDER, FITS, ROWS_PER_TREE, TREES
-    from pytest_dura.core.seeding import stream
+    from pytest_dura.core import stream
 
     rows = np.random.default_rng(3).normal(size=(600, 3))
     model = AnomalyModel(

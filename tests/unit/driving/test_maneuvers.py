@@ -10,16 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.core.errors import ActionError
-from pytest_dura.driving.maneuvers import (
-    COMFORT_BRAKING,
-    MAX_ACCELERATION,
-    MAX_BRAKING,
-    Command,
-    Maneuver,
-    acceleration_for,
-    stop_at,
-)
+from pytest_dura.core import ActionError
+from pytest_dura.driving import MAX_ACCELERATION, MAX_BRAKING, Command, Maneuver, acceleration_for
+from pytest_dura.driving.maneuvers import COMFORT_BRAKING, stop_at
 
 NAMES = ["wait", "yield", "proceed_cautiously", "proceed", "accelerate", "emergency_brake"]
 

@@ -7,11 +7,9 @@ import random
 import numpy as np
 import pytest
 
-from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.junction import SPEED_LIMIT, all_routes, route
+from pytest_dura.driving import SPEED_LIMIT, BodyList, Scene, all_routes, route
 from pytest_dura.driving.prediction import Predictor
 from pytest_dura.driving.roles.safety import nearest
-from pytest_dura.driving.scene import Scene
 
 CAP = 10.0
 

@@ -12,10 +12,9 @@ import pytest
 from roads import run, spec_of_drive, truth_of
 
 from pytest_dura import Episode, RoleSpec
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.state import Proposal
-from pytest_dura.driving.roles.planners import Aggressive
-from pytest_dura.faults.catalogue import FAULT_TYPES, default_fault, fault_class, load_fault
+from pytest_dura.core import ConfigurationError, Proposal
+from pytest_dura.driving import Aggressive
+from pytest_dura.faults import FAULT_TYPES, default_fault, fault_class, load_fault
 
 OWN = [name for name, path in FAULT_TYPES.items() if path.startswith("pytest_dura.driving")]
 WORLD: dict[str, Any] = {

@@ -11,10 +11,8 @@ from pydantic import ValidationError
 from roads import always, begin, bodies_at, drive, events_of
 
 from pytest_dura import ConfigurationError
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.junction import route
-from pytest_dura.driving.sensors import WAYPOINT_SPACING, Sign, route_map
-from pytest_dura.driving.signals import percept_at
+from pytest_dura.driving import HighwaySimulator, Sign, percept_at, route, route_map
+from pytest_dura.driving.sensors import WAYPOINT_SPACING
 
 CONES = {"id": "K1", "kind": "cones", "offset": 20.0, "beside": 2.0}
 

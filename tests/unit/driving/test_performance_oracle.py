@@ -8,22 +8,19 @@ import numpy as np
 import pytest
 from roads import Views, channels_of, run, spec_of_drive
 
-from pytest_dura.core.conformance import check_role
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import (
+from pytest_dura.core import (
     Assessed,
     Assessment,
     Generator,
     PerformanceAssessment,
+    Proposal,
     RoleContext,
+    RoleSpec,
     SafetyMonitor,
+    check_role,
 )
-from pytest_dura.core.state import Proposal
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import Command, Maneuver
+from pytest_dura.driving import Command, DrivingOracle, EmergencyBrake, HighwaySimulator, Maneuver
 from pytest_dura.driving.roles import performance
-from pytest_dura.driving.roles.performance import DrivingOracle
-from pytest_dura.driving.roles.recovery import EmergencyBrake
 
 EMPTY: dict[str, Any] = {"ego": {"distance": 40.0, "speed": 8.0}}
 

@@ -9,19 +9,25 @@ import numpy as np
 import pytest
 from roads import Views, car, car_on, channels_of, run, spec_of_drive, walker
 
-from pytest_dura.core.conformance import check_role
-from pytest_dura.core.roles import Generator, RoleContext
-from pytest_dura.core.seeding import derive_seed
-from pytest_dura.core.state import GeneratorView, Proposal
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import (
+from pytest_dura.core import (
+    Generator,
+    GeneratorView,
+    Proposal,
+    RoleContext,
+    check_role,
+    derive_seed,
+)
+from pytest_dura.driving import (
     MAX_ACCELERATION,
     MAX_BRAKING,
+    Aggressive,
     Command,
+    HighwaySimulator,
     Maneuver,
+    RuleBased,
     acceleration_for,
 )
-from pytest_dura.driving.roles.planners import Aggressive, RandomPlanner, Reactive, RuleBased
+from pytest_dura.driving.roles.planners import RandomPlanner, Reactive
 
 FOUR = [RuleBased, Reactive, Aggressive, RandomPlanner]
 WORLD: dict[str, Any] = {

@@ -11,16 +11,18 @@ import pytest
 from roads import SCENARIOS, SIX, Views, car, car_on, channels_of, run, spec_of_drive
 
 from pytest_dura import Episode
-from pytest_dura.core.conformance import check_role
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import Assessed, Generator, RoleContext, SecurityAssessment
-from pytest_dura.core.state import Proposal
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.roles.security import PlausibilityAssessor
-from pytest_dura.faults.catalogue import parse_fault
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_scenarios
+from pytest_dura.core import (
+    Assessed,
+    Generator,
+    Proposal,
+    RoleContext,
+    RoleSpec,
+    SecurityAssessment,
+    check_role,
+)
+from pytest_dura.driving import Command, HighwaySimulator, Maneuver, PlausibilityAssessor
+from pytest_dura.faults import parse_fault
+from pytest_dura.library import expand_cases, load_scenarios
 
 SEEDS = range(4)
 

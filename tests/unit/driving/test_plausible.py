@@ -10,11 +10,18 @@ import numpy as np
 import pytest
 from roads import Views, car, car_on, channels_of, run, spec_of_drive
 
-from pytest_dura.core.roles import Assessed, Assessment, RoleContext
-from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.percepts import (
+from pytest_dura.core import Assessed, Assessment, RoleContext
+from pytest_dura.driving import (
     PLACE,
+    SEPARATION_CAP,
     SIZE,
+    BodyList,
+    DrivingOracle,
+    PlausibilityAssessor,
+    SeparationMonitor,
+    percept_at,
+)
+from pytest_dura.driving.percepts import (
     all_objects,
     implausible_values,
     out_of_range,
@@ -24,10 +31,6 @@ from pytest_dura.driving.percepts import (
     plausible_objects,
     plausible_returns,
 )
-from pytest_dura.driving.roles.performance import DrivingOracle
-from pytest_dura.driving.roles.safety import SEPARATION_CAP, SeparationMonitor
-from pytest_dura.driving.roles.security import PlausibilityAssessor
-from pytest_dura.driving.signals import percept_at
 
 AHEAD = car_on(0, "straight", 90.0, 5.0, "AHEAD")
 OWN = [

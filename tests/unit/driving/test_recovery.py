@@ -20,8 +20,8 @@ from roads import (
 )
 
 from pytest_dura import Episode, RoleSpec
-from pytest_dura.core.conformance import check_role
-from pytest_dura.core.roles import (
+from pytest_dura.core import (
+    Alert,
     Assessed,
     Assessment,
     Recovery,
@@ -29,22 +29,26 @@ from pytest_dura.core.roles import (
     RoleContext,
     SafetyMonitor,
     SecurityAssessment,
+    check_role,
 )
-from pytest_dura.core.state import Alert
 from pytest_dura.domains import DOMAINS
-from pytest_dura.driving.bodies import Body
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.junction import SPEED_LIMIT
-from pytest_dura.driving.maneuvers import MAX_BRAKING, Command, Maneuver
+from pytest_dura.driving import (
+    MAX_BRAKING,
+    SPEED_LIMIT,
+    Body,
+    Command,
+    EmergencyBrake,
+    HighwaySimulator,
+    Maneuver,
+    SeparationMonitor,
+)
 from pytest_dura.driving.roles.recovery import (
     AlertOnly,
-    EmergencyBrake,
     IgnoreUntrusted,
     Replan,
     SafeStop,
     SecondOpinion,
 )
-from pytest_dura.driving.roles.safety import SeparationMonitor
 
 PLANNERS = DOMAINS["driving"].short_names["recovery_planner"]
 NORTH = -math.pi / 2

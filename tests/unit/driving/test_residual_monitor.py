@@ -11,23 +11,26 @@ import numpy as np
 import pytest
 from roads import SCENARIOS, SIX, Views, car, channels_of, drive, run, spec_of_drive, truth_of
 
-from pytest_dura.core.conformance import check_role
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment
+from pytest_dura.core import (
+    Assessed,
+    ConfigurationError,
+    RoleContext,
+    RoleSpec,
+    SecurityAssessment,
+    check_role,
+)
 from pytest_dura.domains import DOMAINS
-from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.roles.residuals import (
-    ACTUATOR_SLEW,
+from pytest_dura.driving import (
     LIMITS,
-    ResidualMonitor,
+    BodyList,
+    Command,
+    HighwaySimulator,
+    Maneuver,
     Snapshot,
     residuals,
 )
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.loading import load_scenarios
+from pytest_dura.driving.roles.residuals import ACTUATOR_SLEW, ResidualMonitor
+from pytest_dura.library import expand_cases, load_scenarios
 
 MONITOR = RoleSpec(DOMAINS["driving"].short_names["residual_monitor"]["cusum"])
 TURNS = {"left": 1.0, "straight": 0.01, "right": 1.0}
@@ -73,7 +76,7 @@ def test_it_keeps_the_contract_of_a_role() -> None:
 
 
 def test_the_model_knows_the_actuator() -> None:
-    from pytest_dura.driving.traffic import Ego
+    from pytest_dura.driving import Ego
 
     assert ACTUATOR_SLEW == Ego.SLEW
 

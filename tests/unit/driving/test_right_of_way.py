@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from roads import always, car_on, drive
 
-from pytest_dura.core.state import Tick
-from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.junction import ARM_LENGTH, conflict, route
-from pytest_dura.driving.maneuvers import Command, Maneuver
+from pytest_dura.core import Tick
+from pytest_dura.driving import ARM_LENGTH, BodyList, Command, Maneuver, conflict, route
 from pytest_dura.driving.traffic_rules import BRAKING_CAP, CAP, demanded_braking, right_of_way
 
 

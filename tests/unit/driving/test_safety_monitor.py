@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from roads import Views, car, car_on, channels_of, run, spec_of_drive, walker
 
-from pytest_dura.core.conformance import check_role
-from pytest_dura.core.roles import Assessed, Assessment, RoleContext
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.roles.safety import SEPARATION_CAP, SeparationMonitor
+from pytest_dura.core import Assessed, Assessment, RoleContext, check_role
+from pytest_dura.driving import (
+    SEPARATION_CAP,
+    Command,
+    HighwaySimulator,
+    Maneuver,
+    SeparationMonitor,
+)
 
 
 def judge(percept: Any, action: Any, before: Any = None) -> Assessment:

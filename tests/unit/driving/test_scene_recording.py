@@ -7,13 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from pytest_dura.core.simulator import POSE
-from pytest_dura.core.state import Percept
-from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.percepts import PLACE
-from pytest_dura.driving.sensors import Pose
+from pytest_dura.core import POSE, Percept
+from pytest_dura.driving import PLACE, Body, BodyList, Command, HighwaySimulator, Maneuver, Pose
 
 WORLD = {
     "ego": {"distance": 40.0, "speed": 8.0, "turn": "straight"},

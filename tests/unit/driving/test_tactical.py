@@ -8,11 +8,8 @@ from typing import Any
 import pytest
 from roads import Views, car, car_on, channels_of, run, spec_of_drive, walker
 
-from pytest_dura.core.conformance import check_role
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.core.state import Proposal
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.maneuvers import Maneuver
+from pytest_dura.core import Proposal, RoleContext, check_role
+from pytest_dura.driving import HighwaySimulator, Maneuver
 from pytest_dura.driving.roles.tactical import Tactical
 
 WORLD: dict[str, Any] = {"ego": {"distance": 45.0, "speed": 8.0}, "traffic": {"headway": 8.0}}

@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from roads import car, car_on, channels_of, walker
 
-from pytest_dura.driving import prediction
-from pytest_dura.driving.bodies import NO_BODIES, Body, BodyList, box_gap
-from pytest_dura.driving.junction import route
+from pytest_dura.driving import NO_BODIES, Body, BodyList, Scene, box_gap, prediction, route
 from pytest_dura.driving.percepts import CrossCheck, compare_sensors, with_unexplained_returns
 from pytest_dura.driving.roles.security import Tracker
-from pytest_dura.driving.scene import Scene, crossing, time_to_cover
+from pytest_dura.driving.scene import crossing, time_to_cover
 
 A, B, P = car("A", 1.0, 2.0, 0.5, 3.0), car("B", 4.0, 5.0), walker("P1", 0.0, 0.0, 1.0)
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from baseline_records import record, spec, verdict
 
-from pytest_dura.evidence.baseline import claims_of, compare_claims
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence import SessionRecord, claims_of, compare_claims
 
 
 def compared(new, old):

@@ -12,8 +12,7 @@ import pytest
 from baseline_records import record, verdict
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence.baseline import Baseline
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence import Baseline, SessionRecord
 
 
 def written(folder, told):

@@ -8,11 +8,14 @@ import pytest
 
 from pytest_dura import ConfigurationError
 from pytest_dura.core import files
-from pytest_dura.evidence import bundle
-from pytest_dura.evidence.bundle import all_formats
-from pytest_dura.evidence.files import MANIFEST_FILE
-from pytest_dura.evidence.gather import SCHEMA_VERSION
-from pytest_dura.evidence.model import SessionRecord, plain_data
+from pytest_dura.evidence import (
+    MANIFEST_FILE,
+    SCHEMA_VERSION,
+    SessionRecord,
+    all_formats,
+    bundle,
+    plain_data,
+)
 
 
 def test_plain_data_holds_builtins_only():

@@ -4,7 +4,7 @@ import pytest
 from session_records import episode, session_record
 
 from pytest_dura.evidence import conclude as module
-from pytest_dura.evidence.conclude import coverage
+from pytest_dura.evidence import coverage
 
 
 def case(name, *faults, component="C", requirements=("R",), variation=None, without=()):

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.evidence.conclude import PairedCourses, effectiveness
+from pytest_dura.evidence import PairedCourses, effectiveness
 
 OWN, TWIN = "a/b", "a/b~recovery_planner"
 

@@ -14,14 +14,12 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from session_records import session_record
 
-from pytest_dura.evidence.baseline import Baseline
+from pytest_dura.evidence import Baseline, check_record, record_schema
 from pytest_dura.evidence.schema import (
     MAX_PROBLEMS,
     PAGE,
     TABLES_BEGIN,
     TABLES_END,
-    check_record,
-    record_schema,
     record_vocabulary,
     schema_tables,
     schema_text,

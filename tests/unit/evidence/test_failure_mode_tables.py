@@ -5,19 +5,18 @@ from __future__ import annotations
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.metrics import FailureModes
-from pytest_dura.evidence.schema import check_record
+from pytest_dura.evidence import FailureModes, check_record
 from pytest_dura.plugin.terminal_tables import failure_mode_table
-from pytest_dura.reports import summary
-from pytest_dura.reports.html import episode_sections as part
-from pytest_dura.reports.html.page import render
-from pytest_dura.reports.tables import (
+from pytest_dura.reports import (
     decision_age_lines,
     decision_time_lines,
     failure_modes_by_component,
     measured_failure_modes,
     percent_text,
+    summary,
 )
+from pytest_dura.reports.html import episode_sections as part
+from pytest_dura.reports.html.page import render
 
 NASTY = "<script>x</script>\x1b[2J|`@team\n# Gate passed"
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.evidence.metrics import UNTRACED_FAULT, FaultMetrics, with_chains
+from pytest_dura.core import FaultRecord
+from pytest_dura.evidence import UNTRACED_FAULT
+from pytest_dura.evidence.metrics import FaultMetrics, with_chains
 from pytest_dura.plugin.terminal_tables import chain_line, fault_table
 
 

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence import SessionRecord
+from pytest_dura.reports import case_anchor, verdict_anchor
 from pytest_dura.reports.gsn import yaml_file
 from pytest_dura.reports.html import contents
-from pytest_dura.reports.html.contents import case_anchor, verdict_anchor
 from pytest_dura.reports.html.page import read_counts, render
 
 MOST = 3

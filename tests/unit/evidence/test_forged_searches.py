@@ -8,8 +8,8 @@ import pytest
 from searches import entry
 from session_records import CASES, session_record
 
-from pytest_dura.evidence.model import Counts
-from pytest_dura.evidence.verify_record import record_problems, search_problems
+from pytest_dura.evidence import Counts, record_problems
+from pytest_dura.evidence.verify_record import search_problems
 
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
 WAIVER = {"kind": "xfail", "reason": "known"}

@@ -7,10 +7,9 @@ import pytest
 import yaml
 from session_records import REQUIREMENTS, episode, session_record, verdict
 
-from pytest_dura.evidence.model import Counts
+from pytest_dura.evidence import Counts
+from pytest_dura.reports import generated_argument, root_ids, rule_problems
 from pytest_dura.reports.gsn import svg_file, yaml_file
-from pytest_dura.reports.gsn.argument import generated_argument
-from pytest_dura.reports.gsn.element import root_ids, rule_problems
 
 WAIVER = {"kind": "xfail", "reason": "known"}
 

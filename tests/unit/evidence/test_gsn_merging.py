@@ -5,11 +5,10 @@ import json
 import pytest
 from session_records import session_record
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.model import Counts
+from pytest_dura.core import ConfigurationError
+from pytest_dura.evidence import Counts
+from pytest_dura.reports import check_requirements, read_user_argument, root_ids, rule_problems
 from pytest_dura.reports.gsn import svg_file, yaml_file
-from pytest_dura.reports.gsn.element import root_ids, rule_problems
-from pytest_dura.reports.gsn.user_argument import check_requirements, read_user_argument
 
 GOOD = """\
 module:

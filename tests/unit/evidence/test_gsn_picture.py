@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from session_records import REQUIREMENTS, session_record, verdict
 
-from pytest_dura.evidence.model import Counts
+from pytest_dura.evidence import Counts
 from pytest_dura.reports.gsn import svg_file
 from pytest_dura.reports.gsn.drawing import text_width, wrap_text
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from pytest_dura.reports.gsn.element import derived_id, kind_of, rule_problems
+from pytest_dura.reports import rule_problems
+from pytest_dura.reports.gsn.element import derived_id, kind_of
 
 GOOD = {
     "G1": {"text": "top", "supportedBy": ["S1"], "inContextOf": ["C1", "A1", "J1"]},

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from pytest_dura.evidence.files import InputFiles
+from pytest_dura.evidence import InputFiles
 from pytest_dura.provenance import (
     describe_component,
     describe_environment,
@@ -122,7 +122,7 @@ def test_an_installed_component_tells_its_distribution():
 
 
 def test_the_digest_of_our_own_planners_is_quick():
-    from pytest_dura.driving.roles.planners import RuleBased
+    from pytest_dura.driving import RuleBased
 
     path = "pytest_dura.driving.roles.planners:RuleBased"
     described = describe_component(path, RuleBased, {})

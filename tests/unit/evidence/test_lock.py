@@ -9,7 +9,8 @@ import sys
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock
+from pytest_dura.evidence import DirectoryLock
+from pytest_dura.evidence.files import LOCK_FILE
 
 HOLD = """
 import sys

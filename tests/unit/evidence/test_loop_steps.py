@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_dura.core.simulator import Recording
-from pytest_dura.evidence.traces import Trace
-from pytest_dura.reports.episode_view import decision_at, loop_steps, signals_csv
+from pytest_dura.core import Recording
+from pytest_dura.evidence import Trace
+from pytest_dura.reports import decision_at, loop_steps, signals_csv
 
 
 def event(tick, kind, subject, detail=""):

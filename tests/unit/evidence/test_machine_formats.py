@@ -6,8 +6,7 @@ import re
 import pytest
 from session_records import session_record, verdict
 
-from pytest_dura.evidence.bundle import write_record
-from pytest_dura.evidence.model import Counts
+from pytest_dura.evidence import Counts, write_record
 from pytest_dura.reports import cyclonedx, intoto, summary
 
 PASSED = {"result": "passed", "exit_code": 0, "reasons": []}

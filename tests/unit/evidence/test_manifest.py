@@ -4,7 +4,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_problems, manifest_text
+from pytest_dura.evidence import MANIFEST_FILE, file_entry, manifest_problems, manifest_text
 
 FILES = {
     "evidence.json": b'{"status": "complete"}\n',

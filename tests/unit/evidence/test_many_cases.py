@@ -13,9 +13,14 @@ from typing import Any
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.bundle import RECORD_FILE, all_formats
-from pytest_dura.evidence.conclude import coverage, missing_runs, verdicts_on_cases
-from pytest_dura.evidence.gather import UNKNOWN_COMPONENT, RecordBuilder
+from pytest_dura.evidence import (
+    RECORD_FILE,
+    UNKNOWN_COMPONENT,
+    RecordBuilder,
+    all_formats,
+    coverage,
+)
+from pytest_dura.evidence.conclude import missing_runs, verdicts_on_cases
 from pytest_dura.plugin.xdist import MOST, shares
 
 SIZES = (20, 40, 80)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from handmade import decided, handmade
 
-from pytest_dura.evidence.traces import Trace
-from pytest_dura.reports.episode_view import formula_of, margin_over_time
+from pytest_dura.evidence import Trace
+from pytest_dura.reports import formula_of, margin_over_time
 
 GAP = [4.0, 2.0, -1.0, 3.0]
 

@@ -13,16 +13,10 @@ from hypothesis import given, settings
 from player_traces import ASTRAY, GHOST, TICKS, UNSEEN, VERDICTS, crossing
 from traces import traces
 
-from pytest_dura.core.simulator import Recording, Scene, Tracks
+from pytest_dura.core import Recording, Scene, Tracks
 from pytest_dura.evidence.text import LIMIT
-from pytest_dura.reports.html.player import (
-    MAX_MARGINS,
-    content_hash,
-    pack_data,
-    player_assets,
-    player_data,
-    player_page,
-)
+from pytest_dura.reports import pack_data, player_assets, player_data, player_page
+from pytest_dura.reports.html.player import MAX_MARGINS, content_hash
 
 
 def unpacked(text):

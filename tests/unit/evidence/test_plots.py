@@ -6,7 +6,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from pytest_dura.reports.episode_view import POINTS, Panel, signal_plot
+from pytest_dura.reports import Panel, signal_plot
+from pytest_dura.reports.episode_view import POINTS
 
 SVG = "{http://www.w3.org/2000/svg}"
 

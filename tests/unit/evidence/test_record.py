@@ -2,11 +2,8 @@ from __future__ import annotations
 
 import copy
 
-from pytest_dura.evidence.gather import UNKNOWN_COMPONENT, RecordBuilder
-from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics
-from pytest_dura.requirements.campaign_judge import judge_campaign
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.evidence import UNKNOWN_COMPONENT, CaseMetrics, PooledMetrics, RecordBuilder
+from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
 
 REQUIREMENT = {"id": "R", "text": "t", "kind": "safety", "source": "", "check": "", "reason": ""}
 

@@ -5,7 +5,7 @@ import time
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.redaction import Redactor, count_redactions, holds_redaction
+from pytest_dura.evidence import Redactor, count_redactions, holds_redaction
 
 SECRET = "tok-AbCdEf0123456789"
 

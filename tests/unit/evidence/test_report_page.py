@@ -12,14 +12,10 @@ import pytest
 from report_pages import VIOLATING, Page, record_with_trace
 from session_records import episode, session_record, verdict
 
-from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence import Counts, SessionRecord
+from pytest_dura.reports import anchor, case_anchor, verdict_anchor
 from pytest_dura.reports.html import contents, episode_sections, page
-from pytest_dura.reports.html.contents import (
-    anchor,
-    case_anchor,
-    requirement_anchor,
-    verdict_anchor,
-)
+from pytest_dura.reports.html.contents import requirement_anchor
 from pytest_dura.reports.html.episode_sections import heading, matrix
 from pytest_dura.reports.html.page import read_counts, render
 from pytest_dura.reports.summary import render as summarised

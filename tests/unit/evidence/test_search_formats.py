@@ -11,15 +11,11 @@ from report_pages import Page
 from searches import entry
 from session_records import session_record, verdict
 
-from pytest_dura.evidence.bundle import all_formats, write_record
-from pytest_dura.evidence.model import Counts
-from pytest_dura.reports import intoto, summary
+from pytest_dura.evidence import Counts, all_formats, write_record
+from pytest_dura.reports import generated_argument, intoto, outcome_headline, rule_problems, summary
 from pytest_dura.reports.gsn import yaml_file
-from pytest_dura.reports.gsn.argument import generated_argument
-from pytest_dura.reports.gsn.element import rule_problems
 from pytest_dura.reports.gsn.user_argument import merge_user_argument
 from pytest_dura.reports.html.page import render
-from pytest_dura.reports.tables import outcome_headline
 
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
 SUPPORTED = [verdict("SAF-1", "a/clear", ("satisfied",) * 4)]

@@ -10,7 +10,7 @@ from searches import ITEM, entry, falsification, told
 from session_records import session_record, verdict
 from test_record import case, report
 
-from pytest_dura.campaign.falsification import (
+from pytest_dura.campaign import (
     Falsification,
     FoundCounterexample,
     ParameterChange,
@@ -20,11 +20,14 @@ from pytest_dura.campaign.falsification import (
     Shrinking,
     SpaceCoverage,
 )
-from pytest_dura.evidence.gate import Gate
-from pytest_dura.evidence.gather import RecordBuilder
-from pytest_dura.evidence.model import plain_data
-from pytest_dura.evidence.redaction import Redactor
-from pytest_dura.evidence.schema import check_record, record_schema
+from pytest_dura.evidence import (
+    Gate,
+    RecordBuilder,
+    Redactor,
+    check_record,
+    plain_data,
+    record_schema,
+)
 
 WAIVER = {"kind": "xfail", "reason": "ticket 7"}
 

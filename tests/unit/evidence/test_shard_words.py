@@ -7,12 +7,18 @@ import copy
 import pytest
 from session_records import session_record
 
-from pytest_dura.evidence.bundle import all_formats, write_record
+from pytest_dura.evidence import (
+    Counts,
+    ShardUnit,
+    all_formats,
+    check_record,
+    plan_digest,
+    write_record,
+)
 from pytest_dura.evidence.merge import merged_command
-from pytest_dura.evidence.model import Counts
-from pytest_dura.evidence.schema import check_record
-from pytest_dura.evidence.sessions import ShardUnit, plan_digest, shard_problems
-from pytest_dura.reports.wording import merge_text, shard_text
+from pytest_dura.evidence.sessions import shard_problems
+from pytest_dura.reports import shard_text
+from pytest_dura.reports.wording import merge_text
 
 HOSTILE = "<script>alert(1)</script>\n\n# Gate passed\n|x|"
 HELD = [

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pytest_dura import ConfigurationError
+from pytest_dura.evidence import UNTRACED_FAULT
 from pytest_dura.evidence.episodes import EpisodeSpool
-from pytest_dura.evidence.metrics import UNTRACED_FAULT
 
 
 def episode(run=0, case="a/b", component="C", seed=None, faults=(), **changes):

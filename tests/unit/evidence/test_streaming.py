@@ -7,9 +7,8 @@ import json
 import pytest
 from session_records import episode, session_record
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence import bundle
-from pytest_dura.evidence.bundle import read_session_record, write_record
+from pytest_dura.core import ConfigurationError
+from pytest_dura.evidence import bundle, read_session_record, write_record
 from pytest_dura.evidence.files import stream_record
 
 HOSTILE = '}\n ],\n "episodes": [\n  {\n'

@@ -11,7 +11,7 @@ import pytest
 
 import pytest_dura
 from pytest_dura import provenance
-from pytest_dura.execution.address import describe_machine
+from pytest_dura.execution import describe_machine
 
 TOLD = "from pytest_dura.provenance import describe_tool; print(describe_tool()['code'])"
 

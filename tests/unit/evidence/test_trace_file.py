@@ -15,9 +15,16 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from traces import same, simple_trace
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.simulator import Recording
-from pytest_dura.evidence import mcap
+from pytest_dura.core import ConfigurationError, Recording
+from pytest_dura.evidence import (
+    Trace,
+    mcap,
+    pack_columns,
+    read_trace,
+    trace_bytes,
+    unpack_columns,
+    write_trace,
+)
 from pytest_dura.evidence.foxglove import (
     CHANNELS,
     EGO_COLOR,
@@ -25,15 +32,7 @@ from pytest_dura.evidence.foxglove import (
     PERCEIVED_COLOR,
     schema_of,
 )
-from pytest_dura.evidence.mcap import (
-    COLUMNS_ATTACHMENT,
-    pack_columns,
-    read_trace,
-    trace_bytes,
-    unpack_columns,
-    write_trace,
-)
-from pytest_dura.evidence.traces import Trace
+from pytest_dura.evidence.mcap import COLUMNS_ATTACHMENT
 
 # As published: https://github.com/foxglove/foxglove-sdk, schemas/jsonschema.
 PUBLISHED = {

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given, settings
 from traces import TEXTS
 
-from pytest_dura.evidence.traces import episode_name, is_trace_name, is_trace_path, slug, trace_path
+from pytest_dura.evidence import episode_name, is_trace_path, trace_path
+from pytest_dura.evidence.traces import is_trace_name, slug
 
 ABOUT = {"id": "a/clear+ghost#3", "component": "C", "seed": 1, "digest": "d" * 64}
 

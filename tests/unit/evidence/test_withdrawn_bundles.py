@@ -8,8 +8,7 @@ import pytest
 from session_records import session_record
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence import bundle, files
-from pytest_dura.evidence.bundle import RENDERED_FILES, read_session_record, write_record
+from pytest_dura.evidence import RENDERED_FILES, bundle, files, read_session_record, write_record
 
 
 def passing(folder, **changes):

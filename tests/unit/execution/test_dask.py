@@ -14,13 +14,17 @@ from distributed.scheduler import KilledWorker
 from shaky import begun, shaky
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.execution import dask
+from pytest_dura.execution import (
+    IN_FLIGHT,
+    CallFailedError,
+    EpisodeStore,
+    Execution,
+    ProcessLostError,
+    dask,
+)
 from pytest_dura.execution.dask import DaskExecutor
-from pytest_dura.execution.executors import Execution
-from pytest_dura.execution.store import IN_FLIGHT, EpisodeStore
-from pytest_dura.execution.worker import CallFailedError, ProcessLostError
-from pytest_dura.library.loading import load_library
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.library import load_library
+from pytest_dura.requirements import Requirement
 from pytest_dura.runner import Runner
 
 SCENARIO = """

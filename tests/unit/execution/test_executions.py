@@ -15,15 +15,22 @@ from shaky import begun, shaky
 from thermostat import Controller
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.core.episode import Policy, Termination
-from pytest_dura.execution.address import Addresses, machine_json, simulate
-from pytest_dura.execution.executors import Execution, ExecutorChoice, time_limit_of
-from pytest_dura.execution.processes import ProcessPool, usable_cores
-from pytest_dura.execution.store import IN_FLIGHT, EpisodeStore
-from pytest_dura.execution.task import EpisodeTask, reason_not_portable
-from pytest_dura.library.loading import load_library
-from pytest_dura.library.roles import LocalRole
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.core import Policy, Termination
+from pytest_dura.execution import (
+    IN_FLIGHT,
+    Addresses,
+    EpisodeStore,
+    EpisodeTask,
+    Execution,
+    ExecutorChoice,
+    ProcessPool,
+)
+from pytest_dura.execution.address import machine_json, simulate
+from pytest_dura.execution.executors import time_limit_of
+from pytest_dura.execution.processes import usable_cores
+from pytest_dura.execution.task import reason_not_portable
+from pytest_dura.library import LocalRole, load_library
+from pytest_dura.requirements import Requirement
 from pytest_dura.runner import Runner
 
 SCENARIO = """

@@ -16,9 +16,14 @@ import psutil
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.execution import processes
-from pytest_dura.execution.processes import MAX_STARTS, ProcessEnvironment, ProcessPool
-from pytest_dura.execution.worker import CallFailedError, ProcessLostError
+from pytest_dura.execution import (
+    MAX_STARTS,
+    CallFailedError,
+    ProcessLostError,
+    ProcessPool,
+    processes,
+)
+from pytest_dura.execution.processes import ProcessEnvironment
 
 SUPPORT = str(Path(pool_calls.__file__).parent)
 

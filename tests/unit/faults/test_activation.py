@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from injecting import Bench, fault
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.seeding import stream
-from pytest_dura.faults.activation import Activation
+from pytest_dura.core import ConfigurationError, stream
+from pytest_dura.faults import Activation
 from pytest_dura.faults.injector import BLOCK, Chance
 
 

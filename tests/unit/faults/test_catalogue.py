@@ -6,17 +6,18 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.driving.sensors import CHANNELS, FAULT_TARGETS
-from pytest_dura.faults.activation import Activation
-from pytest_dura.faults.catalogue import (
+from pytest_dura.core import ConfigurationError
+from pytest_dura.driving import CHANNELS, FAULT_TARGETS
+from pytest_dura.faults import (
     FAULT_TYPES,
+    Activation,
+    Fault,
+    check_target,
     default_fault,
     fault_class,
     load_fault,
     parse_fault,
 )
-from pytest_dura.faults.model import Fault, check_target
 
 GHOST: dict[str, Any] = {"type": "ghost-obstacle", "activation": {"at": 2.0}, "duration": 4.0}
 

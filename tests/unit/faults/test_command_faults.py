@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from fault_runs import CHANNEL, commanded, fault
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.faults.catalogue import load_fault
+from pytest_dura.core import ConfigurationError
+from pytest_dura.driving import Command, Maneuver
+from pytest_dura.faults import load_fault
 
 BRAKE, GO = Command(Maneuver.EMERGENCY_BRAKE, -8.0), Command(Maneuver.PROCEED, 2.0)
 

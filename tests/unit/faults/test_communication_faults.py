@@ -11,13 +11,9 @@ import numpy as np
 import pytest
 from fault_runs import CHANNEL, commanded, fault, through
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.core.state import Lazy
-from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.injector import CampaignInjector
+from pytest_dura.core import ConfigurationError, Lazy, RoleContext
+from pytest_dura.driving import Body, BodyList, Command, Maneuver
+from pytest_dura.faults import CampaignInjector, load_fault
 from pytest_dura.faults.types.base import count_numbers, flip_bits, with_changed_number
 
 

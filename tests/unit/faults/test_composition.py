@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from injecting import Bench, Drawing, fault
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.state import Lazy
+from pytest_dura.core import ConfigurationError, Lazy
 
 
 def add(name: str, amount: float = 0.0, factor: float = 1.0, **fields: Any) -> dict[str, Any]:

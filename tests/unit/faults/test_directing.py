@@ -7,10 +7,8 @@ from typing import Any
 import pytest
 from injecting import fault
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import Injection
-from pytest_dura.core.state import Percept, StateManager, Tick
-from pytest_dura.faults.activation import AttackPlan
+from pytest_dura.core import ConfigurationError, Injection, Percept, StateManager, Tick
+from pytest_dura.faults import AttackPlan
 
 
 class Ticks:

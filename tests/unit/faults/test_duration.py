@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from injecting import Bench, fault
 
-from pytest_dura.core.seeding import stream
+from pytest_dura.core import stream
 
 
 def runs(ticks: Sequence[int]) -> list[int]:

@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.driving.sensors import CHANNELS
-from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.model import Channel, check_target
+from pytest_dura.driving import CHANNELS
+from pytest_dura.faults import Channel, check_target, load_fault
 
 
 def forger(target: str, **parameters: Any) -> Any:

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 from fault_runs import CHANNEL, fault, through
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.core.state import Lazy
-from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.injector import CampaignInjector
+from pytest_dura.core import ConfigurationError, Lazy, RoleContext
+from pytest_dura.faults import CampaignInjector, load_fault
 
 DRAWN = ["brightness", "salt-and-pepper", "patch"]
 ANY = {"perturbation": {"function": "perturbations:random_bits"}}

@@ -11,7 +11,7 @@ from loops import doing, run_loop
 from thermostat import Controller, HeatMonitor, SwitchOff, Thermostat
 
 from pytest_dura import ConfigurationError, Episode, Proposal, SecurityAssessment, SecurityAssessor
-from pytest_dura.faults.injector import CampaignInjector
+from pytest_dura.faults import CampaignInjector
 
 
 class Room(Thermostat):

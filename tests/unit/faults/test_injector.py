@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 from roads import car, channels_of
 
-from pytest_dura.core.roles import RoleContext, SecurityAssessment
-from pytest_dura.core.seeding import stream
-from pytest_dura.core.state import Percept, StateManager, Tick
-from pytest_dura.driving.bodies import BodyList
-from pytest_dura.faults.catalogue import parse_fault
-from pytest_dura.faults.injector import CampaignInjector
+from pytest_dura.core import Percept, RoleContext, SecurityAssessment, StateManager, Tick, stream
+from pytest_dura.driving import BodyList
+from pytest_dura.faults import CampaignInjector, parse_fault
 
 DT = 0.1
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura.driving.sensors import FAULT_TARGETS
-from pytest_dura.faults.activation import Activation
-from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+from pytest_dura.driving import FAULT_TARGETS
+from pytest_dura.faults import FAULT_TYPES, Activation, fault_class
 from pytest_dura.faults.reference import PAGE, domain_targets, reference_page, write_page
 
 DOCS = Path(__file__).parents[3] / "docs"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from fault_runs import CHANNEL, fault, through
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.faults.catalogue import load_fault
+from pytest_dura.core import ConfigurationError
+from pytest_dura.faults import load_fault
 
 NUMBERS = ["bias", "drift", "noise", "gain", "stuck-at", "bit-flip", "out-of-range"]
 RANGE = {"low": 0.0, "high": 50.0}

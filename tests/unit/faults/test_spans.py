@@ -11,21 +11,24 @@ from fault_runs import CHANNEL, commanded, through
 from pydantic import create_model
 from roads import channels_of
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.seeding import stream
-from pytest_dura.driving.bodies import Body
-from pytest_dura.faults.catalogue import FAULT_TYPES, default_fault, fault_class, load_fault
-from pytest_dura.faults.model import Fault, Moment
-from pytest_dura.faults.parts import (
+from pytest_dura.core import ConfigurationError, stream
+from pytest_dura.driving import Body
+from pytest_dura.faults import (
+    FAULT_TYPES,
     Choices,
+    Fault,
     FaultPart,
+    Moment,
+    NumberFault,
     Span,
-    declared_span,
-    parameters_of,
+    default_fault,
+    fault_class,
+    load_fault,
     spans_of,
 )
-from pytest_dura.faults.types.base import NoParameters, NumberFault
-from pytest_dura.llm.port import Delivery
+from pytest_dura.faults.parts import declared_span, parameters_of
+from pytest_dura.faults.types.base import NoParameters
+from pytest_dura.llm import Delivery
 
 NO_IDENTITY = {
     "stuck-at", "out-of-range", "freeze", "denial", "replay", "masquerade", "stuck-command",

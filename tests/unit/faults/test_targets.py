@@ -10,19 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.state import Lazy
-from pytest_dura.driving.sensors import CHANNELS
-from pytest_dura.faults.activation import parse_condition
-from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.injector import is_same_value
-from pytest_dura.faults.model import (
+from pytest_dura.core import ConfigurationError, Lazy
+from pytest_dura.driving import CHANNELS
+from pytest_dura.faults import (
     Channel,
+    RefusedError,
     check_condition_targets,
     check_target,
+    load_fault,
+    parse_condition,
     possible_targets,
 )
-from pytest_dura.faults.parts import AbsentRowError, RefusedError, Target, part_of, with_part
+from pytest_dura.faults.injector import is_same_value
+from pytest_dura.faults.parts import AbsentRowError, Target, part_of, with_part
 
 
 class Point(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from models import llm_episode, said
 
-from pytest_dura.llm.port import Answer
+from pytest_dura.llm import Answer
 
 REALTIME = {"clock": "realtime", "decide_every": 10}
 

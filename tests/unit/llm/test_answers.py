@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from pytest_dura.llm.answers import LONGEST, answer_schema, read_answer
-from pytest_dura.llm.port import Answer
+from pytest_dura.llm import Answer, answer_schema, read_answer
+from pytest_dura.llm.answers import LONGEST
 
 SCHEMA = answer_schema(("wait", "proceed"), ("slow_down", "hold", "speed_up"))
 GOOD = {

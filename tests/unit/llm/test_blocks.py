@@ -10,19 +10,28 @@ import numpy as np
 import pytest
 from roads import Views, car, channels_of, walker
 
-from pytest_dura.core.state import PastDecision, Proposal
-from pytest_dura.driving.bodies import Body, BodyList
-from pytest_dura.driving.maneuvers import Command, Maneuver
-from pytest_dura.driving.sensors import TRAFFIC_LIGHT, Imu, Odometry, Pose, Sign, Waypoint
-from pytest_dura.llm.driving.blocks import (
+from pytest_dura.core import PastDecision, Proposal
+from pytest_dura.driving import (
+    TRAFFIC_LIGHT,
+    Body,
+    BodyList,
+    Command,
+    Imu,
+    Maneuver,
+    Odometry,
+    Pose,
+    Sign,
+    Waypoint,
+)
+from pytest_dura.llm import (
     BLOCKS,
     MOST,
     MOST_SIGNS,
     driving_prompt,
+    driving_templates,
     percept_prompt,
-    shown_id,
 )
-from pytest_dura.llm.driving.planner import driving_templates
+from pytest_dura.llm.driving.blocks import shown_id
 from pytest_dura.llm.driving.readings import rounded
 
 NORTH = -math.pi / 2

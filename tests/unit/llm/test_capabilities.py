@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 import scripted_server as script
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core import ConfigurationError
+from pytest_dura.llm import Answer, Endpoint, OpenAiClient
 from pytest_dura.llm.capabilities import CODE, Capabilities, canary, holds_code, probe
-from pytest_dura.llm.client import OpenAiClient
-from pytest_dura.llm.endpoint import Endpoint
-from pytest_dura.llm.port import Answer
 
 ENDPOINT = Endpoint("http://127.0.0.1:8000/v1", "m1", "sk-0123456789")
 KEPT = json.dumps({"words": ["a"], "sentence": "The sea.", "mood": "calm"})

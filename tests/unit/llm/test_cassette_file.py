@@ -12,10 +12,9 @@ from contextlib import closing
 import pytest
 
 from pytest_dura.__main__ import main
-from pytest_dura.core.boundary import TimeBudgetExceeded, call_within
-from pytest_dura.core.errors import ConfigurationError, environment_errors
-from pytest_dura.llm.cassette import Cassette, Exchange, text_digest
-from pytest_dura.llm.port import Answer, Message, Request
+from pytest_dura.core import ConfigurationError, TimeBudgetExceeded, call_within, environment_errors
+from pytest_dura.llm import Answer, Cassette, Message, Request
+from pytest_dura.llm.cassette import Exchange, text_digest
 
 HOSTILE = "\x1b]0;owned\x07\x7f\u202e\ud800\x00|`<b>\n\u2028"
 

@@ -12,9 +12,8 @@ import pytest
 import scripted_server as script
 from llm_servers import KEY
 
-from pytest_dura.llm.client import OpenAiClient, body_of
-from pytest_dura.llm.endpoint import Endpoint
-from pytest_dura.llm.port import Answer, Image, Message, Request
+from pytest_dura.llm import Answer, Endpoint, Image, Message, OpenAiClient, Request
+from pytest_dura.llm.client import body_of
 
 SCHEMA = {"type": "object", "properties": {"a": {"type": "string", "maxLength": 9}}}
 REQUEST = Request("m1", (Message("system", "Be brief."), Message("user", "Where?")))

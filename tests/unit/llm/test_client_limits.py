@@ -16,10 +16,8 @@ import scripted_server as script
 from llm_servers import KEY
 
 import pytest_dura.llm.client as chat_module
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.client import OpenAiClient
-from pytest_dura.llm.endpoint import Endpoint
-from pytest_dura.llm.port import Image, Message, Request
+from pytest_dura.core import ConfigurationError
+from pytest_dura.llm import Endpoint, Image, Message, OpenAiClient, Request
 from pytest_dura.llm.transport import RESPONSES
 
 REQUEST = Request("m1", (Message("system", "Be brief."), Message("user", "Where?")))

@@ -8,8 +8,9 @@ from urllib.parse import quote
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.endpoint import Endpoint, model_about
+from pytest_dura.core import ConfigurationError
+from pytest_dura.llm import Endpoint
+from pytest_dura.llm.endpoint import model_about
 
 SECRET = 'sk-p/ro+j=eg\\"q'
 GIVEN = {

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura.driving.explanations import MEANINGS, SIGNALS
+from pytest_dura.driving import SIGNALS
+from pytest_dura.driving.explanations import MEANINGS
+from pytest_dura.llm import EVERYTHING, INTENTS, MANEUVERS
 from pytest_dura.llm.answers import FAILURE_MEANINGS as CLASSES
-from pytest_dura.llm.driving.planner import INTENTS, MANEUVERS
 from pytest_dura.llm.endpoint import KEY, MODEL, URL
-from pytest_dura.llm.planner import EVERYTHING, Settings
+from pytest_dura.llm.planner import Settings
 
 PAGE = (Path(__file__).parents[3] / "docs" / "llm.md").read_text()
 FILLED_IN = {"server", "prompts"}

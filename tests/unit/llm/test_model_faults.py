@@ -6,17 +6,18 @@ from typing import Any, get_args
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.roles import RoleContext
-from pytest_dura.core.seeding import stream
-from pytest_dura.driving.sensors import CHANNELS
-from pytest_dura.faults.catalogue import default_fault, load_fault, parse_fault
-from pytest_dura.faults.injector import CampaignInjector
-from pytest_dura.faults.model import Moment, check_target
-from pytest_dura.llm.client import OpenAiClient
-from pytest_dura.llm.endpoint import Endpoint
+from pytest_dura.core import ConfigurationError, RoleContext, stream
+from pytest_dura.driving import CHANNELS
+from pytest_dura.faults import (
+    CampaignInjector,
+    Moment,
+    check_target,
+    default_fault,
+    load_fault,
+    parse_fault,
+)
+from pytest_dura.llm import Delivery, Endpoint, Message, OpenAiClient, Request, ServerFault
 from pytest_dura.llm.faults import How
-from pytest_dura.llm.port import Delivery, Message, Request, ServerFault
 
 REQUEST = Request("m", (Message("user", "Where?"),))
 

@@ -11,10 +11,9 @@ from models import ALONE, PLANNER, Model, answering, llm_episode, said
 from roads import channels_of
 
 from pytest_dura import ConfigurationError, Policy, RoleSpec
-from pytest_dura.core.roles import RoleContext
+from pytest_dura.core import RoleContext
+from pytest_dura.llm import EVERYTHING, Answer
 from pytest_dura.llm.driving.planner import LlmPlanner
-from pytest_dura.llm.planner import EVERYTHING
-from pytest_dura.llm.port import Answer
 
 
 def proposed(episode):

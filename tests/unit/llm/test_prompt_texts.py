@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pytest_dura.llm.prompts import PerceivedText, harmless
+from pytest_dura.llm import PerceivedText, harmless
 
 
 @pytest.mark.parametrize(

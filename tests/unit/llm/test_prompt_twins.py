@@ -8,17 +8,21 @@ import numpy as np
 import pytest
 from roads import car, channels_of, walker
 
-from pytest_dura.core.seeding import stream
-from pytest_dura.driving.channel_faults import PromptTextParameters
-from pytest_dura.driving.sensors import Odometry, Sign
-from pytest_dura.llm.driving.blocks import BLOCKS, MOST, MOST_SIGNS, percept_prompt
-from pytest_dura.llm.driving.planner import (
+from pytest_dura.core import stream
+from pytest_dura.driving import Odometry, PromptTextParameters, Sign
+from pytest_dura.llm import (
+    BLOCKS,
     MANEUVERS,
+    MOST,
+    MOST_SIGNS,
+    Prompt,
     driving_templates,
+    percept_prompt,
+    reordered,
     with_conflict,
     with_injection,
 )
-from pytest_dura.llm.prompts import Prompt, blind, paraphrased, reordered
+from pytest_dura.llm.prompts import blind, paraphrased
 
 CARS = [car("V1", -20.0, 40.0, 0.0, 8.0), car("V2", 30.0, -2.0, 0.0, 9.0), walker("P1", 9.0, 9.0)]
 PICTURE = np.zeros((4, 4, 3), np.uint8)

@@ -11,28 +11,20 @@ import numpy as np
 import pytest
 from roads import car, channels_of
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.answers import read_answer
-from pytest_dura.llm.driving.blocks import BLOCKS, percept_prompt
-from pytest_dura.llm.driving.planner import (
+from pytest_dura.core import ConfigurationError
+from pytest_dura.llm import (
+    BLOCKS,
     INTENTS,
     MANEUVERS,
-    SCHEMA,
-    TEMPLATES,
-    VOCABULARY,
-    driving_templates,
-    probes,
-)
-from pytest_dura.llm.port import Answer
-from pytest_dura.llm.prompts import (
-    FILTERS,
-    LONGEST_RENDERED,
-    Block,
+    Answer,
     PerceivedText,
     Prompt,
-    Sources,
-    Templates,
+    driving_templates,
+    percept_prompt,
+    read_answer,
 )
+from pytest_dura.llm.driving.planner import SCHEMA, TEMPLATES, VOCABULARY, probes
+from pytest_dura.llm.prompts import FILTERS, LONGEST_RENDERED, Block, Sources, Templates
 
 PERCEPT = channels_of(car("V1", -20.0, 40.0, 0.0, 8.0))
 PROMPT = percept_prompt(PERCEPT)

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
-from pytest_dura.campaign.reporting import CampaignProgress, RunningCampaign
+from pytest_dura.campaign import CampaignProgress, RunningCampaign
 from pytest_dura.plugin.progress import WRITE_INTERVAL, WorkerFile, read_files, remove_files
 
 TOKEN, OTHER = "0123456789abcdef", "fedcba9876543210"

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 from terminals import Terminal
 
-from pytest_dura.campaign.reporting import CampaignProgress
+from pytest_dura.campaign import CampaignProgress
 from pytest_dura.plugin import progress_display
 from pytest_dura.plugin.progress_display import (
     LiveScreen,

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_dura.campaign.reporting import CampaignProgress
+from pytest_dura.campaign import CampaignProgress
 from pytest_dura.plugin.progress import BOUND_SHARE, LONGEST_BOUND_AGE, Snapshots
 from pytest_dura.plugin.progress_display import (
     LEAST_SAMPLES,

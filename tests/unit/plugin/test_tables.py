@@ -11,7 +11,7 @@ from pytest_dura.plugin.terminal_tables import (
     pair_table,
     reliance_table,
 )
-from pytest_dura.requirements.pairs import PairCounts
+from pytest_dura.requirements import PairCounts
 
 
 def share(valid: int, of: int = 10) -> dict[str, Any]:

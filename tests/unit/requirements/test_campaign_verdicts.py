@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError, Requirement
-from pytest_dura.requirements.campaign_judge import CampaignJudge, judge_campaign
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, UncountedEpisode
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
+from pytest_dura.requirements import CampaignJudge, CampaignVerdict, EpisodeVerdict, judge_campaign
+from pytest_dura.requirements.campaign_verdicts import UncountedEpisode
 
 KEYS_OF_THE_RECORD = {
     "requirement", "case", "component", "verdict", "planned", "episodes", "violations", "invalid",

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from pytest_dura import CheckResult
-from pytest_dura.requirements.checks import check_name, check_result
+from pytest_dura.requirements import check_name
+from pytest_dura.requirements.checks import check_result
 
 
 @pytest.mark.parametrize(

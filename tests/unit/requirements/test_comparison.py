@@ -8,14 +8,8 @@ from itertools import product
 import pytest
 from scipy.stats import binomtest, fisher_exact
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.comparison import (
-    compare_counts,
-    compare_pairs,
-    holm,
-    mcnemar,
-    mcnemar_one_sided,
-)
+from pytest_dura.core import ConfigurationError
+from pytest_dura.requirements import compare_counts, compare_pairs, holm, mcnemar, mcnemar_one_sided
 
 
 @pytest.mark.parametrize("first, second", [(11, 0), (4, 0), (3, 2), (5, 5), (40, 10), (158, 0)])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.rate_tests import EProcess, log_e_value
-from pytest_dura.requirements.sequential import operating_characteristics
+from pytest_dura.core import ConfigurationError
+from pytest_dura.requirements import EProcess, operating_characteristics
+from pytest_dura.requirements.rate_tests import log_e_value
 
 
 def integrated(k, n, rate, side):

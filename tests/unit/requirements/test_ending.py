@@ -13,11 +13,14 @@ from loops import run_loop
 from thermostat import Bias, Overheater, Thermostat
 
 from pytest_dura import Episode, EpisodeSpec, Proposal, RoleSpec, Termination, Tick
-from pytest_dura.core.episode import Divergence
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.checks import CheckResult, RequirementJudge
-from pytest_dura.requirements.episode_verdicts import judge_episode
-from pytest_dura.requirements.model import Paired, Requirement
+from pytest_dura.core import ConfigurationError, Divergence
+from pytest_dura.requirements import (
+    CheckResult,
+    Paired,
+    Requirement,
+    RequirementJudge,
+    judge_episode,
+)
 
 WARM = "eventually (temperature > 15.5)"
 HOT = "always (temperature < 15.5)"

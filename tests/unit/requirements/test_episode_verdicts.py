@@ -10,9 +10,13 @@ import pytest
 from episodes import episode, idle, manifested
 
 from pytest_dura import ConfigurationError, Episode, FaultRecord
-from pytest_dura.requirements.checks import CheckResult
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements import (
+    CheckResult,
+    EpisodeVerdict,
+    JudgedEpisode,
+    Requirement,
+    judge_episode,
+)
 
 FAILURE = "infrastructure: safety_monitor at tick 3 (t = 3.0 s): ValueError: x"
 

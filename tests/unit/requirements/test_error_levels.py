@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pytest_dura.requirements.model import METHODS
-from pytest_dura.requirements.rate_tests import lower_bound, make_test, upper_bound
-from pytest_dura.requirements.sequential import (
+from pytest_dura.requirements import (
+    METHODS,
     Boundaries,
-    error_level,
+    lower_bound,
+    make_test,
     operating_characteristics,
     simulate,
+    upper_bound,
 )
+from pytest_dura.requirements.sequential import error_level
 
 CAMPAIGNS, BUDGET = 10_000, 600
 

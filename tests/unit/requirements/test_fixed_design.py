@@ -7,9 +7,8 @@ from itertools import product
 import pytest
 from scipy.stats import binom
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.rate_tests import FixedN, lower_bound, upper_bound
-from pytest_dura.requirements.sequential import operating_characteristics
+from pytest_dura.core import ConfigurationError
+from pytest_dura.requirements import FixedN, lower_bound, operating_characteristics, upper_bound
 
 
 def full_design(violations, planned, limit, confidence):

@@ -7,9 +7,7 @@ from loops import run_loop
 from thermostat import Overheater
 
 from pytest_dura import ConfigurationError, Episode, Termination
-from pytest_dura.requirements.checks import RequirementJudge
-from pytest_dura.requirements.episode_verdicts import judge_episode
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements import Requirement, RequirementJudge, judge_episode
 
 HOT = "always (temperature < 18)"
 

@@ -7,9 +7,8 @@ import sys
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.model import METHODS
-from pytest_dura.requirements.rate_tests import EProcess, FixedN, Sprt, make_test
+from pytest_dura.core import ConfigurationError
+from pytest_dura.requirements import METHODS, EProcess, FixedN, Sprt, make_test
 
 GOOD = {"fixed": {"planned": 60}, "sprt": {"p0": 0.01}, "e-process": {}}
 

@@ -21,12 +21,13 @@ from pytest_dura import (
     SecurityAssessment,
     SecurityAssessor,
 )
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
-from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitoring.quality import (
+from pytest_dura.requirements import (
+    EpisodeVerdict,
     MonitorQuality,
     MonitorTimeline,
+    Requirement,
     judge_alerts,
+    judge_episode,
     judge_monitor,
     monitor_timeline,
 )

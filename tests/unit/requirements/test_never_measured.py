@@ -8,7 +8,7 @@ from loops import run_loop
 from thermostat import Thermostat
 
 from pytest_dura import Proposal, Requirement
-from pytest_dura.requirements.episode_verdicts import judge_episode
+from pytest_dura.requirements import judge_episode
 
 
 class Told(Thermostat):

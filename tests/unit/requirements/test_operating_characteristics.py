@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pytest_dura.requirements.rate_tests import make_test
-from pytest_dura.requirements.sequential import (
-    Boundaries,
-    operating_characteristics,
-    simulate,
-    walk,
-)
+from pytest_dura.requirements import Boundaries, make_test, operating_characteristics, simulate
+from pytest_dura.requirements.sequential import walk
 
 BUDGET = 120
 

@@ -8,9 +8,13 @@ from typing import Any
 import pytest
 from episodes import episode, idle
 
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-from pytest_dura.requirements.model import Paired, Requirement
-from pytest_dura.requirements.pairs import change_verdict, pair_verdict
+from pytest_dura.requirements import (
+    EpisodeVerdict,
+    Paired,
+    Requirement,
+    change_verdict,
+    pair_verdict,
+)
 
 
 def verdict(word: Any, run: int, *, case: str = "case", **fields: Any) -> EpisodeVerdict:

@@ -13,9 +13,17 @@ from scipy.stats import binomtest
 from thermostat import HeatMonitor, Overheater, SwitchOff
 
 from pytest_dura import ConfigurationError, Episode
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
-from pytest_dura.requirements.model import Paired, Requirement
-from pytest_dura.requirements.pairs import Change, Pair, PairCounts, check_comparison, judge_pairs
+from pytest_dura.requirements import (
+    Change,
+    EpisodeVerdict,
+    Pair,
+    PairCounts,
+    Paired,
+    Requirement,
+    check_comparison,
+    judge_episode,
+    judge_pairs,
+)
 
 WORDS = ("satisfied", "violated", "invalid", "missing")
 RUNS = itertools.count()

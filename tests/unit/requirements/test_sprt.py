@@ -7,13 +7,10 @@ from fractions import Fraction
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements import rate_tests
-from pytest_dura.requirements.rate_tests import Sprt, _Ratio
-from pytest_dura.requirements.sequential import (
-    decimal_fraction,
-    operating_characteristics,
-)
+from pytest_dura.core import ConfigurationError
+from pytest_dura.requirements import Sprt, operating_characteristics, rate_tests
+from pytest_dura.requirements.rate_tests import _Ratio
+from pytest_dura.requirements.sequential import decimal_fraction
 
 
 def wald(limit, p0, level):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from scipy.stats import binomtest
 
-from pytest_dura.requirements.rate_tests import lower_bound, runs_needed, upper_bound
+from pytest_dura.requirements import lower_bound, runs_needed, upper_bound
 
 
 def test_nothing_in_fifteen_runs_supports_18_percent() -> None:

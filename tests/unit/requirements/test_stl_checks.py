@@ -7,14 +7,8 @@ import math
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.formula import (
-    Window,
-    check_time_step,
-    in_samples,
-    past_only_or_refuse,
-    ranging_or_refuse,
-)
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements import Window, check_time_step, in_samples, parse
+from pytest_dura.requirements.stl.formula import past_only_or_refuse, ranging_or_refuse
 
 
 @pytest.mark.parametrize(

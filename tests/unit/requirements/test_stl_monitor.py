@@ -30,13 +30,10 @@ from pytest_dura import (
     Tick,
     check_role,
 )
-from pytest_dura.driving.highway import HighwaySimulator
-from pytest_dura.driving.roles.planners import Aggressive
-from pytest_dura.library.cases import expand_cases
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.driving import Aggressive, HighwaySimulator
+from pytest_dura.library import Scenario, expand_cases
+from pytest_dura.requirements import evaluate, parse, robustness
 from pytest_dura.requirements.monitoring.stl_monitor import StlSafetyMonitor
-from pytest_dura.requirements.stl.evaluation import evaluate, robustness
-from pytest_dura.requirements.stl.parser import parse
 
 PERCEPT = "pytest_dura.driving.signals:percept_at"
 COOL = "historically[0:0.2] (thermometer < 16)"

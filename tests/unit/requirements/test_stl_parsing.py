@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.formula import (
+from pytest_dura.requirements import (
     Arithmetic,
     Boolean,
     Comparison,
@@ -18,9 +18,9 @@ from pytest_dura.requirements.stl.formula import (
     Temporal,
     TemporalPair,
     Window,
-    walk,
+    parse,
 )
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.formula import walk
 
 A = Comparison(">", Signal("a"), Constant(1.0))
 B = Comparison(">", Signal("b"), Constant(2.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements import parse
 
 
 def refused(text: str, signals: tuple[str, ...] | None = None) -> ConfigurationError:

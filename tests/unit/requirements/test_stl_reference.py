@@ -7,7 +7,7 @@ import pytest
 from rtamt_oracle import raw_robustness, robustness
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements import parse
 
 TRACE = {
     "a": [3.0, -1.0, 2.0, 5.0, -4.0, 1.0, 0.5],

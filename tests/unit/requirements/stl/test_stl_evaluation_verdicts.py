@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from stl_judging import judge
 
-from pytest_dura.requirements.stl.evaluation import (
-    robustness,
-    robustness_batch,
-    robustness_interval,
-)
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements import parse, robustness, robustness_batch, robustness_interval
 
 INF = math.inf
 

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core import ConfigurationError
+from pytest_dura.requirements import OnlineFormula, parse, robustness
 from pytest_dura.requirements.stl import online
-from pytest_dura.requirements.stl.evaluation import robustness
-from pytest_dura.requirements.stl.online import OnlineFormula, Sample
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.online import Sample
 
 
 def judged(text: str, values: Any, time_step: float = 0.5) -> list[Sample]:

@@ -10,13 +10,8 @@ import pytest
 from stl_judging import judge
 
 from pytest_dura import ConfigurationError
-from pytest_dura.requirements.stl.evaluation import (
-    _time_step,
-    evaluate,
-    robustness,
-    robustness_batch,
-)
-from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements import evaluate, parse, robustness, robustness_batch
+from pytest_dura.requirements.stl.evaluation import _time_step
 
 INF = math.inf
 

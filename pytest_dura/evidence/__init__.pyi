@@ -1,0 +1,99 @@
+from .baseline import Baseline, claims_of, compare_claims
+from .bundle import (
+    RECORD_FILE,
+    RENDERED_FILES,
+    all_formats,
+    read_record,
+    read_session_record,
+    write_bundle,
+    write_record,
+)
+from .conclude import PairedCourses, conclude_record, coverage, effectiveness
+from .episodes import episode_record
+from .files import (
+    MANIFEST_FILE,
+    DirectoryLock,
+    InputFiles,
+    file_entry,
+    files_below,
+    manifest_problems,
+    manifest_text,
+)
+from .gate import Gate
+from .gather import SCHEMA_VERSION, UNKNOWN_COMPONENT, RecordBuilder
+from .junit import junit_name
+from .mcap import pack_columns, read_trace, trace_bytes, unpack_columns, write_trace
+from .merge import merge_bundles
+from .metrics import UNTRACED_FAULT, CaseMetrics, FailureModes, PooledMetrics
+from .model import Counts, SessionRecord, plain_data
+from .redaction import Redactor, count_redactions, holds_redaction
+from .schema import check_record, record_schema
+from .sessions import ShardUnit, plan_digest, split_units
+from .text import LINE, code, markdown, name, one_line, visible
+from .traces import Trace, episode_name, first_difference, is_trace_path, trace_path
+from .verify import verify_bundle
+from .verify_record import record_problems
+
+__all__ = [
+    "LINE",
+    "MANIFEST_FILE",
+    "RECORD_FILE",
+    "RENDERED_FILES",
+    "SCHEMA_VERSION",
+    "UNKNOWN_COMPONENT",
+    "UNTRACED_FAULT",
+    "Baseline",
+    "CaseMetrics",
+    "Counts",
+    "DirectoryLock",
+    "FailureModes",
+    "Gate",
+    "InputFiles",
+    "PairedCourses",
+    "PooledMetrics",
+    "RecordBuilder",
+    "Redactor",
+    "SessionRecord",
+    "ShardUnit",
+    "Trace",
+    "all_formats",
+    "check_record",
+    "claims_of",
+    "code",
+    "compare_claims",
+    "conclude_record",
+    "count_redactions",
+    "coverage",
+    "effectiveness",
+    "episode_name",
+    "episode_record",
+    "file_entry",
+    "files_below",
+    "first_difference",
+    "holds_redaction",
+    "is_trace_path",
+    "junit_name",
+    "manifest_problems",
+    "manifest_text",
+    "markdown",
+    "merge_bundles",
+    "name",
+    "one_line",
+    "pack_columns",
+    "plain_data",
+    "plan_digest",
+    "read_record",
+    "read_session_record",
+    "read_trace",
+    "record_problems",
+    "record_schema",
+    "split_units",
+    "trace_bytes",
+    "trace_path",
+    "unpack_columns",
+    "verify_bundle",
+    "visible",
+    "write_bundle",
+    "write_record",
+    "write_trace",
+]

@@ -1,0 +1,41 @@
+from .activation import Activation, AttackPlan, parse_condition
+from .catalogue import FAULT_TYPES, default_fault, fault_class, load_fault, parse_fault, plain_fault
+from .injector import CampaignInjector
+from .model import (
+    Channel,
+    Fault,
+    Kind,
+    Moment,
+    check_condition_targets,
+    check_target,
+    possible_targets,
+)
+from .parts import Choices, FaultPart, Finite, RefusedError, Span, spans_of
+from .types.base import NumberFault
+
+__all__ = [
+    "FAULT_TYPES",
+    "Activation",
+    "AttackPlan",
+    "CampaignInjector",
+    "Channel",
+    "Choices",
+    "Fault",
+    "FaultPart",
+    "Finite",
+    "Kind",
+    "Moment",
+    "NumberFault",
+    "RefusedError",
+    "Span",
+    "check_condition_targets",
+    "check_target",
+    "default_fault",
+    "fault_class",
+    "load_fault",
+    "parse_condition",
+    "parse_fault",
+    "plain_fault",
+    "possible_targets",
+    "spans_of",
+]

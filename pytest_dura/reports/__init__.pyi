@@ -1,0 +1,52 @@
+from .episode_view import (
+    Panel,
+    decision_at,
+    formula_of,
+    loop_steps,
+    margin_over_time,
+    signal_plot,
+    signals_csv,
+)
+from .gsn.argument import generated_argument
+from .gsn.element import root_ids, rule_problems
+from .gsn.user_argument import check_requirements, read_user_argument
+from .html.contents import anchor, case_anchor, verdict_anchor
+from .html.player import pack_data, player_assets, player_data, player_page
+from .tables import (
+    decision_age_lines,
+    decision_time_lines,
+    failure_modes_by_component,
+    measured_failure_modes,
+    outcome_headline,
+    percent_text,
+)
+from .wording import shard_text
+
+__all__ = [
+    "Panel",
+    "anchor",
+    "case_anchor",
+    "check_requirements",
+    "decision_age_lines",
+    "decision_at",
+    "decision_time_lines",
+    "failure_modes_by_component",
+    "formula_of",
+    "generated_argument",
+    "loop_steps",
+    "margin_over_time",
+    "measured_failure_modes",
+    "outcome_headline",
+    "pack_data",
+    "percent_text",
+    "player_assets",
+    "player_data",
+    "player_page",
+    "read_user_argument",
+    "root_ids",
+    "rule_problems",
+    "shard_text",
+    "signal_plot",
+    "signals_csv",
+    "verdict_anchor",
+]

@@ -1,0 +1,30 @@
+from .counterexamples import write_counterexample
+from .drawing import CaseDrawing
+from .portfolio import Batch, Outcome, Portfolio, search, trivial_searchers
+from .searchers import Pulses
+from .shrinking import minimise, shrink
+from .simplification import changes_of, count_parameters, simpler_values
+from .space import Group, Layout, SearchSpace, on_grid
+from .trials import Objective, Trials
+
+__all__ = [
+    "Batch",
+    "CaseDrawing",
+    "Group",
+    "Layout",
+    "Objective",
+    "Outcome",
+    "Portfolio",
+    "Pulses",
+    "SearchSpace",
+    "Trials",
+    "changes_of",
+    "count_parameters",
+    "minimise",
+    "on_grid",
+    "search",
+    "shrink",
+    "simpler_values",
+    "trivial_searchers",
+    "write_counterexample",
+]
