@@ -137,7 +137,7 @@ def test_what_is_not_asked_beside_is_not_passed(requirements):
 
 
 def test_the_suite_judges_the_model_that_the_environment_names(
-    scripted_server, tmp_path, monkeypatch
+    scripted_server, tmp_path, monkeypatch, forked_workers
 ):
     def speaks(request):
         text = request.json["messages"][-1]["content"]
@@ -148,7 +148,8 @@ def test_the_suite_judges_the_model_that_the_environment_names(
     monkeypatch.setenv("DURA_LLM_BASE_URL", server.base_url)
     monkeypatch.setenv("DURA_LLM_MODEL", "careful")
     suite = shutil.copytree(SUITE, tmp_path / "my_suite")
-    done = run_suite(suite, "--dura-runs=1", "--dura-no-twins", "--dura-evidence-level=summary")
+    options = ["--dura-runs=1", "--dura-no-twins", "--dura-evidence-level=summary"]
+    done = run_suite(suite, *options, python=forked_workers.command())
     assert done.returncode == 1, done.stdout + done.stderr
     assert "13 undecided" in done.stdout  # a single run supports no rate
     record = json.loads((suite / "dura-evidence" / "evidence.json").read_text())
@@ -187,9 +188,9 @@ def cut_off(tmp_path, monkeypatch):
     return suite
 
 
-def replayed(folder, arguments):
+def replayed(folder, arguments, **given):
     """What a replay printed, and its record; every request of it was answered."""
-    done = run_suite(folder, "-v", *WITHOUT_SOCKETS, *arguments)
+    done = run_suite(folder, "-v", *WITHOUT_SOCKETS, *arguments, **given)
     output = done.stdout + done.stderr
     assert "a replay opens no socket" not in output
     assert done.returncode == 1, output  # a single run decides too little
@@ -217,15 +218,15 @@ def test_the_suite_is_replayed_from_its_cassette_without_server_and_environment(
     assert any(one["violations"] for one in record["verdicts"])
 
 
-def test_a_built_in_scenario_is_replayed_from_the_cassette(cut_off):
-    output, record = replayed(cut_off.parents[1], ANYWHERE)
+def test_a_built_in_scenario_is_replayed_from_the_cassette(cut_off, forked_workers):
+    output, record = replayed(cut_off.parents[1], ANYWHERE, python=forked_workers.command())
     cassette = f"example_suites/llm_planner/{CASSETTE}"
     assert first_line(output).startswith(f"dura: answers replayed from {cassette}: {SPOKE}20")
     assert f"; {SPOKE.partition(', recorded')[0]}\n" in output
     assert {one["verdict"] for one in record["verdicts"]} >= {"supported"}
 
 
-def test_a_changed_prompt_is_not_answered_from_the_cassette(cut_off):
+def test_a_changed_prompt_is_not_answered_from_the_cassette(cut_off, forked_workers):
     templates = cut_off / "templates"
     templates.mkdir()
     for file in TEMPLATES.glob("system*"):
@@ -235,7 +236,8 @@ def test_a_changed_prompt_is_not_answered_from_the_cassette(cut_off):
     assert given in conftest.read_text()
     changed = f'{given} "templates": "templates",'
     conftest.write_text(conftest.read_text().replace(given, changed))
-    done = run_suite(cut_off, *WITHOUT_SOCKETS, "-k", "format and not beside", *IN_FOLDER)
+    chosen = [*WITHOUT_SOCKETS, "-k", "format and not beside", *IN_FOLDER]
+    done = run_suite(cut_off, *chosen, python=forked_workers.command())
     assert done.returncode == 1, done.stdout + done.stderr
     record = json.loads((cut_off / "dura-evidence" / "evidence.json").read_text())
     (episode,) = record["episodes"]
