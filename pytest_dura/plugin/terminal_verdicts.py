@@ -172,9 +172,8 @@ def _show_failure(
     assertion = first["assertion"] or {"failed": [], "by_check": 0}
     for line in assertion_sentences(first)[: len(assertion["failed"][:1])]:
         terminal.line(f"  {one_line(line, LONGEST_TEXT)}")
-    check_held = (
-        assertion["failed"] and not assertion["by_check"]
-    )  # what failed is an assertion of the test
+    # Where the check held, what failed is an assertion of the test.
+    check_held = assertion["failed"] and not assertion["by_check"]
     if check and len(verdicts) == 1 and check != first["requirement"] and not check_held:
         terminal.line(f"  check:  {check}")
     _show_episode(context, terminal, first, episodes)
