@@ -100,7 +100,7 @@ def main() -> None:
                 result = outcome(tree, defect)
             counts[result] += 1
             print(f"{result:10} {defect['id']:4} {defect['wrong']}", flush=True)
-    print(", ".join(f"{count} {result}" for result, count in counts.items()))
+    print(table(["result", "defects"], [[name, str(count)] for name, count in counts.items()]))
     sys.exit(1 if counts["survived"] or counts["gone"] else 0)
 
 

@@ -129,7 +129,7 @@ def main() -> None:
     trees = [Path(given).resolve() for given in sys.argv[1:]] or [ROOT]
     columns = [measure(tree) for tree in trees]
     rows = [[name, *(column[name] for column in columns)] for name in columns[0]]
-    print(table(["", *(tree.name for tree in trees)], rows))
+    print(table(["measure", *(tree.name for tree in trees)], rows))
 
 
 if __name__ == "__main__":

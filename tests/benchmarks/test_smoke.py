@@ -48,6 +48,7 @@ SMALLEST = {
         ),
     ],
     "loop_cost.py": ["--runs", "1", "--repeats", "1"],
+    "mutants.py": ["--list"],
     "paper_table.py": ["--runs", "1", "--jobs", "1", "--generator", "reactive"],
     "plugin_cost.py": ["--repeats", "1"],
     "recoveries.py": ["--runs", "1", "--jobs", "1", "--select", "*/nominal"],
@@ -57,10 +58,13 @@ SMALLEST = {
         *("--numbers", "1", "--tries", "4", "--budget", "10", "--jobs", "1"),
         *("--select", "*/conflicting-traffic"),
     ],
+    "structure.py": [],
     "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
 }
 NOT_A_SCRIPT = {"machine.py", "reads.py", "stl_alarms.py"}
+TAKES_MINUTES = {"same_results.py"}
+"""Runs whole sessions of another checkout."""
 HEADERS = {
     "against_gym.py": ["times faster"],
     "collection_cost.py": ["kB more per test"],
@@ -83,6 +87,7 @@ HEADERS = {
         "ratio to highway-env without Generator",
         "part of the loop, us/tick",
     ],
+    "mutants.py": ["defects"],
     "paper_table.py": [
         "gridlock",
         "p (Fisher)",
@@ -94,6 +99,7 @@ HEADERS = {
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
     "shrinking.py": ["need a fault"],
+    "structure.py": ["measure"],
     "stl_speed.py": ["with verdict", "us per sample", "parse"],
     "sequential_cost.py": [
         "mean runs, SPRT",
@@ -116,7 +122,9 @@ def tables(output: str) -> list[tuple[list[str], list[list[str]]]]:
 
 
 def test_each_script_is_tried_here() -> None:
-    assert {file.name for file in BENCHMARKS.glob("*.py")} - NOT_A_SCRIPT == set(SMALLEST)
+    assert {file.name for file in BENCHMARKS.glob("*.py")} - NOT_A_SCRIPT - TAKES_MINUTES == set(
+        SMALLEST
+    )
 
 
 @pytest.mark.parametrize("script", SMALLEST)
