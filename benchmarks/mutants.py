@@ -79,8 +79,8 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="only say which texts are there")
     given = parser.parse_args()
     chosen = tuple(given.ids.split(",")) if given.ids else ("",)
-    table = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
-    defects = [defect for defect in table if defect["id"].startswith(chosen)]
+    rows = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
+    defects = [defect for defect in rows if defect["id"].startswith(chosen)]
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
