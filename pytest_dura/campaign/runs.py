@@ -11,6 +11,7 @@ from typing import Any
 from pytest_dura.campaign.fault_tracing import FaultTracer
 from pytest_dura.campaign.reporting import ComponentFailures, RunningCampaign, explain_verdict
 from pytest_dura.campaign.runner import EpisodeRunner
+from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
@@ -134,6 +135,8 @@ class CampaignRuns:
     def follow(self, runs: Sequence[int]) -> None:
         """Trace the faults of these runs."""
         self._tracer.follow(self.case, runs)
+
+    bench = renamed("bench", "runner")
 
     def __repr__(self) -> str:
         return f"Campaign({self.case.id!r}, {self.planned} runs planned)"

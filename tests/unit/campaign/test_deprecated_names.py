@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support.searches import falsification
 
-from pytest_dura import Runner
+from pytest_dura import Campaign, Runner
 from pytest_dura.requirements import EpisodeVerdict
 
 VERDICT = EpisodeVerdict(
@@ -23,6 +23,7 @@ SEARCH = falsification("falsified", "nothing found")
         (SEARCH.outcomes[0], "word", "status"),
         (Runner(dict), "again", "fetch"),
         (Runner(dict), "keep", "counterexamples"),
+        (Campaign(Runner(dict), None, 1), "bench", "runner"),
     ],
 )
 def test_the_old_name_warns_and_gives_what_the_new_one_gives(thing, old, new):
