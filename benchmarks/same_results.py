@@ -1,15 +1,15 @@
 """Whether two checkouts come to the same: digests of episodes, verdicts, and each file of bundles.
 
 Run: python benchmarks/same_results.py run TREE OUT [--only NAME]
-     python benchmarks/same_results.py compare OUT OTHER [--words FILE]
+     python benchmarks/same_results.py compare OUT OTHER
 
 ``run`` runs sessions of the built-in scenarios with the package of a checkout and keeps their
-evidence in OUT: the default gate, ``aggressive``, the catalogue of faults, and 480 episodes of four
+evidence in OUT: the default gate, ``aggressive``, the catalogue of faults, and 480 runs by four
 planners. ``compare`` reads two such directories. Masked is what differs between two runs of one
-checkout: times, durations, ids of sessions, digests of code and of files that hold such; what is
+checkout: times, durations, ids of sessions, digests of code and of files that hold such. What is
 masked is replaced and not left out, so that a missing line shows, but for events of a component
-that was slow on the clock. FILE holds renamed words, one pair
-a line, old and new.
+that was slow on the clock. Traces and the player's data hold such times as well; the digests of
+their episodes stand for them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,7 @@ VOLATILE = frozenset(
     (
         *("created", "finished", "command", "environment", "tool", "session", "inputs"),
         *("timings", "processing_us", "processing_seconds", "wall_clock", "answer_seconds"),
-        *("file_count", "files", "sha256", "sources"),
+        *("file_count", "files", "sha256", "sources", "bytes"),
     )
 )
 """Keys of the record whose values differ between two runs of one checkout."""
@@ -52,13 +51,15 @@ COMPONENT = frozenset(("digest", "files", "file_count"))
 MASKS = (
     (re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?(Z|\+00:00| UTC)?"), "<time>"),
     (re.compile(r"\b[0-9a-f]{64}\b"), "<sha256>"),
-    (re.compile(r"\b[0-9a-f]{32}\b"), "<id>"),
+    (re.compile(r"\b[0-9a-f]{20,63}\b"), "<id>"),
+    (re.compile(r'(<script type="application/octet-stream">)[^<]*'), r"\1<player>"),
     (re.compile(r"\b\d+(\.\d+)?(e-\d+)? ?(ms|us|MiB|kB|MB)\b"), "<cost>"),
     (re.compile(r"urn:uuid:[0-9a-f-]{36}"), "<uuid>"),
     (re.compile(r"\b\d+ files\b"), "<files>"),
     (re.compile(r"\bdigest [0-9a-f]+"), "digest <sha256>"),
     (re.compile(r"(?i)(wall.clock|gathering evidence)(.*?)\d+\.\d+ s"), r"\1\2<cost>"),
 )
+WALL_CLOCK = "wall_clock:"
 SLOW = ("performance_fail", "response_time")
 SHOWN = 20
 
@@ -91,7 +92,11 @@ def masked(value: Any) -> Any:
     """A record without what differs between two runs of one checkout."""
     if isinstance(value, dict):
         volatile = VOLATILE | (COMPONENT if "distribution" in value else frozenset())
-        return {key: "<masked>" if key in volatile else masked(part) for key, part in value.items()}
+        return {
+            key: "<masked>" if key in volatile else masked(part)
+            for key, part in value.items()
+            if not key.startswith(WALL_CLOCK)
+        }
     if isinstance(value, list):
         return [masked(part) for part in value if not _is_slow_event(part)]
     return masked_text(value) if isinstance(value, str) else value
@@ -112,14 +117,14 @@ def masked_text(text: str) -> str:
 def lines_of(path: Path) -> list[str]:
     """A file of a bundle as comparable lines."""
     if path.suffix == ".mcap":
-        return [f"{path.stat().st_size // 1024} KiB"]
+        return ["<trace>"]
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".json":
         return json.dumps(masked(json.loads(text)), indent=1).splitlines()
     return masked_text(text).splitlines()
 
 
-def compare(own: Path, other: Path, words: Sequence[tuple[str, str]]) -> bool:
+def compare(own: Path, other: Path) -> bool:
     """Print what differs, and return whether nothing does."""
     equal = True
     total = 0
@@ -156,31 +161,23 @@ def compare(own: Path, other: Path, words: Sequence[tuple[str, str]]) -> bool:
             print(f"{name}: other files: {sorted(files[0] ^ files[1])}")
             equal = False
         for file in sorted(files[0] & files[1]):
-            equal &= _compare_file(name, file, own, other, words)
+            equal &= _is_same_file(name, file, own, other)
     return equal
 
 
-def _compare_file(
-    name: str, file: str, own: Path, other: Path, words: Sequence[tuple[str, str]]
-) -> bool:
+def _is_same_file(name: str, file: str, own: Path, other: Path) -> bool:
     left, right = lines_of(own / name / file), lines_of(other / name / file)
-    renamed = []
-    for line in left:
-        for old, new in words:
-            line = line.replace(old, new)  # noqa: PLW2901 - one word after the other
-        renamed.append(line)
     changes = [
         line
-        for line in difflib.unified_diff(renamed, right, lineterm="", n=0)
+        for line in difflib.unified_diff(left, right, lineterm="", n=0)
         if not line.startswith(("---", "+++", "@@"))
     ]
-    touched = sum(a != b for a, b in zip(left, renamed, strict=True))
     if changes:
         print(f"{name}/{file}: {len(changes)} lines differ")
         for line in changes[:SHOWN]:
             print("   ", line[:240])
     elif not file.startswith("episodes/"):
-        print(f"{name}/{file}: {len(left)} lines equal, {touched} of them but for renamed words")
+        print(f"{name}/{file}: {len(left)} lines, equal")
     return not changes
 
 
@@ -195,17 +192,11 @@ def main() -> None:
     comparing = actions.add_parser("compare")
     comparing.add_argument("own", type=Path)
     comparing.add_argument("other", type=Path)
-    comparing.add_argument("--words", type=Path)
     given = parser.parse_args()
     if given.action == "run":
         run(given.tree, given.out, given.only)
         return
-    words: list[tuple[str, str]] = []
-    if given.words:
-        for line in given.words.read_text().splitlines():
-            old, new = line.split("\t")
-            words.append((old, new))
-    sys.exit(0 if compare(given.own, given.other, words) else 1)
+    sys.exit(0 if compare(given.own, given.other) else 1)
 
 
 if __name__ == "__main__":
