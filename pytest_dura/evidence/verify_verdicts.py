@@ -374,7 +374,7 @@ class _VerdictCheck:
             yield f"its runs do not come to {counts}"
             return
         verdicts, is_only = statuses
-        if not is_only and (self._sequential or any(run.idle for run in verdicts)):
+        if not is_only and (self._sequential or any(run.not_manifested for run in verdicts)):
             return  # the order matters, and is not known
         decided = [self._judged(verdicts, until) for until in (False, True)]
         possible = [verdict for verdict in decided if verdict is not None]

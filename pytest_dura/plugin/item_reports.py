@@ -386,8 +386,7 @@ def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
     from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
 
     if result.outcome is not None:
-        names = EpisodeVerdict.__dataclass_fields__
-        return EpisodeVerdict.from_json({name: result.outcome[name] for name in names})
+        return EpisodeVerdict.from_json(result.outcome)
     try:
         return judge_episode(result.requirement, episode, _check_of(result))
     except ConfigurationError:  # a measure of pairs, or a function inside a test
