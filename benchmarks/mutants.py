@@ -32,13 +32,13 @@ FAILED = 1
 """pytest's exit code where tests failed; any other is no verdict on the defect."""
 
 
-def fails(tree: Path, tests: Sequence[str]) -> bool:
-    """Whether these tests fail in a tree.
+def failures(tree: Path, tests: Sequence[str]) -> list[str]:
+    """Return what fails first of these tests in a tree; nothing if all of them pass.
 
     Raises:
         RuntimeError: If they could not be run.
     """
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *tests]
     environment = {**os.environ, "PYTHONPATH": str(tree)}
     try:
         done = subprocess.run(
@@ -51,10 +51,14 @@ def fails(tree: Path, tests: Sequence[str]) -> bool:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return True
+        return [f"no end within {SECONDS:g} s"]
     if done.returncode not in (0, FAILED):
         raise RuntimeError(f"pytest ended with {done.returncode}: {done.stdout[-2000:]}")
-    return done.returncode == FAILED
+    if done.returncode != FAILED:
+        return []
+    return [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))] or [
+        done.stdout[-2000:]
+    ]
 
 
 def outcome(tree: Path, defect: Mapping[str, str]) -> str:
@@ -67,7 +71,7 @@ def outcome(tree: Path, defect: Mapping[str, str]) -> str:
         return "equivalent"
     file.write_text(text.replace(defect["old"], defect["new"]), encoding="utf-8")
     try:
-        return "killed" if fails(tree, [defect["test"]]) else "survived"
+        return "killed" if failures(tree, [defect["test"]]) else "survived"
     finally:
         file.write_text(text, encoding="utf-8")
 
@@ -89,8 +93,9 @@ def main() -> None:
         outside = [test for test in tests if not test.startswith(FOLDERS)]
         if outside:
             sys.exit(f"neither laws nor sessions: {', '.join(outside)}")
-        if not given.list and fails(tree, tests):
-            sys.exit("a test fails without any defect")
+        failing = [] if given.list else failures(tree, tests)
+        if failing:
+            sys.exit("\n".join(["a test fails without any defect:", *failing]))
         for defect in defects:
             if given.list:
                 file = tree / "pytest_dura" / defect["file"]
