@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -29,33 +30,42 @@ TABLE = Path(__file__).with_name("mutants.yaml")
 FOLDERS = ("tests/properties/", "tests/plugin/", "tests/examples/")
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "*.pyc", ".*_cache", "dura-evidence*")
 SECONDS = 600.0
+"""For all tests together."""
+SECONDS_WITH_DEFECT = 240.0
+"""For the test of one defect: a session that hangs has noticed it, too."""
 FAILED = 1
 """pytest's exit code where tests failed; any other is no verdict on the defect."""
 
 
-def fails(tree: Path, tests: Sequence[str]) -> bool:
-    """Whether these tests fail in a tree.
+def failures(tree: Path, tests: Sequence[str], seconds: float = SECONDS) -> list[str]:
+    """Return what fails first of these tests in a tree; nothing if all of them pass.
 
     Raises:
         RuntimeError: If they could not be run.
     """
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *tests]
     environment = {**os.environ, "PYTHONPATH": str(tree)}
-    try:
-        done = subprocess.run(
-            command,
-            cwd=tree,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=SECONDS,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return True
-    if done.returncode not in (0, FAILED):
-        raise RuntimeError(f"pytest ended with {done.returncode}: {done.stdout[-2000:]}")
-    return done.returncode == FAILED
+    with subprocess.Popen(
+        command,
+        cwd=tree,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        try:
+            output, _ = process.communicate(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)  # with the workers that it waits for
+            return [f"no end within {seconds:g} s"]
+    if process.returncode not in (0, FAILED):
+        raise RuntimeError(f"pytest ended with {process.returncode}: {output[-2000:]}")
+    if process.returncode != FAILED:
+        return []
+    return [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))] or [
+        output[-2000:]
+    ]
 
 
 def outcome(tree: Path, defect: Mapping[str, str], *, run: bool) -> str:
@@ -71,7 +81,8 @@ def outcome(tree: Path, defect: Mapping[str, str], *, run: bool) -> str:
         return "there"
     file.write_text(text.replace(defect["old"], defect["new"]), encoding="utf-8")
     try:
-        return "killed" if fails(tree, [defect["test"]]) else "survived"
+        noticed = failures(tree, [defect["test"]], SECONDS_WITH_DEFECT)
+        return "killed" if noticed else "survived"
     finally:
         file.write_text(text, encoding="utf-8")
 
@@ -93,8 +104,9 @@ def main() -> None:
         outside = [test for test in tests if not test.startswith(FOLDERS)]
         if outside:
             sys.exit(f"neither laws nor sessions: {', '.join(outside)}")
-        if not given.list and fails(tree, tests):
-            sys.exit("a test fails without any defect")
+        failing = [] if given.list else failures(tree, tests)
+        if failing:
+            sys.exit("\n".join(["a test fails without any defect:", *failing]))
         for defect in defects:
             result = outcome(tree, defect, run=not given.list)
             counts[result] += 1
