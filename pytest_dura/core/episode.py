@@ -287,7 +287,7 @@ class Episode:
     @property
     def idle_faults(self) -> tuple[str, ...]:
         """Deprecated name of :attr:`not_manifested`."""
-        message = "Episode.not_manifested is deprecated: use not_manifested"
+        message = "Episode.idle_faults is deprecated: use not_manifested"
         warnings.warn(message, DeprecationWarning, stacklevel=2)
         return self.not_manifested
 
