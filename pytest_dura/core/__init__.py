@@ -1,4 +1,4 @@
-"""The assurance loop. Knows no domain; needs numpy and the standard library only."""
+"""The assurance loop. Knows no domain; needs numpy, lazy-loader and the standard library only."""
 
 import lazy_loader
 

@@ -288,9 +288,18 @@ MERGED = {
 """What a merged record says of its shards, and of which it says something else besides."""
 
 
-def test_one_forged_field_of_a_merged_record_is_found(made, tmp_path):
+def test_one_forged_field_of_a_merged_record_is_found(two, tmp_path):
+    for index, folder in enumerate(two):
+        # Of two shards of one second, neither is the one whose times are those of the whole.
+        rewritten(
+            folder,
+            lambda record, second=index: record.update(
+                created=f"2026-01-01T00:00:0{second}+00:00",
+                finished=f"2026-01-01T00:01:0{second}+00:00",
+            ),
+        )
     output = tmp_path / "out"
-    merge_bundles(of(made, 2), output)
+    merge_bundles(two, output)
     text = (output / "evidence.json").read_text()
     by_field = defaultdict(list)
     for forgery in forgeries(record_schema(), json.loads(text)):
