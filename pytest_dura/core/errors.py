@@ -11,7 +11,6 @@ import difflib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -253,23 +252,19 @@ class ComponentEnvironmentError(DuraError):
         super().__init__(problem)
 
 
-_reported: ContextVar[list[ComponentEnvironmentError] | None] = ContextVar(
-    "dura_environment_errors", default=None
-)
+_open_reports: list[list[ComponentEnvironmentError]] = []
+"""Lists of the contexts that are open, the innermost last. They are of the process and not of a
+``ContextVar``, since a thread that a component starts of its own has an empty context."""
 
 
 def report_environment_error(error: ComponentEnvironmentError) -> ComponentEnvironmentError:
-    """Report a failure to the loop, whatever the component makes of the error.
-
-    It reaches the loop from the component's call and from threads that run in a copy of its
-    context (:func:`contextvars.copy_context`).
+    """Report a failure to the loop, whatever the component makes of the error, from any thread.
 
     Returns:
         The error, to be raised.
     """
-    reported = _reported.get()
-    if reported is not None:
-        reported.append(error)
+    if _open_reports:
+        _open_reports[-1].append(error)
     return error
 
 
@@ -277,8 +272,8 @@ def report_environment_error(error: ComponentEnvironmentError) -> ComponentEnvir
 def environment_errors() -> Iterator[list[ComponentEnvironmentError]]:
     """Context with the list of errors that are reported in it, and in no context within it."""
     reported: list[ComponentEnvironmentError] = []
-    token = _reported.set(reported)
+    _open_reports.append(reported)
     try:
         yield reported
     finally:
-        _reported.reset(token)
+        _open_reports.pop()

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 
 import numpy as np
 
@@ -43,7 +42,7 @@ def watch_draws(used: np.random.Generator, fresh: np.random.Generator) -> None:
         used: The generator that is drawn from.
         fresh: One of the same seed from which nothing has been drawn.
     """
-    for record in _records.get():
+    for record in _open_records:
         record.note(used, fresh)
 
 
@@ -63,18 +62,20 @@ class DrawRecord:
         return any(_position(generator) != first for generator, first in self._streams)
 
 
-_records: ContextVar[tuple[DrawRecord, ...]] = ContextVar("dura_draw_records", default=())
+_open_records: list[DrawRecord] = []
+"""Records of the contexts that are open. They are of the process and not of a ``ContextVar``, since
+a thread that a component starts of its own has an empty context."""
 
 
 @contextmanager
 def recording_draws() -> Iterator[DrawRecord]:
-    """Context with the record of the draws from all streams that are made in it."""
+    """Context with the record of the draws from all streams that are made in it, in any thread."""
     record = DrawRecord()
-    token = _records.set((*_records.get(), record))
+    _open_records.append(record)
     try:
         yield record
     finally:
-        _records.reset(token)
+        _open_records.remove(record)
 
 
 def _position(generator: np.random.Generator) -> str:
