@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cache
@@ -233,19 +232,20 @@ def _map_collecting_errors(action: Callable[[T], R], arguments: Iterable[T]) -> 
     return results
 
 
-_source: ContextVar[Callable[[], Library] | None] = ContextVar("library_source", default=None)
-"""Where the library in use comes from: strategies are made while modules of tests are imported, and
-have no session at hand. A session sets it, and resets it at its end."""
+_sources: list[Callable[[], Library]] = []
+"""Where the library in use comes from, the innermost session last: strategies are made while
+modules of tests are imported, and have no session at hand. They are of the process and not of a
+``ContextVar``, since a test that another thread runs belongs to the same session."""
 
 
 @contextmanager
 def use_library(source: Callable[[], Library]) -> Iterator[None]:
     """Within it, :func:`current_library` returns what the source returns."""
-    token = _source.set(source)
+    _sources.append(source)
     try:
         yield
     finally:
-        _source.reset(token)
+        _sources.remove(source)
 
 
 def current_library() -> Library:
@@ -254,8 +254,7 @@ def current_library() -> Library:
     Raises:
         ConfigurationError: For files that cannot be used.
     """
-    source = _source.get()
-    return _builtin_library() if source is None else source()
+    return _sources[-1]() if _sources else _builtin_library()
 
 
 @cache

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -326,6 +327,8 @@ def test_names_are_looked_up_in_the_library_at_hand() -> None:
     mine = one_library(room(name="room/mine").scenario)
     with use_library(lambda: mine):
         assert current_library() is mine
+        with ThreadPoolExecutor(1) as thread:
+            assert thread.submit(current_library).result() is mine
         found = find(strategies.cases("room/*"), lambda _: True, settings=simplest)
         assert found.scenario.name == "room/mine"
         with use_library(lambda: one_library(room(name="room/inner").scenario)):
