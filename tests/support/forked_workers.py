@@ -35,6 +35,13 @@ AVAILABLE = sys.platform == "linux"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Threads of a numeric library are not there in a copy."""
 
+CI_VARIABLES = (
+    "CI", "TF_BUILD", "GITHUB_ACTIONS", "GITLAB_CI", "JENKINS_URL", "TEAMCITY_VERSION",
+    "BUILDKITE", "CIRCLECI", "CIRRUS_CI", "CODEBUILD_BUILD_ID", "HEROKU_TEST_RUN_ID",
+    "TRAVIS", "bamboo.buildKey",
+)  # fmt: skip
+"""Hypothesis tells by these that it runs in a CI."""
+
 CLIENT = """
 import os, pickle, socket, sys
 with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
@@ -69,9 +76,14 @@ class ForkedWorkers:
             return [sys.executable, *arguments]
         address = str(Path(self.folder, "socket"))
         if self.process is None:
-            # Nothing of the test that happens to be the first one to want a worker.
-            own = ("PYTEST", "CORRIDOR")
-            kept = {k: v for k, v in os.environ.items() if not any(one in k for one in own)}
+            # Nothing of the test that happens to be the first one to want a worker, nor of a CI:
+            # Hypothesis looks for that while it is imported, which happens before a test can
+            # take it away.
+            kept = {
+                name: value
+                for name, value in os.environ.items()
+                if not ("PYTEST" in name or "CORRIDOR" in name or name in CI_VARIABLES)
+            }
             self.process = subprocess.Popen(
                 [sys.executable, __file__, address, str(self.project)],
                 env=kept | ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
