@@ -39,7 +39,7 @@ from pytest_dura.plugin.markers import (
     run_marked_search,
 )
 from pytest_dura.plugin.messages import apply_code_places, escape_error, escape_reason
-from pytest_dura.plugin.options import add_options
+from pytest_dura.plugin.options import add_options, send_options
 from pytest_dura.plugin.property_tests import register_profile
 from pytest_dura.plugin.session import begin_progress, expect_progress, session_of
 
@@ -217,7 +217,7 @@ class SessionHooks:
         if node_ids:
             self._begin_guard()
         # The record of an earlier session must not be taken for that of this one, whatever it runs.
-        earlier = bool(node_ids) and (self.session.evidence_directory / "evidence.json").exists()
+        earlier = bool(node_ids) and (self.session.options.evidence / "evidence.json").exists()
         if earlier or not all(map(lacks_case, own_items)):
             self.session.begin_evidence()
             expect_progress(self.session)
@@ -368,7 +368,7 @@ class SessionHooks:
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:
         """Send a worker what it needs: it writes the traces of its episodes itself."""
-        node.workerinput["dura_evidence"] = str(self.session.options.evidence.absolute())
+        send_options(self.session.options, node.workerinput)
         self.session.shared.send_to_worker(node.workerinput)
         self.session.models.send_to_worker(node.workerinput)
 

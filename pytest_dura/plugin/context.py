@@ -71,25 +71,13 @@ class SessionContext(ABC):
             pytest.UsageError: For a value that cannot be used.
         """
         with usage_errors():
-            return Options.of(self.config)
+            return Options(self.config)
 
     @property
     def worker_input(self) -> Mapping[str, Any]:
         """Mapping that the controller sent to this worker; empty in the controller."""
         given: Mapping[str, Any] = getattr(self.config, "workerinput", {})
         return given
-
-    @property
-    def evidence_directory(self) -> Path:
-        """Directory of the evidence: the controller's, also in a worker."""
-        given = self.worker_input.get("dura_evidence")
-        return self.options.evidence if given is None else Path(given)
-
-    @property
-    def cassette(self) -> Path | None:
-        """Cassette, where the mode has one: the controller's, also in a worker."""
-        given = self.worker_input.get("dura_cassette")
-        return self.options.cassette if given is None else Path(given)
 
     def extend_import_path(self) -> None:
         """Make ``planner:MyPlanner`` importable from where pytest was started, and from the root.
@@ -124,7 +112,7 @@ class SessionContext(ABC):
         from pytest_dura.evidence.redaction import Redactor
 
         if self._redactor is None:
-            self._redactor = Redactor(self.config.getini("dura_secrets"))
+            self._redactor = Redactor(self.options.secrets)
         self._redactor.learn(os.environ)
         return self._redactor.redact(value)
 
@@ -164,31 +152,22 @@ class SessionContext(ABC):
 
 def replay_command(context: SessionContext, episode: str, evidence: Path | None = None) -> str:
     """Return the command that runs an episode of this evidence, or of another one, again."""
-    options = [f"--dura-replay={episode}"]
+    instead: dict[str, str | None] = {}
     if evidence is not None:
-        here = context.config.invocation_params.dir
-        options.append(f"--dura-evidence={typed_path(evidence, here)}")
-    else:
-        given = context.options.given
-        options += [f"{name}={value}" for name, value in given if name == "--dura-evidence"]
-    if context.cassette is not None:
-        # The cassette answers, whatever the mode of this session.
-        given = context.options.given
-        options.append("--dura-llm=replay")
-        options += [f"{name}={value}" for name, value in given if name == "--dura-cassette"]
+        instead["evidence"] = typed_path(evidence, context.config.invocation_params.dir)
+    if context.options.cassette is not None:
+        instead["llm"] = "replay"  # the cassette answers, whatever the mode of this session
+    options = context.options.repeated("replay", instead)
     # The same arguments load the same conftest files, where a component may be defined.
-    return _pytest_command(context, [*options, *_path_arguments(context)])
+    paths = _path_arguments(context)
+    return _pytest_command(context, [f"--dura-replay={episode}", *options, *paths])
 
 
 def rerun_command(context: SessionContext, item: str) -> str:
     """Return the command that runs one item again."""
     # Test functions name their faults themselves, and without scenario cases the option is refused.
     is_test = item.partition("::")[0].endswith(".py")
-    given = [
-        f"{name}={value}"
-        for name, value in context.options.given
-        if not (is_test and name == "--dura-faults")
-    ]
+    given = context.options.repeated("rerun", {"faults": None} if is_test else None)
     return _pytest_command(context, [item, *given])
 
 
@@ -206,8 +185,6 @@ def _pytest_command(context: SessionContext, arguments: list[str]) -> str:
     setup = ["-c", option.inifilename] if option.inifilename else []
     if option.rootdir:
         setup.append(f"--rootdir={option.rootdir}")
-    if option.dura_trust_code:
-        setup.append("--dura-trust-code")
     return " ".join(["pytest", *map(_quoted, [*setup, *arguments])])
 
 

@@ -187,7 +187,7 @@ class SharedEpisodes:
         from pytest_dura.execution.cache import EpisodeCache
 
         options = self.context.options
-        directory = options.reuse or self.context.evidence_directory / EPISODES_FOLDER
+        directory = options.reuse or self.context.options.evidence / EPISODES_FOLDER
         return EpisodeCache(directory, self.id, earlier=options.resume or options.reuse is not None)
 
     @property

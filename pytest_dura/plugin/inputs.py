@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.files import InputFiles, InputKind
+from pytest_dura.plugin.options import Options
 from pytest_dura.provenance import MAX_LISTED_FILES, is_installed, user_code
 
 if TYPE_CHECKING:
@@ -42,9 +43,9 @@ class SessionInputs:
         here = config.invocation_params.dir
         if config.inipath is not None:
             self.inputs.add("configuration", config.inipath)
-        for name, value in options.given:
-            if name == "--dura-faults" and value.endswith((".yaml", ".yml")):
-                self.inputs.add("faults", here / value)
+        for text in Options.faults.given(config) or ():
+            if text.endswith((".yaml", ".yml")):
+                self.inputs.add("faults", here / text)
         if options.argument is not None:
             self.inputs.add("argument", options.argument)
         if options.llm == "replay" and options.cassette is not None:

@@ -17,6 +17,7 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.context import replay_command, rerun_command
+from pytest_dura.plugin.options import option_rows
 
 if TYPE_CHECKING:
     import os
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.sessions import ShardUnit
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import Planned, SessionContext
-    from pytest_dura.plugin.options import Shard
+    from pytest_dura.plugin.option_values import Shard
     from pytest_dura.runner import Runner
 
 
@@ -223,17 +224,6 @@ class Selection:
 _SHARD_KEY = "dura_shard"
 """Key in the output of a worker; the controller collects nothing."""
 _LOST_ITEMS_KEY = "dura_shard_lost"
-_MAY_DIFFER = frozenset(
-    f"dura_{name}"
-    for name in (
-        "scenarios", "path", "select", "list", "seed", "evidence", "evidence_level", "replay",
-        "reduce", "undecided", "baseline", "baseline_worse", "argument", "cassette", "shard",
-        "resume", "reuse", "executor",
-    )
-)  # fmt: skip
-"""Options that may differ between shards, or that stand in the record by themselves. Any other
-one is compared when shards are merged, so that a new option does not escape by being new."""
-
 _COMPARED_OPTIONS_OF_OTHERS = ("override_ini", "runxfail", "reruns", "only_rerun", "rerun_except")
 """Options of others by which a failure may be none, or another configuration is read."""
 _DISPLAY_SETTINGS = (
@@ -243,9 +233,8 @@ _DISPLAY_SETTINGS = (
     "cache_",
     "tmp_path_",
     "faulthandler_",
-    "dura_progress",
 )
-"""Prefixes of settings that ``-o`` may change in one shard alone."""
+"""Prefixes of settings of others that ``-o`` may change in one shard alone."""
 
 
 class ShardHooks:
@@ -270,7 +259,7 @@ class ShardHooks:
     def to_json(self) -> dict[str, Any]:
         """The record's key ``shard``."""
         split = self._split or {"plan": None, "units": None, "holds": []}
-        return {**vars(self.shard), "options": _compared_options(self.context.config), **split}
+        return {**vars(self.shard), "options": _compared_options(self.context), **split}
 
     @property
     def is_empty(self) -> bool:
@@ -339,22 +328,21 @@ class ShardHooks:
             session.exitstatus = pytest.ExitCode.OK
 
 
-def _compared_options(config: pytest.Config) -> dict[str, str]:
+def _compared_options(context: SessionContext) -> dict[str, str]:
     """Return the options on which results depend, with their values as JSON."""
-    options = vars(config.option)
-    names = [name for name in options if name.startswith("dura_") and name not in _MAY_DIFFER]
-    given = {
-        name: options[name] for name in (*names, *_COMPARED_OPTIONS_OF_OTHERS) if name in options
-    }
-    settings = given.get("override_ini") or []
-    given["override_ini"] = sorted(
-        setting for setting in settings if not setting.startswith(_DISPLAY_SETTINGS)
+    options = vars(context.config.option)
+    others = {name: options[name] for name in _COMPARED_OPTIONS_OF_OTHERS if name in options}
+    ours = [row.ini for row in option_rows() if row.ini and not row.same_in_shards]
+    display = (*_DISPLAY_SETTINGS, *ours)
+    others["override_ini"] = sorted(
+        setting for setting in others.get("override_ini") or [] if not setting.startswith(display)
     )
-    return {
+    given = context.options.compared_in_shards() | {
         f"--{name.replace('_', '-')}": json.dumps(value, default=str)
-        for name, value in sorted(given.items())
+        for name, value in others.items()
         if value not in (None, False) and value != []
     }
+    return dict(sorted(given.items()))
 
 
 def _units_of(

@@ -53,8 +53,7 @@ class LanguageModels:
 
     def send_to_worker(self, workerinput: dict[str, Any]) -> None:
         """Add what a worker has to know to its input."""
-        if self.context.cassette is not None:
-            workerinput["dura_cassette"] = str(self.context.cassette.absolute())
+        if self.context.options.cassette is not None:
             workerinput["dura_llm_session"] = self._name
         elif self._active is not None:
             # Each worker's own probe might differ, and so describe another component.
@@ -78,7 +77,7 @@ class LanguageModels:
             from pytest_dura.llm.session import ModelSession
 
             session = ModelSession(
-                options.llm, self.context.cassette, session=self._name, scrub=self.context.redact
+                options.llm, options.cassette, session=self._name, scrub=self.context.redact
             )
             self._replayed = session.replayed
             self._activate(session)
@@ -146,14 +145,14 @@ class LanguageModels:
 
     def replayed(self) -> list[str]:
         """Header line on the recorded models, where a cassette answers."""
-        if self.context.cassette is None or not self._replayed:
+        if self.context.options.cassette is None or not self._replayed:
             return []
         from pytest_dura.provenance import recorded_path
 
         models = [f"{model.spoken_of}, recorded {model.created[:10]}" for model in self._replayed]
         if len(models) > _MOST_MODELS:
             models[_MOST_MODELS:] = [f"and {len(models) - _MOST_MODELS} more models"]
-        file = recorded_path(self.context.cassette, self.context.config.rootpath)
+        file = recorded_path(self.context.options.cassette, self.context.config.rootpath)
         return [f"dura: answers replayed from {file}: {'; '.join(models)}"]
 
     def header(self) -> list[str]:
@@ -265,7 +264,7 @@ class LanguageModels:
 
     def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:
         """Return the record of a finished session with the cassette as it is now."""
-        session, file = self._active, self.context.cassette
+        session, file = self._active, self.context.options.cassette
         if file is None or session is None or session.cassette is None:
             return record
         from pytest_dura.evidence.files import sha256_of

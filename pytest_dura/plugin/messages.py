@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.options import DEFAULT_EVIDENCE
+from pytest_dura.plugin.options import Options
 
 
 def sibling_directory(evidence: Path, what: str) -> Path:
@@ -57,7 +57,7 @@ def apply_code_places(config: pytest.Config) -> None:
     ]
     if get("dura_replay") is not None or get("dura_reduce") is not None:
         given = get("dura_evidence")
-        foreign.append(here / given if given else config.rootpath / DEFAULT_EVIDENCE)
+        foreign.append(here / given if given else config.rootpath / str(Options.evidence.default))
     places = Places.of([config.rootpath], [] if get("dura_trust_code") else foreign)
     previous = use_places(places)
 

@@ -237,7 +237,7 @@ class ProgressHooks:
         self._context, self._config, self._mode = context, context.config, mode
         self._reporter: Any = self._config.pluginmanager.getplugin("terminalreporter")
         self._distributed = self._config.pluginmanager.hasplugin("dsession")
-        self._folder = context.evidence_directory / PROGRESS_FOLDER
+        self._folder = context.options.evidence / PROGRESS_FOLDER
         self._token = os.urandom(8).hex()
         self._guard: TerminalGuard | None = None
         self._screen: LiveScreen | None = None

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.options import Options
 
 if TYPE_CHECKING:
     from pytest_dura.library.cases import SearchedCase
@@ -27,17 +28,13 @@ if TYPE_CHECKING:
     from pytest_dura.search.trials import Objective
 
 
-_DEFAULT_FOLDER = "scenarios"
-
-
 def _scenario_folder(context: SessionContext) -> Path:
     """Return the first folder of ini ``dura_scenario_paths``; the default need not exist yet.
 
     Raises:
         ConfigurationError: If the setting names files alone: what is kept elsewhere is run by none.
     """
-    config = context.config
-    given = [Path(path) for path in config.getini("dura_scenario_paths")]
+    given = context.options.scenario_paths
     folders = [path for path in given if path.is_dir()]
     if given and not folders:
         raise ConfigurationError(
@@ -47,7 +44,7 @@ def _scenario_folder(context: SessionContext) -> Path:
             expected="a folder among them",
             remedy="add a folder, such as scenarios",
         )
-    return folders[0] if folders else config.rootpath / _DEFAULT_FOLDER
+    return folders[0] if folders else context.config.rootpath / str(Options.scenario_paths.default)
 
 
 def counterexample_store(context: SessionContext) -> CounterexampleStore:

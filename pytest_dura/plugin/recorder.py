@@ -154,7 +154,7 @@ class TraceKeeper:
         from pytest_dura.evidence.mcap import write_trace
         from pytest_dura.evidence.traces import TRACE_FOLDER, Trace, trace_path
 
-        path, directory = trace_path(about), self.context.evidence_directory
+        path, directory = trace_path(about), self.context.options.evidence
         try:
             _check_inside(directory / TRACE_FOLDER)
             trace = Trace.of(episode).without_secrets(self.context.redact)

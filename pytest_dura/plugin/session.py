@@ -22,6 +22,7 @@ from pytest_dura.plugin.evidence import SessionEvidence
 from pytest_dura.plugin.items import Selection, ShardHooks
 from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import usage_errors
+from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.property_tests import PropertyTests
 from pytest_dura.plugin.recorder import ItemRecorder
 from pytest_dura.plugin.roles import SessionRoles
@@ -63,7 +64,7 @@ def _case_name(context: SessionContext, path: str) -> str | None:
     try:
         library = context.library()
     except ConfigurationError as error:
-        if context.options.any_given:
+        if context.options.activated:
             raise
         # The argument may be a misspelt path or a scenario: the message names both.
         raise ConfigurationError(
@@ -165,7 +166,7 @@ def _progress_file(context: SessionContext) -> WorkerFile | None:
         return None
     from pytest_dura.plugin.progress import PROGRESS_FOLDER, WorkerFile
 
-    folder = context.evidence_directory / PROGRESS_FOLDER
+    folder = context.options.evidence / PROGRESS_FOLDER
     return WorkerFile(folder, worker_input["dura_progress"], worker_input["workerid"])
 
 
@@ -237,7 +238,7 @@ class DuraSession(SessionContext):
     @property
     def active(self) -> bool:
         """Whether options or arguments ask for something of this package."""
-        return self.options.any_given or bool(self._own_arguments)
+        return self.options.activated or bool(self._own_arguments)
 
     def start(self) -> None:
         """Check everything that can be checked before something runs, and plan.
@@ -331,7 +332,7 @@ class DuraSession(SessionContext):
 
     def _check_faults_used(self) -> None:
         """Refuse fault campaigns that nothing of this session would run."""
-        given = [value for name, value in self.options.given if name == "--dura-faults"]
+        given = Options.faults.given(self.config)
         if given:
             raise ConfigurationError(
                 "--dura-faults is about scenario cases, and the arguments name none",

@@ -1,0 +1,348 @@
+"""Readers of option values: each checks what was given, and returns it as the session uses it.
+
+A reader gets a :class:`Setting`. What is wrong is one error that names option, found and expected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.core.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import pytest
+
+    from pytest_dura.execution.executors import ExecutorChoice
+
+
+@dataclass(frozen=True)
+class Setting:
+    """An option in a session, before it is read.
+
+    Args:
+        key: The option, or ``ini`` and the setting, for messages.
+        given: Text, list or truth value; ``None`` where nothing was given.
+        default: Text that holds where nothing was given.
+        config: The session's configuration.
+    """
+
+    key: str
+    given: Any
+    default: str | None
+    config: pytest.Config
+
+    @property
+    def value(self) -> Any:
+        """What was given, or the default."""
+        return self.default if self.given is None else self.given
+
+    @property
+    def path(self) -> Path:
+        """Path as it was given, from where pytest was started; the default is in the root."""
+        if self.given:
+            return self.config.invocation_params.dir / str(self.given)
+        return self.config.rootpath / str(self.default)
+
+    def other(self, option: str) -> Any:
+        """Return what was given of another option."""
+        return self.config.getoption(option, None)
+
+
+def as_given(setting: Setting) -> Any:
+    """Return the value as it is."""
+    return setting.value
+
+
+def texts(setting: Setting) -> tuple[str, ...]:
+    """Return the values of a repeatable option."""
+    return tuple(setting.value or ())
+
+
+def switch(setting: Setting) -> bool:
+    """Return whether a switch was given."""
+    return bool(setting.given)
+
+
+def off_switch(setting: Setting) -> bool:
+    """Return whether a switch that turns something off was left alone."""
+    return not setting.given
+
+
+def is_choice(choice: str) -> Callable[[Setting], bool]:
+    """Make the reader of whether this choice was taken."""
+    return lambda setting: setting.value == choice
+
+
+def whole_number(at_least: int) -> Callable[[Setting], int]:
+    """Make the reader of a whole number."""
+
+    def read(setting: Setting) -> int:
+        option = setting.key
+        try:
+            number = int(str(setting.value))
+        except ValueError:
+            number = at_least - 1
+        if number < at_least:
+            raise ConfigurationError(
+                f"{option} takes a whole number",
+                key=option,
+                found=setting.value,
+                expected=f"a whole number of at least {at_least}",
+                remedy=f"for example {option}={max(at_least, 10)}",
+            )
+        return number
+
+    return read
+
+
+def seconds(setting: Setting) -> float:
+    """Read a positive, finite number of seconds."""
+    option = setting.key
+    try:
+        number = float(str(setting.value))
+    except ValueError:
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise ConfigurationError(
+            f"{option} takes a number of seconds",
+            key=option,
+            found=setting.value,
+            expected="a number above 0",
+            remedy=f"for example {option}=30",
+        )
+    return number
+
+
+def seconds_or_never(setting: Setting) -> float:
+    """Read a number of seconds; infinite for ``never``."""
+    return math.inf if setting.value == "never" else seconds(setting)
+
+
+def file(setting: Setting) -> Path:
+    """Read the path of a file, which is opened later."""
+    return setting.path
+
+
+def directories(setting: Setting) -> tuple[Path, ...]:
+    """Read directories of scenario files, each of which has to exist."""
+    paths = [setting.config.invocation_params.dir / path for path in setting.given or ()]
+    if setting.default is not None and not paths and setting.path.is_dir():
+        paths.append(setting.path)
+    for path in paths:
+        if not path.exists():
+            raise ConfigurationError(
+                "there is no such directory",
+                key=setting.key,
+                found=str(path),
+                expected="a directory with scenario or requirement files",
+                remedy="check the spelling; the path is relative to where pytest was started",
+            )
+    return tuple(paths)
+
+
+def folder(use: str) -> Callable[[Setting], Path]:
+    """Make the reader of a directory that is made if need be.
+
+    Args:
+        use: What goes into it, in a sentence for messages.
+    """
+
+    def read(setting: Setting) -> Path:
+        path = setting.path
+        if path.exists() and not path.is_dir():
+            raise ConfigurationError(
+                f"{use}, and this is a file",
+                key=setting.key,
+                found=str(path),
+                expected="a directory, which is made if it does not exist",
+                remedy="choose another path",
+            )
+        return path
+
+    return read
+
+
+def reuse_folder(setting: Setting) -> Path | None:
+    """Read the directory in which episodes are kept from session to session."""
+    if not setting.given:
+        return None
+    if setting.other("--dura-resume"):
+        raise ConfigurationError(
+            "an interrupted session is resumed from its own evidence directory",
+            key="--dura-resume",
+            found=f"--dura-resume and {setting.key}={setting.given}",
+            expected="one of them",
+            remedy="drop --dura-resume: episodes in the directory of --dura-reuse are taken over "
+            "anyway",
+        )
+    return folder("episodes are kept in a directory")(setting)
+
+
+def select_globs(setting: Setting) -> tuple[str, ...]:
+    """Read globs of case names, which need scenario cases."""
+    if setting.given and not (setting.other("--dura-scenarios") or setting.other("--dura-list")):
+        raise ConfigurationError(
+            "--dura-select chooses among scenario cases, and there are none without "
+            "--dura-scenarios",
+            key=setting.key,
+            found=setting.given[0],
+            remedy="add --dura-scenarios; choose test functions with -k",
+        )
+    return texts(setting)
+
+
+def fault_campaigns(setting: Setting) -> tuple[Any, ...] | None:
+    """List the campaigns of all ``--dura-faults``, in their order; ``None`` without any."""
+    if not setting.given:
+        return None
+    config = setting.config
+    arguments = config.args_source is config.ArgsSource.ARGS
+    if not (arguments or setting.other("--dura-scenarios") or setting.other("--dura-list")):
+        raise ConfigurationError(
+            "--dura-faults is about scenario cases, and there are none without --dura-scenarios",
+            key=setting.key,
+            found=setting.given[0],
+            remedy="add --dura-scenarios; a test function names its faults in the marker dura",
+        )
+    campaigns: list[Any] = []
+    for text in setting.given:
+        if text.endswith((".yaml", ".yml")):
+            from pytest_dura.library.fault_campaigns import read_campaigns
+
+            campaigns += read_campaigns(config.invocation_params.dir / text)
+        else:
+            campaigns += [part.strip() for part in text.split(",")]
+    if not all(campaigns):
+        raise ConfigurationError(
+            "a fault campaign of --dura-faults has no name",
+            key=setting.key,
+            found=", ".join(setting.given),
+            expected="for example --dura-faults=none,ghost-obstacle",
+        )
+    return tuple(campaigns)
+
+
+def fails_if_worse(setting: Setting) -> bool:
+    """Read whether a rate that got worse fails the session, which needs a baseline."""
+    if setting.given is not None and setting.other("--dura-baseline") is None:
+        raise ConfigurationError(
+            f"{setting.key} is about a baseline, and there is none",
+            key=setting.key,
+            found=setting.given,
+            remedy="add --dura-baseline=evidence.json",
+        )
+    return bool(setting.value == "fail")
+
+
+def cassette_file(setting: Setting) -> Path | None:
+    """Read the cassette, where the mode has one."""
+    if (setting.other("--dura-llm") or "live") != "live":
+        return setting.path
+    if setting.given is not None:
+        raise ConfigurationError(
+            f"{setting.key} is about recorded exchanges, and a live session has none",
+            key=setting.key,
+            found=setting.given,
+            expected="--dura-llm=record or --dura-llm=replay beside it",
+        )
+    return None
+
+
+_TIMEOUT_OPTION = "--dura-episode-timeout"
+
+
+def executor_limit(setting: Setting) -> float:
+    """Read the limit of an episode in another process, which needs one."""
+    limit = seconds(setting)
+    if setting.other("--dura-executor") in (None, "in-process"):
+        raise ConfigurationError(
+            f"{setting.key} is held by ending the process that simulates, and that is pytest's own",
+            key=setting.key,
+            found=f"{limit:g} without another executor",
+            expected="--dura-executor=processes, or a Dask cluster",
+            remedy=f"add --dura-executor=processes, or leave out {setting.key}; each call into a"
+            " role has --dura-role-timeout",
+        )
+    return limit
+
+
+def executor_choice(setting: Setting) -> ExecutorChoice | None:
+    """Read who simulates; ``None`` for this process.
+
+    Raises:
+        ConfigurationError: If there is no such executor, or another option does not go with it.
+    """
+    text, option = setting.value, setting.key
+    if text == "in-process":
+        return None
+    from pytest_dura.execution.executors import ExecutorChoice
+
+    choice = ExecutorChoice.parse(text)
+    timeout = setting.other(_TIMEOUT_OPTION)
+    if timeout is not None:
+        limit = Setting(_TIMEOUT_OPTION, timeout, None, setting.config)
+        choice = replace(choice, seconds=seconds(limit))
+    if choice.kind == "processes" and setting.other("numprocesses"):
+        raise ConfigurationError(
+            "the workers of pytest-xdist would each start processes of their own",
+            key=option,
+            found=f"{text} beside -n {setting.other('numprocesses')}",
+            expected="one of them",
+            remedy=f"leave out -n, and give {option}=processes:N the cores; or leave out {option}",
+        )
+    mode = setting.other("--dura-llm")
+    if mode in ("record", "replay"):
+        raise ConfigurationError(
+            "a cassette is of this process, and the episodes would be simulated in others",
+            key=option,
+            found=f"{text} beside --dura-llm={mode}",
+            expected="one of them",
+            remedy=f"leave out {option}, or use -n, whose workers share the cassette",
+        )
+    return choice
+
+
+_MOST_SHARDS = 10_000
+_LONGEST = len(f"{_MOST_SHARDS}/{_MOST_SHARDS}")
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Part of a session.
+
+    Args:
+        index: Its number, from 1.
+        count: How many there are.
+    """
+
+    index: int
+    count: int
+
+    @classmethod
+    def read(cls, setting: Setting) -> Shard:
+        """Read a value such as ``2/5``.
+
+        Raises:
+            ConfigurationError: If it is none.
+        """
+        text, option = str(setting.value), setting.key
+        first, _, last = text.partition("/")
+        digits = f"{first}{last}"
+        if first and last and digits.isascii() and digits.isdecimal() and len(text) <= _LONGEST:
+            shard = cls(int(first), int(last))
+            if 1 <= shard.index <= shard.count <= _MOST_SHARDS:
+                return shard
+        raise ConfigurationError(
+            f"{option} takes the number of a shard and how many there are",
+            key=option,
+            found=text,
+            expected=f"K/N with 1 <= K <= N <= {_MOST_SHARDS}",
+            remedy=f"for example {option}=2/5 for the second of five shards",
+        )
+
+    def __str__(self) -> str:
+        return f"shard {self.index} of {self.count}"

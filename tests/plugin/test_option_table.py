@@ -1,0 +1,129 @@
+"""What follows from a row of the table of options, and from nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pytest_dura.execution import Addresses
+from pytest_dura.plugin.option_reference import PAGE, reference_page, write_page
+from pytest_dura.plugin.option_values import whole_number
+from pytest_dura.plugin.options import Option, Options, option_rows, send_options
+from pytest_dura.plugin.session import session_of
+
+FLAGS = [row for row in option_rows() if row.flag is not None]
+BESIDE = {
+    "baseline": ["--dura-baseline=dura-evidence"],
+    "cassette": ["--dura-llm=replay"],
+    "fail_worse": ["--dura-baseline=dura-evidence"],
+    "episode_timeout": ["--dura-executor=processes"],
+}
+"""What an option does not go without."""
+SELECT = "--dura-select=intersection/ghost-obstacle"
+OF_MODELS = {"llm", "cassette"}
+"""They change the episodes of components that ask a language model."""
+
+
+def arguments(row):
+    given = f"{row.flag}={row.example}" if not row.is_switch else row.flag
+    return [*BESIDE.get(row.name, []), given]
+
+
+def session(project, *given):
+    config = project.pytester.parseconfigure("--dura-scenarios", SELECT, *given)
+    return session_of(config)
+
+
+def addresses(project, *given):
+    planning = session(project, *given)
+    planning.make_plan()
+    task = planning.runner.task
+    return {Addresses().of(task(planned.case, 1)).name for planned in planning.plan}
+
+
+def test_the_committed_page_is_up_to_date(tmp_path):
+    committed = (Path(__file__).parents[2] / "docs" / PAGE).read_text("utf-8")
+    assert committed == reference_page(), "run `python -m pytest_dura.plugin.option_reference`"
+    write_page(tmp_path / PAGE)
+    assert (tmp_path / PAGE).read_text("utf-8") == committed
+
+
+def test_the_help_of_a_session_is_that_of_the_table(project):
+    text = " ".join(project.run("--help").stdout.str().split())
+    for row in option_rows():
+        assert row.full_help in text
+        assert row.key.removeprefix("ini ") in text
+
+
+@pytest.mark.parametrize("row", FLAGS, ids=lambda row: row.name)
+def test_the_table_says_which_options_make_other_episodes(project, row):
+    text = (project.path / "scenarios/corridor/tight.yaml").read_text()
+    project.write("my/scenarios/other.yaml", text.replace("corridor/tight", "other/tight"))
+    same = bool(addresses(project) & addresses(project, *arguments(row)))
+    assert same is (not row.changes_episodes or row.name in OF_MODELS)
+
+
+@pytest.mark.parametrize("row", FLAGS, ids=lambda row: row.name)
+def test_printed_commands_repeat_what_the_table_says(project, row):
+    (project.path / "my/scenarios").mkdir(parents=True)
+    options = session(project, *arguments(row)).options
+    for command in ("rerun", "replay"):
+        assert (arguments(row)[-1] in options.repeated(command)) is (command in row.repeated_in)
+
+
+@pytest.fixture
+def extra(monkeypatch):
+    """A row beside those of the package, which a session knows as soon as it is in the table."""
+    row = Option(
+        "--dura-extra",
+        "count",
+        whole_number(at_least=1),
+        ini="dura_extra",
+        default="3",
+        metavar="N",
+        example="5",
+        repeated_in=("rerun",),
+        no_shard="it counts",
+        no_shard_for="8",
+    )
+    row.__set_name__(Options, "extra")
+    monkeypatch.setattr(Options, "extra", row, raising=False)
+    return row
+
+
+def test_a_row_is_an_option_a_setting_and_a_line_of_the_page(project, extra):
+    assert session(project).options.extra == 3
+    project.write("pytest.ini", "[pytest]\npythonpath = .\ndura_extra = 4\n")
+    assert session(project).options.extra == 4
+    options = session(project, "--dura-extra=5").options
+    assert options.extra == 5
+    assert options.repeated("rerun") == ["--dura-extra=5"]
+    assert options.compared_in_shards() == {"--dura-extra": '"5"'}
+    page = reference_page()
+    assert "| `--dura-extra=N` | Count. For example `--dura-extra=5`. | 3 |" in page
+    assert "| `dura_extra` | Count. | 3 | `--dura-extra` |" in page
+    assert "| `--dura-extra` |  |  | rerun | no `8`: it counts |" in page
+    with pytest.raises(pytest.UsageError, match="--dura-extra takes a whole number"):
+        _ = session(project, "--dura-extra=0").options
+    assert session(project, "--dura-extra=5", "--dura-shard=1/2").options.extra == 5
+    with pytest.raises(pytest.UsageError, match="--dura-shard and --dura-extra exclude each other"):
+        _ = session(project, "--dura-extra=8", "--dura-shard=1/2").options
+
+
+def test_a_worker_has_the_paths_of_the_controller(project):
+    options = session(project, "--dura-evidence=out", "--dura-llm=record").options
+    sent = options.for_workers()
+    assert sent == {
+        "evidence": str(project.path / "out"),
+        "cassette": str(project.path / "dura-cassette.sqlite"),
+    }
+    config = project.pytester.parseconfigure("--dura-evidence=elsewhere", "--dura-llm=record")
+    config.workerinput = {}
+    send_options(options, config.workerinput)
+    assert Options(config).for_workers() == sent
+
+
+def test_the_flag_of_repeatable_episodes_is_recorded(project):
+    project.scenarios("--dura-require-repeatable", select="corridor/free")
+    assert project.evidence()["require_repeatable"] is True
