@@ -68,9 +68,9 @@ def watch(clock: Clock) -> None:
     from pytest_dura.plugin.recorder import ItemRecorder, TraceKeeper
 
     clock.runs_in(EpisodeLog, "_recording", "recording")
-    for name in ("episode_used", "verdict_reached", "monitors_judged", "faults_traced", "attach"):
+    for name in ("episode_used", "verdict_reached", "monitors_measured", "faults_traced", "attach"):
         clock.runs_in(ItemRecorder, name, "items")
-    for name in ("used", "violated"):
+    for name in ("episode_used", "violated"):
         clock.runs_in(TraceKeeper, name, "traces")
     for name in ("start", "gather", "take", "finish"):
         clock.runs_in(SessionEvidence, name, "record")

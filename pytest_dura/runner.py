@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 from pytest_dura.campaign.campaign import Campaign
-from pytest_dura.campaign.fault_tracing import CausalChain, FaultTracer
-from pytest_dura.campaign.runner import EpisodeRunner, ignore_event
+from pytest_dura.campaign.events import CausalChain
+from pytest_dura.campaign.fault_tracing import FaultTracer
+from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case, SearchedCase
@@ -23,19 +24,17 @@ class Runner(EpisodeRunner):
     """Runs cases by name, makes campaigns of them, and searches them.
 
     Args:
-        on_chains: Called with the causal chain of each fault of an episode that a verdict rests on.
         counterexamples: Stores the counterexamples that searches confirm; ``None`` stores none.
             All other arguments are those of :class:`EpisodeRunner`.
     """
 
-    on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = ignore_event
     counterexamples: CounterexampleStore | None = None
     keep = renamed("keep", "counterexamples")
     _tracer: FaultTracer = field(init=False)
 
     def __post_init__(self) -> None:
         """Trace faults with this runner."""
-        self._tracer = FaultTracer(self, self.on_chains)
+        self._tracer = FaultTracer(self)
 
     def follow(self, case: Case, runs: Sequence[int]) -> None:
         """Report the causal chains of episodes that were run before, each once.

@@ -1,4 +1,18 @@
 from .detector_training import Training, train
+from .events import (
+    CampaignProgress,
+    CausalChain,
+    EpisodeUsed,
+    EventStream,
+    FaultsTraced,
+    MonitorsMeasured,
+    Progress,
+    RunningCampaign,
+    SearchedEpisodeUsed,
+    SearchEnded,
+    SessionEvent,
+    VerdictReached,
+)
 from .falsification import (
     Falsification,
     FoundCounterexample,
@@ -10,25 +24,29 @@ from .falsification import (
     Shrinking,
     SpaceCoverage,
 )
-from .fault_tracing import CausalChain
-from .reduction import Reduction, reduce_faults
-from .reporting import CampaignProgress, RunningCampaign
 
 __all__ = [
     "CampaignProgress",
     "CausalChain",
+    "EpisodeUsed",
+    "EventStream",
     "Falsification",
+    "FaultsTraced",
     "FoundCounterexample",
     "Limits",
+    "MonitorsMeasured",
     "ParameterChange",
-    "Reduction",
+    "Progress",
     "ReplayCount",
     "RunningCampaign",
+    "SearchEnded",
     "SearchOutcome",
+    "SearchedEpisodeUsed",
     "SearcherReport",
+    "SessionEvent",
     "Shrinking",
     "SpaceCoverage",
     "Training",
-    "reduce_faults",
+    "VerdictReached",
     "train",
 ]

@@ -6,19 +6,11 @@ FaultTracer compares a run with faults with the run of the same seed without any
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
 
-from pytest_dura.campaign.reporting import RunningCampaign
-from pytest_dura.campaign.runner import EpisodeRunner, ignore_event
-from pytest_dura.core.episode import (
-    Divergence,
-    Episode,
-    OutcomeStatus,
-    PropagationStatus,
-    outcome_of,
-)
+from pytest_dura.campaign.events import CausalChain, FaultsTraced, RunningCampaign
+from pytest_dura.campaign.runner import EpisodeRunner
+from pytest_dura.core.episode import Divergence, Episode, outcome_of
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.execution.store import EpisodeKey, key_of
@@ -26,42 +18,6 @@ from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import Requirement
-
-
-@dataclass(frozen=True)
-class CausalChain:
-    """One fault of one episode, from plan to outcome; times in s, ``None`` for what never was.
-
-    Args:
-        record: From plan to recovery, as the loop saw it.
-        propagation: Whether the proposals left those of the fault-free twin; ``None`` if the fault
-            never manifested or that was not measured.
-        propagated_at: When they did.
-        unknown: Why that cannot be said.
-        outcome: See :func:`outcome_of`.
-        violated: Requirements that were violated from its manifestation on.
-        violated_without: Those among them that the fault-free twin violates, too; ``None`` if
-            there is no twin to tell.
-    """
-
-    record: FaultRecord
-    propagation: PropagationStatus | None
-    propagated_at: float | None
-    unknown: str
-    outcome: OutcomeStatus
-    violated: tuple[str, ...] = ()
-    violated_without: tuple[str, ...] | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record."""
-        own = {key: value for key, value in vars(self).items() if key != "record"}
-        return {
-            **asdict(self.record),
-            **{
-                key: list(value) if isinstance(value, tuple) else value
-                for key, value in own.items()
-            },
-        }
 
 
 def causal_chains(
@@ -137,17 +93,11 @@ class FaultTracer:
     """Follows each fault of an episode from plan to outcome, once.
 
     Args:
-        runner: Runs the episodes.
-        on_chains: Called with the chains of each episode that is traced, once.
+        runner: Runs the episodes, and emits the chains of each that is traced.
     """
 
-    def __init__(
-        self,
-        runner: EpisodeRunner,
-        on_chains: Callable[[Case, JudgedEpisode, list[CausalChain]], None] = ignore_event,
-    ) -> None:
+    def __init__(self, runner: EpisodeRunner) -> None:
         self.runner = runner
-        self._on_chains = on_chains
         self._reported: set[EpisodeKey] = set()
         self._chains: OrderedDict[EpisodeKey, list[CausalChain]] = OrderedDict()
 
@@ -161,13 +111,14 @@ class FaultTracer:
         try:
             for step, run in enumerate(due):
                 upcoming.reach(step)
-                runner.on_progress(running.reach(step, len(due), runner.store.simulated))
+                runner.events.emit(running.reach(step, len(due), runner.store.simulated))
                 episode = runner.fetch(case, run)
                 self._reported.add(key_of(tasks[run]))
-                self._on_chains(case, episode, self.chains(case, episode, upcoming))
+                chains = self.chains(case, episode, upcoming)
+                runner.events.emit(FaultsTraced(case, episode, chains))
         finally:
             runner.store.cancel()
-            runner.on_progress(running.end())
+            runner.events.emit(running.end())
 
     def chains(
         self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.campaign.events import MonitorsMeasured
 from pytest_dura.campaign.reporting import ComponentFailures
 from pytest_dura.campaign.runs import CampaignRuns, finite_number
 from pytest_dura.core.episode import Episode
@@ -184,7 +185,8 @@ class PairedCampaign:
 
     def _report_monitors(self, runs: Sequence[int]) -> None:
         if self.without == _RECOVERY:
-            self.campaign.runner.on_monitors(self.case, self._monitors(runs))
+            measured = MonitorsMeasured(self.case, self._monitors(runs))
+            self.campaign.runner.events.emit(measured)
 
     def _requirements(self) -> list[Requirement]:
         known = self.campaign.runner.library().requirements

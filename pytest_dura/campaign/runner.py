@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from pytest_dura.campaign.falsification import Falsification
-from pytest_dura.campaign.reporting import RunningCampaign
+from pytest_dura.campaign.events import EpisodeUsed, EventStream, SearchedEpisodeUsed
 from pytest_dura.core.boundary import ROLE_TIMEOUT
 from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.episode import Episode, EpisodeSpec
@@ -27,14 +26,8 @@ from pytest_dura.library.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.library.loading import Library
 from pytest_dura.library.roles import ParameterResolver
 from pytest_dura.library.scenario import Scenario
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitoring.quality import MonitorQuality
-
-
-def ignore_event(*_: object) -> None:
-    """The listener of a runner that has none."""
 
 
 @dataclass(repr=False)
@@ -51,13 +44,7 @@ class EpisodeRunner:
         time_budget: Replaces the seconds that scenarios give the component for one proposal.
         end_when_decided: Replaces what scenarios say of whether episodes end once all is decided.
         metrics: User-defined metrics by name.
-        on_episode: Called at every use of an episode: the case, the episode, and how many were
-            planned of this case; 0 if the episode's seed was chosen by hand.
-        on_progress: Called before each run of a campaign, and when it ends.
-        on_verdict: Called with every verdict of :meth:`Campaign.require` and its requirement.
-        on_monitors: Called with the quality of a case's monitors, where it was measured.
-        on_search: Called with each search that has ended.
-        on_searched: Called at every use of an episode of a case that a strategy chose.
+        events: On which it emits what happens.
         resolver: Resolves the parameters of roles, each class once.
         twins: Whether fault-free twins are run, to see which faults reached the proposals.
         recorded: Whether episodes keep what a viewer shows of them.
@@ -74,12 +61,7 @@ class EpisodeRunner:
     time_budget: float | None = None
     end_when_decided: bool | None = None
     metrics: Metrics = NOTHING
-    on_episode: Callable[[Case, JudgedEpisode, int], None] = ignore_event
-    on_progress: Callable[[RunningCampaign], None] = ignore_event
-    on_verdict: Callable[[CampaignVerdict, Requirement], None] = ignore_event
-    on_monitors: Callable[[Case, list[MonitorQuality]], None] = ignore_event
-    on_search: Callable[[Case, Falsification], None] = ignore_event
-    on_searched: Callable[[SearchedCase, SearchedEpisode], None] = ignore_event
+    events: EventStream = field(default_factory=EventStream)
     twins: bool = True
     recorded: bool = False
     store: EpisodeStore = field(default_factory=EpisodeStore)
@@ -167,13 +149,13 @@ class EpisodeRunner:
         __tracebackhide__ = True
         if isinstance(case, SearchedCase):
             searched = self.searched(case, run, ahead=ahead)
-            self.on_searched(case, searched)
+            self.events.emit(SearchedEpisodeUsed(case, searched))
             return searched
         try:
             episode = self.fetch(case, run, seed, ahead)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
-        self.on_episode(case, episode, planned if seed is None else 0)
+        self.events.emit(EpisodeUsed(case, episode, planned if seed is None else 0))
         return episode
 
     again = renamed("again", "fetch")
@@ -181,7 +163,7 @@ class EpisodeRunner:
     def fetch(
         self, case: Case, run: int = 0, seed: int | None = None, ahead: Iterable[EpisodeTask] = ()
     ) -> JudgedEpisode:
-        """One run of a case, as :meth:`episode`, without a call of ``on_episode``.
+        """One run of a case, as :meth:`episode`, without an event.
 
         Args:
             case: The case.

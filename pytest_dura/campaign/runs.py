@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from pytest_dura.campaign.events import RunningCampaign, VerdictReached
 from pytest_dura.campaign.fault_tracing import FaultTracer
-from pytest_dura.campaign.reporting import ComponentFailures, RunningCampaign, explain_verdict
+from pytest_dura.campaign.reporting import ComponentFailures, explain_verdict
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.errors import ConfigurationError, DuraError
@@ -192,7 +193,7 @@ class CampaignRuns:
             yield running, ahead
         finally:
             runner.store.cancel()
-            runner.on_progress(running.end())
+            runner.events.emit(running.end())
 
     def upcoming(self, cases: Sequence[Case]) -> UpcomingTasks:
         """The planned runs of several cases as tasks, run by run."""
@@ -204,7 +205,7 @@ class CampaignRuns:
         self, run: int, end: int, running: RunningCampaign, ahead: Iterable[EpisodeTask]
     ) -> JudgedEpisode:
         """The run of this number; ``end`` is how many are planned by now."""
-        self.runner.on_progress(running.reach(run, end, self.runner.store.simulated))
+        self.runner.events.emit(running.reach(run, end, self.runner.store.simulated))
         return self.runner.episode(self.case, run, planned=self.planned, ahead=ahead)
 
     def with_crash(
@@ -259,7 +260,7 @@ class CampaignRuns:
             RequirementViolated: If it is not.
         """
         __tracebackhide__ = True
-        self.runner.on_verdict(verdict, requirement)
+        self.runner.events.emit(VerdictReached(verdict, requirement))
         if verdict.verdict != "supported":
             raise RequirementViolated(
                 "\n".join(explain_verdict(verdict, requirement, self.failures)), verdict

@@ -63,6 +63,11 @@ def one_line(text: str, limit: int = LINE, *, hashed: bool = False) -> str:
     return _fitted(_pieces(joined), text, limit, hashed=hashed, cut=len(head) < len(text))
 
 
+def counted(number: int, noun: str, plural: str | None = None) -> str:
+    """Write ``1 run``, ``2 runs``."""
+    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
 def name(text: str, limit: int = NAME) -> str:
     r"""Write an identifier on one line: two that differ stay different.
 

@@ -15,6 +15,7 @@ import pytest
 
 from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
 from pytest_dura.core.errors import DuraError
+from pytest_dura.plugin import event_hook
 from pytest_dura.plugin.fixtures import (
     _dura_roles,
     campaign,
@@ -78,6 +79,11 @@ MARKERS = (
     ),
     "requirement(id, text=None, kind='safety', source=''): the requirement that the test decides",
 )
+
+
+def pytest_addhooks(pluginmanager: pytest.PytestPluginManager) -> None:
+    """Declare the hook that users implement."""
+    pluginmanager.add_hookspecs(event_hook)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -264,7 +270,7 @@ class SessionHooks:
         if nextitem is None and self.session.is_worker and self.session.plan:
             from pytest_dura.plugin.xdist import steal_work
 
-            steal_work(self.session, item)
+            steal_work(self.session.runner, item)
         return result
 
     @pytest.hookimpl(wrapper=True, trylast=True)
@@ -306,13 +312,7 @@ class SessionHooks:
         item_report = self.session.recorder.attach(item, call, report)
         # A test that could not be set up is not called.
         if uses_runner(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
-            from pytest_dura.plugin.item_reports import add_properties, report_item
-            from pytest_dura.plugin.outcomes import item_results
-
-            results = item_results(self.session, item, item_report)
-            add_properties(self.session, item, report, results)
-            if item.config.getoption("allure_report_dir", None):
-                report_item(self.session, item, results)
+            self.session.judge_item(item, report, item_report)
         return report
 
     @pytest.hookimpl(tryfirst=True)

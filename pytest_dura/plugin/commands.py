@@ -15,20 +15,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.evidence.text import counted
 from pytest_dura.plugin.context import replay_command
-from pytest_dura.plugin.messages import counted, print_lines, sibling_directory, usage_errors
+from pytest_dura.plugin.messages import print_lines, sibling_directory, usage_errors
 from pytest_dura.plugin.roles import defined_in_conftest
 
 if TYPE_CHECKING:
     import pytest
 
-    from pytest_dura.campaign.reduction import Reduction
     from pytest_dura.core.episode import Episode, EpisodeSpec
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.plugin.options import Options
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.model import Requirement
+    from pytest_dura.search.shrinking import Reduction
 
 
 def run_command(session: DuraSession) -> int:
@@ -473,7 +474,7 @@ def reduce(session: DuraSession) -> int:
     Raises:
         ConfigurationError: For an unknown episode, and one that violated nothing or has no faults.
     """
-    from pytest_dura.campaign.reduction import BUDGET, reduce_faults
+    from pytest_dura.search.shrinking import REDUCTION_BUDGET, reduce_faults
 
     options = session.options
     name = str(options.reduce)
@@ -486,7 +487,7 @@ def reduce(session: DuraSession) -> int:
     requirements = [
         requirement for requirement in recorded.requirements if requirement.id in recorded.violated
     ]
-    budget = BUDGET if options.runs is None else options.runs
+    budget = REDUCTION_BUDGET if options.runs is None else options.runs
     spec = recorded.spec
     violates = f"violates {', '.join(recorded.violated)}; at most {budget} runs"
     print_lines([f"{name} ({spec.component}): {counted(len(spec.faults), 'fault')}, {violates}"])

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from pytest_dura.library.loading import Library
     from pytest_dura.library.roles import ParameterResolver
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.runner import Runner
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +37,8 @@ class Planned:
     requirements: tuple[str, ...]
 
 
-class SessionContext(ABC):
-    """Options, scenarios, the plan and the runner of one pytest session.
+class SessionContext:
+    """Options, scenarios and the plan of one pytest session.
 
     Args:
         config: The session's configuration.
@@ -57,11 +55,6 @@ class SessionContext(ABC):
         self._faults_of: dict[str, tuple[dict[str, Any], ...]] = {}
         self._library: Library | ConfigurationError | None = None
         self._redactor: Redactor | None = None
-
-    @property
-    @abstractmethod
-    def runner(self) -> Runner:
-        """Runner of episodes. Its roles follow the fixtures that the current item sees."""
 
     @cached_property
     def options(self) -> Options:

@@ -19,22 +19,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.plugin.messages import counted, safe_lines, typed_path
+from pytest_dura.evidence.text import counted
+from pytest_dura.plugin.messages import safe_lines, typed_path
+from pytest_dura.plugin.outcomes import target_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, MutableMapping
+    from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping
 
     import pytest
 
+    from pytest_dura.campaign.events import EpisodeUsed
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.execution.cache import EpisodeCache
-    from pytest_dura.execution.executors import Execution
+    from pytest_dura.execution.executors import Execution, ExecutorChoice
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
-    from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.language_models import LanguageModels
-    from pytest_dura.requirements.episode_verdicts import JudgedEpisode
+    from pytest_dura.runner import Runner
 
 
 _SIMULATED_HERE_KEY = "dura_simulated_here"
@@ -45,11 +47,15 @@ class SessionExecutor:
     """Simulates the episodes of this process, itself or through an executor.
 
     Args:
-        context: The session's context.
+        choice: Who simulates, if it is not this process itself.
+        is_worker: Whether this is a worker of pytest-xdist.
+        collect_only: Whether nothing is run.
     """
 
-    def __init__(self, context: SessionContext) -> None:
-        self.context = context
+    def __init__(
+        self, choice: ExecutorChoice | None, *, is_worker: bool, collect_only: bool
+    ) -> None:
+        self._choice, self._is_worker, self._collect_only = choice, is_worker, collect_only
         self._execution: Execution | ConfigurationError | None = None
         self._simulated_here: Counter[tuple[str, str]] = Counter()
 
@@ -62,9 +68,9 @@ class SessionExecutor:
         if self._execution is None:
             from pytest_dura.execution.executors import Execution
 
-            choice = self.context.options.executor
             try:
-                self._execution = Execution() if choice is None else choice.execution()
+                chosen = self._choice
+                self._execution = Execution() if chosen is None else chosen.execution()
             except ConfigurationError as error:
                 self._execution = error
         if isinstance(self._execution, ConfigurationError):
@@ -77,9 +83,8 @@ class SessionExecutor:
         Raises:
             ConfigurationError: If it is not.
         """
-        choice = self.context.options.executor
-        if choice is not None and not self.context.is_worker:
-            choice.connect()
+        if self._choice is not None and not self._is_worker:
+            self._choice.connect()
 
     def start(self) -> None:
         """Start the executor once all is collected: processes inherit what is imported by then.
@@ -87,8 +92,7 @@ class SessionExecutor:
         Raises:
             ConfigurationError: If it cannot be used.
         """
-        simulates_nothing = self.context.is_worker or self.context.config.option.collectonly
-        if self.context.options.executor is not None and not simulates_nothing:
+        if self._choice is not None and not (self._is_worker or self._collect_only):
             self.execution()
 
     @property
@@ -109,14 +113,14 @@ class SessionExecutor:
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``execution``."""
-        choice = self.context.options.executor
+        choice = self._choice
         if choice is None:
             return {"executor": "in-process", "processes": None}
         return {"executor": choice.kind, "processes": choice.processes}
 
     def header(self) -> list[str]:
         """Header line, if another process simulates."""
-        choice = self.context.options.executor
+        choice = self._choice
         if choice is None:
             return []
         if choice.processes is not None:
@@ -379,7 +383,7 @@ class Repeats:
     Of the processes of a session one simulates the repetition.
 
     Args:
-        context: The session's context.
+        runner: Returns the runner of episodes.
         models: Whose counts leave repetitions out.
         shared: Which process repeats a case.
         executor: Who simulates.
@@ -387,24 +391,26 @@ class Repeats:
 
     def __init__(
         self,
-        context: SessionContext,
+        runner: Callable[[], Runner],
         models: LanguageModels,
         shared: SharedEpisodes,
         executor: SessionExecutor,
     ) -> None:
-        self.context = context
+        self._runner = runner
         self._models, self._shared, self._executor = models, shared, executor
         self._due: dict[tuple[str, str], _DueRepetition] = {}
         self._done: set[tuple[str, str]] = set()
 
-    def episode_used(self, case: Case, episode: JudgedEpisode) -> None:
-        """Note that an item looked at a planned episode of a case."""
+    def episode_used(self, event: EpisodeUsed) -> None:
+        """Note the first planned episode of a case, which is to be repeated."""
+        case, episode = event.case, event.episode
         key = case.id, episode.spec.component
-        if key in self._due or key in self._done or episode.failure is not None:
+        known = key in self._due or key in self._done
+        if not event.planned or known or episode.failure is not None:
             return
         from pytest_dura.execution.address import model_answers
 
-        task = self.context.runner.task(case, episode.spec.run)
+        task = self._runner().task(case, episode.spec.run)
         answers = model_answers(task)
         live = answers is not None and not answers.startswith("replay ")
         skip_reason = "a live language model answers" if live else None
@@ -441,7 +447,7 @@ class Repeats:
             return None
         try:
             with self._models.uncounted():
-                repetition = self.context.runner.store.repeat(due.task)
+                repetition = self._runner().store.repeat(due.task)
         except Exception as error:  # whatever user code raises, which it did not the first time
             return {
                 "result": "failed",
@@ -460,11 +466,8 @@ class Repeats:
 
 def _case_id_of(item: pytest.Item) -> str:
     """Id of the case that an item looks at; empty where it chooses its episodes itself."""
-    planned = getattr(item, "planned", None)
-    for value in getattr(getattr(item, "callspec", None), "params", {}).values():
-        if hasattr(value, "planned") and hasattr(value, "case"):
-            planned = value
-    return "" if planned is None else str(planned.case.id)
+    target = target_of(item)
+    return "" if target is None else str(target.case.id)
 
 
 def show_repeats(terminal: Any, record: SessionRecord, objections: Collection[str]) -> None:

@@ -93,8 +93,9 @@ def _dura_roles(  # noqa: PLR0917 - pytest passes them by name
         "fault_injector": fault_injector,
         "recovery_planner": recovery_planner,
     }
+    session = session_of(request.config)
     try:
-        session_of(request.config).roles.use(given)
+        session.roles.use(given, session.runner)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
 

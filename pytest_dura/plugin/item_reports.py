@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import inspect
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 from uuid import uuid4
@@ -24,16 +25,18 @@ from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
 from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.markers import marked_requirements
-from pytest_dura.plugin.outcomes import ItemResult, episode_of, target_of
+from pytest_dura.plugin.outcomes import ItemJudged, ItemResult, episode_of, target_of
 from pytest_dura.reports.wording import event_text
 
 if TYPE_CHECKING:
+    from pytest_dura.campaign.events import EventStream
     from pytest_dura.core.episode import Episode
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
     from pytest_dura.requirements.model import Requirement
+    from pytest_dura.runner import Runner
 
 
 Properties = list[tuple[str, str]]
@@ -43,31 +46,43 @@ _NAMES = {"requirement", "case", "component", "item", "episode", "counterexample
 _PROPERTIES_KEY = pytest.StashKey[Properties]()
 
 
-def add_properties(
-    context: SessionContext,
-    item: pytest.Item,
-    report: pytest.TestReport,
-    results: Sequence[ItemResult],
+def subscribe(context: SessionContext, runner: Callable[[], Runner], events: EventStream) -> None:
+    """Report what items come to as JUnit's properties, and to Allure where it is used.
+
+    Args:
+        context: The session's context.
+        runner: Returns the runner of episodes.
+        events: On which the plugin emits :class:`ItemJudged`.
+    """
+    events.subscribe(ItemJudged, partial(_add_properties, context, runner))
+    if context.config.getoption("allure_report_dir", None):
+        events.subscribe(ItemJudged, partial(_report_item, context, runner))
+
+
+def _add_properties(
+    context: SessionContext, runner: Callable[[], Runner], event: ItemJudged
 ) -> None:
     """Put an item's results among its properties, which cross processes with its reports."""
+    item = event.item
     earlier = item.stash.get(_PROPERTIES_KEY, [])  # of an earlier attempt
     others = [entry for entry in item.user_properties if entry not in earlier]
-    ours = _properties(context, item, results)
+    ours = _properties(context, runner, event)
     item.stash[_PROPERTIES_KEY] = ours
     item.user_properties[:] = [*others, *ours]
-    report.user_properties = list(item.user_properties)
+    event.report.user_properties = list(item.user_properties)
 
 
 def _properties(
-    context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]
+    context: SessionContext, runner: Callable[[], Runner], event: ItemJudged
 ) -> Properties:
     properties: list[tuple[str, Any]] = [
-        ("item", item.nodeid),
+        ("item", event.item.nodeid),
         ("base_seed", context.options.seed),
-        *_episode_properties(context, item),
+        *_episode_properties(context, event.item),
     ]
-    for result in results:
-        properties += _result_properties(context, result)
+    for result in event.results:
+        events = ending_events(result, runner, context.redact)
+        properties += _result_properties(context, result, events)
     return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
 
 
@@ -89,7 +104,9 @@ def _episode_properties(context: SessionContext, item: pytest.Item) -> Iterator[
         yield "replay", replay_command(context, episode.id)
 
 
-def _result_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
+def _result_properties(
+    context: SessionContext, result: ItemResult, events: Sequence[str]
+) -> Iterator[tuple[str, Any]]:
     requirement = result.requirement
     yield "requirement", requirement.id
     yield "kind", requirement.kind
@@ -97,10 +114,10 @@ def _result_properties(context: SessionContext, result: ItemResult) -> Iterator[
     yield "component", result.component
     if result.outcome is not None:
         yield from _outcome_properties(result.outcome)
-        for event in ending_events(context, result):
+        for event in events:
             yield "event", event
     if result.verdict is not None:
-        yield from _verdict_properties(context, result)
+        yield from _verdict_properties(context, result, events)
 
 
 def _outcome_properties(outcome: Any) -> Iterator[tuple[str, Any]]:
@@ -117,7 +134,9 @@ def _outcome_properties(outcome: Any) -> Iterator[tuple[str, Any]]:
         yield "false_check", check
 
 
-def _verdict_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
+def _verdict_properties(
+    context: SessionContext, result: ItemResult, events: Sequence[str]
+) -> Iterator[tuple[str, Any]]:
     verdict = result.verdict
     assert verdict is not None
     yield "verdict", verdict["verdict"]
@@ -136,12 +155,14 @@ def _verdict_properties(context: SessionContext, result: ItemResult) -> Iterator
         episode = verdict["counterexamples"][0]["episode"]
         yield "counterexample", episode
         yield "counterexample_seed", seed_of(context, result, episode)
-        for event in ending_events(context, result):
+        for event in events:
             yield "event", event
         yield "replay", replay_command(context, episode)
 
 
-def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
+def ending_events(
+    result: ItemResult, runner: Callable[[], Runner], redact: Callable[[str], str]
+) -> list[str]:
     """List what ended the violating episode that stands for a result."""
     if result.status != "violated":
         return []
@@ -149,13 +170,11 @@ def ending_events(context: SessionContext, result: ItemResult) -> list[str]:
     counterexamples = (result.verdict or {}).get("counterexamples")
     if episode is None and counterexamples and result.case is not None:
         run = int(counterexamples[0]["episode"].rpartition("#")[2])
-        episode = context.runner.fetch(result.case, run)
+        episode = runner().fetch(result.case, run)
     if episode is None:
         return []
     return [
-        context.redact(event_text(event.to_json()))
-        for event in episode.events
-        if event.kind == "critical"
+        redact(event_text(event.to_json())) for event in episode.events if event.kind == "critical"
     ]
 
 
@@ -235,16 +254,11 @@ _COUNTEREXAMPLES = 100
 """Counterexamples in the attached verdict."""
 
 
-def report_item(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
-    """Add an item's results to the open Allure result.
-
-    Args:
-        context: The session's context.
-        item: An item that uses the runner, whose result is not written yet.
-        results: Its results.
-    """
+def _report_item(context: SessionContext, runner: Callable[[], Runner], event: ItemJudged) -> None:
+    """Add an item's results to the open Allure result, which is not written yet."""
     from allure_commons import plugin_manager
 
+    item, results = event.item, event.results
     allure = plugin_manager.hook
     components = dict.fromkeys(
         one_line(result.component, 200) for result in results if result.component
@@ -255,7 +269,8 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
         for parameter, value in _parameters(context, result).items():
             # Allure's history tells tests apart by parameters: results must not be among them.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
-    description = _description(context, item, results)
+    events = [ending_events(result, runner, context.redact) for result in results]
+    description = _description(item, results, events)
     if description:
         allure.add_description(test_description=description)
     if hasattr(item, "planned") and results:
@@ -267,7 +282,7 @@ def report_item(context: SessionContext, item: pytest.Item, results: Sequence[It
         if verdict is not None:
             _attach(_verdict_json(verdict), f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
-        _show_worst(context, item, results)
+        _show_worst(context, runner, item, results)
 
 
 def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
@@ -292,12 +307,14 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
     }
 
 
-def _description(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> str:
+def _description(
+    item: pytest.Item, results: Sequence[ItemResult], events: Sequence[Sequence[str]]
+) -> str:
     """Write Markdown: the test's docstring, then each requirement with source and verdict."""
     given = item.get_closest_marker("allure_description")
     own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
     parts = [inspect.cleandoc(own)] if own else []
-    for result in results:
+    for result, ending in zip(results, events, strict=True):
         requirement, verdict = result.requirement, result.verdict or result.outcome or {}
         parts.append(f"**{markdown(requirement.id)}** {markdown(requirement.text, 2000)}")
         for heading, text in (
@@ -307,7 +324,7 @@ def _description(context: SessionContext, item: pytest.Item, results: Sequence[I
                 "Verdict",
                 f"{result.status or 'none'}. {verdict.get('reason', verdict.get('detail', ''))}",
             ),
-            ("Event", "; ".join(ending_events(context, result))),
+            ("Event", "; ".join(ending)),
             ("By assertion", _looked_at(verdict)),
         ):
             if text:
@@ -324,13 +341,18 @@ def _looked_at(verdict: Mapping[str, Any]) -> str:
     return f"the test looked at {', '.join(assertion['observed']) or 'nothing'}{false}"
 
 
-def _show_worst(context: SessionContext, item: pytest.Item, results: Sequence[ItemResult]) -> None:
+def _show_worst(
+    context: SessionContext,
+    runner: Callable[[], Runner],
+    item: pytest.Item,
+    results: Sequence[ItemResult],
+) -> None:
     """Show one episode: the worst violation, else one that does not count, else the first."""
     from pytest_dura.evidence.traces import Trace
 
     result = next((result for result in results if result.status == "violated"), None)
     result = result or next(iter(results), None)
-    episode = episode_of(item) or (None if result is None else _worst_episode(context, result))
+    episode = episode_of(item) or (None if result is None else _worst_episode(runner, result))
     if episode is None:
         return
     judged = None if result is None else _judged_on(result, episode)
@@ -370,14 +392,14 @@ def _check_of(result: ItemResult | None) -> str:
     return str((result.verdict or {}).get("check") or result.requirement.check)
 
 
-def _worst_episode(context: SessionContext, result: ItemResult) -> Episode | None:
+def _worst_episode(runner: Callable[[], Runner], result: ItemResult) -> Episode | None:
     verdict = result.verdict
     if verdict is None or result.case is None or not verdict["run"]:
         return None
     spoilt = verdict.get("spoilt")
     examples = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
     run = int(examples[0]["episode"].rpartition("#")[2]) if examples else 0
-    return context.runner.fetch(result.case, run)
+    return runner().fetch(result.case, run)
 
 
 def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:

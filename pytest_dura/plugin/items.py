@@ -109,6 +109,7 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
 
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> None:
     """Judge the requirement of the item on its case: the function that each item runs."""
+    from pytest_dura.campaign.events import VerdictReached
     from pytest_dura.campaign.reporting import explain_verdict
     from pytest_dura.plugin.item_reports import ending_events
     from pytest_dura.plugin.outcomes import ItemResult
@@ -118,15 +119,16 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
     campaign = orchestrator.campaign(planned.case, requirement=requirement)
     try:
         verdict = campaign.judge(requirement)
+        orchestrator.events.emit(VerdictReached(verdict, requirement))
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
-    context.runner.on_verdict(verdict, requirement)
     if verdict.verdict == "supported":
         return
     lines = explain_verdict(verdict, requirement, campaign.failures)
     if verdict.counterexamples:
         item_result = ItemResult(requirement, planned.case, verdict=verdict.to_json())
-        lines += [f"event:    {line}" for line in ending_events(context, item_result)]
+        events = ending_events(item_result, lambda: orchestrator, context.redact)
+        lines += [f"event:    {line}" for line in events]
         lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))
     lines.append("rerun:    " + rerun_command(context, f"{planned.case.id}::{requirement.id}"))
     message = "\n".join(lines)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean, error_at
-from pytest_dura.plugin.messages import error_text
+from pytest_dura.plugin.messages import error_text, failure_text
 
 if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
@@ -179,7 +179,7 @@ def run_marked_search(item: pytest.Function) -> None:
         )
     except DuraError as error:
         # No line of the test has run, so that there is none to show.
-        pytest.fail(str(error), pytrace=False)
+        pytest.fail(failure_text(error), pytrace=False)
 
 
 def _falsify_marker(

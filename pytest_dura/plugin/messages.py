@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.plugin.options import Options
 
 
@@ -123,6 +123,17 @@ def error_text(error: Exception) -> str:
     return visible(str(error), _LONGEST_MESSAGE)
 
 
+def failure_text(error: DuraError) -> str:
+    """Return the message of a test that fails by one of our own errors."""
+    falsification = getattr(error, "falsification", None)
+    if falsification is None:
+        return str(error)
+    from pytest_dura.reports.searches import failure_lines
+
+    not_kept = [f"not kept: {reason}" for reason in getattr(error, "not_kept", ())]
+    return "\n".join([*failure_lines(falsification.to_json()), *not_kept])
+
+
 class usage_errors:  # noqa: N801 - reads like a statement
     """Context in which a configuration error becomes a usage error: one message, exit code 4."""
 
@@ -150,11 +161,6 @@ def safe_lines(text: str) -> Iterator[str]:
 def indent_if_reserved(text: str) -> str:
     """Indent a text that begins with a user's name and would read as a line of ours."""
     return f" {text}" if text.startswith(("|", "#", "gate:")) else text
-
-
-def counted(number: int, noun: str) -> str:
-    """Return ``1 run``, ``2 runs``."""
-    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def print_lines(lines: Iterable[str]) -> None:

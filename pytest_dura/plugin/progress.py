@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_dura.campaign.reporting import CampaignProgress
+from pytest_dura.campaign.events import CampaignProgress
 from pytest_dura.plugin import progress_display
 from pytest_dura.plugin.progress_display import (
     DisplayMode,
@@ -35,8 +35,7 @@ from pytest_dura.plugin.progress_display import (
 if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
-    from pytest_dura.campaign.reporting import RunningCampaign
-    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.campaign.events import Progress, RunningCampaign
 
 
 BOUND_SHARE = 1 / 500
@@ -113,9 +112,9 @@ class WorkerFile:
         with suppress(OSError):  # without it there is no progress, which nothing depends on
             self._folder.mkdir(parents=True, exist_ok=True)
 
-    def write(self, running: RunningCampaign) -> None:
+    def write(self, event: Progress) -> None:
         """Write the progress of a campaign that has run for a while; remove the file at its end."""
-        if running.ended:
+        if event.ended:
             self._end()
             return
         now = self._clock()
@@ -123,7 +122,7 @@ class WorkerFile:
             self._due = now + WRITE_INTERVAL
         elif now >= self._due and self._usable:
             self._due = now + WRITE_INTERVAL
-            self._replace_file(self._snapshots.of(running))
+            self._replace_file(self._snapshots.of(event.campaign))
 
     def _replace_file(self, progress: CampaignProgress) -> None:
         data = json.dumps(asdict(progress)).encode()
@@ -229,15 +228,18 @@ class ProgressHooks:
     """Hooks that show this process's progress, or as a controller that of its workers.
 
     Args:
-        context: The session's context.
+        config: The session's configuration.
         mode: How it is shown.
+        folder: Where workers write theirs.
+        interval: Seconds between the lines of a log.
     """
 
-    def __init__(self, context: SessionContext, mode: DisplayMode) -> None:
-        self._context, self._config, self._mode = context, context.config, mode
+    def __init__(
+        self, config: pytest.Config, mode: DisplayMode, folder: Path, interval: float
+    ) -> None:
+        self._config, self._mode, self._folder, self._interval = config, mode, folder, interval
         self._reporter: Any = self._config.pluginmanager.getplugin("terminalreporter")
         self._distributed = self._config.pluginmanager.hasplugin("dsession")
-        self._folder = context.options.evidence / PROGRESS_FOLDER
         self._token = os.urandom(8).hex()
         self._guard: TerminalGuard | None = None
         self._screen: LiveScreen | None = None
@@ -249,9 +251,9 @@ class ProgressHooks:
         if self._distributed:
             remove_files(self._folder)  # of a session that was killed
 
-    def update(self, running: RunningCampaign) -> None:
+    def update(self, event: Progress) -> None:
         """Take in the progress of a campaign of this process."""
-        if running.ended:
+        if event.ended:
             self._own_progress = {}
             self._snapshots.forget()
             if self._screen is not None:
@@ -259,11 +261,11 @@ class ProgressHooks:
         elif self._mode == "live":
             if self._was_shown:
                 self._was_shown = False
-                self._own_progress = {"": self._snapshots.of(running)}
+                self._own_progress = {"": self._snapshots.of(event.campaign)}
                 self._begin()
         elif perf_counter() >= self._due:
             self._due = perf_counter() + progress_display.LINES_INTERVAL
-            self._own_progress = {"": self._snapshots.of(running)}
+            self._own_progress = {"": self._snapshots.of(event.campaign)}
             # A log is written between two runs: another thread could not suspend the capture.
             self._begin().refresh()
 
@@ -290,15 +292,12 @@ class ProgressHooks:
         return self._screen
 
     def _log(self) -> ProgressLog:
-        interval, uncaptured = (
-            self._context.options.progress_interval,
-            partial(capture_disabled, self._config),
-        )
         if self._distributed:
             self._guard = TerminalGuard(self._config.get_terminal_writer())
             lock = self._guard.lock
-            return ProgressLog(self._reporter, interval, perf_counter(), lambda: lock)
-        return ProgressLog(self._reporter, interval, perf_counter(), uncaptured)
+            return ProgressLog(self._reporter, self._interval, perf_counter(), lambda: lock)
+        uncaptured = partial(capture_disabled, self._config)
+        return ProgressLog(self._reporter, self._interval, perf_counter(), uncaptured)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:

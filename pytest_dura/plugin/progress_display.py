@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TextIO
 if TYPE_CHECKING:
     import pytest
 
-    from pytest_dura.campaign.reporting import CampaignProgress
+    from pytest_dura.campaign.events import CampaignProgress
 
 
 PACE_WINDOW = 10.0

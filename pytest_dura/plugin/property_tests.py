@@ -22,8 +22,10 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.options import Options
 
 if TYPE_CHECKING:
+    from pytest_dura.campaign.events import SearchedEpisodeUsed
     from pytest_dura.library.cases import SearchedCase
     from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.runner import Runner
     from pytest_dura.search.counterexamples import CounterexampleStore, StoredCounterexample
     from pytest_dura.search.trials import Objective
 
@@ -89,10 +91,11 @@ class PropertyTests:
 
     Args:
         context: The session's context.
+        runner: Returns the runner of episodes.
     """
 
-    def __init__(self, context: SessionContext) -> None:
-        self.context = context
+    def __init__(self, context: SessionContext, runner: Callable[[], Runner]) -> None:
+        self.context, self._runner = context, runner
         self._cases: list[SearchedCase] = []
         """Cases that the present run of a test function has looked at."""
         self._failed: deque[tuple[BaseException, list[SearchedCase]]] = deque(maxlen=_MOST_FAILURES)
@@ -109,9 +112,9 @@ class PropertyTests:
         stack.enter_context(use_library(self.context.library))
         return stack.close
 
-    def case_used(self, case: SearchedCase) -> None:
+    def searched_used(self, event: SearchedEpisodeUsed) -> None:
         """Note that the current test looked at an episode of a case that a strategy chose."""
-        self._cases.append(case)
+        self._cases.append(event.case)
 
     @contextmanager
     def watching(self, item: pytest.Function) -> Iterator[None]:
@@ -201,7 +204,7 @@ class PropertyTests:
         from pytest_dura.plugin.markers import marked_requirements
         from pytest_dura.search.trials import Objective
 
-        runner = self.context.runner
+        runner = self._runner()
         named = {
             requirement.id: requirement for requirement in marked_requirements(self.context, item)
         }
@@ -226,7 +229,7 @@ class PropertyTests:
         from pytest_dura.search.space import SearchSpace
         from pytest_dura.search.trials import Trials
 
-        runner, name = self.context.runner, objective.requirement.id
+        runner, name = self._runner(), objective.requirement.id
         original = runner.case(case.scenario.name)
         trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [objective])
         confirmed = confirm_violation(trials, objective, case, 0)

@@ -15,6 +15,7 @@ import pytest
 from pytest_dura.core.errors import DuraError, describe_error
 from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.markers import marked_requirements
+from pytest_dura.plugin.messages import failure_text
 from pytest_dura.plugin.outcomes import (
     UsedEpisodes,
     check_passed,
@@ -29,21 +30,27 @@ from pytest_dura.plugin.outcomes import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pytest_dura.campaign.fault_tracing import CausalChain
+    from pytest_dura.campaign.events import (
+        EpisodeUsed,
+        EventStream,
+        FaultsTraced,
+        MonitorsMeasured,
+        SearchedEpisodeUsed,
+        SearchEnded,
+        VerdictReached,
+    )
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.execution.store import EpisodeKey
-    from pytest_dura.library.cases import Case, SearchedCase
+    from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.plugin.markers import Target
-    from pytest_dura.plugin.property_tests import PropertyTests
-    from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
-    from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.requirements.monitoring.quality import MonitorQuality
+    from pytest_dura.runner import Runner
 
 
 def case_record(
@@ -94,11 +101,13 @@ class TraceKeeper:
     what requirements say of it stands in the record.
 
     Args:
-        context: The session's context.
+        level: ``--dura-evidence-level``.
+        directory: The evidence directory.
+        redact: Copies plain data without secrets.
     """
 
-    def __init__(self, context: SessionContext) -> None:
-        self.context = context
+    def __init__(self, level: str, directory: Path, redact: Callable[[Any], Any]) -> None:
+        self._level, self._directory, self._redact = level, directory, redact
         self._kept: dict[tuple[Any, ...], tuple[Reason, dict[str, Any] | None]] = {}
         self._samples: set[tuple[str, str, str]] = set()
         self._problem_reported = False
@@ -107,12 +116,12 @@ class TraceKeeper:
         self.problems: list[str] = []
         """Why a trace could not be written; only the first reason."""
 
-    def used(self, episode: Episode) -> None:
-        """Note an episode that a test looked at."""
-        level = self.context.options.evidence_level
-        if level == "all":
+    def episode_used(self, event: EpisodeUsed) -> None:
+        """Keep the trace of an episode that an item looks at, if it is a sample of its case."""
+        episode = event.episode
+        if self._level == "all":
             self._keep(episode, "all")
-        if level == "violations" and episode.validity != "invalid":
+        if self._level == "violations" and episode.validity != "invalid":
             reason: Reason = "sample" if episode.validity == "valid" else "missing"
             kind = reason, episode.spec.case, episode.spec.component
             if kind not in self._samples:
@@ -121,7 +130,7 @@ class TraceKeeper:
 
     def violated(self, episode: Episode) -> None:
         """Keep the trace of an episode that violates a requirement, or failed its test."""
-        if self.context.options.evidence_level != "summary":
+        if self._level != "summary":
             self._keep(episode, "violation")
 
     def take(self) -> tuple[list[dict[str, Any]], list[str]]:
@@ -131,7 +140,7 @@ class TraceKeeper:
         return taken
 
     def _keep(self, episode: Episode, reason: Reason) -> None:
-        about = self.context.redact(
+        about = self._redact(
             {
                 "id": episode.id,
                 "component": episode.spec.component,
@@ -154,10 +163,10 @@ class TraceKeeper:
         from pytest_dura.evidence.mcap import write_trace
         from pytest_dura.evidence.traces import TRACE_FOLDER, Trace, trace_path
 
-        path, directory = trace_path(about), self.context.options.evidence
+        path, directory = trace_path(about), self._directory
         try:
             _check_inside(directory / TRACE_FOLDER)
-            trace = Trace.of(episode).without_secrets(self.context.redact)
+            trace = Trace.of(episode).without_secrets(self._redact)
             return {"file": path, **write_trace(directory / path, trace)}
         except Exception as error:  # whatever it is, the verdicts do not need the trace
             if not self._problem_reported:
@@ -187,9 +196,8 @@ class ItemRecorder:
 
     Args:
         context: The session's context.
+        runner: Returns the runner of episodes.
         models: Notes which language models episodes asked.
-        properties: Notes which cases property tests looked at.
-        repeats: Notes which episodes may be repeated.
         shared: What could not be shared, and what searches took over.
         executor: Who simulates.
         take: Takes a part of the report of an item that holds a great many episodes.
@@ -198,17 +206,15 @@ class ItemRecorder:
     def __init__(
         self,
         context: SessionContext,
+        runner: Callable[[], Runner],
         *,
         models: LanguageModels,
-        properties: PropertyTests,
-        repeats: Repeats,
         shared: SharedEpisodes,
         executor: SessionExecutor,
         take: Callable[[str], None],
     ) -> None:
-        self.context = context
-        self._models, self._properties, self._repeats = models, properties, repeats
-        self._shared, self._executor, self._take = shared, executor, take
+        self.context, self._runner = context, runner
+        self._models, self._shared, self._executor, self._take = models, shared, executor, take
         self._pending: ItemReport | None = None
         self._recorded: set[tuple[EpisodeKey, bool]] = set()
         self._used: dict[str, UsedEpisodes] = {}
@@ -217,41 +223,53 @@ class ItemRecorder:
         self._last_episode: JudgedEpisode | None = None
         self._body_passed = False
         """Whether the body of the current test came to its end without a failure."""
-        self.traces = TraceKeeper(context)
+        level, directory = context.options.evidence_level, context.options.evidence
+        self.traces = TraceKeeper(level, directory, context.redact)
 
-    def episode_used(self, case: Case, episode: JudgedEpisode, planned: int) -> None:
-        """Record an episode of so many planned ones; 0 for one chosen by hand."""
+    def subscribe(self, events: EventStream) -> None:
+        """Record what the runner emits."""
+        from pytest_dura.campaign import events as kinds
+
+        events.subscribe(kinds.EpisodeUsed, self.episode_used)
+        events.subscribe(kinds.EpisodeUsed, self.traces.episode_used)
+        events.subscribe(kinds.SearchedEpisodeUsed, self.searched_used)
+        events.subscribe(kinds.VerdictReached, self.verdict_reached)
+        events.subscribe(kinds.SearchEnded, self.search_ended)
+        events.subscribe(kinds.MonitorsMeasured, self.monitors_measured)
+        events.subscribe(kinds.FaultsTraced, self.faults_traced)
+
+    def episode_used(self, event: EpisodeUsed) -> None:
+        """Record an episode."""
         from pytest_dura.evidence.episodes import episode_record
 
+        case, episode, planned = event.case, event.episode, event.planned
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
         self._models.used(episode.spec)
-        key = self.context.runner.key(episode)
+        key = self._runner().key(episode)
         use = key, planned > 0
         if use not in self._recorded:
             self._recorded.add(use)
-            origin = self.context.runner.store.earlier.origin(key)
+            origin = self._runner().store.earlier.origin(key)
             record = episode_record(episode, planned=planned > 0, origin=origin)
             self._report.episodes.append(record)
             self._flush_if_full()
         self._last_episode = episode
-        self.traces.used(episode)
-        if planned:
-            self._repeats.episode_used(case, episode)
 
-    def searched_used(self, case: SearchedCase, episode: SearchedEpisode) -> None:
+    def searched_used(self, event: SearchedEpisodeUsed) -> None:
         """Note an episode of a case that a strategy chose, which is no sample."""
+        case, episode = event.case, event.episode
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
         self._component_used(episode.spec.roles["generator"])
         self._models.used(episode.spec)
-        self._properties.case_used(case)
 
-    def verdict_reached(self, verdict: CampaignVerdict, requirement: Requirement) -> None:
+    def verdict_reached(self, event: VerdictReached) -> None:
         """Record the verdict on a campaign, and keep the traces of its counterexamples."""
+        verdict, requirement = event.verdict, event.requirement
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
-            episode = used and used.episode(self.context.runner, counterexample.episode)
+            episode = used and used.episode(self._runner(), counterexample.episode)
             if episode:
                 self.traces.violated(episode)
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
@@ -262,17 +280,13 @@ class ItemRecorder:
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
 
-    def search_ended(self, case: Case, falsification: Mapping[str, Any]) -> None:
-        """Record a search for violations, whatever its test makes of it.
-
-        Args:
-            case: What it searched.
-            falsification: ``Falsification.to_json()``.
-        """
+    def search_ended(self, event: SearchEnded) -> None:
+        """Record a search for violations, whatever its test makes of it."""
         from pytest_dura.evidence.model import plain_data
         from pytest_dura.requirements.model import Requirement
 
-        spec = self.context.runner.task(case).spec
+        case, falsification = event.case, event.search.to_json()
+        spec = self._runner().task(case).spec
         self._component_used(spec.roles["generator"])
         self._models.used(spec)
         library = self.context.library().requirements
@@ -288,19 +302,26 @@ class ItemRecorder:
         }
         self._report.searches.append({**plain_data(falsification), **about})
 
-    def monitors_judged(self, case: Case, qualities: list[MonitorQuality]) -> None:
+    def monitors_measured(self, event: MonitorsMeasured) -> None:
         """Record how good a case's monitors are."""
-        self._report.monitors += [{"case": case.id, **quality.to_json()} for quality in qualities]
+        about = {"case": event.case.id}
+        self._report.monitors += [{**about, **quality.to_json()} for quality in event.qualities]
 
-    def faults_traced(self, case: Case, episode: JudgedEpisode, chains: list[CausalChain]) -> None:
+    def faults_traced(self, event: FaultsTraced) -> None:
         """Record the causal chain of each fault of an episode."""
-        about = {"case": case.id, "component": episode.spec.component, "episode": episode.id}
-        self._report.chains += [{**about, **chain.to_json()} for chain in chains]
+        episode = event.episode
+        about = {"case": event.case.id, "component": episode.spec.component, "episode": episode.id}
+        self._report.chains += [{**about, **chain.to_json()} for chain in event.chains]
         self._flush_if_full()
 
     def case_repeated(self, repeat: Mapping[str, Any]) -> None:
         """Record the repetition of an episode of a case."""
         self._report.repeats.append(dict(repeat))
+
+    def add_problem(self, problem: str) -> None:
+        """Record what fails the gate, such as the error of a hook that the item may catch."""
+        if problem not in self._report.problems:
+            self._report.problems.append(problem)
 
     def _flush_if_full(self) -> None:
         """Split off part of a report that holds a great many episodes."""
@@ -319,8 +340,8 @@ class ItemRecorder:
             statuses = {outcome.status for outcome in search.outcomes}
             undecided = not search.violations and "undecided" in statuses
         if undecided and self.context.options.warn_undecided:
-            return pytest.skip.Exception(str(error))
-        return pytest.fail.Exception(str(error))
+            return pytest.skip.Exception(failure_text(error))
+        return pytest.fail.Exception(failure_text(error))
 
     def body_ended(self, item: pytest.Function) -> None:
         """End the observation of the episode: what is read from now on is not the test."""
@@ -407,7 +428,7 @@ class ItemRecorder:
         if not any(
             (entry["id"], entry["component"]) == (case.id, component) for entry in report.cases
         ):
-            off = case.roles_off(self.context.runner.roles)
+            off = case.roles_off(self._runner().roles)
             runs = self.context.options.runs
             report.cases.append(case_record(case, component, planned, runs, off))
             known = self.context.library().requirements
@@ -459,7 +480,7 @@ class ItemRecorder:
 
         component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
         override = self.context.options.runs
-        off = target.case.roles_off(self.context.runner.roles)
+        off = target.case.roles_off(self._runner().roles)
         case = case_record(target.case, component, target.planned, override, off)
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
@@ -490,7 +511,7 @@ class ItemRecorder:
         )
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
-            of_case = self.context.runner.requirements_of(target.case)
+            of_case = self._runner().requirements_of(target.case)
             outcome = outcome_of_test(requirement, of_case, episode, error, failed)
             if outcome["verdict"] == "violated":
                 self.traces.violated(episode)

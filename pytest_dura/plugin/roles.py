@@ -18,7 +18,7 @@ from pytest_dura.core.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
-    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.runner import Runner
 
 
 _OVERRIDABLE = (
@@ -121,11 +121,12 @@ class SessionRoles:
     """Roles of a session: from options, role fixtures and the domain's defaults.
 
     Args:
-        context: The session's context.
+        config: The session's configuration.
+        generator: ``--dura-generator``, if it is given.
     """
 
-    def __init__(self, context: SessionContext) -> None:
-        self.context = context
+    def __init__(self, config: pytest.Config, generator: str | None) -> None:
+        self._config, self._generator = config, generator
         self._defaults: dict[str, RoleSpec] = {}
 
     def default(self, role: str) -> RoleSpec:
@@ -135,7 +136,7 @@ class SessionRoles:
             from pytest_dura.domains import DOMAINS
             from pytest_dura.library.roles import generator_of_option
 
-            driving, option = DOMAINS["driving"], self.context.options.generator
+            driving, option = DOMAINS["driving"], self._generator
             if role == "simulator":
                 spec = RoleSpec(driving.simulator)
             elif role == "generator" and option is not None:
@@ -147,12 +148,16 @@ class SessionRoles:
 
     def chosen(self) -> dict[str, RoleSpec | None]:
         """Return the roles that options put in place of the scenarios' and domains' own."""
-        if self.context.options.generator is None:
+        if self._generator is None:
             return {}
         return {"generator": self.default("generator")}
 
-    def use(self, given: dict[str, Any]) -> None:
+    def use(self, given: dict[str, Any], runner: Runner) -> None:
         """Let the runner use what the role fixtures of an item returned.
+
+        Args:
+            given: What they returned, by role.
+            runner: The runner of episodes.
 
         Raises:
             ConfigurationError: For something that is no such role, and for a generator that is
@@ -161,14 +166,14 @@ class SessionRoles:
         from pytest_dura.library.roles import role_of_fixture
 
         overridden = {
-            role: role_of_fixture(role, value, _conftest_defining(self.context.config, value))
+            role: role_of_fixture(role, value, _conftest_defining(self._config, value))
             for role, value in given.items()
             if value is not self.default(role)
         }
-        if "generator" in overridden and self.context.options.generator is not None:
+        if "generator" in overridden and self._generator is not None:
             raise _given_twice("a fixture")
-        self.context.runner.simulator = overridden.pop("simulator", None)
-        self.context.runner.roles = self.chosen() | overridden
+        runner.simulator = overridden.pop("simulator", None)
+        runner.roles = self.chosen() | overridden
 
     def check(self) -> None:
         """Check the generator that is given.
@@ -176,10 +181,10 @@ class SessionRoles:
         Raises:
             ConfigurationError: For one that cannot be used, and for one that is given twice.
         """
-        if self.context.options.generator is None:
+        if self._generator is None:
             return
         self.default("generator")
-        conftest = root_conftest_with(self.context.config, "generator")
+        conftest = root_conftest_with(self._config, "generator")
         if conftest is not None:
             raise _given_twice(f"the fixture `generator` in {conftest}")
 

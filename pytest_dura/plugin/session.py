@@ -18,6 +18,7 @@ import pytest
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.plugin.context import Planned, SessionContext
 from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
+from pytest_dura.plugin.event_hook import EventHook
 from pytest_dura.plugin.evidence import SessionEvidence
 from pytest_dura.plugin.items import Selection, ShardHooks
 from pytest_dura.plugin.language_models import LanguageModels
@@ -28,10 +29,9 @@ from pytest_dura.plugin.recorder import ItemRecorder
 from pytest_dura.plugin.roles import SessionRoles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from pytest_dura.campaign.reporting import RunningCampaign
-    from pytest_dura.plugin.progress import WorkerFile
+    from pytest_dura.campaign.events import EventStream
+    from pytest_dura.evidence.episodes import ItemReport
+    from pytest_dura.plugin.progress import ProgressHooks, WorkerFile
     from pytest_dura.runner import Runner
 
 
@@ -39,7 +39,7 @@ Chosen = tuple[str, str]
 """A case and a requirement; "" stands for all of its requirements."""
 
 
-def _scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
+def _scenario_arguments(context: DuraSession) -> dict[str, Chosen]:
     """Return the arguments that name a case and no file, with their case and requirement.
 
     Raises:
@@ -59,7 +59,7 @@ def _scenario_arguments(context: SessionContext) -> dict[str, Chosen]:
     return chosen
 
 
-def _case_name(context: SessionContext, path: str) -> str | None:
+def _case_name(context: DuraSession, path: str) -> str | None:
     """Return the case that an argument names, if there is such a case."""
     try:
         library = context.library()
@@ -80,7 +80,7 @@ def _case_name(context: SessionContext, path: str) -> str | None:
     return None
 
 
-def _requirement_name(context: SessionContext, name: str, requirement: str) -> str:
+def _requirement_name(context: DuraSession, name: str, requirement: str) -> str:
     known = context.runner.case(name).requirements
     if requirement and requirement not in known:
         raise ConfigurationError(
@@ -92,7 +92,7 @@ def _requirement_name(context: SessionContext, name: str, requirement: str) -> s
     return requirement
 
 
-def make_plan(context: SessionContext, chosen: Mapping[str, Chosen]) -> list[Planned]:
+def make_plan(context: DuraSession, chosen: Mapping[str, Chosen]) -> list[Planned]:
     """List the cases of the scenarios, or those that arguments name, with their requirements.
 
     Args:
@@ -151,12 +151,18 @@ def expect_progress(context: SessionContext) -> None:
         file.expect()
 
 
-def _progress_listener(context: SessionContext) -> Callable[[RunningCampaign], None]:
-    """Return the function to which a runner reports its progress."""
+def _show_progress(context: SessionContext, events: EventStream) -> None:
+    """Show the progress of this process's runner, or write it for the controller."""
+    from pytest_dura.campaign.events import Progress
+
     if context.is_worker:
         file = _progress_file(context)
-        return _show_nothing if file is None else file.write
-    return _register_progress(context)
+        if file is not None:
+            events.subscribe(Progress, file.write)
+    else:
+        hooks = _register_progress(context)
+        if hooks is not None:
+            events.subscribe(Progress, hooks.update)
 
 
 def _progress_file(context: SessionContext) -> WorkerFile | None:
@@ -170,25 +176,21 @@ def _progress_file(context: SessionContext) -> WorkerFile | None:
     return WorkerFile(folder, worker_input["dura_progress"], worker_input["workerid"])
 
 
-def _register_progress(context: SessionContext) -> Callable[[RunningCampaign], None]:
-    """Register the progress display of this process; returns what updates it."""
+def _register_progress(context: SessionContext) -> ProgressHooks | None:
+    """Register the progress display of this process, unless nothing is to be shown."""
     from pytest_dura.plugin.progress_display import display_mode
 
     mode = display_mode(context.config)
     if mode is None or (mode == "lines" and isinf(context.options.progress_interval)):
-        return _show_nothing
-    from pytest_dura.plugin.progress import ProgressHooks
+        return None
+    from pytest_dura.plugin.progress import PROGRESS_FOLDER, ProgressHooks
 
-    hooks = context.config.pluginmanager.getplugin(_PROGRESS_PLUGIN)
+    hooks: ProgressHooks | None = context.config.pluginmanager.getplugin(_PROGRESS_PLUGIN)
     if hooks is None:
-        hooks = ProgressHooks(context, mode)
+        folder = context.options.evidence / PROGRESS_FOLDER
+        hooks = ProgressHooks(context.config, mode, folder, context.options.progress_interval)
         context.config.pluginmanager.register(hooks, _PROGRESS_PLUGIN)
-    update: Callable[[RunningCampaign], None] = hooks.update
-    return update
-
-
-def _show_nothing(_: RunningCampaign) -> None:
-    """Ignore progress, where nothing is shown."""
+    return hooks
 
 
 class DuraSession(SessionContext):
@@ -200,12 +202,15 @@ class DuraSession(SessionContext):
 
     def __init__(self, config: pytest.Config) -> None:
         super().__init__(config)
-        self.roles = SessionRoles(self)
-        self.executor = SessionExecutor(self)
+        options = self.options
+        self.roles = SessionRoles(config, options.generator)
+        self.executor = SessionExecutor(
+            options.executor, is_worker=self.is_worker, collect_only=config.option.collectonly
+        )
         self.models = LanguageModels(self, self.roles)
         self.shared = SharedEpisodes(self, self.executor)
-        self.repeats = Repeats(self, self.models, self.shared, self.executor)
-        self.properties = PropertyTests(self)
+        self.repeats = Repeats(self._get_runner, self.models, self.shared, self.executor)
+        self.properties = PropertyTests(self, self._get_runner)
         self.selection = Selection(self)
         self.evidence = SessionEvidence(
             self,
@@ -219,9 +224,8 @@ class DuraSession(SessionContext):
         )
         self.recorder = ItemRecorder(
             self,
+            self._get_runner,
             models=self.models,
-            properties=self.properties,
-            repeats=self.repeats,
             shared=self.shared,
             executor=self.executor,
             take=self.evidence.take,
@@ -302,13 +306,7 @@ class DuraSession(SessionContext):
             faults=self.options.faults,
             time_budget=self.options.time_budget,
             end_when_decided=self.options.end_when_decided,
-            on_episode=self.recorder.episode_used,
-            on_progress=_progress_listener(self),
-            on_verdict=self.recorder.verdict_reached,
-            on_monitors=self.recorder.monitors_judged,
-            on_chains=self.recorder.faults_traced,
-            on_search=lambda case, search: self.recorder.search_ended(case, search.to_json()),
-            on_searched=self.recorder.searched_used,
+            events=self.events,
             counterexamples=counterexample_store(self),
             twins=self.options.twins,
             recorded=self.options.evidence_level != "summary",
@@ -316,6 +314,40 @@ class DuraSession(SessionContext):
             role_timeout=self.options.role_timeout,
             resolver=self.resolver,
         )
+
+    def _get_runner(self) -> Runner:
+        """Return the runner, which is made when the first part needs it."""
+        return self.runner
+
+    @cached_property
+    def events(self) -> EventStream:
+        """Stream of what happens; those who follow it are called in the order of this list."""
+        from pytest_dura.campaign.events import EpisodeUsed, EventStream, SearchedEpisodeUsed
+        from pytest_dura.plugin import item_reports
+
+        events = EventStream()
+        self.recorder.subscribe(events)
+        events.subscribe(EpisodeUsed, self.repeats.episode_used)
+        events.subscribe(SearchedEpisodeUsed, self.properties.searched_used)
+        _show_progress(self, events)
+        item_reports.subscribe(self, self._get_runner, events)
+        EventHook(self.config, self.recorder.add_problem).subscribe(events)
+        return events
+
+    def judge_item(
+        self, item: pytest.Item, report: pytest.TestReport, recorded: ItemReport | None
+    ) -> None:
+        """Emit the results of an item that uses the runner.
+
+        Args:
+            item: The item.
+            report: Its report, which is not passed on yet.
+            recorded: What it recorded.
+        """
+        from pytest_dura.plugin.outcomes import ItemJudged, item_results
+
+        results = item_results(self, self._get_runner, item, recorded)
+        self.events.emit(ItemJudged(item, report, results))
 
     def make_plan(self) -> None:
         """Plan what the arguments name.

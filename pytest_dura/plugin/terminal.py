@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
-from pytest_dura.evidence.text import name, one_line
+from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.episodes import show_repeats
 from pytest_dura.plugin.messages import (
     SafeTerminal,
-    counted,
     indent_if_reserved,
     safe_lines,
     typed_path,
@@ -38,7 +37,7 @@ from pytest_dura.plugin.terminal_tables import (
     reliance_table,
     worst_cases,
 )
-from pytest_dura.plugin.terminal_verdicts import search_counts, show_searches, show_verdicts
+from pytest_dura.plugin.terminal_verdicts import show_searches, show_verdicts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -337,12 +336,13 @@ def _show_objections(terminal: Any, objections: list[str]) -> None:
 
 def _gate_line(record: SessionRecord) -> str:
     """Write the gate's result, and the verdicts that it rests on."""
+    from pytest_dura.reports.searches import outcome_counts_text
     from pytest_dura.reports.wording import selection_text, shard_text
 
     totals = record["totals"]
     parts = [f"{totals[status]} {status}" for status in _COUNTED if totals[status]]
     whose = f"gate of {shard_text(record)}" if shard_text(record) else "gate"
-    counts = search_counts(record)
+    counts = outcome_counts_text(record)
     text = f"; searches: {counts}" if counts else ""
     words = [totals["gate"], *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
     return f"{whose}: {', '.join(words)}{text}"

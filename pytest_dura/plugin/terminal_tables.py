@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 from pytest_dura.core.metrics import REACTIONS
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
-from pytest_dura.evidence.text import name
-from pytest_dura.plugin.messages import counted, indent_if_reserved
+from pytest_dura.evidence.text import counted, name
+from pytest_dura.plugin.messages import indent_if_reserved
 from pytest_dura.reports.tables import (
     FAILURE_MODE_HEADINGS,
     cases_with_accounts,

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import textwrap
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
-from pytest_dura.evidence.text import name, one_line
+from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.context import replay_command, rerun_command
-from pytest_dura.plugin.messages import counted
 from pytest_dura.plugin.terminal_tables import (
     MOST_ROWS,
     VERDICT_RANK,
@@ -22,16 +19,17 @@ from pytest_dura.plugin.terminal_tables import (
     keep_worst,
     left_out_lines,
 )
-from pytest_dura.reports.tables import (
+from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
     SEARCHER_COLUMNS,
     SEARCHER_LEGEND,
-    counterexample_text,
+    baseline_note,
     is_notable_outcome,
+    kept_text,
+    outcome_entries,
     outcome_headline,
-    parameter_changes,
+    outcome_rank,
     searcher_rows,
-    shrinking_text,
     simulations_text,
 )
 from pytest_dura.reports.wording import (
@@ -253,9 +251,6 @@ _SEARCH_COLOURS: Mapping[str, dict[str, bool]] = {
     "not repeatable": {"red": True},
     "undecided": {"yellow": True},
 }
-_SEARCH_RANK = {
-    objectionable_outcome: rank for rank, objectionable_outcome in enumerate(OBJECTIONABLE_OUTCOMES)
-}
 
 
 def show_searches(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
@@ -265,34 +260,18 @@ def show_searches(context: SessionContext, terminal: Any, record: SessionRecord)
         return
     most = None if context.config.option.verbose > 0 else MOST_ROWS
     ranks = [
-        min(
-            _SEARCH_RANK.get(outcome_status(search, outcome), len(_SEARCH_RANK))
-            for outcome in search["outcomes"]
-        )
-        for search in searches
+        min(outcome_rank(search, outcome) for outcome in search["outcomes"]) for search in searches
     ]
     shown = keep_worst(searches, ranks, most=most)
     for search in shown:
         terminal.line("")
         _show_search(context, terminal, search)
     if len(shown) < len(searches):
-        more = counted(len(searches) - len(shown), "search")
-        terminal.line(f"and {more.replace('searchs', 'searches')} more; {WHERE_ALL_ARE}")
+        more = counted(len(searches) - len(shown), "search", "searches")
+        terminal.line(f"and {more} more; {WHERE_ALL_ARE}")
     terminal.line("")
     for line in textwrap.wrap(NOTHING_SUPPORTED, _SEARCH_WIDTH):
         terminal.line(line)
-
-
-def search_counts(record: SessionRecord) -> str:
-    """Count outcomes by status, for the line on the gate; empty without a search."""
-    counts = Counter(
-        outcome["word"] for search in record["searches"] for outcome in search["outcomes"]
-    )
-    return ", ".join(
-        f"{counts[status]} {status}"
-        for status in (*OBJECTIONABLE_OUTCOMES, "nothing found")
-        if counts[status]
-    )
 
 
 def _show_search(context: SessionContext, terminal: Any, search: Data) -> None:
@@ -309,41 +288,20 @@ def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome:
     head = outcome_headline(search, outcome)
     for line in textwrap.wrap(head, _SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
         terminal.line(line, **_SEARCH_COLOURS.get(status, {}))
-    if outcome_status(search, outcome) == "baseline":
-        terminal.line(f"  {OBJECTIONABLE_OUTCOMES['baseline']}", red=True)
-    for line in _outcome_lines(outcome):
-        terminal.line(line)
+    if note := baseline_note(search, outcome):
+        terminal.line(f"  {note}", red=True)
+    for label, text in outcome_entries(outcome, MOST_CHANGES):
+        for line in _entry(label, text):
+            terminal.line(line)
     if is_notable_outcome(search, outcome):
         for line in _searcher_table(search, requirement):
             terminal.line(f"  {line}")
-    counterexample = outcome["counterexample"]
-    is_stored = counterexample is not None and counterexample["file"] is not None
-    if is_stored:
-        terminal.line(f"  kept:     {one_line(counterexample['file'])}")
+    kept = kept_text(outcome)
+    if kept:
+        terminal.line(f"  kept:     {kept}")
     if status != "nothing found":
-        to_rerun = counterexample["name"] if is_stored else search["item"]
+        to_rerun = outcome["counterexample"]["name"] if kept else search["item"]
         terminal.line(f"  rerun:    {rerun_command(context, to_rerun)}")
-
-
-def _outcome_lines(outcome: Data) -> Iterator[str]:
-    """Write the check, and the counterexample as far as there is one."""
-    counterexample = outcome["counterexample"]
-    if outcome["check"] not in ("", outcome["requirement"]):
-        yield from _entry("check", outcome["check"])
-    if counterexample is None:
-        return
-    yield from _entry("worst", counterexample_text(counterexample, outcome["check"]))
-    if counterexample["shrinking"] is not None:
-        yield from _entry("simpler", shrinking_text(counterexample))
-    differences = [
-        f"{path}: {change}" for path, change in parameter_changes(counterexample, MOST_CHANGES)
-    ]
-    for number, difference in enumerate(
-        differences or ["in nothing: the case violates it as it stands"]
-    ):
-        yield from _entry("" if number else "differs", difference)
-    if len(counterexample["changes"]) > MOST_CHANGES:
-        yield f"{'':<12}and {len(counterexample['changes']) - MOST_CHANGES} more, in evidence.json"
 
 
 def _entry(what: str, text: str) -> Iterator[str]:

@@ -8,11 +8,12 @@ the requirement is decided; the worker that has the item judges it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from xdist.scheduler import LoadScopeScheduling
 
+from pytest_dura.campaign.events import EventStream
 from pytest_dura.plugin.items import ScenarioItem
 
 if TYPE_CHECKING:
@@ -21,24 +22,23 @@ if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
     from pytest_dura.campaign.campaign import Campaign
-    from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
+    from pytest_dura.runner import Runner
 
 
-def steal_work(context: SessionContext, last: pytest.Item) -> None:
+def steal_work(runner: Runner, last: pytest.Item) -> None:
     """Simulate episodes of campaigns that other workers may still run.
 
     Args:
-        context: The context of this worker's session.
+        runner: The runner of this worker.
         last: Its last item, which has come to its end.
     """
-    if not isinstance(last, ScenarioItem) or not _may_steal(context, last.session):
+    if not isinstance(last, ScenarioItem) or not _may_steal(runner, last.session):
         return
-    known = context.library().requirements
-    listeners = (field for field in fields(context.runner) if field.name.startswith("on_"))
-    silent: dict[str, Any] = {field.name: field.default for field in listeners}
-    runner = replace(context.runner, **silent, counterexamples=None)
-    workers = int(vars(context.config)["workerinput"]["workercount"])
+    known = runner.library().requirements
+    # What is simulated for another worker is no event here: that worker's items use it.
+    runner = replace(runner, events=EventStream(), counterexamples=None)
+    workers = int(vars(last.config)["workerinput"]["workercount"])
     for item in _last_items(last.session.items, known, workers):
         requirement = known[item.name]
         campaign = runner.campaign(item.planned.case, requirement=requirement)
@@ -52,11 +52,11 @@ def steal_work(context: SessionContext, last: pytest.Item) -> None:
             return
 
 
-def _may_steal(context: SessionContext, run: pytest.Session) -> bool:
+def _may_steal(runner: Runner, run: pytest.Session) -> bool:
     """Whether all items are to be run to their end, and nothing else is due here."""
-    runs_all = not context.config.getoption("maxfail", 0)
+    runs_all = not run.config.getoption("maxfail", 0)
     stopped = bool(run.shouldstop or run.shouldfail)
-    return runs_all and not stopped and context.runner.store.execution.inside
+    return runs_all and not stopped and runner.store.execution.inside
 
 
 def _last_items(

@@ -12,12 +12,12 @@ from .gsn.element import root_ids, rule_problems
 from .gsn.user_argument import check_requirements, read_user_argument
 from .html.contents import anchor, case_anchor, verdict_anchor
 from .html.player import pack_data, player_assets, player_data, player_page
+from .searches import outcome_headline
 from .tables import (
     decision_age_lines,
     decision_time_lines,
     failure_modes_by_component,
     measured_failure_modes,
-    outcome_headline,
     percent_text,
 )
 from .wording import shard_text

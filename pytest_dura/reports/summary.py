@@ -16,17 +16,21 @@ from typing import Any
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test
 from pytest_dura.evidence.text import code, markdown, name
+from pytest_dura.reports.searches import (
+    baselines_text,
+    kept_text,
+    ordered_outcomes,
+    outcome_headline,
+    parameter_changes,
+    search_coverage_text,
+)
 from pytest_dura.reports.tables import (
     NULL_NOTE,
     decision_age_lines,
     decision_time_lines,
     failure_mode_text,
     failure_modes_by_component,
-    outcome_headline,
-    outcome_rank,
-    parameter_changes,
     percent_text,
-    search_coverage_text,
 )
 from pytest_dura.reports.wording import (
     UNREVIEWED,
@@ -117,13 +121,13 @@ MOST_CHANGES = 6
 
 def _search_rows(record: SessionRecord) -> Iterator[str]:
     """Rows of a table with :data:`_SEARCH_COLUMNS`."""
-    for search, outcome in _ordered_outcomes(record):
+    for search, outcome in ordered_outcomes(record):
         yield f"| {' | '.join(_search_cells(search, outcome))} |"
 
 
 def _search_failures(record: SessionRecord) -> Iterator[str]:
     """A line for each outcome that the gate does not accept, or that is waived."""
-    for search, outcome in _ordered_outcomes(record):
+    for search, outcome in ordered_outcomes(record):
         if outcome_status(search, outcome) in OBJECTIONABLE_OUTCOMES:
             waiver = ""
             if search["waiver"] is not None:
@@ -136,14 +140,6 @@ def _search_failures(record: SessionRecord) -> Iterator[str]:
             )
 
 
-def _ordered_outcomes(record: SessionRecord) -> list[tuple[Data, Data]]:
-    """Searches with their outcomes, the worst first."""
-    outcomes = [
-        (search, outcome) for search in record["searches"] for outcome in search["outcomes"]
-    ]
-    return sorted(outcomes, key=lambda pair: outcome_rank(*pair))
-
-
 def _search_cells(search: Data, outcome: Data) -> Iterator[str]:
     status = outcome_status(search, outcome)
     yield "violated by a baseline" if status == "baseline" else status
@@ -153,22 +149,13 @@ def _search_cells(search: Data, outcome: Data) -> Iterator[str]:
     yield f"{outcome['simulations']} of {search['budget']}"
     yield "-" if outcome["best"] is None else f"{outcome['best']:.4g}"
     yield "-" if outcome["searcher"] is None else markdown(outcome["searcher"], 100)
-    yield _baseline_cell(search, outcome["requirement"])
-    yield _search_counterexample(search, outcome["counterexample"])
+    yield markdown(baselines_text(search, outcome["requirement"]), 1000)
+    yield _search_counterexample(search, outcome)
 
 
-def _baseline_cell(search: Data, requirement: str) -> str:
-    """The simulation at which each trivial baseline violated the requirement by itself."""
-    results = []
-    for baseline in search["baselines"]:
-        first = baseline["first"].get(requirement)
-        end = f"none in {baseline['simulations']}" if first is None else f"at {first}"
-        results.append(f"{markdown(baseline['name'], 100)} {end}")
-    return "; ".join(results) or "none was run"
-
-
-def _search_counterexample(search: Data, counterexample: Data | None) -> str:
+def _search_counterexample(search: Data, outcome: Data) -> str:
     """Its changes and its file; without a counterexample, how much the search covered."""
+    counterexample = outcome["counterexample"]
     if counterexample is None:
         return f"coverage {search_coverage_text(search)}"
     changes = [
@@ -178,11 +165,8 @@ def _search_counterexample(search: Data, counterexample: Data | None) -> str:
     more = len(counterexample["changes"]) - len(changes)
     text = ", ".join(changes) or "the case as it stands"
     text += f" and {more} more" if more > 0 else ""
-    return (
-        text
-        if counterexample["file"] is None
-        else f"{text}; kept in {code(counterexample['file'])}"
-    )
+    kept = kept_text(outcome)
+    return f"{text}; kept in {code(kept)}" if kept else text
 
 
 FILE = "summary.md"

@@ -14,11 +14,11 @@ from functools import lru_cache
 from typing import Any
 
 from pytest_dura.core.state import NOTHING
-from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, not_repeatable_lines
+from pytest_dura.evidence.gate import not_repeatable_lines
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
-from pytest_dura.evidence.text import name
-from pytest_dura.reports.tables import NOTHING_SUPPORTED, counted
+from pytest_dura.evidence.text import counted, name
+from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
 from pytest_dura.requirements.campaign_verdicts import SITUATIONS
 
 Data = Mapping[str, Any]
@@ -222,7 +222,7 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
     verdicts = record["verdicts"]
     if not verdicts:
         yield "No requirement led to a verdict."
-        yield from _search_violations(record)
+        yield from violation_sentences(record)
         return
     violated = [verdict for verdict in verdicts if verdict["verdict"] == "violated"]
     if violated:
@@ -236,7 +236,7 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
         yield f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
     else:
         yield f"None of {len(verdicts)} verdicts is supported."
-    yield from _search_violations(record)
+    yield from violation_sentences(record)
 
 
 def limitation_sentences(record: SessionRecord) -> Iterator[str]:
@@ -259,7 +259,7 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
     waived = [verdict for verdict in verdicts if verdict["waiver"] is not None]
     if waived:
         yield f"{_share(waived, verdicts)} waived: let through by name, not by evidence."
-    yield from _searches_without_violation(record)
+    yield from unviolated_sentences(record)
     yield from _untested(record)
     early = sum(case["metrics"]["ended_early"] for case in record["cases"])
     if early:
@@ -330,43 +330,6 @@ def _by_assertion(verdicts: list[Data]) -> Iterator[str]:
             f"{_share(asserted, verdicts)} supported by assertions of tests alone: what holds is "
             "what a test asserts of what it looked at, and whether that is the requirement is not "
             "shown."
-        )
-
-
-def _search_outcomes(record: SessionRecord, statuses: tuple[str, ...]) -> list[tuple[Data, Data]]:
-    """Searches and their outcomes of these statuses."""
-    return [
-        (search, outcome)
-        for search in record["searches"]
-        for outcome in search["outcomes"]
-        if outcome["word"] in statuses
-    ]
-
-
-def _search_violations(record: SessionRecord) -> Iterator[str]:
-    """Sentences on violations by searches, confirmed or not."""
-    for violated_outcome, how in zip(
-        VIOLATED_OUTCOMES, ("confirmed by replay", "and not each time again"), strict=True
-    ):
-        search_outcomes = _search_outcomes(record, (violated_outcome,))
-        if search_outcomes:
-            claims = [
-                f"{name(verdict['requirement'])} on {name(search['case'])}"
-                for search, verdict in search_outcomes
-            ]
-            names = ", ".join(dict.fromkeys(claims[:_MOST_NAMES]))
-            more = f" and {len(claims) - _MOST_NAMES} more" if len(claims) > _MOST_NAMES else ""
-            yield f"Violated in a search, {how}: {names}{more}. It is part of no rate."
-
-
-def _searches_without_violation(record: SessionRecord) -> Iterator[str]:
-    search_outcomes = _search_outcomes(record, (NOTHING_FOUND, "undecided"))
-    if search_outcomes:
-        most = max(search["simulations"] for search, _ in search_outcomes)
-        yield (
-            f"Searches found nothing against {counted(len(search_outcomes), 'requirement')}"
-            " on a case, in up to "
-            f"{most} simulations each: that supports none of them. {NOTHING_SUPPORTED}"
         )
 
 

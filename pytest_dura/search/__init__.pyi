@@ -2,7 +2,7 @@ from .counterexamples import write_counterexample
 from .drawing import CaseDrawing
 from .portfolio import Batch, Outcome, Portfolio, search, trivial_searchers
 from .searchers import Pulses
-from .shrinking import minimise, shrink
+from .shrinking import Reduction, minimise, reduce_faults, shrink
 from .simplification import changes_of, count_parameters, simpler_values
 from .space import Group, Layout, SearchSpace, on_grid
 from .trials import Objective, Trials
@@ -16,12 +16,14 @@ __all__ = [
     "Outcome",
     "Portfolio",
     "Pulses",
+    "Reduction",
     "SearchSpace",
     "Trials",
     "changes_of",
     "count_parameters",
     "minimise",
     "on_grid",
+    "reduce_faults",
     "search",
     "shrink",
     "simpler_values",

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 from pytest_dura.campaign.campaign import Campaign
+from pytest_dura.campaign.events import RunningCampaign, SearchEnded
 from pytest_dura.campaign.falsification import (
     Falsification,
-    FoundCounterexample,
     Limits,
-    ParameterChange,
-    SearcherReport,
     SearchOutcome,
     SearchStatus,
 )
-from pytest_dura.campaign.reporting import RunningCampaign
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
 from pytest_dura.core.seeding import derive_seed
@@ -47,112 +44,6 @@ from pytest_dura.search.portfolio import (
 from pytest_dura.search.space import CoverageCount, SearchSpace
 from pytest_dura.search.trials import Baseline, Objective, Trials, run_baselines
 
-_MAX_PARAMETERS = 12
-"""Changed parameters that a message lists."""
-
-
-def _describe_falsification(falsification: Falsification) -> list[str]:
-    """Make the lines of a failing test's message."""
-    return [
-        line
-        for outcome in falsification.outcomes
-        for line in _describe_outcome(falsification, outcome)
-    ]
-
-
-def _describe_no_violation(falsification: Falsification, outcome: SearchOutcome) -> str:
-    least = "none was measured" if outcome.best is None else f"{outcome.best:.4g}"
-    shares = list(falsification.coverage.parameters.values())
-    covered = f"{sum(shares) / len(shares):.0%} of each range on average"
-    if falsification.coverage.pairs is not None:
-        covered += f", {falsification.coverage.pairs:.0%} of their pairs"
-    not_manifested = (
-        f"; in {falsification.not_manifested} of them no added fault came to act"
-        if falsification.not_manifested
-        else ""
-    )
-    return (
-        f"nothing found in {falsification.simulations} simulations{not_manifested};"
-        f" least robustness {least}; "
-        f"simulated: {covered}"
-    )
-
-
-def _describe_outcome(falsification: Falsification, outcome: SearchOutcome) -> Iterator[str]:
-    name = outcome.requirement
-    on = f"{name} on {falsification.case} ({falsification.component})"
-    counterexample = outcome.counterexample
-    if counterexample is None:
-        if outcome.status == "undecided":
-            yield (
-                f"undecided: {on}: {falsification.unknown} of {falsification.simulations}"
-                " simulations said nothing"
-            )
-        else:
-            yield f"{on}: {_describe_no_violation(falsification, outcome)}"
-        return
-    repeats = counterexample.repeats
-    after = (
-        f"after {outcome.simulations} of {falsification.budget} simulations ({outcome.searcher})"
-    )
-    if outcome.status == "falsified":
-        yield f"falsified: {on}: violated {after}, confirmed by replay with an equal digest"
-    else:
-        yield (
-            f"not repeatable: {on}: violated {after}, and again in {repeats.violated} of "
-            f"{repeats.runs} replays, {repeats.equal} of them with an equal digest"
-        )
-    if outcome.check != name:
-        yield f"check:    {outcome.check}"
-    yield f"worst:    {_worst(counterexample)}"
-    if falsification.baselines:
-        alone = "; ".join(_alone(baseline, name) for baseline in falsification.baselines)
-        yield f"baselines by themselves: {alone}"
-    yield from _changes(counterexample)
-    if counterexample.file is not None:
-        yield f"kept in:  {counterexample.file}, which --dura-scenarios runs from now on"
-
-
-def _worst(counterexample: FoundCounterexample) -> str:
-    margin = "no margin" if counterexample.margin is None else f"margin {counterexample.margin:.4g}"
-    when = "" if counterexample.time is None else f" at t = {counterexample.time:g} s"
-    return f"{counterexample.case}: {margin}{when}"
-
-
-def _alone(report: SearcherReport, requirement: str) -> str:
-    first = report.first[requirement]
-    if first is None:
-        return f"{report.name}: none in {report.simulations}"
-    return f"{report.name}: after {first}"
-
-
-def _changes(counterexample: FoundCounterexample) -> Iterator[str]:
-    if counterexample.shrinking is not None:
-        how = counterexample.shrinking
-        more = "" if how.finished else ", which was all it was allowed"
-        yield (
-            f"simpler:  {how.after} parameters differ from the case, {how.before} before "
-            f"({how.simulations} simulations{more})"
-        )
-    for change in counterexample.changes[:_MAX_PARAMETERS]:
-        yield f"          {_change(change)}"
-    if len(counterexample.changes) > _MAX_PARAMETERS:
-        yield f"          and {len(counterexample.changes) - _MAX_PARAMETERS} more"
-
-
-def _change(change: ParameterChange) -> str:
-    if change.value is None:
-        return f"{change.path}: left out"
-    if change.nominal is None:
-        return f"{change.path}: {_value(change.value)}, which the case has not"
-    return f"{change.path}: {_value(change.value)} instead of {_value(change.nominal)}"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_value(inner)}" for key, inner in value.items())
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
 
 def falsify(
     runner: EpisodeRunner,
@@ -168,7 +59,7 @@ def falsify(
     """Search a case for episodes that violate requirements.
 
     Args:
-        runner: Runs the episodes, and reports the search to its ``on_search``.
+        runner: Runs the episodes, and emits that the search has ended.
         case: The case.
         objectives: The requirements; the search ends once each of them is violated.
         limits: Budgets of the search.
@@ -231,7 +122,7 @@ def falsify(
         coverage=coverage.coverage(),
         outcomes=outcomes,
     )
-    runner.on_search(case, falsification)
+    runner.events.emit(SearchEnded(case, falsification))
     return falsification
 
 
@@ -248,7 +139,7 @@ def _run_search(
     subject = "search " + ", ".join(objective.requirement.id for objective in trials.objectives)
     running = RunningCampaign(trials.space.case.id, subject, budget)
     done = 0
-    runner.on_progress(running.reach(done, budget, runner.store.simulated))
+    runner.events.emit(running.reach(done, budget, runner.store.simulated))
 
     def evaluate(batch: Batch) -> Iterable[Outcome]:
         nonlocal done
@@ -256,13 +147,13 @@ def _run_search(
             if outcome.simulated:
                 coverage.add(point)
                 done += 1
-                runner.on_progress(running.reach(done, budget, runner.store.simulated))
+                runner.events.emit(running.reach(done, budget, runner.store.simulated))
             yield outcome
 
     try:
         log = search(portfolio, evaluate, budget, len(trials.objectives))
     finally:
-        runner.on_progress(running.end())
+        runner.events.emit(running.end())
     if not log.simulations:
         # Every point contradicts itself: making one raises an error that says how.
         batch = portfolio.ask()
@@ -341,11 +232,16 @@ _ID = re.compile(r"[A-Za-z][A-Za-z0-9_.]*-[A-Za-z0-9_.-]+")
 class Falsified(DuraError):  # noqa: N818 - it is an outcome, not an error
     """A search found a violation, or too many simulations were undecided.
 
-    ``falsification`` is its report.
+    Args:
+        message: The outcomes in short.
+        falsification: The report of the search.
+        not_kept: Why counterexamples could not be kept.
     """
 
-    def __init__(self, message: str, falsification: Falsification) -> None:
-        self.falsification = falsification
+    def __init__(
+        self, message: str, falsification: Falsification, not_kept: Sequence[str] = ()
+    ) -> None:
+        self.falsification, self.not_kept = falsification, tuple(not_kept)
         super().__init__(message)
 
 
@@ -376,10 +272,11 @@ def falsify_campaign(
         store=store,
         on_store_error=store_errors.append,
     )
-    if any(outcome.status != "nothing found" for outcome in falsification.outcomes):
-        lines = _describe_falsification(falsification)
-        lines += [f"not kept: {error}" for error in store_errors]
-        raise Falsified("\n".join(lines), falsification)
+    failed = [outcome for outcome in falsification.outcomes if outcome.status != "nothing found"]
+    if failed:
+        on = f"{falsification.case} ({falsification.component})"
+        texts = [f"{outcome.status}: {outcome.requirement} on {on}" for outcome in failed]
+        raise Falsified("; ".join(texts), falsification, [str(error) for error in store_errors])
     return falsification
 
 

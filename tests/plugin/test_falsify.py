@@ -68,7 +68,10 @@ def test_what_is_found_is_confirmed_kept_and_run_from_then_on(project):
     assert outcome["word"] == "falsified"
     assert counterexample["repeats"] == {"runs": 1, "violated": 1, "equal": 1}
     assert counterexample["file"] == f"scenarios/found/{file.name}"
-    assert f"kept in:  scenarios/found/{file.name}" in output(result)
+    assert (
+        f"kept:      scenarios/found/{file.name}, which --dura-scenarios runs from now on"
+        in output(result)
+    )
     kept = yaml.safe_load(file.read_text())
     assert 10.6 <= kept["world"]["wall"] <= 10.8
     assert kept["requirements"] == ["GAP-1"]
@@ -173,7 +176,7 @@ class Moody(Careful):
     assert outcome["word"] == "not repeatable"
     assert (repeats["runs"], repeats["equal"]) == (10, 0)
     assert repeats["violated"] in (3, 4)
-    assert f"again in {repeats['violated']} of 10 replays" in output(result)
+    assert f"and in {repeats['violated']} of 10 replays, 0 of them equal" in output(result)
     assert found_files(project) == []
     assert outcome["counterexample"]["shrinking"] is None
 
@@ -273,7 +276,7 @@ requirements: [GAP-1]
     assert result.ret == 1
     (outcome,) = the_search(project)["outcomes"]
     assert outcome["word"] == "undecided"
-    assert "10 of 10 simulations said nothing" in output(result)
+    assert "searched:  10 of 10 simulations, 10 without an answer" in output(result)
 
 
 def test_what_cannot_be_kept_is_found_all_the_same(project):

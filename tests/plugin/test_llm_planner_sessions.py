@@ -68,7 +68,9 @@ def test_a_session_with_the_null_model_is_replayed_without_its_server(
     brief(project, params=f"{{decide_every: 10, beside_every: 2, clock: {clock}}}")
     named(null_server)
     recorded = run(project, "--dura-llm=record", "--dura-evidence=one")
-    recorded.assert_outcomes(passed=1)
+    if clock == "frozen":
+        # In real time the verdict is also one on how busy this machine is.
+        recorded.assert_outcomes(passed=1)
     recorded.stdout.fnmatch_lines(
         [
             "dura: language model null at *(record), structured output json_schema (enforced), *",
@@ -78,7 +80,7 @@ def test_a_session_with_the_null_model_is_replayed_without_its_server(
     )
     monkeypatch.setenv("DURA_LLM_BASE_URL", "http://127.0.0.1:9/v1")
     replayed = run(project, "--dura-llm=replay", "--dura-evidence=two")
-    replayed.assert_outcomes(passed=1)
+    assert replayed.parseoutcomes() == recorded.parseoutcomes()
     (one,), (two,) = (project.evidence(name)["episodes"] for name in ("one", "two"))
     assert one["digest"] == two["digest"]
     assert one["metrics"]["answer_seconds"] == two["metrics"]["answer_seconds"]

@@ -40,6 +40,7 @@ def test_campaign(campaign):
 """
 HANDMADE = """
 import pytest
+from pytest_dura.campaign import SearchEnded
 from searches import falsification
 
 {mark}
@@ -47,7 +48,7 @@ from searches import falsification
 def test_it(campaign):
     case = campaign.case
     made = falsification({words}, case=case.id, component=campaign.component)
-    campaign.runner.on_search(case, made)
+    campaign.runner.events.emit(SearchEnded(case, made))
     {then}
 """
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura import Episode, EpisodeSpec, Requirement, RoleSpec
-from pytest_dura.campaign import reduce_faults
+from pytest_dura.search import reduce_faults
 
 lawful = settings(derandomize=True, deadline=None, max_examples=60)
 FREE = Requirement("SAF-1", check="always (gap > 0)")

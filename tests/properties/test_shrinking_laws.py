@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 from hypothesis import given, settings
@@ -112,4 +113,26 @@ def test_the_least_numbers_are_found_where_each_needs_its_own(data: st.DataObjec
     def enough(places: tuple[int, ...]) -> bool:
         return all(one >= needed for one, needed in zip(places, least, strict=True))
 
-    assert minimise(start, enough, 0) == least
+    assert minimise(start, enough) == least
+
+
+@given(data=st.data())
+@settings(derandomize=True, deadline=None, max_examples=40)
+def test_no_part_of_the_result_can_be_simpler_whatever_violates(data: st.DataObject) -> None:
+    start = tuple(data.draw(st.lists(st.integers(0, 4), min_size=1, max_size=4)))
+    candidates = [*itertools.product(*(range(level + 1) for level in start))]
+    violating = {start, *data.draw(st.sets(st.sampled_from(candidates)))}
+    accepted = [start]
+
+    def violates(levels: tuple[int, ...]) -> bool:
+        if levels in violating:
+            accepted.append(levels)
+        return levels in violating
+
+    least = minimise(start, violates)
+    assert least == accepted[-1]
+    assert least in violating
+    assert accepted == sorted(set(accepted), reverse=True)
+    for part, level in enumerate(least):
+        for lower in {0, level - 1} if level else ():
+            assert (*least[:part], lower, *least[part + 1 :]) not in violating

@@ -17,7 +17,7 @@ from typing import Any
 
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
 from pytest_dura.evidence.model import Counts, SessionRecord
-from pytest_dura.evidence.text import name, one_line
+from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.gsn.element import Argument, Element, derived_id
 from pytest_dura.reports.gsn.verdicts import (
     MAX_TEXT,
@@ -29,10 +29,11 @@ from pytest_dura.reports.gsn.verdicts import (
     verdict_elements,
 )
 from pytest_dura.reports.html.contents import requirement_anchor
-from pytest_dura.reports.tables import (
+from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
-    counted,
+    baseline_note,
     counterexample_text,
+    kept_text,
     outcome_headline,
 )
 from pytest_dura.reports.wording import is_incomplete, merge_text, names_text, shard_text
@@ -277,14 +278,12 @@ def _counter_solution(number: int, place: int, search: Data, outcome: Data) -> E
     )
     layers = {}
     if counterexample is None:
-        text += " A trivial baseline violated it; that was not confirmed."
+        text += f" {baseline_note(search, outcome).capitalize()}."
     else:
         text += (
             f" {one_line(counterexample_text(counterexample, outcome['check']), _MAX_SEARCH_TEXT)}."
         )
-        layers = (
-            {"kept": one_line(counterexample["file"])} if counterexample["file"] is not None else {}
-        )
+        layers = {"kept": kept} if (kept := kept_text(outcome)) else {}
     if search["waiver"] is not None:
         reason = one_line(search["waiver"]["reason"], _MAX_SEARCH_TEXT) or "none was given"
         text += f" Waived ({name(search['waiver']['kind'])}), reason: {reason}."

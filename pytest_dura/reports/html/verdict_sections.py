@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from pytest_dura.evidence.gate import outcome_status
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.reports.html.contents import (
     CaseTally,
@@ -18,10 +17,12 @@ from pytest_dura.reports.html.contents import (
     split_folded,
     verdict_anchor,
 )
-from pytest_dura.reports.tables import (
+from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
+    baseline_note,
     counterexample_text,
     is_notable_outcome,
+    kept_text,
     outcome_headline,
     outcome_rank,
     parameter_changes,
@@ -311,12 +312,13 @@ def _outcome_rows(search: Data) -> Iterator[Data]:
         yield {
             **outcome,
             "headline": outcome_headline(search, outcome),
-            "baseline_alone": outcome_status(search, outcome) == "baseline",
+            "baseline_alone": baseline_note(search, outcome),
             "own": list(searcher_rows(search, name, "searchers")) if notable else [],
             "alone": list(searcher_rows(search, name, "baselines")) if notable else [],
             "worst": ""
             if counterexample is None
             else counterexample_text(counterexample, outcome["check"]),
+            "kept": kept_text(outcome),
             "simpler": "" if counterexample is None else shrinking_text(counterexample),
             "changes": []
             if counterexample is None

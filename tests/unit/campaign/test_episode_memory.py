@@ -10,6 +10,7 @@ from handmade import SPEC, handmade
 from thermostat import Controller
 
 from pytest_dura import RoleSpec
+from pytest_dura.campaign import FaultsTraced
 from pytest_dura.core import EpisodeSpec, Event
 from pytest_dura.execution import EpisodeStore, EpisodeTask, run_episode
 from pytest_dura.execution.store import EpisodeMemory, size_of
@@ -152,10 +153,9 @@ def test_what_came_of_faults_is_told_once_and_from_disk_as_well(tmp_path):
     )
     library = load_library([tmp_path], builtin=False)
     told = []
-    bench = Runner(
-        lambda: library,
-        on_chains=lambda case, episode, chains: told.append((episode.id, len(chains))),
-        store=EpisodeStore(memory=EpisodeMemory(room=0)),
+    bench = Runner(lambda: library, store=EpisodeStore(memory=EpisodeMemory(room=0)))
+    bench.events.subscribe(
+        FaultsTraced, lambda event: told.append((event.episode.id, len(event.chains)))
     )
     for _ in range(2):
         bench.campaign("room/warm").judge(Requirement("R", check="always (headroom > -100)"))

@@ -5,6 +5,7 @@ import signal
 import pytest
 from thermostat import Thermostat
 
+from pytest_dura.campaign import Progress
 from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT
 from pytest_dura.library import load_library, role_of_fixture
 from pytest_dura.requirements import Requirement
@@ -41,11 +42,13 @@ def bench(tmp_path, told):
     library = load_library([tmp_path], builtin=False)
     found = Runner(lambda: library)
 
-    def tell(running):
-        if running.budget:  # there may be no twins to be run
-            told.append((running.bounded(running.progress()), running.ended))
+    def tell(event):
+        if event.budget:  # there may be no twins to be run
+            progress = event.campaign.progress()
+            assert (event.done, event.budget) == (progress.done, progress.budget)
+            told.append((event.campaign.bounded(progress), event.ended))
 
-    found.on_progress = tell
+    found.events.subscribe(Progress, tell)
     return found
 
 

@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura import Episode, EpisodeSpec, RoleSpec
-from pytest_dura.campaign import Reduction, reduce_faults
-from pytest_dura.campaign.reduction import with_faults
 from pytest_dura.requirements import Requirement
+from pytest_dura.search import Reduction, reduce_faults
+from pytest_dura.search.shrinking import with_faults
 
 FREE = Requirement("SAF-1", check="always (gap > 0)")
 NAMES = tuple("abcdefgh")

@@ -6,6 +6,7 @@ import pytest
 from thermostat import Controller, Thermostat
 
 from pytest_dura import ConfigurationError, RoleSpec
+from pytest_dura.campaign import EpisodeUsed, Progress
 from pytest_dura.campaign.runs import RequirementViolated
 from pytest_dura.library import LocalRole, generator_of_option, load_library, role_of_fixture
 from pytest_dura.requirements import Requirement
@@ -89,11 +90,10 @@ def test_a_simulator_is_closed_unless_it_is_the_users_own_instance(bench):
 def test_progress_is_told(bench):
     told = []
 
-    def tell(running):
-        found = running.progress()
-        told.append((found.case, found.done, found.budget, running.ended))
+    def tell(event):
+        told.append((event.campaign.case, event.done, event.budget, event.ended))
 
-    bench.on_progress = tell
+    bench.events.subscribe(Progress, tell)
     assert len(bench.campaign("room/warm").episodes) == 3
     assert told == [("room/warm", done, 3, False) for done in range(3)] + [
         ("room/warm", 2, 3, True)
@@ -102,7 +102,9 @@ def test_progress_is_told(bench):
 
 def test_use_of_episodes_is_told(bench):
     told = []
-    bench.on_episode = lambda case, episode, planned: told.append((episode.id, planned))
+    bench.events.subscribe(
+        EpisodeUsed, lambda event: told.append((event.episode.id, event.planned))
+    )
     assert len(bench.campaign("room/warm", runs=2).episodes) == 2
     bench.run("room/warm", seed=9)
     assert told == [("room/warm#0", 2), ("room/warm#1", 2), ("room/warm#0", 0)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pytest_dura import ConfigurationError, Requirement, Runner, SearchedCase, SearchedEpisode
-from pytest_dura.campaign import Limits
+from pytest_dura.campaign import EpisodeUsed, Limits, SearchEnded
 from pytest_dura.library import Case, Library, Scenario, case_with_faults, expand_cases
 from pytest_dura.requirements import CampaignJudge, SearchVerdict, judge_episode, judge_searched
 from pytest_dura.search import Group, Layout, Objective, SearchSpace, on_grid
@@ -152,7 +152,7 @@ def test_no_rate_is_made_of_what_a_search_chose() -> None:
     library = Library({"room": room()}, {"WARM": WARM})
     bench = Runner(lambda: library)
     used: list[object] = []
-    bench.on_episode = lambda *told: used.append(told)
+    bench.events.subscribe(EpisodeUsed, used.append)
     made = SearchSpace.of(case()).case_with({"world.start": 16.5}, 7)
     episode = bench.episode(made)
     assert isinstance(episode, SearchedEpisode)
@@ -215,7 +215,7 @@ def test_a_violation_that_only_a_baseline_met_is_confirmed_and_claimed() -> None
     library = Library({"room": room()}, {})
     bench = Runner(lambda: library)
     told: list[object] = []
-    bench.on_search = lambda *one: told.append(one)
+    bench.events.subscribe(SearchEnded, told.append)
     found = falsify(bench, case(), [Objective(ends), Objective(middle)], limits=Limits(2, shrink=0))
     by_end, by_middle = found.outcomes
     assert (by_end.status, by_middle.status) == ("falsified", "falsified")
@@ -225,4 +225,4 @@ def test_a_violation_that_only_a_baseline_met_is_confirmed_and_claimed() -> None
     assert by_middle.simulations == met[by_middle.searcher or ""]
     assert by_middle.counterexample is not None
     assert by_middle.counterexample.repeats.confirmed
-    assert told == [(case(), found)]
+    assert told == [SearchEnded(case(), found)]

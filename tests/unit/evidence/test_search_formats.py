@@ -16,6 +16,7 @@ from pytest_dura.reports import generated_argument, intoto, outcome_headline, ru
 from pytest_dura.reports.gsn import yaml_file
 from pytest_dura.reports.gsn.user_argument import merge_user_argument
 from pytest_dura.reports.html.page import render
+from pytest_dura.reports.searches import failure_lines, outcome_entries, simulations_text
 
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
 SUPPORTED = [verdict("SAF-1", "a/clear", ("satisfied",) * 4)]
@@ -73,6 +74,25 @@ def test_the_headline_of_each_word():
         "not repeatable: SAF-1 violated at simulation 21, by cma-es; and in 3 of 10 replays, "
         "2 of them equal"
     )
+
+
+def test_a_failing_test_says_what_the_session_says_of_its_search():
+    one = entry("falsified", "nothing found")
+    lines = list(failure_lines(one))
+    assert lines == [
+        (
+            "falsified: SAF-1 on a/clear (C) violated at simulation 21, by cma-es; "
+            "confirmed by 1 equal replay"
+        ),
+        f"searched:  {simulations_text(one)}",
+        *lines[2:-3],
+        "baselines: random seeds none in 37; bang-bang at 30",
+        "kept:      scenarios/found/a-clear-saf-1.yaml, which --dura-scenarios runs from now on",
+        outcome_headline(one, one["outcomes"][1], " on a/clear (C)"),
+    ]
+    entries = [text for _, text in outcome_entries(one["outcomes"][0], 12)]
+    assert [line[11:] for line in lines[2:-3]] == entries
+    assert "simpler:   from 11 to 4 parameters that differ (41 simulations)" in lines
 
 
 def section(text, heading="Searches"):

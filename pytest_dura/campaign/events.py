@@ -1,0 +1,287 @@
+"""Events of a session: what its runner reports, as frozen dataclasses on one stream.
+
+An event is emitted in the process that runs the item, when it happens. Its parts are the objects
+themselves, and no copies: a subscriber changes none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from pytest_dura.campaign.falsification import Falsification
+    from pytest_dura.core.episode import OutcomeStatus, PropagationStatus
+    from pytest_dura.core.metrics import FaultRecord
+    from pytest_dura.library.cases import Case, SearchedCase
+    from pytest_dura.requirements.campaign_judge import CampaignJudge
+    from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+    from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
+    from pytest_dura.requirements.model import Requirement
+    from pytest_dura.requirements.monitoring.quality import MonitorQuality
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignProgress:
+    """How far a campaign is, as plain data.
+
+    Args:
+        case: Id of the case.
+        subject: What the runs are for, such as the id of a requirement; empty where only the
+            test function knows.
+        done: Runs that are over.
+        budget: Runs that are planned, or may be run at most.
+        may_end_early: Whether the runs end once the requirement is decided.
+        taken_over: Of the runs that are over the first ones, as far as they were at hand: this or
+            an earlier session had simulated them.
+        violations: Runs that violated the requirement; ``None`` where nothing is judged.
+        upper: Upper confidence bound on the rate of violations, from the runs so far; ``None``
+            where there is none, and for a requirement that accepts no violation.
+        confidence: One-sided confidence of that bound.
+    """
+
+    case: str
+    subject: str
+    done: int
+    budget: int
+    may_end_early: bool = False
+    taken_over: int = 0
+    violations: int | None = None
+    upper: float | None = None
+    confidence: float | None = None
+
+
+@dataclass
+class RunningCampaign:
+    """Progress of a campaign, updated at each run.
+
+    An update costs nothing; ``progress``, which a display reads some times a second, computes.
+
+    Args:
+        case: Id of the case.
+        subject: What the runs are for.
+        budget: Runs that are planned, or may be run at most.
+        judge: Judges the runs; ``None`` where nothing is judged.
+    """
+
+    case: str
+    subject: str
+    budget: int
+    judge: CampaignJudge | None = None
+    done: int = field(default=0, init=False)
+    ended: bool = field(default=False, init=False)
+    """Whether no further run follows, for whatever reason."""
+    _taken_over: int = field(default=0, init=False)
+    _at_first: int | None = field(default=None, init=False)
+
+    def reach(self, done: int, budget: int, simulated: int) -> Progress:
+        """Set how many runs are over; returns the event that reports it.
+
+        Args:
+            done: Runs that are over.
+            budget: Runs that are planned by now, or may be run at most.
+            simulated: Episodes that were simulated for this process so far.
+        """
+        self.done, self.budget = done, budget
+        if self._at_first is None:
+            self._at_first = simulated
+        if simulated == self._at_first:
+            self._taken_over = done
+        return Progress(self, done, budget)
+
+    def end(self) -> Progress:
+        """End it: no further run follows; returns the event that reports it."""
+        self.ended = True
+        return Progress(self, self.done, self.budget, ended=True)
+
+    def progress(self) -> CampaignProgress:
+        """Progress as plain data, without the bound on the rate."""
+        judge = self.judge
+        return CampaignProgress(
+            case=self.case,
+            subject=self.subject,
+            done=self.done,
+            budget=self.budget,
+            may_end_early=judge is not None and judge.sequential,
+            taken_over=self._taken_over,
+            violations=None if judge is None else judge.violations,
+        )
+
+    def bounded(self, progress: CampaignProgress) -> CampaignProgress:
+        """The same with the bound on the rate, which may take some milliseconds."""
+        judge = self.judge
+        upper = None if judge is None else judge.upper
+        if judge is None or upper is None:
+            return progress
+        return replace(progress, upper=upper, confidence=judge.requirement.confidence)
+
+
+@dataclass(frozen=True)
+class CausalChain:
+    """One fault of one episode, from plan to outcome; times in s, ``None`` for what never was.
+
+    Args:
+        record: From plan to recovery, as the loop saw it.
+        propagation: Whether the proposals left those of the fault-free twin; ``None`` if the fault
+            never manifested or that was not measured.
+        propagated_at: When they did.
+        unknown: Why that cannot be said.
+        outcome: See :func:`outcome_of`.
+        violated: Requirements that were violated from its manifestation on.
+        violated_without: Those among them that the fault-free twin violates, too; ``None`` if
+            there is no twin to tell.
+    """
+
+    record: FaultRecord
+    propagation: PropagationStatus | None
+    propagated_at: float | None
+    unknown: str
+    outcome: OutcomeStatus
+    violated: tuple[str, ...] = ()
+    violated_without: tuple[str, ...] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the evidence record."""
+        own = {key: value for key, value in vars(self).items() if key != "record"}
+        return {
+            **asdict(self.record),
+            **{
+                key: list(value) if isinstance(value, tuple) else value
+                for key, value in own.items()
+            },
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeUsed:
+    """An item looks at an episode of a case; at every use, though it is simulated once.
+
+    Args:
+        case: The case.
+        episode: The episode.
+        planned: Episodes that are planned of the case; 0 if this one's seed was chosen by hand.
+    """
+
+    case: Case
+    episode: JudgedEpisode
+    planned: int
+
+
+@dataclass(frozen=True, slots=True)
+class SearchedEpisodeUsed:
+    """An item looks at an episode of a case that a strategy chose, which is no sample.
+
+    Args:
+        case: The case.
+        episode: The episode.
+    """
+
+    case: SearchedCase
+    episode: SearchedEpisode
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictReached:
+    """An item decides a requirement on a campaign.
+
+    Args:
+        verdict: The verdict.
+        requirement: What it decides.
+    """
+
+    verdict: CampaignVerdict
+    requirement: Requirement
+
+
+@dataclass(frozen=True, slots=True)
+class FaultsTraced:
+    """Each fault of an episode was followed from plan to outcome, once in a process.
+
+    Args:
+        case: The case.
+        episode: The episode, on which a verdict rests.
+        chains: The causal chain of each fault.
+    """
+
+    case: Case
+    episode: JudgedEpisode
+    chains: Sequence[CausalChain]
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorsMeasured:
+    """The quality of a case's monitors was measured where recovery did not act.
+
+    Args:
+        case: The case.
+        qualities: The quality of each monitor.
+    """
+
+    case: Case
+    qualities: Sequence[MonitorQuality]
+
+
+@dataclass(frozen=True, slots=True)
+class SearchEnded:
+    """A search for violations has ended.
+
+    Args:
+        case: What it searched.
+        search: What came of it.
+    """
+
+    case: Case
+    search: Falsification
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """A run of a campaign or search is about to begin, or all of them are over.
+
+    Args:
+        campaign: The campaign; ``campaign.progress()`` computes its counts as they are by then.
+        done: Runs that are over.
+        budget: Runs that are planned, or may be run at most.
+        ended: Whether no further run follows, for whatever reason.
+    """
+
+    campaign: RunningCampaign
+    done: int
+    budget: int
+    ended: bool = False
+
+
+SessionEvent = (
+    EpisodeUsed
+    | SearchedEpisodeUsed
+    | VerdictReached
+    | FaultsTraced
+    | MonitorsMeasured
+    | SearchEnded
+    | Progress
+)
+"""What a runner emits."""
+_Kind = TypeVar("_Kind")
+
+
+class EventStream:
+    """Delivers each event to the subscribers of its type, in the order of their subscriptions."""
+
+    def __init__(self) -> None:
+        self._handlers: dict[type, list[Callable[[Any], object]]] = {}
+
+    def subscribe(self, kind: type[_Kind], handler: Callable[[_Kind], object]) -> None:
+        """Call a handler with each event of this type from now on.
+
+        Args:
+            kind: One of the types of :data:`SessionEvent`.
+            handler: What it raises is raised where the event is emitted, and ends the delivery.
+        """
+        self._handlers.setdefault(kind, []).append(handler)
+
+    def emit(self, event: object) -> None:
+        """Deliver an event: one of :data:`SessionEvent`, or of those who extend the stream."""
+        __tracebackhide__ = True
+        for handler in self._handlers.get(type(event), ()):
+            handler(event)

@@ -1,0 +1,285 @@
+"""Searches in words: sentences, headlines and cells of tables, for every format and the terminal.
+
+No search supports a requirement: of a search without a violation its effort is reported.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from pytest_dura.evidence.gate import (
+    NOTHING_FOUND,
+    OBJECTIONABLE_OUTCOMES,
+    VIOLATED_OUTCOMES,
+    outcome_status,
+)
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.text import counted, name, one_line
+
+Data = Mapping[str, Any]
+"""A part of the record."""
+
+_LEARNS = "learns"
+_MOST_NAMES = 8
+"""Outcomes that a sentence names."""
+_OUTCOME_RANK = {status: rank for rank, status in enumerate(OBJECTIONABLE_OUTCOMES)}
+NOTHING_SUPPORTED = (
+    "A search that finds nothing supports no requirement: no rate follows from where it looked."
+)
+
+
+def outcome_rank(search: Data, outcome: Data) -> int:
+    """Place of an outcome in a list that begins with the worst."""
+    return _OUTCOME_RANK.get(outcome_status(search, outcome), len(_OUTCOME_RANK))
+
+
+def simulations_text(search: Data) -> str:
+    """Simulations that were run, of the budget: ``37 of 100 simulations``."""
+    text = f"{search['simulations']} of {counted(search['budget'], 'simulation')}"
+    if search["unknown"]:
+        text += f", {search['unknown']} without an answer"
+    if search["idle"]:
+        text += f", {search['idle']} with an added fault that never came to act"
+    if search["refused"]:
+        text += f"; {counted(search['refused'], 'point')} refused"
+    return text
+
+
+def ordered_outcomes(record: SessionRecord) -> list[tuple[Data, Data]]:
+    """Searches with their outcomes, the worst first."""
+    outcomes = [
+        (search, outcome) for search in record["searches"] for outcome in search["outcomes"]
+    ]
+    return sorted(outcomes, key=lambda pair: outcome_rank(*pair))
+
+
+def outcome_counts_text(record: SessionRecord) -> str:
+    """Outcomes by status: ``1 falsified, 2 nothing found``; empty without a search."""
+    counts = Counter(outcome["word"] for _, outcome in ordered_outcomes(record))
+    return ", ".join(
+        f"{counts[status]} {status}"
+        for status in (*OBJECTIONABLE_OUTCOMES, NOTHING_FOUND)
+        if counts[status]
+    )
+
+
+def outcome_headline(search: Data, outcome: Data, where: str = "") -> str:
+    """The outcome, the requirement, and what the outcome rests on.
+
+    Args:
+        search: Of the record.
+        outcome: One of its outcomes.
+        where: What stands behind the requirement, such as `` on a/clear``.
+    """
+    status, requirement = outcome["word"], f"{name(outcome['requirement'])}{where}"
+    counterexample = outcome["counterexample"]
+    if counterexample is not None:
+        repeats = counterexample["repeats"]
+        by = f"at simulation {outcome['simulations']}, by {one_line(outcome['searcher'])}"
+        if status == "falsified":
+            again = f"confirmed by {counted(repeats['runs'], 'equal replay')}"
+        else:
+            runs = counted(repeats["runs"], "replay")
+            again = f"and in {repeats['violated']} of {runs}, {repeats['equal']} of them equal"
+        return f"{status}: {requirement} violated {by}; {again}"
+    least = "none measured" if outcome["best"] is None else f"{outcome['best']:.4g}"
+    start = f"{requirement}: " if status == NOTHING_FOUND else f"{status}: {requirement}: "
+    return (
+        f"{start}nothing found in {counted(search['simulations'], 'simulation')}: "
+        f"least robustness {least}, coverage {search_coverage_text(search)}"
+    )
+
+
+def outcome_entries(outcome: Data, most_changes: int) -> Iterator[tuple[str, str]]:
+    """Labels and texts on the check, and on the counterexample as far as there is one.
+
+    Args:
+        outcome: Of a search.
+        most_changes: Parameters that are named; each is a text of its own, without a label but for
+            the first.
+    """
+    counterexample = outcome["counterexample"]
+    if outcome["check"] not in ("", outcome["requirement"]):
+        yield "check", outcome["check"]
+    if counterexample is None:
+        return
+    yield "worst", counterexample_text(counterexample, outcome["check"])
+    if counterexample["shrinking"] is not None:
+        yield "simpler", shrinking_text(counterexample)
+    changes = [
+        f"{path}: {change}" for path, change in parameter_changes(counterexample, most_changes)
+    ]
+    for number, change in enumerate(changes or ["in nothing: the case violates it as it stands"]):
+        yield "" if number else "differs", change
+    if len(counterexample["changes"]) > most_changes:
+        yield "", f"and {len(counterexample['changes']) - most_changes} more, in evidence.json"
+
+
+def baseline_note(search: Data, outcome: Data) -> str:
+    """Note on an outcome that a baseline alone violated; empty for any other."""
+    status = outcome_status(search, outcome)
+    return OBJECTIONABLE_OUTCOMES[status] if status == "baseline" else ""
+
+
+def kept_text(outcome: Data) -> str:
+    """The scenario file that keeps the counterexample; empty where none does."""
+    counterexample = outcome["counterexample"]
+    return one_line((counterexample or {}).get("file") or "")
+
+
+_MOST_CHANGES = 12
+"""Changed parameters that the message of a failing test names."""
+
+
+def failure_lines(search: Data) -> Iterator[str]:
+    """Lines of the message of a test that fails by its search."""
+    where = f" on {name(search['case'])} ({name(search['component'])})"
+    for outcome in search["outcomes"]:
+        yield outcome_headline(search, outcome, where)
+        if outcome["word"] == NOTHING_FOUND:
+            continue
+        entries = [("searched", simulations_text(search)), *outcome_entries(outcome, _MOST_CHANGES)]
+        if search["baselines"]:
+            entries.append(("baselines", baselines_text(search, outcome["requirement"])))
+        if kept := kept_text(outcome):
+            entries.append(("kept", f"{kept}, which --dura-scenarios runs from now on"))
+        for label, text in entries:
+            yield f"{f'{label}:' if label else '':<11}{one_line(text)}"
+
+
+def search_coverage_text(search: Data) -> str:
+    """The share of the ranges that was simulated, on average, and of their pairs."""
+    shares, pairs = list(search["coverage"]["parameters"].values()), search["coverage"]["pairs"]
+    text = f"{100 * sum(shares) / len(shares):.0f} % of each range" if shares else "unknown"
+    return text if pairs is None else f"{text}, {100 * pairs:.0f} % of their pairs"
+
+
+def baselines_text(search: Data, requirement: str) -> str:
+    """The simulation at which each trivial baseline violated the requirement by itself."""
+    results = []
+    for baseline in search["baselines"]:
+        first = baseline["first"].get(requirement)
+        end = f"none in {baseline['simulations']}" if first is None else f"at {first}"
+        results.append(f"{name(baseline['name'])} {end}")
+    return "; ".join(results) or "none was run"
+
+
+def is_notable_outcome(search: Data, outcome: Data) -> bool:
+    """Whether a search or a baseline violated it, so that its searchers are listed."""
+    return outcome_status(search, outcome) in (*VIOLATED_OUTCOMES, "baseline")
+
+
+SEARCHER_COLUMNS = ("simulations", "violated at", "robustness")
+SEARCHER_LEGEND = "violated at: after so many of its own simulations; robustness: its least"
+
+
+def searcher_rows(search: Data, requirement: str, kind: str) -> Iterator[tuple[str, list[str]]]:
+    """The name and the cells of every searcher, or of every baseline.
+
+    Args:
+        search: Of the record.
+        requirement: For which of its requirements.
+        kind: ``searchers`` or ``baselines``.
+    """
+    for searcher in search[kind]:
+        first, best = searcher["first"].get(requirement), searcher["best"].get(requirement)
+        shown = name(searcher["name"])
+        if kind == "searchers" and not searcher["trivial"]:
+            shown = f"{shown} ({_LEARNS})"
+        cells = [str(searcher["simulations"]), "none" if first is None else str(first)]
+        yield shown, [*cells, "-" if best is None else f"{best:.4g}"]
+
+
+def counterexample_text(counterexample: Data, check: str) -> str:
+    """Margin, time and reason of a counterexample; a reason that repeats the check is left out."""
+    parts = [] if counterexample["margin"] is None else [f"margin {counterexample['margin']:.4g}"]
+    if counterexample["time"] is not None:
+        parts.append(f"at {counterexample['time']:.2f} s")
+    detail = "" if counterexample["detail"] == check else one_line(counterexample["detail"], 300)
+    return f"{' '.join(parts)}: {detail}" if parts and detail else " ".join(parts) or detail
+
+
+def shrinking_text(counterexample: Data) -> str:
+    """Result of shrinking; empty where none was requested."""
+    shrinking = counterexample["shrinking"]
+    if shrinking is None:
+        return ""
+    spent = counted(shrinking["simulations"], "simulation")
+    limit = "" if shrinking["finished"] else f", all of {shrinking['budget']} that it was allowed"
+    before, after = shrinking["before"], shrinking["after"]
+    return f"from {before} to {after} parameters that differ ({spent}{limit})"
+
+
+def parameter_changes(counterexample: Data, most: int) -> Sequence[tuple[str, str]]:
+    """Path and change of each parameter: ``world.wall``, ``2 instead of 4``."""
+    return [
+        (name(change["path"]), _parameter_change(change))
+        for change in counterexample["changes"][:most]
+    ]
+
+
+def _parameter_change(change: Data) -> str:
+    if change["value"] is None:
+        return "left out"
+    if change["nominal"] is None:
+        return f"{_value_text(change['value'])}, added"
+    return f"{_value_text(change['value'])} instead of {_value_text(change['nominal'])}"
+
+
+def _value_text(value: Any) -> str:
+    """A value on one line, such as ``{type: delay, target: lidar}``."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, Mapping):
+        return (
+            "{"
+            + ", ".join(
+                f"{name(str(key))}: {_value_text(element)}" for key, element in value.items()
+            )
+            + "}"
+        )
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_value_text, value)) + "]"
+    return one_line(str(value), 120)
+
+
+def _outcomes_of(record: SessionRecord, statuses: tuple[str, ...]) -> list[tuple[Data, Data]]:
+    """Searches and their outcomes of these statuses."""
+    return [
+        (search, outcome)
+        for search in record["searches"]
+        for outcome in search["outcomes"]
+        if outcome["word"] in statuses
+    ]
+
+
+def violation_sentences(record: SessionRecord) -> Iterator[str]:
+    """Sentences on violations by searches, confirmed or not."""
+    for violated_outcome, how in zip(
+        VIOLATED_OUTCOMES, ("confirmed by replay", "and not each time again"), strict=True
+    ):
+        search_outcomes = _outcomes_of(record, (violated_outcome,))
+        if search_outcomes:
+            claims = [
+                f"{name(verdict['requirement'])} on {name(search['case'])}"
+                for search, verdict in search_outcomes
+            ]
+            names = ", ".join(dict.fromkeys(claims[:_MOST_NAMES]))
+            more = f" and {len(claims) - _MOST_NAMES} more" if len(claims) > _MOST_NAMES else ""
+            yield f"Violated in a search, {how}: {names}{more}. It is part of no rate."
+
+
+def unviolated_sentences(record: SessionRecord) -> Iterator[str]:
+    """Sentences on searches without a violation: how far they looked."""
+    search_outcomes = _outcomes_of(record, (NOTHING_FOUND, "undecided"))
+    if search_outcomes:
+        most = max(search["simulations"] for search, _ in search_outcomes)
+        yield (
+            f"Searches found nothing against {counted(len(search_outcomes), 'requirement')}"
+            " on a case, in up to "
+            f"{most} simulations each: that supports none of them. {NOTHING_SUPPORTED}"
+        )
