@@ -50,7 +50,7 @@ Command = Literal["rerun", "replay"]
 """A printed command that runs an item, or an episode, again."""
 _WORKER_KEY = "dura_options"
 _ONE_EPISODE = "it runs an episode of the evidence"
-_EMPTY_SETTINGS: Mapping[str, Any] = {"bool": False, "args": [], "paths": []}
+_EMPTY_SETTINGS: Mapping[str, Any] = {"string": "", "bool": False, "args": [], "paths": []}
 
 
 @dataclass(frozen=True)
@@ -151,15 +151,21 @@ class Option(Generic[T]):
                 more = {"action": "append", "default": [], "metavar": self.metavar}
             group.addoption(self.flag, help=self.full_help, **more)
         if self.ini is not None:
-            empty = _EMPTY_SETTINGS.get(self.ini_type, "")
+            empty = _EMPTY_SETTINGS[self.ini_type]
             parser.addini(self.ini, self.full_help, type=self.ini_type, default=empty)
 
+    def typed(self, config: pytest.Config) -> Any:
+        """Return what the command line gives; ``None`` for nothing."""
+        value = None if self.flag is None else config.getoption(self.flag)
+        return None if value in (False, []) else value
+
     def given(self, config: pytest.Config) -> Any:
-        """Return what the command line gives, or the ini file; ``None`` for nothing."""
-        values = [config.getoption(self.flag)] if self.flag is not None else []
-        values += [config.getini(self.ini)] if self.ini is not None else []
-        nothing: tuple[Any, ...] = (None, False, []) if self.ini is None else (None, False, [], "")
-        return next((value for value in values if value not in nothing), None)
+        """Return what the command line gives, or else the ini file; ``None`` for nothing."""
+        typed = self.typed(config)
+        if typed is not None or self.ini is None:
+            return typed
+        setting = config.getini(self.ini)
+        return None if setting == _EMPTY_SETTINGS[self.ini_type] else setting
 
     def setting(self, config: pytest.Config) -> Setting:
         """Return the option as it is set in a session; a worker's as the controller sent it."""
@@ -534,7 +540,7 @@ class Options:
     @property
     def activated(self) -> bool:
         """Whether an option asks for evidence, whatever the tests of the session are."""
-        return any(row.activates and row.given(self.config) is not None for row in option_rows())
+        return any(row.activates and row.typed(self.config) is not None for row in option_rows())
 
     def repeated(
         self, command: Command, instead: Mapping[str, str | None] | None = None
@@ -547,7 +553,7 @@ class Options:
         """
         arguments = []
         for row in option_rows():
-            given = row.given(self.config) if command in row.repeated_in else None
+            given = row.typed(self.config) if command in row.repeated_in else None
             given = (instead or {}).get(row.name, given)
             values = given if isinstance(given, list) else [] if given is None else [given]
             arguments += [row.key if text is True else f"{row.key}={text}" for text in values]
@@ -555,11 +561,7 @@ class Options:
 
     def compared_in_shards(self) -> dict[str, str]:
         """Return what all shards have to have in common: option to value, as JSON."""
-        given = {
-            row.key: row.given(self.config)
-            for row in option_rows()
-            if row.flag is not None and row.same_in_shards
-        }
+        given = {row.key: row.typed(self.config) for row in option_rows() if row.same_in_shards}
         return {key: json.dumps(value) for key, value in given.items() if value is not None}
 
     def for_workers(self) -> dict[str, str]:

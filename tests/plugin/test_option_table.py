@@ -96,6 +96,7 @@ def test_a_row_is_an_option_a_setting_and_a_line_of_the_page(project, extra):
     assert session(project).options.extra == 3
     project.write("pytest.ini", "[pytest]\npythonpath = .\ndura_extra = 4\n")
     assert session(project).options.extra == 4
+    assert session(project).options.repeated("rerun") == []
     options = session(project, "--dura-extra=5").options
     assert options.extra == 5
     assert options.repeated("rerun") == ["--dura-extra=5"]
