@@ -220,18 +220,19 @@ def _verify(options: argparse.Namespace) -> int:
     _print_any_file_name()
     for problem in bundle.problems:
         print(one_line(problem, _MAX_LENGTH))
-    if bundle.counts is not None:
-        counts = bundle.counts
+    if bundle.totals is not None:
+        totals = bundle.totals
+        verdicts = sum(totals[status] for status in ("supported", "violated", "undecided"))
         print(
-            f"{bundle.files} files, {counts.episodes} episodes, "
-            f"{counts.supported + counts.violated + counts.undecided} verdicts, "
+            f"{bundle.files} files, {totals['episodes']} episodes, {verdicts} verdicts, "
             f"{bundle.rejudged.judged} of their judgements made again on traces; "
-            f"gate {counts.gate}"
+            f"gate {totals['gate']}"
         )
     if bundle.intact and bundle.not_rendered is not None:
         print(
             f"not re-rendered: pytest-dura {one_line(bundle.not_rendered, _MAX_LENGTH)} wrote this "
-            f"bundle, and this is {__version__}; of its pages, counts and references alone agree"
+            f"bundle, and this is {__version__}; its hashes hold, and concluding from its episodes "
+            "gives its verdicts"
         )
         return _NOT_RENDERED
     plural = "" if len(bundle.problems) == 1 else "s"

@@ -8,7 +8,8 @@ from .bundle import (
     write_bundle,
     write_record,
 )
-from .conclude import PairedCourses, conclude_record, coverage, effectiveness
+from .conclude import PairedCourses, conclude_record, coverage, effectiveness, totals
+from .entry import plain_data
 from .episodes import episode_record
 from .files import (
     MANIFEST_FILE,
@@ -25,7 +26,7 @@ from .junit import junit_name
 from .mcap import pack_columns, read_trace, trace_bytes, unpack_columns, write_trace
 from .merge import merge_bundles
 from .metrics import UNTRACED_FAULT, CaseMetrics, FailureModes, PooledMetrics
-from .model import Counts, SessionRecord, plain_data
+from .model import SessionRecord
 from .redaction import Redactor, count_redactions, holds_redaction
 from .schema import check_record, record_schema
 from .sessions import ShardUnit, plan_digest, split_units
@@ -44,7 +45,6 @@ __all__ = [
     "UNTRACED_FAULT",
     "Baseline",
     "CaseMetrics",
-    "Counts",
     "DirectoryLock",
     "FailureModes",
     "Gate",
@@ -88,6 +88,7 @@ __all__ = [
     "record_problems",
     "record_schema",
     "split_units",
+    "totals",
     "trace_bytes",
     "trace_path",
     "unpack_columns",

@@ -11,13 +11,13 @@ import os
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.files import temporary_prefix
+from pytest_dura.evidence.entry import Entry, plain_data
 from pytest_dura.evidence.episodes import SPOOL_PREFIX
 from pytest_dura.evidence.files import (
     LOCK_FILE,
@@ -31,7 +31,7 @@ from pytest_dura.evidence.files import (
     write_file,
 )
 from pytest_dura.evidence.gather import SCHEMA_VERSION
-from pytest_dura.evidence.model import Counts, SessionRecord, plain_data
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.schema import SCHEMA_FILE, schema_text
 from pytest_dura.evidence.traces import TRACE_FOLDER, is_trace_name
 
@@ -53,14 +53,6 @@ class Format(Protocol):
 
     def render(self, record: SessionRecord) -> str:
         """Render the file's text, which is a function of the record."""
-        ...
-
-    def read_counts(self, text: str) -> Counts:
-        """Read the counts in such a text, without the help of ``render``.
-
-        Raises:
-            ValueError: If the text is not what this format writes.
-        """
         ...
 
 
@@ -262,7 +254,7 @@ def read_session_record(directory: Path) -> SessionRecord:
         raise _unreadable_record("the record is a symbolic link", file, "--dura-evidence")
     streamed = _streamed_record(file)
     if streamed is not None:
-        return SessionRecord(streamed.head, directory, streamed.episodes)
+        return SessionRecord.of_head(streamed.head, directory, streamed.episodes)
     record = read_record(directory)
     if not isinstance(record.get("episodes"), list):
         raise _unreadable_record("this record has no episodes", file, "--dura-evidence")
@@ -370,7 +362,8 @@ def _list_text(values: Iterable[Any]) -> Iterator[str]:
     for number, value in enumerate(values):
         yield ",\n  " if number else "[\n  "
         # In JSON a line break is never inside of a text.
-        yield _json_text(value).replace("\n", "\n  ")
+        plain = value.to_json() if isinstance(value, Entry) else value
+        yield _json_text(plain).replace("\n", "\n  ")
     yield "[]" if number < 0 else "\n ]"
 
 
@@ -454,9 +447,7 @@ def _withdraw(record: SessionRecord, error: BaseException, before: object) -> No
     why = f"infrastructure: the evidence could not be written as a whole: {describe_error(error)}"
     marked = _with_gate(record, "incomplete", [why])
     try:
-        write_record(
-            record.directory, replace(marked, head={**marked.head, "status": "interrupted"})
-        )
+        write_record(record.directory, marked.changed(status="interrupted"))
     except ConfigurationError:  # no room even for that
         with suppress(OSError):
             file.unlink(missing_ok=True)
@@ -514,4 +505,4 @@ def _with_gate(record: SessionRecord, result: str, reasons: Sequence[str]) -> Se
         "reasons": [*record["gate"]["reasons"], *reasons],
     }
     totals = {**record["totals"], "gate": result}
-    return replace(record, head={**record.head, "gate": gate, "totals": totals})
+    return record.changed(gate=gate, totals=totals)

@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from operator import itemgetter
 from typing import Any, TypeAlias
 
-from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.redaction import count_redactions
 from pytest_dura.evidence.sessions import origin_counts
 
@@ -508,6 +507,25 @@ def timings(
     }
 
 
+def totals(record: SessionRecord) -> dict[str, Any]:
+    """Compute the record's key ``totals``, which every format states.
+
+    ``valid``, ``invalid`` and ``missing`` count episodes, ``supported``, ``violated`` and
+    ``undecided`` verdicts; ``waived`` verdicts also count under their own status.
+    """
+    validity = Counter(episode["validity"] for episode in record.episodes())
+    statuses = Counter(verdict["verdict"] for verdict in record["verdicts"])
+    return {
+        "gate": record["gate"]["result"],
+        "requirements": len(record["requirements"]),
+        "cases": len(record["cases"]),
+        "episodes": validity.total(),
+        **{name: validity[name] for name in ("valid", "invalid", "missing")},
+        **{name: statuses[name] for name in ("supported", "violated", "undecided")},
+        "waived": sum(verdict["waiver"] is not None for verdict in record["verdicts"]),
+    }
+
+
 def conclude_record(
     record: SessionRecord,
     *,
@@ -545,5 +563,5 @@ def conclude_record(
     for episode in record.episodes():
         redactions += count_redactions(episode)
     head["redacted"] = dict(sorted(Counter(redactions).items()))
-    concluded = replace(record, head=head)
-    return replace(concluded, head={**head, "totals": Counts.of(concluded).to_json()})
+    concluded = record.changed(**head)
+    return concluded.changed(totals=totals(concluded))

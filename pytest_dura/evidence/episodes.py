@@ -21,8 +21,8 @@ import numpy as np
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.metrics import with_chains
-from pytest_dura.evidence.model import plain_data
 from pytest_dura.evidence.sessions import OWN_ORIGIN
 from pytest_dura.requirements.campaign_verdicts import Situations, varies
 

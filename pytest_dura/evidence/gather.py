@@ -17,6 +17,7 @@ from pytest_dura.evidence.conclude import (
     missing_runs,
     verdicts_on_cases,
 )
+from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.episodes import EpisodeSpool, add_episode, case_situations, unpack_report
 from pytest_dura.evidence.gate import REPEAT_KEYS, SearchRecords, worse_repeat
 from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics, SharedViolations, case_order
@@ -124,7 +125,8 @@ def question_key(item: str, verdict: JsonObject) -> tuple[str, ...]:
     question = [verdict["check"], verdict["paired"], verdict["method"]]
     question += [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
     names = ("requirement", "case", "component")
-    return item, *(verdict[name] for name in names), json.dumps(question, sort_keys=True)
+    text = json.dumps(question, sort_keys=True, default=Entry.to_json)
+    return item, *(verdict[name] for name in names), text
 
 
 def _final_outcomes(outcomes: Sequence[JsonObject]) -> list[JsonObject]:
@@ -372,7 +374,7 @@ class RecordBuilder:
             "overall": overall,
             "effectiveness": effectiveness(verdicts, monitors, courses),
         }
-        return SessionRecord(head, self.directory or Path(), self._spool.__iter__)
+        return SessionRecord.of_head(head, self.directory or Path(), self._spool.__iter__)
 
     def verdicts(self) -> list[JsonObject]:
         """List all verdicts, also on what never reported, sorted by case and requirement."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.baseline import Baseline, regression_objections
 from pytest_dura.evidence.bundle import begin_bundle, write_bundle
 from pytest_dura.evidence.conclude import conclude_record
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
 from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate
@@ -126,18 +127,19 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
         report.monitors += map(dict, shard["monitors"])
         report.models += [{**model, "process": part.name} for model in shard["models"]]
         report.notes += shard["reuse"]["problems"]
-        record.add(report.to_json())
+        record.add(plain_data(report.to_json()))
         for verdict in shard["verdicts"]:
-            record.adopt(dict(verdict))
+            record.adopt(plain_data(verdict))
         for search in shard["searches"]:
-            record.searches.adopt(search)
+            record.searches.adopt(plain_data(search))
     traced = _trace_owners(parts)
     # The first report of an episode holds, so that the owners of traces come first.
     for with_trace in (True, False):
         for part in parts:
             for episode in part.record.episodes():
                 if (traced.get(_identity(episode)) == part.index) == with_trace:
-                    record.add(_report_of(episode, with_trace=with_trace).to_json())
+                    report = _report_of(plain_data(episode), with_trace=with_trace)
+                    record.add(report.to_json())
 
 
 def _trace_owners(parts: Iterable[ShardBundle]) -> dict[tuple[str, ...], int]:
@@ -352,7 +354,7 @@ class MergeComparison:
         """Add the comparison to a record."""
         finished = None if record["status"] == "running" else record
         baseline = None if self.baseline is None else self.baseline.to_json(finished)
-        return replace(record, head={**record.head, "baseline": baseline})
+        return record.changed(baseline=baseline)
 
     def objections(self, record: SessionRecord) -> list[str]:
         """Reasons against a record that was compared."""
@@ -416,7 +418,7 @@ def _write_merged(
     whole = record.record("complete")
     tapes = _merged_cassettes(parts)
     models = [{**model, "cassette": tapes[_model_key(model)]} for model in whole["models"]]
-    whole = comparison.compared(replace(whole, head={**whole.head, "models": models}))
+    whole = comparison.compared(whole.changed(models=models))
     _copy_traces(whole, parts)
     against = [*record.problems, *comparison.objections(whole)]
     gate = _merged_gate(parts, whole["verdicts"], whole["searches"], against)

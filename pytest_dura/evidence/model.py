@@ -1,35 +1,153 @@
-"""The evidence record as renderers read it: plain data, with its episodes one at a time."""
+"""The evidence record as renderers read it: a typed head, and its episodes one at a time."""
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import ValidationError
+
+from pytest_dura.evidence.case_model import CaseEntry, CoverageEntry, OverallEntry, RequirementEntry
+from pytest_dura.evidence.entry import Count, Entry, JsonObject, Positive, plain_data
+from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.session_model import (
+    ArgumentEntry,
+    ComponentUnderTest,
+    EnvironmentEntry,
+    ExecutionEntry,
+    GateEntry,
+    InputEntry,
+    LanguageModelEntry,
+    MergedShard,
+    ReuseEntry,
+    SelectionEntry,
+    SessionTimings,
+    ShardEntry,
+    ToolEntry,
+)
+from pytest_dura.evidence.verdict_model import (
+    BaselineEntry,
+    EffectivenessEntry,
+    MonitorEntry,
+    VerdictEntry,
+)
 
 
-def plain_data(value: Any) -> Any:
-    """Convert a value to builtins; tuples become lists, numbers that are not finite ``None``.
+class Totals(Entry):
+    """Counts that every format states. Waived verdicts also count under their own status."""
 
-    Raises:
-        TypeError: For an object that is no data.
+    gate: Literal["passed", "failed", "incomplete"]
+    """As `gate.result`."""
+    requirements: Count
+    """Requirements."""
+    cases: Count
+    """Cases with one component each."""
+    episodes: Count
+    """Episodes that were run."""
+    valid: Count
+    """Valid ones."""
+    invalid: Count
+    """Invalid ones."""
+    missing: Count
+    """Missing ones."""
+    supported: Count
+    """Verdicts."""
+    violated: Count
+    """Verdicts."""
+    undecided: Count
+    """Verdicts."""
+    waived: Count
+    """Verdicts that a waiver excuses."""
+
+
+class RecordHead(Entry):
+    """What a session leaves behind, its episodes apart, which are read one at a time.
+
+    Every other file of the bundle is rendered from it. Times are in seconds, simulated unless said
+    otherwise; a number that is not finite is null.
     """
-    if value is None or isinstance(value, (bool, int, str)):
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): plain_data(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain_data(entry) for entry in value]
-    if hasattr(value, "tolist"):  # numpy's scalars and arrays
-        return plain_data(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    raise TypeError(f"{type(value).__name__} is not plain data")
+
+    schema_version: Literal["2"]
+    """Version of this schema."""
+    status: Literal["running", "complete", "interrupted"]
+    """How the session ended. Only `complete` can be a pass; `running` is one that was killed."""
+    created: str
+    """When the session began, in ISO 8601."""
+    tool: ToolEntry
+    """What wrote the record."""
+    command: str
+    """The command of the session; of merged shards that of the whole, with the merged evidence."""
+    base_seed: Count
+    """From which every episode's seed follows."""
+    evidence_level: Literal["summary", "violations", "all"]
+    """Of which episodes traces are kept: `--dura-evidence-level`."""
+    require_repeatable: bool
+    """Whether a case that is not repeatable fails the gate (ini `dura_require_repeatable`)."""
+    environment: EnvironmentEntry
+    """Where the session ran; of merged shards the first one."""
+    execution: ExecutionEntry
+    """Who simulated the episodes (`--dura-executor`); of merged shards the first one."""
+    argument: ArgumentEntry | None
+    """The user's own argument, over which the assurance case is built; null without."""
+    reuse: ReuseEntry
+    """What was taken over from earlier sessions (`--dura-resume`, `--dura-reuse`), fault-free twins
+    apart."""
+    shard: ShardEntry | None
+    """Which part of a session this is (`--dura-shard`); null for a whole one."""
+    merged_from: list[MergedShard] | None
+    """The shards of which `python -m pytest_dura merge` made this record, by their numbers; null
+    for the record of a session."""
+    selection: SelectionEntry
+    """Which of the planned verdicts the session was asked for: what `-k`, `--deselect`, a conftest
+    and `--dura-runs` left of the plan. Of a shard, that of the whole session."""
+    component_under_test: ComponentUnderTest
+    """The component under test."""
+    models: list[LanguageModelEntry]
+    """The language models that components asked; empty if none did."""
+    requirements: list[RequirementEntry]
+    """Sorted by id."""
+    cases: list[CaseEntry]
+    """Sorted by id and component."""
+    verdicts: list[VerdictEntry]
+    """Sorted by case and requirement."""
+    searches: list[SearchEntry]
+    """What searches for violations came to (`campaign.falsify`). None of it is part of a verdict or
+    of a rate."""
+    monitors: list[MonitorEntry]
+    """Quality of the monitors."""
+    overall: list[OverallEntry]
+    """What the planned episodes of all cases come to, one entry for each component; cases in which
+    a role is switched off for comparison are not among them."""
+    effectiveness: list[EffectivenessEntry]
+    """What the runs show of recovery and monitors by themselves, also that they cannot show it; no
+    verdict."""
+    baseline: BaselineEntry | None
+    """What the session was compared with; null without."""
+    finished: str | None
+    """When it ended, in ISO 8601; null as long as it runs."""
+    gate: GateEntry
+    """Whether the session passed. It fails closed."""
+    inputs: list[InputEntry]
+    """The files that the session was run from."""
+    coverage: CoverageEntry
+    """What was tried of what there is."""
+    timings: SessionTimings
+    """Where the session's time went."""
+    redacted: dict[str, Positive]
+    """How often a secret was replaced, by the name of its environment variable or the kind of
+    secret."""
+    totals: Totals
+    """What every format states."""
 
 
-Data = Mapping[str, Any]
+class WholeRecord(RecordHead):
+    """Content of ``evidence.json``."""
+
+    episodes: list[EpisodeEntry]
+    """Sorted by case, component, run and seed."""
 
 
 @dataclass(frozen=True)
@@ -42,89 +160,59 @@ class SessionRecord:
         read_episodes: Returns a new iterator over the episodes at each call, in their order.
     """
 
-    head: Data
+    head: RecordHead
     directory: Path
-    read_episodes: Callable[[], Iterator[Data]]
+    read_episodes: Callable[[], Iterator[EpisodeEntry]]
 
-    def __getitem__(self, key: str) -> Any:
+    def __post_init__(self) -> None:
+        # transitional: a head that is not whole yet, or not valid, stays a mapping.
+        if not isinstance(self.head, RecordHead):
+            object.__setattr__(self, "head", _typed(RecordHead, plain_data(self.head)))
+
+    def __getitem__(self, key: str) -> Any:  # transitional
         """Value of a top-level key, ``episodes`` apart."""
         return self.head[key]
 
-    def episodes(self) -> Iterator[Data]:
+    def episodes(self) -> Iterator[EpisodeEntry]:
         """Iterate over the episodes, in the order of the record."""
-        return self.read_episodes()
+        return (
+            episode if isinstance(episode, EpisodeEntry) else _typed(EpisodeEntry, episode)
+            for episode in self.read_episodes()
+        )  # transitional: an episode that is not valid stays a mapping
+
+    def to_json(self) -> JsonObject:
+        """Convert to plain data, with all episodes."""
+        record: JsonObject = plain_data({**self.head, "episodes": [*self.episodes()]})
+        return record
 
     @classmethod
-    def of(cls, record: Data, directory: Path) -> SessionRecord:
+    def of(cls, record: Mapping[str, Any], directory: Path) -> SessionRecord:
         """Wrap a record that is in memory as a whole."""
-        head = {key: value for key, value in record.items() if key != "episodes"}
-        return cls(head, directory, lambda: iter(record["episodes"]))
+        head: Any = {key: value for key, value in record.items() if key != "episodes"}
+        episodes = [_typed(EpisodeEntry, episode) for episode in record["episodes"]]
+        return cls(head, directory, lambda: iter(episodes))
+
+    @classmethod
+    def of_head(
+        cls, head: Any, directory: Path, read_episodes: Callable[[], Iterator[Any]]
+    ) -> SessionRecord:
+        """Wrap a record whose episodes are read one at a time."""
+        return cls(head, directory, read_episodes)
+
+    def changed(self, **changes: Any) -> SessionRecord:
+        """Copy with other values of top-level keys, as plain data or entries."""
+        head: Any = {**self.head, **changes}
+        return replace(self, head=head)
+
+
+def _typed(model: type[Entry], data: Any) -> Any:  # transitional
+    try:
+        return model.model_validate(data)
+    except ValidationError:
+        return data
 
 
 def components_under_test(record: SessionRecord) -> list[Any]:
     """List the components under test that the record describes, the first one first."""
     first = record["component_under_test"]
     return [first, *first.get("others", ())]
-
-
-@dataclass(frozen=True)
-class Counts:
-    """Counts that every format states. ``waived`` verdicts also count under their own status.
-
-    Args:
-        gate: ``passed``, ``failed`` or ``incomplete``.
-        requirements: Requirements of the session.
-        cases: Cases with one component each.
-        episodes: Episodes that were run.
-        valid: Those that are valid.
-        invalid: Those whose planned fault never manifested.
-        missing: Those that an infrastructure error ended.
-        supported: Verdicts.
-        violated: Verdicts.
-        undecided: Verdicts.
-        waived: Verdicts that a waiver excuses.
-    """
-
-    gate: str
-    requirements: int
-    cases: int
-    episodes: int
-    valid: int
-    invalid: int
-    missing: int
-    supported: int
-    violated: int
-    undecided: int
-    waived: int
-
-    def to_json(self) -> dict[str, Any]:
-        """Convert to plain data."""
-        return dict(vars(self))
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Counts:
-        """Read what :meth:`to_json` gives.
-
-        Raises:
-            TypeError: If a count is missing, or there are others.
-        """
-        return cls(**data)
-
-    @classmethod
-    def of(cls, record: SessionRecord) -> Counts:
-        """Count in the record itself, without its ``totals``."""
-        validity = Counter(episode["validity"] for episode in record.episodes())
-        statuses = Counter(verdict["verdict"] for verdict in record["verdicts"])
-        return cls(
-            gate=record["gate"]["result"],
-            requirements=len(record["requirements"]),
-            cases=len(record["cases"]),
-            episodes=validity.total(),
-            valid=validity["valid"],
-            invalid=validity["invalid"],
-            missing=validity["missing"],
-            supported=statuses["supported"],
-            violated=statuses["violated"],
-            undecided=statuses["undecided"],
-            waived=sum(verdict["waiver"] is not None for verdict in record["verdicts"]),
-        )

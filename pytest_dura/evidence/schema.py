@@ -1,60 +1,31 @@
-"""JSON Schema of the evidence record: checks a record, and writes the reference tables.
+"""Checks of a record by its models, and the JSON Schema and tables generated from them.
 
-``python -m pytest_dura.evidence.schema`` writes the tables of ``docs/evidence.md``.
+``python -m pytest_dura.evidence.schema`` writes ``evidence.schema.json``, which lies beside this
+module and in every bundle, and the tables of ``docs/evidence.md``.
 """
 
 from __future__ import annotations
 
+import ast
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from functools import cache
-from importlib import import_module
-from importlib.util import find_spec
-from itertools import islice
+from inspect import getsource
+from itertools import islice, pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pytest_dura.evidence.model import SessionRecord
+from pydantic import ValidationError
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
-if TYPE_CHECKING:
-    from jsonschema.exceptions import ValidationError
-
-
-_GRAMMARS = "rfc3987_syntax"
-"""Where this package is installed, jsonschema imports it; it builds a parser while it is imported,
-for the formats ``iri`` and ``iri-reference``, which no schema of ours has."""
-
-
-def _load_jsonschema() -> ModuleType:
-    """Import ``jsonschema`` without its grammars.
-
-    Other users of it in this process miss no format: the parser is built when it is first used.
-    """
-    with _grammars_on_demand():
-        return import_module("jsonschema")
-
-
-@contextmanager
-def _grammars_on_demand() -> Iterator[None]:
-    if {"jsonschema", _GRAMMARS} & sys.modules.keys() or find_spec(_GRAMMARS) is None:
-        yield
-        return
-    placeholder = ModuleType(_GRAMMARS)
-    placeholder.is_valid_syntax = _is_valid_syntax  # type: ignore[attr-defined]
-    sys.modules[_GRAMMARS] = placeholder
-    try:
-        yield
-    finally:
-        del sys.modules[_GRAMMARS]
-
-
-def _is_valid_syntax(*arguments: Any) -> Any:
-    return import_module(_GRAMMARS).is_valid_syntax(*arguments)
-
+from pytest_dura.evidence.entry import Entry, JsonObject
+from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.model import SessionRecord, WholeRecord
 
 SCHEMA_FILE = "evidence.schema.json"
 MAX_PROBLEMS = 20
@@ -69,36 +40,10 @@ def schema_text() -> str:
 
 
 @cache
-def record_schema() -> dict[str, Any]:
+def record_schema() -> JsonObject:
     """Read the schema as data, which callers must not change."""
-    data: dict[str, Any] = json.loads(schema_text())
+    data: JsonObject = json.loads(schema_text())
     return data
-
-
-def check_record(record: SessionRecord | Mapping[str, Any]) -> list[str]:
-    """List what is wrong with a record, each with its JSON pointer.
-
-    The episodes are checked one at a time. At most :data:`MAX_PROBLEMS` are listed.
-    """
-    if isinstance(record, SessionRecord):
-        head, episodes = {**record.head, "episodes": []}, record.episodes()
-    elif not isinstance(record, Mapping):
-        return [f"/: found {_kind(record)}, expected object"]
-    else:
-        # An unusual list of episodes is the schema's business.
-        listed = record.get("episodes")
-        head = {**record, "episodes": []} if isinstance(listed, list) else dict(record)
-        episodes = iter(listed if isinstance(listed, list) else ())
-    return list(
-        islice(dict.fromkeys(islice(_problems(head, episodes), 50 * MAX_PROBLEMS)), MAX_PROBLEMS)
-    )
-
-
-def _problems(head: Mapping[str, Any], episodes: Iterable[Any]) -> Iterator[str]:
-    yield from _error_lines(_validator("").iter_errors(head))
-    of_episode = _validator("episode")
-    for number, episode in enumerate(episodes):
-        yield from _error_lines(of_episode.iter_errors(episode), f"/episodes/{number}")
 
 
 @cache
@@ -118,82 +63,112 @@ def record_vocabulary() -> frozenset[str]:
     return frozenset(names)
 
 
-@cache
-def _validator(definition: str) -> Any:
-    """Make the validator of the whole record, or of one definition."""
-    jsonschema = _load_jsonschema()
-    # Python reads NaN from a file, and JSON has no such number. JSON Schema takes 2.0 for an
-    # integer, which range() does not.
-    types = jsonschema.Draft202012Validator.TYPE_CHECKER.redefine_many(
-        {"number": _is_number, "integer": _is_integer}
-    )
-    strict = jsonschema.validators.extend(jsonschema.Draft202012Validator, type_checker=types)
-    if not definition:
-        return strict(record_schema())
-    part = {key: record_schema()[key] for key in ("$schema", "$defs")}
-    return strict({**part, "$ref": f"#/$defs/{definition}"})
+def check_record(record: SessionRecord | Mapping[str, Any]) -> list[str]:
+    """List what is wrong with a record, each place with its JSON pointer.
+
+    The episodes are checked one at a time. At most :data:`MAX_PROBLEMS` are listed.
+    """
+    if not isinstance(record, (SessionRecord, Mapping)):
+        return [f"/: found {_kind(record)}, expected object"]
+    listed: Any = record.episodes() if isinstance(record, SessionRecord) else record.get("episodes")
+    head = dict(record.head if isinstance(record, SessionRecord) else record)
+    if isinstance(record, SessionRecord) or isinstance(listed, list):
+        head["episodes"] = []
+    else:
+        listed = ()
+    return list(islice(_record_problems(head, listed), MAX_PROBLEMS))
 
 
-def _is_number(_: object, value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return False
-    return isinstance(value, int) or math.isfinite(value)
+def _record_problems(head: JsonObject, episodes: Iterable[Any]) -> Iterator[str]:
+    yield from _problems(WholeRecord, head, record_schema(), "")
+    schema = record_schema()["$defs"]["episode"]
+    for number, episode in enumerate(episodes):
+        yield from _problems(EpisodeEntry, episode, schema, f"/episodes/{number}")
 
 
-def _is_integer(_: object, value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+_WRONG_KEYS = {"missing": "missing key", "extra_forbidden": "unknown key"}
 
 
-def _error_lines(errors: Iterable[ValidationError], prefix: str = "") -> Iterator[str]:
-    for error in errors:
-        probable_error = _probable_error(error)
-        pointer = _pointer(probable_error.absolute_path) or ("" if prefix else "/")
-        yield f"{prefix}{pointer}: {_why(probable_error)}"
+def _problems(model: type[Entry], data: Any, schema: JsonObject, prefix: str) -> Iterable[str]:
+    try:
+        model.model_validate(data)
+    except ValidationError as error:
+        problems: dict[str, list[str]] = {}
+        for entry in error.errors(include_url=False, include_context=False, include_input=False):
+            wrong_key = _WRONG_KEYS.get(entry["type"])
+            location = entry["loc"][:-1] if wrong_key else entry["loc"]
+            path, node, value = _place(location, schema, data)
+            pointer = prefix + _pointer(path) or "/"
+            why = wrong_key or _why(node, value) or entry["msg"]
+            keys = problems.setdefault(f"{pointer}: {why}", [])
+            keys += [str(entry["loc"][-1])] if wrong_key else []
+        return [f"{text} {_key_list(keys)}".rstrip() for text, keys in problems.items()]
+    return ()
 
 
-def _probable_error(error: ValidationError) -> ValidationError:
-    """Select, of an error with alternatives, that of the alternative which was probably meant."""
-    while error.context:
-        branches: dict[Any, list[ValidationError]] = {}
-        for alternative in error.context:
-            branches.setdefault(alternative.relative_schema_path[0], []).append(alternative)
-        # Null is an alternative to most, and meant by none that is something else.
-        close = [
-            branch
-            for branch in branches.values()
-            if not any(
-                alternative.validator == "type" and not alternative.relative_path
-                for alternative in branch
-            )
-        ]
-        if not close:
-            break
-        error = min(close, key=len)[0]
-    return error
+def _place(
+    location: Iterable[str | int], node: JsonObject, value: Any
+) -> tuple[list[str | int], JsonObject, Any]:
+    """Follow the location of an error through the data and the schema."""
+    path: list[str | int] = []
+    for part in location:
+        node = _chosen(node, value)
+        if isinstance(value, dict) and part in value:
+            node = node.get("properties", {}).get(part, node.get("additionalProperties", {}))
+        elif isinstance(value, list) and isinstance(part, int):
+            node = node.get("items", {})
+        else:
+            continue  # the name of an alternative
+        path.append(part)
+        value, node = value[part], node if isinstance(node, dict) else {}
+    return path, _chosen(node, value), value
 
 
-def _why(error: Any) -> str:
-    keyword, expected, value = error.validator, error.validator_value, error.instance
-    if keyword == "required":
-        return f"missing key {_key_list([key for key in expected if key not in value])}"
-    if keyword == "additionalProperties" and expected is False:
-        return f"unknown key {_key_list(sorted(set(value) - set(error.schema['properties'])))}"
-    if keyword == "type":
-        return f"found {_kind(value)}, expected {_alternatives(expected, str)}"
-    if keyword == "anyOf":
-        kinds = [
-            alternative.validator_value
-            for alternative in error.context
-            if alternative.validator == "type"
-        ]
-        return f"found {_kind(value)}, expected {_alternatives(kinds, str) or 'another form'}"
-    limits = {"enum": "", "const": "", "pattern": "a text like ", "minimum": "at least "}
-    prefix = limits.get(keyword, f"{keyword} ")
-    return f"found {_shown(value)}, expected {prefix}{_alternatives(expected, _shown)}"
+def _chosen(node: JsonObject, value: Any) -> JsonObject:
+    """Resolve a reference, and select the alternative that was probably meant."""
+    if "$ref" in node:
+        return _chosen(record_schema()["$defs"][node["$ref"].rpartition("/")[2]], value)
+    if "anyOf" not in node:
+        return node
+    kinds = [_chosen(alternative, value) for alternative in node["anyOf"]]
+    keys = set(value) if isinstance(value, dict) else set()
+    best = max(kinds, key=lambda kind: len(keys.intersection(kind.get("properties", ()))))
+    names = [name for kind in kinds for name in _listed(kind.get("type", []))]
+    return best if keys.intersection(best.get("properties", ())) else {**best, "type": names}
 
 
-def _alternatives(expected: Any, render: Callable[[Any], str]) -> str:
-    return " or ".join(map(render, expected if isinstance(expected, list) else [expected]))
+_LIMITS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
+    "enum": ("", lambda value, expected: value in expected),
+    "const": ("", lambda value, expected: value == expected),
+    "pattern": ("a text like ", lambda value, expected: bool(re.search(expected, value))),
+    "minimum": ("at least ", lambda value, expected: value >= expected),
+    "maximum": ("at most ", lambda value, expected: value <= expected),
+    "exclusiveMinimum": ("above ", lambda value, expected: value > expected),
+    "exclusiveMaximum": ("below ", lambda value, expected: value < expected),
+    "minItems": ("entries, at least ", lambda value, expected: len(value) >= expected),
+}
+
+
+def _why(node: JsonObject, value: Any) -> str:
+    """Describe what the schema expects instead of a value; empty if it accepts the value."""
+    types = _listed(node.get("type", []))
+    if types and not any(_is_of(value, name) for name in types):
+        return f"found {_kind(value)}, expected {' or '.join(dict.fromkeys(types))}"
+    for keyword, (words, accepts) in _LIMITS.items():
+        if keyword in node and value is not None and not accepts(value, node[keyword]):
+            expected = " or ".join(map(_shown, _listed(node[keyword])))
+            return f"found {_shown(value)}, expected {words}{expected}"
+    return ""
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _is_of(value: Any, name: str) -> bool:
+    if name == "number" and isinstance(value, float):
+        return math.isfinite(value)
+    return _kind(value) in {"boolean": ("true", "false"), "number": ("integer",)}.get(name, (name,))
 
 
 def _key_list(keys: Sequence[str]) -> str:
@@ -222,13 +197,104 @@ def _pointer(path: Iterable[str | int]) -> str:
     return "".join(f"/{part if part.isprintable() else ascii(part)[1:-1]}" for part in parts)
 
 
+class _Generator(GenerateJsonSchema):
+    """Writes a nullable type as a list of types, and no defaults, which stand for absent keys."""
+
+    def nullable_schema(self, schema: NullableSchema) -> JsonSchemaValue:
+        inner = self.generate_inner(schema["schema"])
+        if "type" not in inner:
+            return {"anyOf": [inner, {"type": "null"}]}
+        choices = {"enum": [*inner["enum"], None]} if "enum" in inner else {}
+        return {**inner, "type": [*_listed(inner["type"]), "null"], **choices}
+
+    def default_schema(self, schema: WithDefaultSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+
+def generate_schema() -> JsonObject:
+    """Generate the JSON Schema of the record from its models."""
+    made = WholeRecord.model_json_schema(schema_generator=_Generator)
+    models = {model.__name__: model for model in _subclasses(Entry)}
+    definitions = {
+        _definition_name(name): _described(definition, models[name])
+        for name, definition in made.pop("$defs").items()
+    }
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": "urn:pytest-dura:evidence:1",
+        "title": "Evidence record of pytest-dura",
+        **_described(made, WholeRecord),
+        "$defs": definitions,
+    }
+
+
+def _subclasses(model: type[Entry]) -> Iterator[type[Entry]]:
+    for subclass in model.__subclasses__():
+        yield subclass
+        yield from _subclasses(subclass)
+
+
+def _definition_name(model: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", model.removesuffix("Entry")).lower()
+
+
+def _described(definition: JsonObject, model: type[Entry]) -> JsonObject:
+    """Put the docstrings of a model and its fields into its schema."""
+    docstrings = {
+        name: text
+        for each in reversed(model.__mro__)
+        if issubclass(each, Entry)
+        for name, text in _field_docstrings(sys.modules[each.__module__]).get(each.__name__, ())
+    }
+    properties = {
+        name: {"description": docstrings[name], **_tidy(part)}
+        for name, part in definition.pop("properties").items()
+    }
+    text = " ".join((model.__doc__ or "").split())
+    return {"description": text, "type": "object", "properties": properties, **_tidy(definition)}
+
+
+@cache
+def _field_docstrings(module: ModuleType) -> dict[str, list[tuple[str, str]]]:
+    """Read the docstrings below the fields of the classes of a module."""
+    return {
+        node.name: [
+            (field.target.id, " ".join(text.value.value.split()))
+            for field, text in pairwise(node.body)
+            if isinstance(field, ast.AnnAssign)
+            and isinstance(field.target, ast.Name)
+            and isinstance(text, ast.Expr)
+            and isinstance(text.value, ast.Constant)
+            and isinstance(text.value.value, str)
+        ]
+        for node in ast.parse(getsource(module)).body
+        if isinstance(node, ast.ClassDef)
+    }
+
+
+def _tidy(part: Any) -> Any:
+    """Remove what pydantic adds: titles, and descriptions that stand elsewhere."""
+    if isinstance(part, list):
+        return [_tidy(each) for each in part]
+    if not isinstance(part, dict):
+        return part
+    tidy = {
+        "anyOf" if key == "oneOf" else key: _tidy(value)
+        for key, value in part.items()
+        if key not in ("title", "description", "discriminator")
+    }
+    if isinstance(part.get("$ref"), str):
+        tidy["$ref"] = "#/$defs/" + _definition_name(part["$ref"].rpartition("/")[2])
+    for pattern, value in tidy.pop("patternProperties", {}).items():
+        tidy |= {"propertyNames": {"pattern": pattern}, "additionalProperties": value}
+    return tidy
+
+
 PAGE = "evidence.md"
 TABLES_BEGIN = "<!-- Written by `python -m pytest_dura.evidence.schema`; do not edit. -->"
 TABLES_END = "<!-- Here the written part ends. -->"
 _HIDDEN_DEFINITIONS = ("attempt",)
 """Definitions whose keys are in the page already, under another name."""
-
-Data = Mapping[str, Any]
 
 
 def updated_page(page: str) -> str:
@@ -257,11 +323,11 @@ def schema_tables() -> str:
     return "\n".join([*lines, ""])
 
 
-def _property_table(part: Data) -> list[str]:
+def _property_table(part: JsonObject) -> list[str]:
     return ["| key | value | meaning |", "|---|---|---|", *_property_rows(part, "")]
 
 
-def _property_rows(part: Data, prefix: str) -> Iterator[str]:
+def _property_rows(part: JsonObject, prefix: str) -> Iterator[str]:
     """Yield a row for each property, and for those below it that have no table of their own."""
     for name, property_schema in part.get("properties", {}).items():
         text = property_schema.get("description", "").replace("|", "\\|")
@@ -274,7 +340,7 @@ def _property_rows(part: Data, prefix: str) -> Iterator[str]:
         yield from _property_rows(alternative, prefix)
 
 
-def _value_text(part: Data) -> str:
+def _value_text(part: JsonObject) -> str:
     """Describe what a key may hold."""
     if "$ref" in part:
         name = part["$ref"].rpartition("/")[2]
@@ -303,5 +369,7 @@ _TYPE_NAMES = {
 
 
 if __name__ == "__main__":
+    _text = json.dumps(generate_schema(), indent=1, ensure_ascii=False)
+    Path(__file__).with_name(SCHEMA_FILE).write_text(f"{_text}\n", "utf-8")
     _path = Path(__file__).resolve().parents[2] / "docs" / PAGE
     _path.write_text(updated_page(_path.read_text("utf-8")), "utf-8")

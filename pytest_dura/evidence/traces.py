@@ -17,7 +17,7 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.loop_signals import NULL, SECONDS
 from pytest_dura.core.simulator import POSE, Recording, Scene
 from pytest_dura.core.state import Event
-from pytest_dura.evidence.model import plain_data
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.text import one_line
 
 TRACE_FOLDER = "episodes"

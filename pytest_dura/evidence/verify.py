@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.errors import ConfigurationError, DuraError, describe_error
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord, Tally
 from pytest_dura.evidence.bundle import (
     RECORD_FILE,
@@ -33,12 +33,13 @@ from pytest_dura.evidence.conclude import (
     timings,
     verdicts_on_cases,
 )
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episodes import outcome_figures
 from pytest_dura.evidence.files import file_entry, files_below, listed_files, manifest_problems
 from pytest_dura.evidence.junit import junit_problems
 from pytest_dura.evidence.mcap import read_trace
 from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics, SharedViolations
-from pytest_dura.evidence.model import Counts, SessionRecord, plain_data
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.redaction import count_redactions
 from pytest_dura.evidence.schema import check_record
 from pytest_dura.evidence.sessions import reuse_problems
@@ -51,21 +52,6 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 
-def _format_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
-    for report_format in all_formats():
-        for problem in _problems_of_format(report_format, record, counts):
-            yield f"{report_format.FILE}: {problem}"
-
-
-def _problems_of_format(
-    report_format: Format, record: SessionRecord, counts: Counts
-) -> Iterator[str]:
-    try:
-        yield from _format_differences(report_format, record, counts)
-    except Exception as error:  # a damaged record may break what renders it anywhere
-        yield f"cannot be read back ({type(error).__name__}: {error})"
-
-
 def _other_version(record: SessionRecord) -> str | None:
     """Version that wrote the record, if it is another one, whose reports may differ."""
     # The package is loaded already; an import by statement would look like a circle.
@@ -73,27 +59,22 @@ def _other_version(record: SessionRecord) -> str | None:
     return None if version == import_module("pytest_dura").__version__ else version
 
 
-def _format_differences(
-    report_format: Format, record: SessionRecord, counts: Counts
-) -> Iterator[str]:
-    text = (record.directory / report_format.FILE).read_bytes().decode()
-    stated, recorded = report_format.read_counts(text).to_json(), counts.to_json()
-    for name in recorded:
-        if stated[name] != recorded[name]:
-            yield f"states {name} = {stated[name]}, and the record holds {recorded[name]}"
-    if _other_version(record) is None:
+def rendering_problems(record: SessionRecord) -> Iterator[str]:
+    """Render the record again, and yield the files that come out different."""
+    for report_format in all_formats():
+        problem = _rendering_problem(report_format, record)
+        if problem:
+            yield f"{report_format.FILE}: {problem}"
+
+
+def _rendering_problem(report_format: Format, record: SessionRecord) -> str:
+    try:
         # Surrogates are escaped in the file.
-        rendered = report_format.render(record).encode(errors="backslashreplace").decode()
-        if text != rendered:
-            yield "not as it is rendered from the record"
-    broken = getattr(report_format, "broken_references", None)
-    if broken is not None:
-        yield from broken(text, record)
-    fragments = re.findall(r"report\.html#([\w.:~+%/-]+)", text)
-    report = (record.directory / "report.html").read_text("utf-8") if fragments else ""
-    for fragment in fragments:
-        if f'id="{fragment}"' not in report:
-            yield f"refers to report.html#{fragment}, which is not there"
+        rendered = report_format.render(record).encode(errors="backslashreplace")
+        file = (record.directory / report_format.FILE).read_bytes()
+    except Exception as error:  # a damaged record may break what renders it anywhere
+        return f"cannot be rendered again ({describe_error(error)})"
+    return "" if file == rendered else "not as it is rendered from the record"
 
 
 Data = Mapping[str, Any]
@@ -369,15 +350,15 @@ class Verification:
     Args:
         problems: Every difference, as ``file: what``; an intact bundle has none.
         files: Number of files that were checked.
-        counts: Counts of the record, if it could be read.
+        totals: Those of the record, if it could be read.
         rejudged: Verdicts that were judged again on traces.
         not_rendered: Version that wrote the bundle, if it is not this one; its formats were then
-            not rendered again, but their counts and references compared.
+            not rendered again.
     """
 
     problems: list[str]
     files: int = 0
-    counts: Counts | None = None
+    totals: Data | None = None
     rejudged: RejudgedCount = field(default_factory=RejudgedCount)
     not_rendered: str | None = None
 
@@ -426,14 +407,15 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
         if mismatches:
             verification.problems += [f"{RECORD_FILE}: schema: {text}" for text in mismatches]
             return verification  # sums need the shape of the schema
-        verification.counts = Counts.of(record)
-        verification.problems += record_problems(record, verification.counts)
+        verification.totals = record["totals"]
+        verification.problems += record_problems(record)
     except DAMAGE_ERRORS as error:
         verification.problems.append(_damaged(error))
         return verification
     verification.problems += _extra_files(record)
     verification.not_rendered = _other_version(record)
-    verification.problems += _format_problems(record, verification.counts)
+    if verification.not_rendered is None:
+        verification.problems += rendering_problems(record)
     verification.problems += trace_problems(record, verification.rejudged)
     try:
         verification.problems += derived_problems(record, verification.rejudged)

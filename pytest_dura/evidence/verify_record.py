@@ -16,6 +16,7 @@ from pytest_dura.core.episode import canonical, outcome_of
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.bundle import RECORD_FILE
+from pytest_dura.evidence.conclude import totals
 from pytest_dura.evidence.gate import (
     NOTHING_FOUND,
     VIOLATED_OUTCOMES,
@@ -23,7 +24,7 @@ from pytest_dura.evidence.gate import (
     repeat_problems,
     verdict_objections,
 )
-from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test
+from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.redaction import holds_redaction
 from pytest_dura.evidence.sessions import shard_problems
 from pytest_dura.provenance import digest_of
@@ -332,14 +333,14 @@ EpisodeKey = tuple[str, str]
 _COUNTED = ("flagged", "collided", "gridlock")
 
 
-def record_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+def record_problems(record: SessionRecord) -> Iterator[str]:
     """Yield the contradictions within a record, each with the name of its file."""
-    for problem in _all_problems(record, counts):
+    for problem in _all_problems(record):
         yield f"{RECORD_FILE}: {problem}"
 
 
-def _all_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
-    yield from _session_problems(record, counts)
+def _all_problems(record: SessionRecord) -> Iterator[str]:
+    yield from _session_problems(record)
     cases = {(case["id"], case["component"]): case for case in record["cases"]}
     requirements = {requirement["id"] for requirement in record["requirements"]}
     ids: set[EpisodeKey] = set()
@@ -383,11 +384,11 @@ def _all_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
     yield from shard_problems(record)
 
 
-def _session_problems(record: SessionRecord, counts: Counts) -> Iterator[str]:
+def _session_problems(record: SessionRecord) -> Iterator[str]:
     if record["status"] != "complete":
         yield f"the session is {record['status']}: its evidence is incomplete"
-    if record["totals"] != counts.to_json():
-        yield f"totals: {record['totals']}, and it holds {counts.to_json()}"
+    if record["totals"] != (counted := totals(record)):
+        yield f"totals: {record['totals']}, and it holds {counted}"
     cases = {(case["id"], case["component"]): case for case in record["cases"]}
     requirements = {requirement["id"] for requirement in record["requirements"]}
     if len(cases) < len(record["cases"]):

@@ -12,8 +12,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episodes import case_situations
-from pytest_dura.evidence.model import SessionRecord, plain_data
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.requirements.campaign_judge import CampaignJudge
 from pytest_dura.requirements.campaign_verdicts import (
     EQUAL_RUNS,

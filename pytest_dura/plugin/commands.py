@@ -385,7 +385,7 @@ def _by_trace(
 
 def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:
     """Compare what became of the faults, which the record holds without a trace."""
-    from pytest_dura.evidence.model import plain_data
+    from pytest_dura.evidence.entry import plain_data
 
     for earlier, fault in zip(recorded.faults, episode.faults, strict=False):
         for key, value in plain_data(asdict(fault)).items():

@@ -10,7 +10,6 @@ import json
 import shlex
 import sys
 from collections.abc import Iterable
-from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
@@ -116,7 +115,7 @@ class GivenFiles:
         """Add the comparison with the baseline to a record."""
         finished = None if record["status"] == "running" else record
         baseline = None if self.baseline is None else self.baseline.to_json(finished)
-        return replace(record, head={**record.head, "baseline": baseline})
+        return record.changed(baseline=baseline)
 
     def regressions(self, record: SessionRecord) -> list[str]:
         """List what ``--dura-baseline-worse=fail`` does not let pass."""

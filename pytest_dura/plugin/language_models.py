@@ -10,7 +10,6 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.plugin.roles import root_conftest_with
@@ -280,4 +279,4 @@ class LanguageModels:
             "exchanges": len(session.cassette),
         }
         models = [{**model, "cassette": cassette} for model in record["models"]]
-        return replace(record, head={**record.head, "models": models})
+        return record.changed(models=models)

@@ -282,7 +282,7 @@ class ItemRecorder:
 
     def search_ended(self, event: SearchEnded) -> None:
         """Record a search for violations, whatever its test makes of it."""
-        from pytest_dura.evidence.model import plain_data
+        from pytest_dura.evidence.entry import plain_data
         from pytest_dura.requirements.model import Requirement
 
         case, falsification = event.case, event.search.to_json()

@@ -27,11 +27,12 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
-from urllib.parse import quote, unquote
+from urllib.parse import quote
 
 from pytest_dura.evidence.bundle import RECORD_FILE
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.gate import NOTHING_FOUND, OBJECTIONABLE_OUTCOMES, outcome_status
-from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test, plain_data
+from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.text import name, one_line, visible
 from pytest_dura.reports.wording import (
     NAME_LIMIT,
@@ -42,7 +43,6 @@ from pytest_dura.reports.wording import (
     shard_text,
     valid_sha256,
 )
-from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 
 _PREFIX = "pytest-dura:"
 Data = Mapping[str, Any]
@@ -377,7 +377,7 @@ def _serial_number(record: SessionRecord) -> uuid.UUID:
 
 def _metadata(record: SessionRecord) -> JsonObject:
     tool = record["tool"]
-    counts = {key: str(value) for key, value in Counts.of(record).to_json().items()}
+    counts = {key: str(value) for key, value in record["totals"].items()}
     properties = {
         **counts,
         "status": record["status"],
@@ -455,120 +455,3 @@ def _requirement(number: int, requirement: JsonObject) -> JsonObject:
         "descriptions": [f"{label}: {visible(text)}" for label, text in texts if text],
         "properties": [{"name": f"{_PREFIX}kind", "value": visible(requirement["kind"] or "")}],
     }
-
-
-_LINKS = ("assessor", "requirement", "target", "parent")
-_LISTS = ("claims", "counterClaims", "evidence", "counterEvidence", "mitigationStrategies")
-
-
-def read_counts(text: str) -> Counts:
-    """Counts that the document states: verdicts from its claims, the rest from its properties.
-
-    Raises:
-        ValueError: If the text is no such document, or a claim is not mapped as its evidence says.
-    """
-    try:
-        document = json.loads(text)
-        stated = {entry["name"]: entry["value"] for entry in document["metadata"]["properties"]}
-        counts, waived = _claimed_verdicts(document["declarations"])
-        requirements = len(document["definitions"]["standards"][0]["requirements"])
-        numbers = ("cases", "episodes", "valid", "invalid", "missing")
-        return Counts(
-            gate=stated[f"{_PREFIX}gate"],
-            requirements=requirements,
-            **{key: int(stated[f"{_PREFIX}{key}"]) for key in numbers},
-            **{campaign_status: counts[campaign_status] for campaign_status in CAMPAIGN_STATUSES},
-            waived=waived,
-        )
-    except (LookupError, TypeError, AttributeError) as error:
-        problem = f"{type(error).__name__}: {error}"
-        raise ValueError(f"not the declarations of a session ({problem})") from None
-
-
-def _claimed_verdicts(declared: Data) -> tuple[Counter[str], int]:
-    """The number of claims of each verdict, and how many of them are waived."""
-    entries = {entry["bom-ref"]: entry for entry in declared["evidence"]}
-    mapped: Counter[tuple[str, str]] = Counter()
-    for attestation in declared["attestations"]:
-        for mapping in attestation["map"]:
-            mapped.update((ref, "claims") for ref in mapping["claims"])
-            mapped.update((ref, "counterClaims") for ref in mapping["counterClaims"])
-    counts: Counter[str] = Counter()
-    waived = 0
-    for claim in declared["claims"]:
-        evidence = entries[claim["evidence"][0]]
-        status = evidence["propertyName"].removeprefix(f"{_PREFIX}verdict:")
-        if status not in CAMPAIGN_STATUSES:
-            raise ValueError(f"{claim['bom-ref']} rests on evidence of no verdict")
-        place = "counterClaims" if status == "violated" else "claims"
-        if mapped.pop((claim["bom-ref"], place), 0) != 1:
-            raise ValueError(f"{claim['bom-ref']} is {status}, and not once among the {place}")
-        counts[status] += 1
-        waived += any(data["name"] == "waiver" for data in evidence["data"])
-    if mapped:
-        raise ValueError(f"{min(mapped)[0]} is mapped, and is no claim, or of another verdict")
-    return counts, waived
-
-
-def _dangling_references(document: Data) -> list[str]:
-    """References in the document to a ``bom-ref`` that is not there, and references given twice.
-
-    The strict validator of the format looks at neither.
-    """
-    counts = Counter(_bom_refs(document))
-    problems = [
-        f"the bom-ref {ref} is given {count} times" for ref, count in counts.items() if count > 1
-    ]
-    return problems + [
-        f"{where} refers to {ref}"
-        for where, ref in _declared_references(document)
-        if ref not in counts
-    ]
-
-
-def broken_references(text: str, record: SessionRecord) -> Iterator[str]:
-    """References that lead nowhere: inside the document, into the record, to its traces."""
-    document = json.loads(text)
-    yield from _dangling_references(document)
-    places = {f"evidence.json#/verdicts/{number}" for number in range(len(record["verdicts"]))}
-    for number, episode in enumerate(record.episodes()):
-        places.add(f"evidence.json#/episodes/{number}")
-        if episode["trace"] is not None:
-            places.add(episode["trace"]["file"])
-    for entry in document["declarations"]["evidence"]:
-        for data in entry["data"]:
-            url = data["contents"].get("url")
-            if url is not None and unquote(url, errors="surrogatepass") not in places:
-                yield f"{entry['bom-ref']} refers to {url}, which is not there"
-
-
-def _bom_refs(value: Any) -> Iterator[str]:
-    if isinstance(value, Mapping):
-        if "bom-ref" in value:
-            yield value["bom-ref"]
-        value = list(value.values())
-    if isinstance(value, list):
-        for element in value:
-            yield from _bom_refs(element)
-
-
-def _declared_references(document: Data) -> Iterator[tuple[str, str]]:
-    """Every reference of the declarations, with where it stands."""
-    declared = document["declarations"]
-    holders = [(claim["bom-ref"], claim) for claim in declared["claims"]]
-    for number, attestation in enumerate(declared["attestations"]):
-        holders.append((f"attestation {number}", attestation))
-        for mapping in attestation["map"]:
-            where = f"the map of attestation {number}"
-            holders += [(where, mapping), (where, mapping.get("conformance", {}))]
-    for standard in document["definitions"]["standards"]:
-        holders += [
-            (requirement["bom-ref"], requirement) for requirement in standard["requirements"]
-        ]
-    for where, holder in holders:
-        for key in _LINKS:
-            if key in holder:
-                yield f"{where}, {key},", holder[key]
-        for key in _LISTS:
-            for ref in holder.get(key, ()):
-                yield f"{where}, {key},", ref

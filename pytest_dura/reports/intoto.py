@@ -23,13 +23,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Mapping
 from typing import Any
 
 from pytest_dura.evidence.bundle import RECORD_FILE
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
-from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test, plain_data
+from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.text import name, visible
 from pytest_dura.reports.wording import NAME_LIMIT, UNREVIEWED, shard_text, valid_sha256
 
@@ -64,69 +64,6 @@ def render(record: SessionRecord) -> str:
         },
     }
     return json.dumps(statement, indent=1) + "\n"
-
-
-def read_counts(text: str) -> Counts:
-    """Counts that the statement states: verdicts counted in its lists of tests, the rest annotated.
-
-    Raises:
-        ValueError: If the text is no such statement, or it contradicts itself.
-    """
-    try:
-        statement = json.loads(text)
-        if (statement["_type"], statement["predicateType"]) != (_STATEMENT, _PREDICATE):
-            raise ValueError("not an in-toto statement of a test result")
-        predicate = statement["predicate"]
-        return _counts(predicate, predicate["configuration"][0]["annotations"])
-    except (LookupError, TypeError, AttributeError) as error:
-        problem = f"{type(error).__name__}: {error}"
-        raise ValueError(f"not the test result of a session ({problem})") from None
-
-
-def broken_references(text: str, record: SessionRecord) -> list[str]:
-    """Digests of the statement that are not those of the bundle's record and of its inputs."""
-    statement = json.loads(text)
-    problems = []
-    if statement["subject"] != _subjects(record):
-        problems.append(
-            f"its subjects are not {RECORD_FILE} and the components under test of the record"
-        )
-    if statement["predicate"]["configuration"][1:] != [
-        _input_entry(file) for file in record["inputs"]
-    ]:
-        problems.append("its configuration is not the inputs of the record")
-    return problems
-
-
-def _counts(predicate: Mapping[str, Any], annotations: Mapping[str, Any]) -> Counts:
-    lists = {key: Counter(predicate[key]) for key in _LISTS}
-    tests = sum(lists.values(), Counter())
-    gate, result = annotations["gate"], predicate["result"]
-    if result not in ("PASSED", "WARNED", "FAILED"):
-        raise ValueError(f"{result!r} is no result of a test")
-    if (result != "FAILED") and (
-        gate != "passed" or (result == "PASSED" and +lists["failedTests"])
-    ):
-        raise ValueError(f"the result is {result}, the gate {gate}, and some tests have failed")
-    if repeated := [test for test, count in tests.items() if count > 1]:
-        raise ValueError(f"the test {repeated[0]} is listed twice")
-    named = {status: set(annotations[status]) for status in ("violated", "undecided")}
-    if unknown := (named["violated"] | named["undecided"]) - set(tests):
-        raise ValueError(f"{min(unknown)} is annotated, and is none of the tests")
-    counts = Counter({status: len(names) for status, names in named.items()})
-    if not set(lists["failedTests"]) <= named["violated"] | named["undecided"]:
-        raise ValueError("a test has failed that is neither violated nor undecided")
-    if set(lists["passedTests"]) & (named["violated"] | named["undecided"]):
-        raise ValueError("a test has passed that is violated or undecided")
-    numbers = ("requirements", "cases", "episodes", "valid", "invalid", "missing")
-    return Counts(
-        gate=gate,
-        **{key: int(annotations[key]) for key in numbers},
-        supported=len(tests) - counts.total(),
-        violated=counts["violated"],
-        undecided=counts["undecided"],
-        waived=len(lists["warnedTests"]),
-    )
 
 
 def _test_list(verdict: JsonObject) -> str:
@@ -203,7 +140,7 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
         "cases": [{key: case.get(key) for key in _PLANNED} for case in record["cases"]],
     }
     canonical = json.dumps(plain_data(plan), sort_keys=True, separators=(",", ":"))
-    counts = Counts.of(record).to_json()
+    counts = dict(record["totals"])
     statuses = [verdict["verdict"] for verdict in record["verdicts"]]
     for status in ("supported", "violated", "undecided"):
         counts[status] = [

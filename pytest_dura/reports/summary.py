@@ -7,14 +7,13 @@ mention, HTML or the end of a cell.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, groupby
 from typing import Any
 
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
-from pytest_dura.evidence.model import Counts, SessionRecord, components_under_test
+from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.reports.searches import (
     baselines_text,
@@ -181,7 +180,6 @@ _SHARES = {"failures": 300 * _KIB, "verdicts": 320 * _KIB, "requirements": 100 *
 _REASONS = 20
 _MAX_CELLS = 10
 _VERDICT_ORDER = ("violated", "undecided", "supported")
-_LEFT_OUT = re.compile(r"^_(\d+) of (\d+) are left out here", re.MULTILINE)
 
 
 def render(record: SessionRecord) -> str:
@@ -213,55 +211,6 @@ def render(record: SessionRecord) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read_counts(text: str) -> Counts:
-    """Counts that the page states: counted in the rows of its tables where none is left out.
-
-    Raises:
-        ValueError: If the text is no such page, or its rows are not what it states.
-    """
-    stated = _read_totals(text)
-    for heading, read_section in (
-        ("Requirements", _read_rows),
-        ("Cases", _read_rows),
-        ("Verdicts", _read_verdicts),
-    ):
-        body = text.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
-        if not body:
-            raise ValueError(f"the page has no section {heading}")
-        if not _LEFT_OUT.search(body):
-            counted = read_section(heading, body)
-            differ = [key for key, number in counted.items() if stated[key] != number]
-            for key in differ:
-                raise ValueError(f"the page states {key} = {stated[key]}, and lists {counted[key]}")
-            stated |= counted
-    return Counts.from_json(stated)
-
-
-def _read_totals(text: str) -> JsonObject:
-    """The table of totals."""
-    keys = list(Counts.__dataclass_fields__)
-    header = f"| {' | '.join(keys)} |\n|{' --- |' * len(keys)}\n| "
-    row = text.partition(header)[2].partition(" |\n")[0].split(" | ")
-    if len(row) != len(keys):
-        raise ValueError("the page has no table of totals")
-    return {
-        key: value if key == "gate" else int(value) for key, value in zip(keys, row, strict=True)
-    }
-
-
-def _read_rows(heading: str, body: str) -> JsonObject:
-    # The first two rows are the header and its rule.
-    return {heading.lower(): sum(line.startswith("| ") for line in body.split("\n")) - 2}
-
-
-def _read_verdicts(_: str, body: str) -> JsonObject:
-    rows = re.findall(r"^\| (supported|violated|undecided) \| (waived|-) \|", body, re.MULTILINE)
-    statuses = Counter(status for status, _ in rows)
-    return {status: statuses[status] for status in _VERDICT_ORDER} | {
-        "waived": [waiver for _, waiver in rows].count("waived")
-    }
-
-
 def _urgency(verdict: JsonObject) -> tuple[bool, int]:
     """Sort key: what makes the gate fail comes first, violations before what is undecided."""
     status = verdict["verdict"]
@@ -269,7 +218,7 @@ def _urgency(verdict: JsonObject) -> tuple[bool, int]:
 
 
 def _head_lines(record: SessionRecord) -> Iterator[str]:
-    counts, gate = Counts.of(record).to_json(), record["gate"]
+    counts, gate = record["totals"], record["gate"]
     shard = shard_text(record)
     if is_incomplete(record):
         subject = shard.capitalize() or "Session"

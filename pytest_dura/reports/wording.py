@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Any
 
 from pytest_dura.core.state import NOTHING
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.gate import not_repeatable_lines
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
@@ -144,7 +145,7 @@ def merge_text(record: SessionRecord) -> str:
     if shards is None:
         return ""
     # Which shards have property tests says nothing of where they ran.
-    places = [{**shard["environment"], "hypothesis": None} for shard in shards]
+    places = [plain_data({**shard["environment"], "hypothesis": None}) for shard in shards]
     several = len({json.dumps(place, sort_keys=True) for place in places}) > 1
     count = counted(len(shards), "shard")
     return f"{count}, in environments that differ" if several else f"{count}, in one environment"

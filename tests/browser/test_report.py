@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 from hostile_records import HOSTILE, spoilt
 from report_pages import VIOLATING, record_with_trace
@@ -171,7 +169,7 @@ def test_it_prints_without_what_only_a_screen_can_do(opened, html):
 
 def test_a_hostile_record_runs_nothing_and_loads_nothing(opened, tmp_path):
     record = record_with_trace(tmp_path)
-    told = json.loads(json.dumps({**record.head, "episodes": list(record.episodes())}))
+    told = record.to_json()
     told = spoilt(told, lambda text: text + HOSTILE_TEXT + "".join(HOSTILE))
     told["totals"] = totals(told)
     page = opened(render(SessionRecord.of(told, tmp_path)), **PHONE)

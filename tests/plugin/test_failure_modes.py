@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 
 import pytest
+from stated_counts import stated_counts
 
-from pytest_dura.evidence import Counts, SessionRecord, verify_bundle
+from pytest_dura.evidence import SessionRecord, verify_bundle
 from pytest_dura.evidence.verify import recomputed_problems
 from pytest_dura.evidence.verify_record import episode_problems
-from pytest_dura.reports.summary import read_counts
 
 CHATTY = '''
 """Components that tell how they came to their proposals."""
@@ -141,7 +141,7 @@ def test_reports_show_the_same_table(chatty):
     row = f"| `cites unperceived` | failure | `Chatty` | {cites['hits']} of 12 |"
     assert row in summary
     record = SessionRecord.of(chatty.evidence(), bundle)
-    assert read_counts(summary) == Counts.of(record)
+    assert stated_counts("summary.md", summary) == record["totals"]
     page = (bundle / "report.html").read_text()
     table = page[page.index('id="failure-modes"') :]
     assert f">{cites['hits']}/12<" in table

@@ -17,7 +17,7 @@ from corridors import scenario
 from test_fault_campaigns_option import BIAS, NOISE, near_the_wall
 from test_secrets import texts
 
-from pytest_dura.evidence import Counts, SessionRecord, read_record, record_problems, verify_bundle
+from pytest_dura.evidence import SessionRecord, read_record, record_problems, verify_bundle
 from pytest_dura.llm import session as sessions
 
 SUPPORT = str(Path(__file__).parents[1] / "support")
@@ -218,7 +218,7 @@ def test_the_evidence_names_model_server_and_cassette(talking, server):
     record = read_record(bundle)
     record["models"][0]["cassette"]["sha256"] = "0" * 64
     forged = SessionRecord.of(record, bundle)
-    (why,) = record_problems(forged, Counts.of(forged))
+    (why,) = record_problems(forged)
     assert "the cassette dura-cassette.sqlite is not among them" in why
     for page in ("report.html", "summary.md"):
         assert server.base_url in (talking.path / "dura-evidence" / page).read_text()

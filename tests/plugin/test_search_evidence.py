@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -146,8 +147,7 @@ def test_two_shards_that_ran_the_same_search_are_no_whole(project):
     ]
     searches = [search for part in parts for search in part.record["searches"]]
     assert len(searches) == 1
-    for part in parts:
-        part.record.head["searches"] = searches
+    parts = [replace(part, record=part.record.changed(searches=searches)) for part in parts]
     with pytest.raises(ConfigurationError, match="two shards ran the same search"):
         check_consistent(parts)
 

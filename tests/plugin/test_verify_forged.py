@@ -18,11 +18,11 @@ from forging import forgeries
 
 from pytest_dura.core import ConfigurationError
 from pytest_dura.evidence import (
-    Counts,
     SessionRecord,
     read_session_record,
     record_problems,
     record_schema,
+    totals,
     verify_bundle,
 )
 from pytest_dura.evidence.verify import (
@@ -145,7 +145,7 @@ def made(tmp_path_factory, forked_workers):
 def problems_of(made, record):
     """What a record and the traces say against it."""
     found, rejudged = SessionRecord.of(record, made), RejudgedCount()
-    told = list(record_problems(found, Counts.of(found)))
+    told = list(record_problems(found))
     told += trace_problems(found, rejudged)
     return told + list(derived_problems(found, rejudged))
 
@@ -292,7 +292,7 @@ def test_what_follows_from_the_rest_is_computed_again(made, change):
     before = json.dumps(record)
     change(record)
     assert json.dumps(record) != before
-    record["totals"] = Counts.of(SessionRecord.of(record, made)).to_json()
+    record["totals"] = totals(SessionRecord.of(record, made))
     problems = problems_of(made, record)
     assert problems
     cut_short = (",", " the", " say", " valid", " planned")
@@ -379,10 +379,10 @@ def is_refuted(made, record, on_traces):
 
     What is slow comes last: reading the traces, whose verdicts ``on_traces`` has.
     """
-    record["totals"] = Counts.of(SessionRecord.of(record, made)).to_json()
+    record["totals"] = totals(SessionRecord.of(record, made))
     read = SessionRecord.of(record, made)
     checks = (
-        lambda: record_problems(read, Counts.of(read)),
+        lambda: record_problems(read),
         lambda: derived_problems(read, on_traces),
         lambda: trace_problems(read, RejudgedCount()),
     )

@@ -6,8 +6,8 @@ from xml.etree import ElementTree as ET
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from session_records import REQUIREMENTS, episode, session_record, verdict
+from stated_counts import dead_references, elements_of, stated_counts
 
-from pytest_dura.evidence import Counts
 from pytest_dura.reports import rule_problems
 from pytest_dura.reports.gsn import svg_file, yaml_file
 
@@ -66,9 +66,9 @@ def records(draw):
 @given(record=records())
 def test_the_rules_hold_and_the_counts_are_the_records(record):
     text = yaml_file.render(record)
-    assert rule_problems(yaml_file.elements_of(text)) == []
-    assert yaml_file.read_counts(text) == Counts.of(record)
-    assert list(yaml_file.broken_references(text, record)) == []
+    assert rule_problems(elements_of(text)) == []
+    assert stated_counts(yaml_file, text) == record["totals"]
+    assert dead_references(text, record) == []
     assert yaml_file.render(record) == text
     assert text.encode()
 
@@ -78,7 +78,7 @@ def test_the_rules_hold_and_the_counts_are_the_records(record):
 def test_the_picture_is_sound_and_states_the_records_counts(record):
     text = svg_file.render(record)
     root = ET.fromstring(text)
-    assert svg_file.read_counts(text) == Counts.of(record)
+    assert stated_counts(svg_file, text) == record["totals"]
     assert {one.tag.rpartition("}")[2] for one in root.iter()} <= {
         "svg", "title", "desc", "style", "defs", "marker", "path", "g", "text", "rect", "circle",
         "ellipse", "polygon", "polyline",

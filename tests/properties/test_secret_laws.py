@@ -19,7 +19,7 @@ SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
 SECRETS = st.text(
     st.characters(codec="utf-8", exclude_characters="\0"), min_size=8, max_size=40
 ).filter(lambda text: not is_common(text.strip()) and text.strip() == text)
-RECORD = {**session_record().head, "episodes": list(session_record().episodes())}
+RECORD = session_record().to_json()
 
 
 def encoded(secret, before):

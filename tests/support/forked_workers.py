@@ -104,9 +104,7 @@ class ForkedWorkers:
 def import_all() -> None:
     """Every module of ours, and what some import at first use."""
     import pytest_dura
-    from pytest_dura.evidence.schema import _load_jsonschema
 
-    _load_jsonschema()  # without the grammars of formats, which take it a second and a half
     ours = [one.name for one in pkgutil.walk_packages(pytest_dura.__path__, "pytest_dura.")]
     others = ["hypothesis.strategies", "jinja2", "mcap.reader", "mcap.writer"]
     for name in (*ours, *others, "scipy.special"):

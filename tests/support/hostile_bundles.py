@@ -283,7 +283,7 @@ def spoilers(draw):
 def session(real, directory, spoil):
     """The real session with hostile texts: its record, and its traces in another directory."""
     before = read_session_record(real)
-    told = {**before.head, "episodes": list(before.episodes())}
+    told = before.to_json()
     traces = [one["trace"] and read_trace(real / one["trace"]["file"]) for one in told["episodes"]]
     _name_everything(told)
     told["baseline"] = Baseline.read(".", real).to_json(SessionRecord.of(told, real))

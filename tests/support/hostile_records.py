@@ -1,6 +1,5 @@
 """Session records whose every free text is hostile, for those who render records."""
 
-import json
 from pathlib import Path
 
 from hypothesis import strategies as st
@@ -71,7 +70,7 @@ def hostile_records(draw, directory=Path("nowhere")):
         gate={"result": gate, "exit_code": int(gate != "passed"), "reasons": ["r"] * (size % 7)},
         finished=draw(st.sampled_from([None, "2026-01-02T03:05:05+00:00"])),
     )  # fmt: skip
-    told = json.loads(json.dumps({**record.head, "episodes": list(record.episodes())}))
+    told = record.to_json()
     told = spoilt(told, lambda text: f"{before}{text}{after}" + "x" * size)
     told["totals"] = totals(told)
     return SessionRecord.of(told, directory)

@@ -8,6 +8,7 @@ from pathlib import Path
 from baseline_records import spec
 
 from pytest_dura.evidence import SCHEMA_VERSION, SessionRecord
+from pytest_dura.evidence.entry import Entry
 from pytest_dura.provenance import digest_of
 from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
 
@@ -190,7 +191,7 @@ def session_record(directory=Path("nowhere"), **changes):
     }  # fmt: skip
     told |= changes
     told["totals"] = totals(told)
-    return SessionRecord.of(json.loads(json.dumps(told)), directory)
+    return SessionRecord.of(json.loads(json.dumps(told, default=Entry.to_json)), directory)
 
 
 def totals(told):

@@ -16,7 +16,7 @@ from itertools import groupby
 from typing import Any
 
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
-from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.gsn.element import Argument, Element, derived_id
 from pytest_dura.reports.gsn.verdicts import (
@@ -44,11 +44,11 @@ _REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
 """Keys that a reviewer fills in."""
 
 
-def _argument_contexts(record: SessionRecord, counts: Counts, facts: EpisodeFacts) -> list[Element]:
+def _argument_contexts(record: SessionRecord, facts: EpisodeFacts) -> list[Element]:
     """Contexts and assumptions of the whole argument."""
     return [
         _review(),
-        _session(record, counts),
+        _session(record),
         _component(record, facts),
         _domain(record),
         _versions(record),
@@ -81,23 +81,22 @@ def _review() -> Element:
     )
 
 
-def _session(record: SessionRecord, counts: Counts) -> Element:
-    gate = record["gate"]
-    reasons = [one_line(reason, MAX_TEXT) for reason in gate["reasons"]]
+def _session(record: SessionRecord) -> Element:
+    counts = record["totals"]
+    reasons = [one_line(reason, MAX_TEXT) for reason in record["gate"]["reasons"]]
     more = f" and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     why = f" ({'; '.join(reasons[:3])}{more})" if reasons else ""
     return Element(
         SESSION_ID,
-        f"{_case_names(record)} {name(record['status'])}, gate {counts.gate}{why}. "
-        f"{counts.episodes} episodes of {counts.cases} cases: {counts.valid} valid, "
-        f"{counts.invalid} invalid, {counts.missing} missing. Verdicts: {counts.supported} "
-        f"supported, {counts.violated} violated, {counts.undecided} undecided; "
-        f"{counts.waived} of them waived.",
+        f"{_case_names(record)} {name(record['status'])}, gate {counts['gate']}{why}. "
+        f"{counts['episodes']} episodes of {counts['cases']} cases: {counts['valid']} valid, "
+        f"{counts['invalid']} invalid, {counts['missing']} missing. "
+        f"Verdicts: {counts['supported']} supported, {counts['violated']} violated, "
+        f"{counts['undecided']} undecided; {counts['waived']} of them waived.",
         url="evidence.json#/gate",
         alias="context:session",
         layers={
-            key: getattr(counts, key)
-            for key in ("gate", "cases", "episodes", "valid", "invalid", "missing")
+            key: counts[key] for key in ("gate", "cases", "episodes", "valid", "invalid", "missing")
         },
     )
 
@@ -501,12 +500,12 @@ def generated_argument(record: SessionRecord) -> Argument:
     for verdict in record["verdicts"]:
         if verdict["requirement"] not in listed:
             raise ValueError(f"a verdict is on {name(verdict['requirement'])}, which is not listed")
-    facts, counts = EpisodeFacts.of(record), Counts.of(record)
+    facts = EpisodeFacts.of(record)
     components = sorted({verdict["component"] for verdict in record["verdicts"]})
     several = len(components) > 1
     verdicts = list(verdict_elements(record, facts, several=several))
     requirements = list(_requirement_elements(record, verdicts))
-    around = _argument_contexts(record, counts, facts)
+    around = _argument_contexts(record, facts)
     domain = list(_scenario_contexts(record))
     below = [
         *_kinds_strategy(requirements, domain),

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any, NoReturn
-from xml.etree import ElementTree as ET
 
-from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name
 from pytest_dura.reports.gsn.argument import REVIEW_ID, SESSION_ID
 from pytest_dura.reports.gsn.drawing import (
@@ -28,7 +26,6 @@ from pytest_dura.reports.wording import is_incomplete
 FILE = "assurance-case.svg"
 NAMESPACE = "http://www.w3.org/2000/svg"
 
-_SUMMED = ("requirements", "supported", "violated", "undecided", "waived")
 _STATED = ("cases", "episodes", "valid", "invalid", "missing")
 _KINDS = ("Goal", "Strategy", "Solution", "Context", "Assumption", "CounterGoal")
 
@@ -112,52 +109,3 @@ def _legend(y: float) -> list[str]:
         parts.append(Edge(relation, ((x, height), (x + 50, height))).svg())
         parts.append(f'<text class="left" x="{x + 58:.0f}" y="{height + 4:.0f}">{label}</text>')
     return parts
-
-
-def read_counts(text: str) -> Counts:
-    """Sums over the shapes of what each of them stands for; the session states the rest.
-
-    Raises:
-        ValueError: If the file is no picture of an argument.
-    """
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        _reading_error("a document type is not allowed")
-    try:
-        root = ET.fromstring(text)  # noqa: S314 - entities are refused above
-    except ET.ParseError as error:
-        _reading_error(f"no XML: {error}")
-    shapes = [group.attrib for group in root.iter(f"{{{NAMESPACE}}}g") if "data-id" in group.attrib]
-    sums: Counter[str] = Counter()
-    for shape in shapes:
-        for key in _SUMMED:
-            sums[key] += _number(shape.get(f"data-{key}", "0"))
-        _check_decoration(shape)
-    stated = [shape for shape in shapes if "data-gate" in shape]
-    if len(stated) != 1:
-        _reading_error(f"{len(stated)} shapes state the session, instead of one")
-    numbers = {key: _number(stated[0].get(f"data-{key}", "")) for key in _STATED}
-    counts: dict[str, Any] = {**{key: sums[key] for key in _SUMMED}, **numbers}
-    return Counts(gate=stated[0]["data-gate"], **counts)
-
-
-def _check_decoration(shape: dict[str, str]) -> None:
-    """A goal that stands for violated verdicts alone is drawn as defeated, and so on."""
-    statuses = [key for key in ("supported", "violated", "undecided") if f"data-{key}" in shape]
-    if shape["data-kind"] != "Goal" or len(statuses) != 1 or "data-requirements" in shape:
-        return
-    drawn = "undecided" if "data-undeveloped" in shape else "supported"
-    drawn = "violated" if "data-defeated" in shape else drawn
-    if drawn != statuses[0]:
-        _reading_error(
-            f"{shape['data-id']} is drawn as {drawn}, and stands for {statuses[0]} verdicts"
-        )
-
-
-def _number(text: str) -> int:
-    if not text.isascii() or not text.isdigit():
-        _reading_error(f"{text[:40]!r} is no number")
-    return int(text)
-
-
-def _reading_error(problem: str) -> NoReturn:
-    raise ValueError(f"{FILE}: {problem}")

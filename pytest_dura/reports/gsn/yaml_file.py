@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from typing import Any, NoReturn
+from typing import Any
 
-from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.reports.gsn.element import rule_problems
 from pytest_dura.reports.gsn.user_argument import session_argument
-from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 
 FILE = "assurance-case.gsn.yaml"
 _MODULE = "module"
-_UNUSED = "unused:"
-"""Beginning of the alias of an element on what a user's argument leaves out."""
-
-_MAX_DEPTH = 16
-_STATED = ("cases", "episodes", "valid", "invalid", "missing")
 
 
 def render(record: SessionRecord) -> str:
@@ -62,137 +54,3 @@ def _dumper() -> type[Any]:
 
     Dumper.add_representer(str, text)
     return Dumper
-
-
-def elements_of(text: str) -> dict[str, Any]:
-    """The elements of such a file, without the module.
-
-    Raises:
-        ValueError: If it is no YAML mapping, or holds a key twice.
-    """
-    import yaml
-
-    # The loader of libyaml is ten times as fast and reads the same; not every build has it.
-    kind = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    loader = None
-    try:
-        _plain_events(text, kind)
-        loader = kind(text)
-        node = loader.get_single_node()
-        data = None if node is None else loader.construct_document(node)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise ValueError(f"no YAML: {error}") from None
-    finally:
-        if loader is not None:
-            loader.dispose()
-    if not isinstance(node, yaml.MappingNode) or not isinstance(data, dict):
-        _reading_error("no mapping of elements")
-    twice = [
-        key for key, n in Counter(key_node.value for key_node, _ in node.value).items() if n > 1
-    ]
-    if twice:
-        _reading_error(f"{twice[0]} stands twice")
-    if not isinstance(data.pop(_MODULE, None), dict):
-        _reading_error("no module is described")
-    return data
-
-
-def _plain_events(text: str, loader: Any) -> None:
-    """Refuse depth, which libyaml meets with a crash of the process, and anchors."""
-    import yaml
-
-    depth = 0
-    for event in yaml.parse(text, Loader=loader):
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _MAX_DEPTH:
-            _reading_error("it is nested too deeply")
-        if getattr(event, "anchor", None) is not None:
-            _reading_error("it has anchors or aliases")
-
-
-def read_counts(text: str) -> Counts:
-    """Verdicts, waivers and requirements are counted as elements; the session states the rest.
-
-    A verdict's word is what its goal's decorations say: undeveloped, defeated, or neither.
-
-    Raises:
-        ValueError: If the file is no argument of a session.
-    """
-    elements = elements_of(text)
-    problems = rule_problems(elements)
-    if problems:
-        _reading_error(problems[0])
-    stated = [element for element in elements.values() if element.get("alias") == "context:session"]
-    if len(stated) != 1:
-        _reading_error(f"{len(stated)} elements state the session, instead of one")
-    counted = _counted_elements(elements)
-    try:
-        return Counts(
-            gate=str(stated[0]["gate"]),
-            requirements=counted["requirements"],
-            supported=counted["supported"],
-            violated=counted["violated"],
-            undecided=counted["undecided"],
-            waived=counted["waived"],
-            **{key: int(stated[0][key]) for key in _STATED},
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        _reading_error(f"the session states no number: {error!r}")
-
-
-def _counted_elements(elements: Mapping[str, Any]) -> Counter[str]:
-    counted: Counter[str] = Counter()
-    for id_, element in elements.items():
-        what, _, _ = str(element.get("alias", "")).partition(":")
-        if what == "requirement":
-            counted["requirements"] += 1
-        elif what == "waiver":
-            counted["waived"] += 1
-        elif what == "verdict":
-            decorated = _decorated(element)
-            if element.get("verdict") != decorated:
-                _reading_error(
-                    f"{id_} is drawn as {decorated}, and its verdict is {element.get('verdict')}"
-                )
-            counted[decorated] += 1
-        elif what == _UNUSED[:-1]:
-            for key in (*CAMPAIGN_STATUSES, "requirements", "waived"):
-                counted[key] += int(element.get(key, 0))
-    return counted
-
-
-def _decorated(goal: Mapping[str, Any]) -> str:
-    if goal.get("undeveloped"):
-        return "undecided"
-    return "violated" if goal.get("defeated") else "supported"
-
-
-def broken_references(text: str, record: SessionRecord) -> Iterator[str]:
-    """Rules that the argument breaks, and its references into the record that lead nowhere."""
-    elements = elements_of(text)
-    yield from rule_problems(elements)
-    prefix = "evidence.json#/"
-    for id_, element in elements.items():
-        url = str(element.get("url", ""))
-        if url.startswith(prefix) and not _record_has(record, url[len(prefix) :].split("/")):
-            yield f"{id_} refers to {url}, which is not there"
-        trace = element.get("trace")
-        if trace is not None and not (record.directory / str(trace)).is_file():
-            yield f"{id_} refers to {trace}, which is not there"
-
-
-def _record_has(record: SessionRecord, keys: list[str]) -> bool:
-    here: Any = record.head
-    for key in keys:
-        if isinstance(here, Mapping) and key in here:
-            here = here[key]
-        elif isinstance(here, list) and key.isdigit() and int(key) < len(here):
-            here = here[int(key)]
-        else:
-            return False
-    return True
-
-
-def _reading_error(problem: str) -> NoReturn:
-    raise ValueError(f"{FILE}: {problem}")

@@ -1,20 +1,18 @@
-"""The report's page: sections and players put into the templates, and its counts read back."""
+"""The report's page: sections and players put into the templates."""
 
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import describe_error
 from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.evidence.files import file_entry
-from pytest_dura.evidence.model import Counts, SessionRecord
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import LINE, name, one_line, visible
 from pytest_dura.reports.html import episode_sections, verdict_sections
 from pytest_dura.reports.html.contents import (
@@ -26,7 +24,6 @@ from pytest_dura.reports.html.contents import (
 )
 from pytest_dura.reports.html.player import content_hash
 from pytest_dura.reports.wording import model_options, replay_command
-from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -336,151 +333,3 @@ def _content_policy(scripts: list[str], styles: list[str]) -> str:
             "form-action 'none'",
         ]
     )
-
-
-_GATE_RESULTS = ("passed", "failed", "incomplete")
-_CELL_CLASSES = ("gate-word", "word", "waived", "folded-supported", "folded-cases")
-COUNTED = ("run", "valid", "invalid", "missing")
-
-
-def read_counts(text: str) -> Counts:
-    """The counts of a report, each from the rows of the table that it stands for.
-
-    Args:
-        text: The file as a text.
-
-    Raises:
-        ValueError: If it is no such report, or its rows are not as they were written.
-    """
-    page = _PageParser()
-    page.feed(text)
-    page.close()
-    if not page.seen >= {"verdicts", "case-counts"}:
-        raise ValueError("the table of verdicts or that of episodes by case is not there")
-    episodes = page.episodes
-    if episodes["run"] < episodes["valid"] + episodes["invalid"] + episodes["missing"]:
-        raise ValueError("there are more valid, invalid and missing episodes than were run")
-    return Counts(
-        gate=_read_gate(page.gates),
-        requirements=page.requirements,
-        cases=page.cases,
-        episodes=episodes["run"],
-        valid=episodes["valid"],
-        invalid=episodes["invalid"],
-        missing=episodes["missing"],
-        **{
-            campaign_status: page.statuses[campaign_status] for campaign_status in CAMPAIGN_STATUSES
-        },
-        waived=page.waived,
-    )
-
-
-def _read_gate(gates: list[str]) -> str:
-    if len(set(gates)) != 1 or gates[0] not in _GATE_RESULTS:
-        raise ValueError(f"the gate's result is {' and '.join(gates) or 'missing'}")
-    return gates[0]
-
-
-@dataclass
-class _TableRow:
-    """A row of a table while it is read."""
-
-    kinds: list[str]
-    cells: list[str] = field(default_factory=list)
-    statuses: list[str] = field(default_factory=list)
-    waived: bool = False
-    folded: int = 0
-    """Verdicts or cases that the row stands for."""
-
-
-class _PageParser(HTMLParser):
-    """Parser of the two tables that are counted, and of the gate's result."""
-
-    def __init__(self) -> None:
-        super().__init__(convert_charrefs=True)
-        self.seen: set[str] = set()
-        self.gates: list[str] = []
-        self.requirements = 0
-        self.cases = 0
-        self.waived = 0
-        self.statuses: Counter[str] = Counter()
-        self.episodes: Counter[str] = Counter()
-        self._table = ""
-        self._columns: list[str] = []
-        self._row: _TableRow | None = None
-        self._text: list[str] = []
-        self._marked = ""
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        attributes = dict(attrs)
-        kinds = (attributes.get("class") or "").split()
-        if tag == "table":
-            self._table = attributes.get("id") or ""
-            self.seen.add(self._table)
-            self._columns = []
-        elif tag == "tbody":
-            self.requirements += self._table == "verdicts" and "requirement" in kinds
-        elif tag == "tr":
-            self._row = _TableRow(kinds)
-        elif tag in ("td", "th"):
-            self._text = []
-        elif tag in ("b", "strong") and len(kinds) == 1 and kinds[0] in _CELL_CLASSES:
-            self._marked = kinds[0]
-            self._text = []
-
-    def handle_data(self, data: str) -> None:
-        self._text.append(data)
-
-    def handle_endtag(self, tag: str) -> None:
-        text = "".join(self._text).strip()
-        if tag in ("b", "strong") and self._marked:
-            self._mark(text)
-            self._marked = ""
-        elif tag in ("td", "th") and self._row is not None:
-            self._row.cells.append(text)
-        elif tag == "tr" and self._row is not None:
-            self._end_row(self._row)
-            self._row = None
-        elif tag == "table":
-            self._table = ""
-
-    def _mark(self, text: str) -> None:
-        if self._marked == "gate-word":
-            self.gates.append(text)
-        elif self._row is not None and self._marked == "word":
-            self._row.statuses.append(text)
-        elif self._row is not None and self._marked.startswith("folded-"):
-            if not text.isdecimal():
-                raise ValueError(f"what is not shown is counted as {text!r}")
-            self._row.folded = int(text)
-        elif self._row is not None:
-            self._row.waived = True
-
-    def _end_row(self, row: _TableRow) -> None:
-        if self._table == "verdicts" and "verdict" in row.kinds:
-            if len(row.statuses) != 1 or row.statuses[0] not in CAMPAIGN_STATUSES:
-                raise ValueError(f"a verdict reads {row.statuses}")
-            self.statuses[row.statuses[0]] += 1
-            self.waived += row.waived
-        elif self._table == "verdicts" and "folded" in row.kinds:
-            self.statuses["supported"] += row.folded
-        elif self._table == "case-counts":
-            self._count(row)
-
-    def _count(self, row: _TableRow) -> None:
-        if not self._columns:
-            self._columns = [cell.lower() for cell in row.cells]
-            if not set(COUNTED) <= set(self._columns):
-                raise ValueError(f"episodes by case are told in the columns {self._columns}")
-            return
-        if not {"case", "unlisted", "folded"} & set(row.kinds):
-            return
-        self.cases += row.folded + ("case" in row.kinds)
-        for column in COUNTED:
-            self.episodes[column] += _read_number(row.cells, self._columns.index(column))
-
-
-def _read_number(cells: list[str], place: int) -> int:
-    if place >= len(cells) or not cells[place].isdecimal():
-        raise ValueError(f"a count of episodes is missing, or no number, in {cells}")
-    return int(cells[place])

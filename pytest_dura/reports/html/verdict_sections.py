@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.reports.html.contents import (
     CaseTally,
@@ -272,7 +273,7 @@ def _joined_targets(monitors: list[Data]) -> list[Data]:
     """Monitors, those that differ in nothing but their target joined into a row."""
     same: dict[str, dict[str, Any]] = {}
     for monitor in monitors:
-        figures = json.dumps({key: value for key, value in monitor.items() if key != "target"})
+        figures = json.dumps({**plain_data(monitor), "target": None})
         row = same.setdefault(figures, {**monitor, "targets": []})
         row["targets"].append(monitor["target"])
     return list(same.values())

@@ -11,12 +11,13 @@ from typing import Any
 
 import pytest
 from session_records import session_record
+from stated_counts import stated_counts
 
 from pytest_dura.evidence import SessionRecord
 from pytest_dura.reports import case_anchor, verdict_anchor
 from pytest_dura.reports.gsn import yaml_file
 from pytest_dura.reports.html import contents
-from pytest_dura.reports.html.page import read_counts, render
+from pytest_dura.reports.html.page import render
 
 MOST = 3
 NUMBER = 10
@@ -84,12 +85,15 @@ def test_cases_that_passed_are_counted_beyond_the_first_ones() -> None:
 
 
 def test_what_is_read_back_counts_them() -> None:
-    shown, folded = read_counts(render(passing(MOST))), read_counts(render(passing(NUMBER)))
+    shown, folded = (
+        stated_counts("report.html", render(passing(MOST))),
+        stated_counts("report.html", render(passing(NUMBER))),
+    )
     more = NUMBER - MOST
-    assert folded.supported == shown.supported + more
-    assert folded.cases == shown.cases + more
+    assert folded["supported"] == shown["supported"] + more
+    assert folded["cases"] == shown["cases"] + more
     kept = ("violated", "undecided", "waived", "episodes", "invalid", "missing", "requirements")
-    assert [getattr(folded, one) for one in kept] == [getattr(shown, one) for one in kept]
+    assert [folded[one] for one in kept] == [shown[one] for one in kept]
 
 
 def verdict_with(**keys: Any) -> Any:

@@ -8,7 +8,7 @@ import pytest
 from searches import entry
 from session_records import CASES, session_record
 
-from pytest_dura.evidence import Counts, record_problems
+from pytest_dura.evidence import record_problems
 from pytest_dura.evidence.verify_record import search_problems
 
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
@@ -200,9 +200,9 @@ def test_a_searched_episode_that_counts_as_planned():
     chosen = {**case, "id": CHOSEN, "planned": 0, "metrics": metrics}
     forged = session_record(episodes=episodes, cases=[*record["cases"], chosen])
     expected = f"case {CHOSEN}: a search chose it, and there are metrics of it"
-    assert f"evidence.json: {expected}" in list(record_problems(forged, Counts.of(forged)))
+    assert f"evidence.json: {expected}" in list(record_problems(forged))
     unlisted = session_record(episodes=episodes)
-    assert list(record_problems(unlisted, Counts.of(unlisted)))
+    assert list(record_problems(unlisted))
 
 
 def test_a_searched_case_with_metrics():
@@ -214,7 +214,7 @@ def test_a_searched_case_with_metrics():
 
 
 def test_a_verdict_on_what_a_search_chose():
-    verdicts = copy.deepcopy(session_record()["verdicts"])
+    verdicts = session_record().to_json()["verdicts"]
     verdicts[1]["case"] = CHOSEN
     verdicts[0]["counterexamples"][0]["episode"] = f"{CHOSEN}#0"
     assert problems(verdicts=verdicts) == [
@@ -226,7 +226,7 @@ def test_a_verdict_on_what_a_search_chose():
 def gate_problems(*searches, **gate):
     verdicts = [one for one in session_record()["verdicts"] if one["verdict"] == "supported"]
     record = session_record(searches=list(searches), verdicts=verdicts, gate={**PASSED, **gate})
-    told = record_problems(record, Counts.of(record))
+    told = record_problems(record)
     return [one.partition(": ")[2] for one in told if ": gate: " in one]
 
 

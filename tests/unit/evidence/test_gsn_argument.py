@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import yaml
 from session_records import REQUIREMENTS, episode, session_record, verdict
+from stated_counts import dead_references, elements_of, stated_counts
 
-from pytest_dura.evidence import Counts
 from pytest_dura.reports import generated_argument, root_ids, rule_problems
 from pytest_dura.reports.gsn import svg_file, yaml_file
 
@@ -15,7 +15,7 @@ WAIVER = {"kind": "xfail", "reason": "known"}
 
 
 def elements(record):
-    return yaml_file.elements_of(yaml_file.render(record))
+    return elements_of(yaml_file.render(record))
 
 
 def by_alias(found, alias):
@@ -96,13 +96,13 @@ def test_a_solution_refers_to_its_evidence_with_n_violations_and_bound():
     assert solution["report"].startswith("report.html#verdict-SAF-1-")
     assert "n = 2 valid episodes of 2 run, 2 planned; violations: 0" in solution["text"]
     assert "at most 77.64 % with confidence 95 % (Clopper-Pearson" in solution["text"]
-    assert list(yaml_file.broken_references(yaml_file.render(record), record)) == []
+    assert dead_references(yaml_file.render(record), record) == []
 
 
 def test_references_that_lead_nowhere_are_found():
     record = session_record()
     shorter = replace(record, head={**record.head, "verdicts": record["verdicts"][:1]})
-    told = list(yaml_file.broken_references(yaml_file.render(record), shorter))
+    told = dead_references(yaml_file.render(record), shorter)
     assert any("evidence.json#/verdicts/3" in one for one in told)
     assert not any("evidence.json#/verdicts/0," in one for one in told)
 
@@ -111,7 +111,7 @@ def test_a_trace_that_is_not_there_is_found(tmp_path):
     trace = {"file": "episodes/x.mcap", "sha256": "0" * 64, "bytes": 1, "kept_for": "violation"}
     runs = [episode("a/clear+ghost", 1, trace=trace)]
     record = session_record(tmp_path, episodes=runs)
-    told = list(yaml_file.broken_references(yaml_file.render(record), record))
+    told = dead_references(yaml_file.render(record), record)
     assert len(told) == 1
     assert "episodes/x.mcap" in told[0]
 
@@ -129,7 +129,7 @@ def test_an_incomplete_session_claims_nothing(gate):
     assert found["GTop"]["undeveloped"]
     assert "supportedBy" not in found["GTop"]
     assert "INCOMPLETE SESSION" in svg_file.render(record)
-    assert yaml_file.read_counts(yaml_file.render(record)) == Counts.of(record)
+    assert stated_counts(yaml_file, yaml_file.render(record)) == record["totals"]
 
 
 def test_monitors_are_known_only_from_violations_that_they_could_miss():
@@ -149,9 +149,9 @@ def test_a_session_without_anything_has_an_argument_too():
         coverage={"cells": [], "left_out": 0, "parameters": []},
     )  # fmt: skip
     text = yaml_file.render(nothing)
-    assert yaml_file.elements_of(text)["SKinds"]["undeveloped"]
+    assert elements_of(text)["SKinds"]["undeveloped"]
     for one in (yaml_file, svg_file):
-        assert one.read_counts(one.render(nothing)) == Counts.of(nothing)
+        assert stated_counts(one, one.render(nothing)) == nothing["totals"]
 
 
 def test_the_policy_is_that_of_the_judged_cases_and_not_of_their_comparison():
@@ -171,37 +171,12 @@ def test_twin_verdicts_and_several_components_are_told_apart():
     assert sorted(aliases) == [
         "verdict:SAF-1@a/clear [C]", "verdict:SAF-1@a/clear [C] (2)", "verdict:SAF-1@a/clear [D]"
     ]  # fmt: skip
-    assert yaml_file.read_counts(yaml_file.render(record)) == Counts.of(record)
+    assert stated_counts(yaml_file, yaml_file.render(record)) == record["totals"]
 
 
 def test_a_verdict_on_an_unlisted_requirement_is_refused():
     with pytest.raises(ValueError, match="PERF-1, which is not listed"):
         generated_argument(session_record(requirements=[]))
-
-
-def test_reading_notices_what_was_tampered_with():
-    text = yaml_file.render(session_record())
-    whole = Counts.of(session_record())
-    assert yaml_file.read_counts(text) == whole
-    data = yaml.safe_load(text)
-    goal = next(
-        id_ for id_, one in data.items() if one.get("alias") == "verdict:SAF-1@a/clear+ghost"
-    )
-    del data[goal]["defeated"]
-    with pytest.raises(ValueError, match="drawn as supported"):
-        yaml_file.read_counts(yaml.safe_dump(data))
-    for wrong in (
-        "",
-        "- a",
-        "{",
-        "a: &x [*x]",
-        "[" * 100_000 + "]" * 100_000,
-        "{a: " * 100_000,
-        text + "\nGTop: {text: again}\n",
-        "module: {}\n",
-    ):
-        with pytest.raises(ValueError, match=r"gsn\.yaml|no YAML"):
-            yaml_file.read_counts(wrong)
 
 
 def test_what_looks_like_a_number_to_yaml_1_2_is_quoted():

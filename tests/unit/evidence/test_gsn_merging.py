@@ -4,9 +4,9 @@ import json
 
 import pytest
 from session_records import session_record
+from stated_counts import elements_of, stated_counts
 
 from pytest_dura.core import ConfigurationError
-from pytest_dura.evidence import Counts
 from pytest_dura.reports import check_requirements, read_user_argument, root_ids, rule_problems
 from pytest_dura.reports.gsn import svg_file, yaml_file
 
@@ -45,7 +45,7 @@ def with_user(told, **changes):
 
 
 def rendered(told, **changes):
-    return yaml_file.elements_of(yaml_file.render(with_user(told, **changes)))
+    return elements_of(yaml_file.render(with_user(told, **changes)))
 
 
 def test_the_users_goal_is_the_root_over_our_requirements(user):
@@ -74,7 +74,7 @@ def test_what_is_not_taken_up_is_told_and_counted(user):
     assert "CUnusedMonitors" in found
     record = with_user(user(GOOD))
     for one in (yaml_file, svg_file):
-        assert one.read_counts(one.render(record)) == Counts.of(record)
+        assert stated_counts(one, one.render(record)) == record["totals"]
 
 
 def test_all_of_ours_may_be_taken_up_at_once(user):
@@ -88,7 +88,7 @@ def test_a_part_of_a_requirement_leaves_the_rest_told(user):
     left = next(one for one in found.values() if one.get("alias") == "unused:SAF-1")
     assert (left["requirements"], left["supported"], left["violated"]) == (1, 0, 1)
     record = with_user(user("G1: {text: Safe., supportedBy: ['verdict:SAF-1@a/clear']}"))
-    assert yaml_file.read_counts(yaml_file.render(record)) == Counts.of(record)
+    assert stated_counts(yaml_file, yaml_file.render(record)) == record["totals"]
 
 
 def test_the_user_may_challenge_our_elements(user):
@@ -118,7 +118,7 @@ G2: {text: By day., supportedBy: [requirement:SAF-1]}
 G3: {text: By night., supportedBy: [requirement:SAF-1]}
 """
     record = with_user(user(text))
-    assert svg_file.read_counts(svg_file.render(record)) == Counts.of(record)
+    assert stated_counts(svg_file, svg_file.render(record)) == record["totals"]
     assert 'data-kind="Reference"' in svg_file.render(record)
 
 

@@ -6,8 +6,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from session_records import REQUIREMENTS, session_record, verdict
+from stated_counts import stated_counts
 
-from pytest_dura.evidence import Counts
 from pytest_dura.reports.gsn import svg_file
 from pytest_dura.reports.gsn.drawing import text_width, wrap_text
 
@@ -57,7 +57,7 @@ def test_no_shape_overlaps_another_and_all_are_inside(size):
     width, height = map(float, re.search(r'viewBox="0 0 (\d+) (\d+)"', text).groups())
     assert overlapping(found) == []
     assert all(x >= 0 and x + w <= width and y + h <= height for x, y, w, h in found)
-    assert svg_file.read_counts(text) == Counts.of(record)
+    assert stated_counts(svg_file, text) == record["totals"]
 
 
 def test_a_large_argument_is_folded_and_says_so():
@@ -101,17 +101,6 @@ def test_each_kind_of_element_has_its_shape_and_each_relation_its_arrow():
     assert seen == set(outlines)
     relations = {one.get("class") for one in root.iter(f"{NAMESPACE}polyline")}
     assert relations == {"supportedBy", "inContextOf", "challenges"}
-
-
-def test_reading_refuses_what_is_no_picture_and_what_contradicts_itself():
-    text = svg_file.render(session_record())
-    for wrong in ("", "<svg/>", "<!DOCTYPE svg>" + text, text.replace('data-cases="2"', "")):
-        with pytest.raises(ValueError, match="assurance-case"):
-            svg_file.read_counts(wrong)
-    with pytest.raises(ValueError, match="drawn as supported"):
-        svg_file.read_counts(text.replace('data-defeated="true"', ""))
-    fewer = text.replace('data-supported="1"', 'data-supported="2"')
-    assert svg_file.read_counts(fewer) != Counts.of(session_record())
 
 
 def test_lines_keep_their_width_and_what_is_left_out_is_told():

@@ -5,8 +5,9 @@ import re
 
 import pytest
 from session_records import session_record, verdict
+from stated_counts import stated_counts
 
-from pytest_dura.evidence import Counts, write_record
+from pytest_dura.evidence import write_record
 from pytest_dura.reports import cyclonedx, intoto, summary
 
 PASSED = {"result": "passed", "exit_code": 0, "reasons": []}
@@ -120,42 +121,6 @@ def test_the_serial_number_is_that_of_the_record():
     assert len(numbers) == 2
 
 
-@pytest.mark.parametrize(
-    "old, new, told",
-    [
-        ('"target": "target/0"', '"target": "target/9"', "claim/0, target, refers to target/9"),
-        ('"requirement": "requirement/1"', '"requirement": "no"', "requirement, refers to no"),
-        ('"bom-ref": "target/0"', '"bom-ref": "claim/0"', "claim/0 is given 2 times"),
-        ("#/episodes/3", "#/episodes/6", "refers to evidence.json#/episodes/6"),
-        ("#/verdicts/3", "#/verdicts/4", "refers to evidence.json#/verdicts/4"),
-    ],
-)
-def test_a_reference_that_leads_nowhere_is_told(old, new, told):
-    record = session_record()
-    text = cyclonedx.render(record)
-    assert not list(cyclonedx.broken_references(text, record))
-    changed = text.replace(old, new, 1)
-    assert changed != text
-    assert told in "\n".join(cyclonedx.broken_references(changed, record))
-
-
-@pytest.mark.parametrize(
-    "old, new",
-    [
-        ("pytest-dura:verdict:undecided", "pytest-dura:verdict:violated"),
-        ("pytest-dura:verdict:violated", "pytest-dura:verdict:supported"),
-        ("pytest-dura:verdict:undecided", "pytest-dura:verdict:fine"),
-        ('"claim/3"\n', '"claim/1"\n'),
-        ('"declarations"', '"declaration"'),
-    ],
-)
-def test_declarations_that_contradict_themselves_are_refused(old, new):
-    text = cyclonedx.render(session_record())
-    assert old in text
-    with pytest.raises(ValueError, match=r"claim/|evidence of no verdict|not the declarations"):
-        cyclonedx.read_counts(text.replace(old, new, 1))
-
-
 def test_a_verdict_on_an_unknown_requirement_cannot_be_declared():
     with pytest.raises(ValueError, match="X-1, which is not among the requirements"):
         cyclonedx.render(session_record(verdicts=[SUPPORTED | {"requirement": "X-1"}]))
@@ -216,31 +181,6 @@ def test_the_campaigns_digest_is_that_of_the_plan(tmp_path):
 def test_a_statement_needs_its_record(tmp_path):
     with pytest.raises(ValueError, match="has to be written before"):
         intoto.render(session_record(tmp_path))
-
-
-def test_a_record_that_has_changed_since_is_told(tmp_path):
-    text, record = statement(tmp_path)
-    assert intoto.broken_references(text, record) == []
-    (tmp_path / "evidence.json").write_text("{}")
-    assert "subjects" in intoto.broken_references(text, record)[0]
-
-
-@pytest.mark.parametrize(
-    "old, new, told",
-    [
-        ('"FAILED"', '"PASSED"', "the result is PASSED, the gate failed"),
-        ('"FAILED"', '"OK"', "'OK' is no result"),
-        ('"a/clear::SAF-1"', '"a/clear+ghost::SAF-1"', "listed twice"),
-        ('  "undecided": [\n      "a/clear+ghost::SEC-1"', '"undecided": [ "x"', "none of the"),
-        ("test-result/v0.1", "test-result/v9", "not an in-toto statement"),
-        ('"failedTests"', '"failed"', "not the test result"),
-    ],
-)
-def test_a_statement_that_contradicts_itself_is_refused(tmp_path, old, new, told):
-    text, _ = statement(tmp_path)
-    assert old in text
-    with pytest.raises(ValueError, match=re.escape(told)):
-        intoto.read_counts(text.replace(old, new, 1))
 
 
 # -- summary ----------------------------------------------------------------------------------
@@ -309,21 +249,4 @@ def test_a_summary_that_is_too_long_keeps_the_failures_and_says_what_it_leaves_o
     assert re.search(r"_\d+ of 6002 are left out here", text)
     rows = re.findall(r"^\| (violated|undecided|supported) ", text, re.MULTILINE)
     assert rows[:3] == ["violated", "undecided", "supported"]
-    assert summary.read_counts(text) == Counts.of(record)
-
-
-@pytest.mark.parametrize(
-    "old, new",
-    [
-        ("| violated | - |", "| supported | - |"),
-        ("| `SEC-1` | security", "x"),
-        ("| failed | 3 | 2 |", "| failed | 3 | 3 |"),
-        ("## Cases", "## Other"),
-        ("| gate |", "| gates |"),
-    ],
-)
-def test_a_summary_whose_rows_are_not_what_it_states_is_refused(old, new):
-    text = summary.render(session_record())
-    assert old in text
-    with pytest.raises(ValueError, match="the page"):
-        summary.read_counts(text.replace(old, new, 1))
+    assert stated_counts(summary, text) == record["totals"]

@@ -84,7 +84,7 @@ def record():
 
 def evidence(made, status="complete"):
     found = made.record(status)
-    return {**found.head, "episodes": list(found.episodes())}
+    return found.to_json()
 
 
 def case_metrics(episodes, planned):

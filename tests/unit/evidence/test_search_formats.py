@@ -10,8 +10,9 @@ import yaml
 from report_pages import Page
 from searches import entry
 from session_records import session_record, verdict
+from stated_counts import elements_of, stated_counts
 
-from pytest_dura.evidence import Counts, all_formats, write_record
+from pytest_dura.evidence import all_formats, write_record
 from pytest_dura.reports import generated_argument, intoto, outcome_headline, rule_problems, summary
 from pytest_dura.reports.gsn import yaml_file
 from pytest_dura.reports.gsn.user_argument import merge_user_argument
@@ -40,7 +41,7 @@ def test_every_format_states_the_counts_of_the_record(tmp_path, words):
     record = session_record(tmp_path, searches=[entry(*words)])
     write_record(tmp_path, record)
     for one in all_formats():
-        assert one.read_counts(one.render(record)) == Counts.of(record), one.FILE
+        assert stated_counts(one, one.render(record)) == record["totals"], one.FILE
 
 
 def test_no_format_says_that_a_search_shows_a_requirement(tmp_path):
@@ -153,7 +154,7 @@ def test_the_sentences_name_what_a_search_violated_and_support_nothing_by_what_i
 
 
 def elements(*searches, **changes):
-    found = yaml_file.elements_of(yaml_file.render(record_of(*searches, **changes)))
+    found = elements_of(yaml_file.render(record_of(*searches, **changes)))
     assert rule_problems(found) == []
     return found
 

@@ -1,0 +1,461 @@
+"""Models of requirements and cases in the record: their faults, figures and coverage."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from pytest_dura.evidence.entry import (
+    Absent,
+    Amount,
+    Confidence,
+    Count,
+    Entry,
+    JsonObject,
+    Number,
+    OpenEntry,
+    Positive,
+    Sha256,
+    Share,
+)
+
+
+class PairedEntry(Entry):
+    """What the second run of each pair lacks."""
+
+    without: str
+    """`faults`, or the role that is switched off in the second run of each pair."""
+    measure: str
+    """Import path of the function whose growth is bounded; empty where the check is compared."""
+    change_at_most: Number | None
+    """Greatest acceptable growth of the measure, in its unit."""
+
+
+class RequirementEntry(Entry):
+    """A requirement."""
+
+    id: str
+    """Unique name."""
+    text: str
+    """What is required, in words."""
+    kind: Literal["safety", "security", "performance", "recovery"]
+    """The kind of dependability it belongs to."""
+    source: str
+    """Where it comes from: a standard, a hazard analysis, a contract."""
+    check: str
+    """Formula that an episode must satisfy, or the import path of a function of the episode; empty
+    where test code checks."""
+    reason: str
+    """Why the bound is what it is."""
+    at_most: Share | None
+    """Greatest acceptable rate of episodes that violate it; null accepts none."""
+    confidence: Confidence
+    """One-sided confidence of the bound on that rate."""
+    method: Literal["fixed", "sprt", "e-process"] | None
+    """How a rate is decided; null for the default."""
+    p0: Share | None
+    """For `sprt`: the rate below `at_most` up to which a component is rarely rejected."""
+    applies_to: list[str]
+    """Globs of scenarios to which it applies besides those that name it."""
+    paired: PairedEntry | None
+    """For a requirement on pairs of runs."""
+
+
+class RangeEntry(Entry):
+    """A range, drawn from uniformly."""
+
+    min: Number
+    """Least value, in the unit of what varies."""
+    max: Number
+    """Greatest value, in that unit."""
+    pieces: Absent[Positive] = None
+    """So many numbers, each drawn from the range: an input over time."""
+
+
+class ChoicesEntry(Entry):
+    """Values, each as likely as the others."""
+
+    choice: Annotated[list[Any], Field(min_length=1)]
+    """The values."""
+
+
+def _form_of_variation(value: Any) -> str:
+    chosen = isinstance(value, dict) and "choice" in value
+    return "choice" if chosen or isinstance(value, ChoicesEntry) else "range"
+
+
+Variation = Annotated[
+    Annotated[RangeEntry, Tag("range")] | Annotated[ChoicesEntry, Tag("choice")],
+    Discriminator(_form_of_variation),
+]
+
+
+class FaultPlanEntry(OpenEntry):
+    """A planned fault, with the parameters of its type. docs/faults.md has the types."""
+
+    type: Absent[str] = None
+    """Type in the fault catalogue."""
+    id: str
+    """Its name in the case."""
+    target: str
+    """Sensor channel, field of a channel, or `command`."""
+    activation: Absent[JsonObject] = None
+    """When it begins, in simulated seconds."""
+    duration: Any = None
+    """Simulated seconds that it stays active, or what ends it; null for the rest of the episode."""
+    parameters: Absent[JsonObject] = None
+    """In the units that the catalogue states."""
+    by_chance: Absent[bool] = None
+    """Whether it is drawn whether it has any effect; then it need not manifest."""
+
+
+class ShareEntry(Entry):
+    """A count over episodes, with its shares."""
+
+    valid: Count
+    """Valid episodes."""
+    run: Count
+    """All planned episodes that were run."""
+    share_of_valid: Share | None
+    """Share of the valid episodes; null without any."""
+    share_of_planned: Amount | None
+    """Count over all runs divided by the planned episodes; above 1 where further runs followed
+    invalid ones."""
+
+
+class LatencyEntry(Entry):
+    """A latency over the episodes in which it is known, in seconds."""
+
+    median: Number
+    """Median, in s."""
+    max: Number
+    """Greatest, in s."""
+
+
+class FaultRates(Entry):
+    """Shares of the episodes that could; null without any."""
+
+    activation: Share | None
+    """Of all runs."""
+    manifestation: Share | None
+    """Of all runs."""
+    propagation: Share | None
+    """Of those followed."""
+    detection: Share | None
+    """Of those manifested."""
+    recovery: Share | None
+    """Of those in which recovery acted."""
+
+
+class FaultMetricsEntry(Entry):
+    """How far one fault got, over the planned episodes of a case."""
+
+    id: str
+    """Id of the fault."""
+    target: str
+    """Sensor channel, field of a channel, or `command`."""
+    run: Count
+    """Episodes in which it was planned."""
+    activated: Count
+    """Episodes in which it was active."""
+    manifested: Count
+    """Episodes in which it changed what the component read, or the command."""
+    followed: Count
+    """Of those, episodes in which it is known whether it changed a proposal."""
+    propagated: Count
+    """Of those, episodes in which it did."""
+    detected: Count
+    """Of the manifested, episodes with an alert."""
+    recovery: Count
+    """Of the manifested, episodes in which recovery acted."""
+    recovered: Count
+    """Of the manifested, episodes in which control was handed back."""
+    judged: Count
+    """Episodes whose outcome is known."""
+    violated: Count
+    """Of those, episodes that violated a requirement from its manifestation on, and not as well
+    without any fault."""
+    violated_without: Count
+    """Of the judged, further episodes in which all that was violated from its manifestation on is
+    violated without any fault, too."""
+    rates: FaultRates
+    """Shares of the episodes that could; null without any."""
+    detection_latency: LatencyEntry | None
+    """From activation to the alert, in s."""
+    recovery_latency: LatencyEntry | None
+    """From manifestation to the first recovery action, in s."""
+    time_to_recover: LatencyEntry | None
+    """From there until the proposal was acceptable again, in s."""
+
+
+class FailureModeEntry(Entry):
+    """A failure mode over a case's valid episodes.
+
+    Decisions of one episode depend on each other, so that only a share of episodes has a bound.
+    """
+
+    name: str
+    """Its name; formulas read it as `proposal.` and the name."""
+    kind: Literal["failure", "control", "comparison"]
+    """Whether it is a failure, the negative control, or a comparison that is no failure by
+    itself."""
+    hits: Count
+    """Decisions that showed it."""
+    of: Count
+    """Decisions that could have."""
+    share: Share | None
+    """Their share; null where none could have."""
+    null_hits: Count
+    """The same of the null component."""
+    null_of: Count
+    """Decisions of it that could have."""
+    null_share: Share | None
+    """Their share; null where none could have."""
+    episodes: Count
+    """Episodes in which it ever showed."""
+    of_episodes: Count
+    """Episodes in which it could have."""
+    upper: Share | None
+    """Exact upper bound, with confidence 0.95, on the rate of such episodes; null without any."""
+
+
+class ClearanceTime(Entry):
+    """In seconds."""
+
+    runs: Count
+    """Episodes that cleared."""
+    mean: Number | None
+    """Mean, in s."""
+    sd: Number | None
+    """Standard deviation, in s."""
+
+
+class TimeToSafe(Entry):
+    """From a takeover until a proposal was not unsafe."""
+
+    median: Number | None
+    """Median, in s."""
+    max: Number | None
+    """Greatest, in s."""
+    censored: Count
+    """Takeovers after which the episode ended before that."""
+
+
+class SwitchingFigures(Entry):
+    """Control."""
+
+    share: Share | None
+    """Share of the decisions that recovery made."""
+    takeovers: Count
+    """Times that recovery took over."""
+    switches_per_episode: Amount
+    """Changes of control in both directions, per episode."""
+    time_to_safe: TimeToSafe
+    """From a takeover until a proposal was not unsafe."""
+
+
+class MeanFigure(Entry):
+    """Over valid episodes."""
+
+    mean: Number | None
+    """Mean, in the metric's unit."""
+    runs: Count
+    """Episodes in which it has a value."""
+
+
+class Percentiles(Entry):
+    """In seconds; percentiles are those of the nearest rank."""
+
+    decisions: Positive
+    """Decisions whose time is told."""
+    p50: Amount
+    """Median, in s."""
+    p95: Amount
+    """95th percentile, in s."""
+    max: Amount
+    """Greatest, in s."""
+
+
+class CaseMetricsEntry(Entry):
+    """What the planned episodes of a case come to."""
+
+    planned: Count
+    """Planned episodes."""
+    run: Count
+    """Episodes that were run."""
+    valid: Count
+    """Valid ones."""
+    invalid: Count
+    """Those whose fault never manifested."""
+    missing: Count
+    """Those that an infrastructure error ended."""
+    ended_early: Count
+    """Those that ended once every requirement of the case was decided; what follows counts what was
+    seen by then."""
+    flagged: ShareEntry | None
+    """Episodes with a proposal that was found unsafe; null where the domain has no such signal."""
+    collided: ShareEntry | None
+    """Episodes with a collision; null where the domain has no such signal."""
+    gridlock: ShareEntry | None
+    """Episodes that had not cleared when their time was up; null where the domain has no such
+    signal."""
+    clearance_time: ClearanceTime | None
+    """Simulated seconds until the task was done, over valid episodes; null where the domain has
+    none."""
+    recoveries: Count
+    """Stretches in which recovery acted, in valid episodes."""
+    alerts: Count
+    """Alerts in valid episodes."""
+    comfort_failed: ShareEntry | None
+    """Episodes in which passengers were uncomfortable at any time: the performance value
+    `discomfort` was above 1; null where nothing measures it."""
+    rescued: ShareEntry | None
+    """Episodes in which recovery took over; null where none was run."""
+    reactions: dict[str, Positive]
+    """How often the component reacted in which way to what looked like an attack, in valid
+    episodes, by class."""
+    switching: SwitchingFigures | None
+    """How control was shared over the valid episodes; null where nothing was decided."""
+    user: dict[str, MeanFigure]
+    """Metrics of the user's own, by name."""
+    faults: list[FaultMetricsEntry]
+    """One entry for each fault."""
+    failure_modes: list[FailureModeEntry]
+    """What the component's accounts of its decisions show; empty where it gives none."""
+    answer_times: Percentiles | None
+    """How long decisions took in wall-clock time by the component's own account, over valid
+    episodes; null where it tells of none."""
+    answer_ages: Percentiles | None
+    """How old the component's own decisions were when they came into force, by its own account,
+    over valid episodes: simulated time since the percept behind them; null where it tells of
+    none."""
+
+
+class RepeatEntry(Entry):
+    """A repetition."""
+
+    episode: str
+    """Id of the episode."""
+    digest: Sha256
+    """Its digest as it is recorded."""
+    repeated_digest: Sha256 | None
+    """That of the repetition; null where there is none."""
+    result: Literal["equal", "different", "failed", "skipped"]
+    """Whether the digests are equal; `failed` for a repetition that an infrastructure error ended,
+    `skipped` where a live language model answers."""
+    detail: str
+    """Why it failed or was skipped, in words."""
+
+
+class CaseEntry(Entry):
+    """A scenario with faults, for one component."""
+
+    order: Positive | None
+    """Place of its scenario in tables, from 1, as the scenario file gives it; null for none, which
+    come last, by name."""
+    id: str
+    """Id of the case: the scenario, then `+` and its faults where they differ from the scenario's
+    own, then `~` and a role that is switched off."""
+    scenario: str
+    """Name of the scenario."""
+    faults: list[FaultPlanEntry]
+    """The planned faults, before what varies is drawn."""
+    component: str
+    """Name of the component under test."""
+    without: list[str]
+    """Roles that are switched off, for the second runs of pairs."""
+    off: list[str]
+    """Roles that a fixture or the scenario switches off for all runs."""
+    requirements: list[str]
+    """Ids of the requirements that apply to the scenario."""
+    variation: dict[str, Variation]
+    """What differs between runs, by dotted path: `world.x`, `faults.id.x`."""
+    planned: Count
+    """Planned episodes, or the most that may be run."""
+    runs_override: Count | None
+    """`--dura-runs`, which replaced what the scenario plans."""
+    metrics: CaseMetricsEntry
+    """What its planned episodes come to."""
+    repeat: RepeatEntry | None
+    """What came of running one of its planned episodes once more in the session, which is part of
+    no count; null where none was."""
+    missing_runs: list[Count]
+    """Numbers of planned runs of which nothing was heard; the first hundred."""
+    missing_runs_total: Count
+    """How many they are."""
+
+
+class OverallEntry(Entry):
+    """All cases of a component together."""
+
+    component: str
+    """Name of the component under test."""
+    cases: Positive
+    """How many cases."""
+    metrics: CaseMetricsEntry
+    """What their planned episodes come to, pooled."""
+
+
+class CellEntry(Entry):
+    """One requirement in one scenario under one set of faults."""
+
+    requirement: str
+    """Id of the requirement."""
+    scenario: str
+    """Name of the scenario."""
+    faults: str
+    """Ids of the faults, joined with `+`; empty without any."""
+    component: str
+    """Name of the component under test."""
+    case: str
+    """Id of the case that tests it, or would."""
+    applies: Literal["scenario", "test"]
+    """Why there is a cell: the scenario lists the requirement, or a test claims it there."""
+    verdict: Literal["supported", "violated", "undecided"] | None
+    """The worst verdict on it; null: untested."""
+
+
+class ChoiceEntry(Entry):
+    """A choice."""
+
+    value: Any
+    """The value."""
+    count: Count
+    """How often."""
+
+
+class ParameterEntry(Entry):
+    """Which part of what a scenario varies was drawn, over the seeds of valid planned episodes."""
+
+    scenario: str
+    """Name of the scenario."""
+    parameter: str
+    """Dotted path: `world.x`, `faults.id.x`."""
+    low: Number | None
+    """Least value of the range, in its unit; null for choices."""
+    high: Number | None
+    """Greatest value of the range, in its unit; null for choices."""
+    choices: list[ChoiceEntry] | None
+    """How often each choice was drawn; null for a range."""
+    drawn: Count
+    """Values that were drawn."""
+    least: Number | None
+    """Least of them, in the unit of the range."""
+    greatest: Number | None
+    """Greatest of them, in the unit of the range."""
+    bins: list[Count]
+    """How many fell into each of ten equal parts of the range; empty for choices."""
+    covered: Share
+    """Share of the parts, or of the choices, with any."""
+
+
+class CoverageEntry(Entry):
+    """What was tried of what there is."""
+
+    cells: list[CellEntry]
+    """Requirement x scenario x faults, for each component."""
+    left_out: Count
+    """Untested cells that are too many to be listed."""
+    parameters: list[ParameterEntry]
+    """Ranges that scenarios vary."""

@@ -1,0 +1,167 @@
+"""Entry: base of the models of the evidence record, and the types of their fields.
+
+The models are the single description of ``evidence.json``: its JSON Schema and the tables of
+``docs/evidence.md`` are generated from them, with the docstrings of fields as descriptions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+JsonObject = dict[str, Any]
+
+
+if TYPE_CHECKING:  # transitional
+
+    class _Base(BaseModel, Mapping[str, Any]):  # type: ignore[misc]
+        pass
+else:
+    _Base = BaseModel
+
+
+class Entry(_Base):
+    """Base of all entries. A value of another type, NaN and unknown keys are refused."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
+    )
+
+    def to_json(self) -> JsonObject:
+        """Convert to plain data, in the order of the fields; what is absent stays absent."""
+        return self.model_dump(exclude_unset=True)
+
+    # transitional: the methods below serve consumers that look keys up by string.
+    def __getitem__(self, key: str) -> Any:
+        """Value of a key that is there."""
+        if key in self.model_fields_set:
+            return self.__dict__[key] if key in self.__dict__ else (self.model_extra or {})[key]
+        raise KeyError(key)
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """Value of a key, or the default."""
+        return self[key] if key in self.model_fields_set else default
+
+    def keys(self) -> list[str]:  # type: ignore[override]
+        """Keys that are there, in the order of the fields."""
+        names = [name for name in self.__dict__ if name in self.model_fields_set]
+        return [*names, *(self.model_extra or ())]
+
+    def __contains__(self, key: object) -> bool:
+        """Whether a key is there."""
+        return key in self.model_fields_set
+
+    def __iter__(self) -> Iterator[str]:  # type: ignore[override]
+        """Iterate over the keys."""
+        return iter(self.keys())
+
+    def __len__(self) -> int:
+        """Count the keys."""
+        return len(self.keys())
+
+    def __or__(self, changes: Mapping[str, Any]) -> JsonObject:
+        """Copy with changes, as a mapping."""
+        return {**self, **changes}
+
+    def __ror__(self, before: Mapping[str, Any]) -> JsonObject:
+        """Copy over a mapping."""
+        return {**before, **self}
+
+    def __eq__(self, other: object) -> bool:
+        """Compare with an entry or with plain data."""
+        return self.to_json() == (other.to_json() if isinstance(other, Entry) else other)
+
+    __hash__ = BaseModel.__hash__
+
+    def __getattr__(self, name: str) -> Any:
+        """Methods of a mapping, whose names are those of fields elsewhere."""
+        if name == "items":
+            return lambda: [(key, self[key]) for key in self.keys()]
+        if name == "values":
+            return lambda: [self[key] for key in self.keys()]
+        return super().__getattr__(name)  # type: ignore[misc]
+
+
+Mapping.register(Entry)  # transitional
+
+
+class OpenEntry(Entry):
+    """Base of entries that may have further keys, which depend on the domain."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+@dataclass(frozen=True)
+class _Finite:
+    """Marks a number: finite, and an integer stays one, so that it is written as it was read."""
+
+    ge: float | None = None
+    gt: float | None = None
+    le: float | None = None
+    lt: float | None = None
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        limits: dict[str, Any] = dict(vars(self))
+        return core_schema.union_schema(
+            [
+                core_schema.int_schema(strict=True, **limits),
+                core_schema.float_schema(strict=True, allow_inf_nan=False, **limits),
+            ],
+            mode="left_to_right",
+            serialization=core_schema.simple_ser_schema("any"),
+        )
+
+    def __get_pydantic_json_schema__(
+        self, _: CoreSchema, __: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        names = {"minimum": self.ge, "exclusiveMinimum": self.gt, "maximum": self.le,
+                 "exclusiveMaximum": self.lt}  # fmt: skip
+        return {"type": "number"} | {key: at for key, at in names.items() if at is not None}
+
+
+class _NotNull:
+    """Marks a key that may be absent, which ``None`` stands for, and is never null."""
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        schema = handler(source)
+        return schema["schema"] if schema["type"] == "nullable" else schema
+
+
+_T = TypeVar("_T")
+Absent = Annotated[_T | None, _NotNull()]
+Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[int, Field(ge=1)]
+Number = Annotated[float, _Finite()]
+Amount = Annotated[float, _Finite(ge=0)]
+PositiveNumber = Annotated[float, _Finite(gt=0)]
+Share = Annotated[float, _Finite(ge=0, le=1)]
+Confidence = Annotated[float, _Finite(gt=0, lt=1)]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+def plain_data(value: Any) -> Any:
+    """Convert a value to builtins; tuples become lists, numbers that are not finite ``None``.
+
+    Raises:
+        TypeError: For an object that is no data.
+    """
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, Entry):
+        return value.to_json()
+    if isinstance(value, Mapping):
+        return {str(key): plain_data(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_data(entry) for entry in value]
+    if hasattr(value, "tolist"):  # numpy's scalars and arrays
+        return plain_data(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    raise TypeError(f"{type(value).__name__} is not plain data")

@@ -1,0 +1,399 @@
+"""Models of what the record says of the session itself: environment, inputs, components, gate."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from pytest_dura.evidence.entry import Absent, Amount, Count, Entry, JsonObject, Positive, Sha256
+
+
+class ToolEntry(Entry):
+    """What wrote the record."""
+
+    name: str
+    """Its name."""
+    version: str
+    """Its version."""
+    code: str | None
+    """SHA-256 of the names and digests of its own Python files, which tells apart what has one
+    version; null where they cannot be read."""
+
+
+class HypothesisProfile(Entry):
+    """The profile of Hypothesis that property tests ran under, settings of their own apart.
+
+    Absent where Hypothesis was not imported.
+    """
+
+    profile: str
+    """Its name."""
+    max_examples: Positive
+    """Cases that a test tries where none of them fails."""
+    derandomize: bool
+    """Whether the same cases are drawn in every session."""
+    database: bool
+    """Whether cases that failed are kept for further sessions."""
+
+
+class GitState(Entry):
+    """State of the project's repository; null outside of one."""
+
+    commit: Annotated[str, Field(pattern=r"^[0-9a-f]{40,64}$")] | None
+    """Commit."""
+    dirty: bool | None
+    """Whether files differ from it, the evidence apart."""
+
+
+class EnvironmentEntry(Entry):
+    """Where a session ran."""
+
+    python: str
+    """Version of Python."""
+    platform: str
+    """Operating system, in words."""
+    machine: str
+    """Type of the processor."""
+    byte_order: Literal["little", "big"]
+    """Order of the bytes of a number."""
+    cpu_features: list[str] | None
+    """Instruction sets that NumPy uses here; digests depend on them. Null where it does not
+    tell."""
+    blas: str | None
+    """The library that multiplies NumPy's matrices."""
+    packages: dict[str, str]
+    """Versions of what results depend on, by distribution."""
+    git: GitState
+    """State of the project's repository; null outside of one."""
+    hypothesis: Absent[HypothesisProfile] = None
+    """The profile of Hypothesis that property tests ran under, settings of their own apart; absent
+    where Hypothesis was not imported."""
+
+
+class ExecutionEntry(Entry):
+    """Who simulated the episodes of a session.
+
+    Digests do not depend on it: whoever simulates has the same code, packages and arithmetic as the
+    session, or is refused.
+    """
+
+    executor: Literal["in-process", "processes", "dask"]
+    """`in-process`: the processes of pytest, or of pytest-xdist. `processes`: processes of the same
+    machine. `dask`: the workers of a Dask cluster."""
+    processes: Positive | None
+    """How many processes of the same machine; null for another executor."""
+
+
+class EarlierSession(Entry):
+    """The earlier sessions, by their ids."""
+
+    session: str
+    """Its id."""
+    episodes: Positive
+    """Episodes that were taken over from it."""
+
+
+class OutdatedEpisodes(Entry):
+    """Episodes that were simulated again, by the reason."""
+
+    changed: list[str]
+    """What differs from the closest episode of the same name in an earlier session, in words; empty
+    where that was missing or damaged."""
+    episodes: Positive
+    """How many."""
+
+
+class SearchReuse(Entry):
+    """The same of what searches and property tests simulated, whose episodes are in no record.
+
+    Null where no earlier session was asked. Replays are never taken over.
+    """
+
+    simulations: Count
+    """Different ones, replays included."""
+    taken_over: Count
+    """Episodes that an earlier session simulated."""
+    sessions: list[EarlierSession]
+    """The earlier sessions, by their ids."""
+    outdated: list[OutdatedEpisodes]
+    """Episodes that were simulated again, by the reason."""
+
+
+class ReuseEntry(Entry):
+    """What a session took over from earlier ones, and what it simulated again.
+
+    Computed again from the episodes, apart from mode, session, problems and searched.
+    """
+
+    searched: SearchReuse | None
+    """The same of what searches and property tests simulated, whose episodes are in no record; null
+    where no earlier session was asked. Replays are never taken over."""
+    mode: Literal["none", "resume", "reuse"]
+    """`resume`: from the interrupted session in the same place. `reuse`: from whichever kept
+    episodes in a directory. Of merged shards that of any of them."""
+    session: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")] | None
+    """Id of this session; null for merged shards."""
+    problems: list[str]
+    """Why episodes could not be kept for other processes or a later session, in words."""
+    taken_over: Count
+    """Episodes that an earlier session simulated."""
+    sessions: list[EarlierSession]
+    """The earlier sessions, by their ids."""
+    outdated: list[OutdatedEpisodes]
+    """Episodes that were simulated again, by the reason."""
+
+
+class UnitEntry(Entry):
+    """What no two shards share.
+
+    The items of cases whose episodes hang together, or a test without a case.
+    """
+
+    kind: Literal["case", "test"]
+    """Whether it is named by its first case, or by the node id of its test."""
+    name: str
+    """Its name."""
+    items: Positive  # type: ignore[assignment]  # transitional
+    """How many items it has."""
+    episodes: Count
+    """How many episodes are planned for it, by which shards are balanced."""
+    digest: Sha256
+    """SHA-256 over the node ids of its items."""
+
+
+class ShardEntry(Entry):
+    """A part of a session, and what the whole is. All shards of a session have the same plan."""
+
+    index: Positive
+    """Its number, from 1."""
+    count: Positive
+    """How many shards there are."""
+    options: dict[str, str]
+    """Options on which results depend, by name, as JSON."""
+    plan: Sha256 | None
+    """SHA-256 over all units of the whole session; null until they are known."""
+    units: Count | None
+    """Units of the whole session; null until they are known."""
+    holds: list[UnitEntry]
+    """The units of this shard, sorted."""
+
+
+class MergedShard(Entry):
+    """A session that ran one shard of a merged one."""
+
+    index: Positive
+    """Its number, from 1."""
+    count: Positive
+    """How many shards there are."""
+    plan: Sha256
+    """SHA-256 over all units of the whole session."""
+    units: Count
+    """How many units it held."""
+    created: str
+    """When it began, in ISO 8601."""
+    finished: str
+    """When it ended, in ISO 8601."""
+    command: str
+    """Its command."""
+    environment: EnvironmentEntry
+    """Where it ran."""
+    gate: Literal["passed", "failed"]
+    """The result of its own gate."""
+    exit_code: Count
+    """Of it."""
+    wall_seconds: Amount
+    """From its start until its record was complete, in s."""
+    record: Sha256
+    """SHA-256 of its `evidence.json`."""
+
+
+class SelectionEntry(Entry):
+    """Which of the planned verdicts the session was asked for.
+
+    What `-k`, `--deselect`, a conftest and `--dura-runs` left of the plan. Of a shard, that of the
+    whole session.
+    """
+
+    planned: Count
+    """Verdicts that all collected tests and scenario items would come to."""
+    asked: Count
+    """Those of them that the session was asked for."""
+    left_out: list[str]
+    """The others: items of scenarios, or requirement, case and test; at most 20."""
+    runs: Positive | None
+    """Of `--dura-runs`, where that is less than what is declared; otherwise null."""
+    declared_runs: list[Positive]
+    """The least and the greatest number of runs that were declared where there are fewer."""
+
+
+class InputEntry(Entry):
+    """A file that results depend on."""
+
+    path: str
+    """Relative to the project's root; `package/...` in an installed package; elsewhere the name and
+    its folder's."""
+    kind: Literal[
+        "scenario",
+        "requirements",
+        "faults",
+        "test",
+        "conftest",
+        "component",
+        "check",
+        "role",
+        "configuration",
+        "baseline",
+        "argument",
+        "cassette",
+    ]
+    """What it is to the session."""
+    sha256: Sha256 | None
+    """SHA-256 when it was read; null if it could not be."""
+    changed: bool
+    """Whether it was another one at the end."""
+
+
+class SourceFile(Entry):
+    """A source file."""
+
+    path: str
+    """Relative to the project's root, or `package/...` of an installed package."""
+    sha256: Sha256
+    """SHA-256 of its content."""
+
+
+class ComponentEntry(Entry):
+    """A component under test."""
+
+    name: str
+    """Its name; cases, episodes and verdicts refer to it."""
+    path: str
+    """Import path `package.module:Name`, or `file.py:Name` for what a conftest.py defines."""
+    params: JsonObject
+    """The parameters that it is made with, the user's own."""
+    distribution: str | None
+    """The installed distribution that it belongs to."""
+    version: str | None
+    """Version of that distribution."""
+    digest: Sha256 | None
+    """SHA-256 over the names and contents of all Python files of its top-level package, or of the
+    defining file where that package has more than 1000. Null for what has no source."""
+    file_count: Count
+    """How many files the digest covers."""
+    files: list[SourceFile]
+    """Those files; the defining one alone where they are more than 50 or installed."""
+    opaque: bool
+    """Whether it was a bare instance, which no other process can build again."""
+
+
+class ComponentUnderTest(Entry):
+    """The component under test; `name` and `version` are null as long as no episode told it."""
+
+    name: str | None
+    """Its name; cases, episodes and verdicts refer to it."""
+    path: Absent[str] = None
+    """Import path `package.module:Name`, or `file.py:Name` for what a conftest.py defines."""
+    params: Absent[JsonObject] = None
+    """The parameters that it is made with, the user's own."""
+    distribution: str | None = None
+    """The installed distribution that it belongs to."""
+    version: str | None
+    """Version of that distribution."""
+    digest: Sha256 | None = None
+    """SHA-256 over the names and contents of all Python files of its top-level package, or of the
+    defining file where that package has more than 1000. Null for what has no source."""
+    file_count: Absent[Count] = None
+    """How many files the digest covers."""
+    files: Absent[list[SourceFile]] = None
+    """Those files; the defining one alone where they are more than 50 or installed."""
+    opaque: Absent[bool] = None
+    """Whether it was a bare instance, which no other process can build again."""
+    sources: Absent[dict[Sha256, dict[str, Sha256]]] = None
+    """By the digest of each component of the session: the SHA-256 of every file that it covers, by
+    name, relative to the folder of its package."""
+    others: Absent[list[ComponentEntry]] = None
+    """Further components of the session."""
+
+
+class CassetteEntry(Entry):
+    """As it was at the session's end."""
+
+    file: str
+    """Relative to the project's root."""
+    sha256: Sha256 | None
+    """SHA-256 of the file; null if it could not be read."""
+    exchanges: Count
+    """All that it holds."""
+
+
+class LanguageModelEntry(Entry):
+    """A language model that a component asked."""
+
+    component: str | None
+    """The role that asked; null if a test did."""
+    model: str
+    """Its name."""
+    about: str
+    """What it is, in the words of who asked or recorded it; empty if nobody says."""
+    base_url: str | None
+    """Of the server, without user, password and query; null if it is not known."""
+    mode: Literal["live", "record", "replay"]
+    """Who answered: the server each time, the server once, or the cassette alone."""
+    fingerprint: str
+    """SHA-256 of what the server tells of itself and the model."""
+    capabilities: JsonObject | None
+    """What the probe found the server can do; null if it is not known."""
+    prompts: str | None
+    """SHA-256 of the prompts' templates; null for a component without."""
+    asked: Count
+    """Requests to the server."""
+    reused: Count
+    """Answers from the cassette."""
+    injected: Count
+    """Requests that an injected fault kept from the server."""
+    missed: Count
+    """Requests in replay to which the cassette has no answer."""
+    cassette: CassetteEntry | None
+    """Where exchanges were recorded, or replayed from; null in a live session."""
+
+
+class GateEntry(Entry):
+    """Whether the session passed. It fails closed."""
+
+    result: Literal["passed", "failed", "incomplete"]
+    """`incomplete` where the session did not come to its end."""
+    exit_code: Count
+    """Of the session."""
+    warn_undecided: bool
+    """Whether undecided verdicts were accepted."""
+    failed: Count
+    """Test items that failed."""
+    reasons: list[str]
+    """Why it did not pass; empty if it did."""
+
+
+class ArgumentEntry(Entry):
+    """As it was read."""
+
+    path: str
+    """Its file, relative to the project's root."""
+    sha256: Sha256
+    """SHA-256 of that file."""
+    elements: dict[str, JsonObject]
+    """Its elements by id, under the keys of gsn2x."""
+    lines: dict[str, int | None]
+    """The line of each id, and of each key of it."""
+
+
+class SessionTimings(Entry):
+    """Where the session's time went."""
+
+    wall_seconds: Amount
+    """From the start until the record was complete, in s; of merged shards their sum."""
+    evidence_seconds: Amount
+    """Those that the controller spent on gathering the evidence, in s."""
+    simulated_seconds: Amount
+    """Simulated time of all recorded episodes, in s."""
+    processing_seconds: dict[str, Amount]
+    """Wall-clock time by role, in s."""
