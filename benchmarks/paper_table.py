@@ -22,7 +22,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import mean, stdev
-from xml.sax.saxutils import escape
 
 import numpy as np
 from machine import machine, table
@@ -31,6 +30,7 @@ from scipy.stats import binomtest, fisher_exact
 from pytest_dura.core import DISCOMFORT, REACTIONS, Orchestrator, RoleSpec
 from pytest_dura.domains import DOMAINS
 from pytest_dura.library import Case, expand_cases, load_library
+from pytest_dura.reports.svg import Scale, Svg, document, path_of, tag
 from pytest_dura.requirements import mcnemar
 
 Key = tuple[str, bool, str, int]
@@ -299,66 +299,53 @@ def clearance_figure(planners: dict[str, Arms], scenarios: list[str], runs: int)
     ends = [middle + sd for _, bars in groups for middle, sd in filter(None, bars)]
     longest = 5.0 * (int(max(ends, default=5.0) / 5.0) + 1)
     height = _TOP + len(groups) * (len(names) * _ROW + _LINE) + 40
-    namespace, size = "http://www.w3.org/2000/svg", f"0 0 {_WIDTH} {height}"
+    x = Scale(0.0, longest, _LEFT, _WIDTH - 60)
     title = "Clearance time in s, mean and standard deviation over cleared runs"
     parts = [
-        f'<svg xmlns="{namespace}" viewBox="{size}" font-family="sans-serif" font-size="12">',
-        f"<title>{title}, by scenario</title>",
-        f'<rect width="{_WIDTH}" height="{height}" fill="white"/>',
-        f'<text x="10" y="20" font-size="14">{title}</text>',
+        tag("title", f"{title}, by scenario"),
+        tag("rect", width=_WIDTH, height=height, fill="white"),
+        tag("text", title, x=10, y=20, font_size=14),
         *_key(names),
-        *_axis(longest, height),
+        *_axis(x, height),
     ]
     top = float(_TOP)
     for label, bars in groups:
-        parts.append(
-            f'<text x="{_LEFT - 10}" y="{top + len(names) * _ROW / 2 + 4:.0f}" '
-            f'text-anchor="end">{escape(label)}</text>'
-        )
+        place = {"x": _LEFT - 10, "y": round(top + len(names) * _ROW / 2 + 4)}
+        parts.append(tag("text", label, **place, text_anchor="end"))
         for number, bar in enumerate(bars):
-            parts += _bar(bar, COLOURS[number % len(COLOURS)], top + number * _ROW, longest)
+            parts += _bar(bar, COLOURS[number % len(COLOURS)], top + number * _ROW, x)
         top += len(names) * _ROW + _LINE
-    return "\n".join([*parts, "</svg>"]) + "\n"
+    font = {"font_family": "sans-serif", "font_size": 12}
+    return document(_WIDTH, height, *parts, **font, width=None, height=None) + "\n"
 
 
-def _x(seconds: float, longest: float) -> float:
-    return _LEFT + (_WIDTH - _LEFT - 60) * seconds / longest
-
-
-def _key(names: Sequence[str]) -> Iterator[str]:
+def _key(names: Sequence[str]) -> Iterator[Svg]:
     for number, label in enumerate(names):
         x, colour = 10 + number * 165, COLOURS[number % len(COLOURS)]
-        yield f'<rect x="{x}" y="32" width="12" height="12" fill="{colour}"/>'
-        yield f'<text x="{x + 18}" y="42">{escape(label)}</text>'
+        yield tag("rect", x=x, y=32, width=12, height=12, fill=colour)
+        yield tag("text", label, x=x + 18, y=42)
 
 
-def _axis(longest: float, height: int) -> Iterator[str]:
-    for seconds in np.arange(0.0, longest + 0.1, 5.0):
-        x = _x(float(seconds), longest)
-        yield (
-            f'<line x1="{x:.1f}" y1="{_TOP - 6}" x2="{x:.1f}" y2="{height - 34}" stroke="#dddddd"/>'
-        )
-        yield f'<text x="{x:.1f}" y="{height - 18}" text-anchor="middle">{seconds:.0f}</text>'
+def _axis(scale: Scale, height: int) -> Iterator[Svg]:
+    for seconds in np.arange(0.0, scale.high + 0.1, 5.0).tolist():
+        x = scale(seconds)
+        yield tag("line", x1=x, y1=_TOP - 6, x2=x, y2=height - 34, stroke="#dddddd")
+        yield tag("text", f"{seconds:.0f}", x=x, y=height - 18, text_anchor="middle")
 
 
-def _bar(bar: tuple[float, float] | None, colour: str, top: float, longest: float) -> Iterator[str]:
+def _bar(bar: tuple[float, float] | None, colour: str, top: float, x: Scale) -> Iterator[Svg]:
     y = top + _ROW / 2
     if bar is None:
-        yield f'<text x="{_LEFT + 4}" y="{y + 4:.1f}" fill="{colour}">nobody cleared</text>'
+        yield tag("text", "nobody cleared", x=_LEFT + 4, y=y + 4, fill=colour)
         return
     middle, sd = bar
-    left, right = _x(max(middle - sd, 0.0), longest), _x(middle + sd, longest)
-    width = _x(middle, longest) - _LEFT
-    yield (
-        f'<rect x="{_LEFT}" y="{top + 2:.1f}" width="{width:.1f}" height="{_ROW - 4}" '
-        f'fill="{colour}"/>'
-    )
-    yield (
-        f'<path d="M{left:.1f} {y:.1f}H{right:.1f}M{left:.1f} {y - 3:.1f}v6'
-        f'M{right:.1f} {y - 3:.1f}v6" '
-        'stroke="black" fill="none"/>'
-    )
-    yield f'<text x="{right + 5:.1f}" y="{y + 4:.1f}" font-size="10">{middle:.1f}</text>'
+    left, right = x(max(middle - sd, 0.0)), x(middle + sd)
+    width = x(middle) - _LEFT
+    yield tag("rect", x=_LEFT, y=top + 2, width=width, height=_ROW - 4, fill=colour)
+    ends = [path_of([(at, y - 3), (at, y + 3)]) for at in (left, right)]
+    line = path_of([(left, y), (right, y)])
+    yield tag("path", d="".join([line, *ends]), stroke="black", fill="none")
+    yield tag("text", f"{middle:.1f}", x=right + 5, y=y + 4, font_size=10)
 
 
 def main() -> None:

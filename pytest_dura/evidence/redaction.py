@@ -7,7 +7,6 @@ recognised in every form in which a text may hold it: as it is, escaped or encod
 from __future__ import annotations
 
 import base64
-import html
 import json
 import os
 import re
@@ -21,6 +20,8 @@ from functools import partial
 from re import Pattern
 from typing import Any
 from urllib.parse import quote, quote_plus, unquote, urlsplit
+
+from pytest_dura.evidence.text import html
 
 _SHORTEST_SECRET = 8
 """Characters; a shorter value would match everywhere."""
@@ -171,7 +172,7 @@ def _secret_forms(value: str) -> set[str]:
     """Collect a value escaped for JSON, Python, shells, HTML and URLs, and in hexadecimal."""
     quoted = shlex.quote(value)
     forms = {value, value.strip(), quoted if quoted == value else quoted[1:-1]}
-    forms |= {html.escape(value), html.escape(value, quote=False)}
+    forms |= {html(value), html(value, quote=False)}
     # Data within data is escaped twice.
     for ascii_only in (True, False):
         once = json.dumps(value, ensure_ascii=ascii_only)[1:-1]

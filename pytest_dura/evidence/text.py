@@ -2,13 +2,14 @@
 
 A record may hold anything: control characters, lone surrogates, markup, a megabyte of prose. What
 these functions return is printable, encodes as UTF-8, and has only characters that XML 1.0 allows.
-They escape no HTML.
+For HTML, SVG and other XML they go through :func:`html`, or Jinja's own escaping, as well.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
+from html import escape
 from itertools import accumulate
 
 LIMIT = 2000
@@ -94,6 +95,16 @@ def code(text: str, limit: int = LINE) -> str:
     pad = " " if shown[0] in "`$" or shown[-1] in "`$" else ""
     fence = "`" * (longest + 1)
     return f"{fence}{pad}{shown}{pad}{fence}"
+
+
+def html(text: str, *, quote: bool = True) -> str:
+    """Escape a text for HTML, SVG and other XML.
+
+    Args:
+        text: Printable, as the other functions return it.
+        quote: Whether it becomes an attribute, and no content.
+    """
+    return escape(text, quote=quote)
 
 
 # What GitHub makes a link, a mention, a reference or a formula of after Markdown has been read, so

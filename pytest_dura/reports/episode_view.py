@@ -5,9 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_columns
 from pytest_dura.core.simulator import Recording
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.traces import Trace
+from pytest_dura.reports.svg import Scale, Svg, document, path_of, tag
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.stl.evaluation import robustness
 from pytest_dura.requirements.stl.formula import Boolean, Formula, Node, Temporal
@@ -255,8 +255,6 @@ def _ending_text(trace: Trace, tick: int) -> dict[str, str]:
     return _joined_parts(**about)
 
 
-Place = Callable[[float], float]
-
 WIDTH, LEFT, RIGHT = 720, 64, 16
 HEIGHT, GAP, TOP, BOTTOM = 96, 30, 34, 44
 POINTS = 500
@@ -309,70 +307,57 @@ def signal_plot(
     height = TOP + len(panels) * (HEIGHT + GAP) - GAP + BOTTOM
     start, end = (float(time[0]), float(time[-1])) if len(time) else (0.0, 0.0)
     span = (end - start) or 1.0
-
-    def x(seconds: float) -> float:
-        return LEFT + (seconds - start) / span * (WIDTH - LEFT - RIGHT)
-
+    x = Scale(start, start + span, LEFT, WIDTH - RIGHT)
+    base = height - BOTTOM
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}"',
-        f'  width="{WIDTH}" height="{height}" role="img" aria-labelledby="title desc">',
-        f'<title id="title">{_escaped(title)}</title>',
-        f'<desc id="desc">{_escaped(description)}</desc>',
-        f'<style>{STYLE}</style><rect class="back" width="100%" height="100%"/>',
-        f'<text x="{LEFT}" y="18">{_escaped(title)}</text>',
+        tag("title", one_line(title, 200), id="title"),
+        tag("desc", one_line(description, 200), id="desc"),
+        tag("style", Svg(STYLE)),
+        tag("rect", class_="back", width="100%", height="100%"),
+        tag("text", one_line(title, 200), x=LEFT, y=18),
     ]
     for index, panel in enumerate(panels):
         parts += _panel_svg(panel, TOP + index * (HEIGHT + GAP), time, x)
-    base = height - BOTTOM
-    for seconds in (start, start + span / 2, end):
-        parts.append(
-            f'<text class="small" x="{x(seconds):.1f}" y="{base + 16}" text-anchor="middle">'
-            f"{seconds:.3g} s</text>"
-        )
+    parts += [
+        tag("text", f"{at:.3g} s", class_="small", x=x(at), y=base + 16, text_anchor="middle")
+        for at in (start, start + span / 2, end)
+    ]
     if mark is not None and math.isfinite(mark[0]):
-        at = x(min(max(mark[0], start), end))
+        at, words = x(min(max(mark[0], start), end)), one_line(mark[1], 200)
         anchor = "end" if at > WIDTH / 2 else "start"
-        parts.append(f'<line class="mark" x1="{at:.1f}" x2="{at:.1f}" y1="{TOP}" y2="{base}"/>')
-        parts.append(
-            f'<text class="told" x="{at:.1f}" y="{base + 34}" text-anchor="{anchor}">'
-            f"{_escaped(mark[1])}</text>"
-        )
-    return "\n".join([*parts, "</svg>"]) + "\n"
+        parts.append(tag("line", class_="mark", x1=at, x2=at, y1=TOP, y2=base))
+        parts.append(tag("text", words, class_="told", x=at, y=base + 34, text_anchor=anchor))
+    return document(WIDTH, height, *parts, role="img", aria_labelledby="title desc") + "\n"
 
 
-def _panel_svg(panel: Panel, top: int, time: Column, x: Place) -> list[str]:
+def _panel_svg(panel: Panel, top: int, time: Column, x: Scale) -> list[Svg]:
     least, greatest = _value_range(panel)
     room = (greatest - least) * 0.05 or max(abs(greatest) * 0.05, 0.5)
-    low, high = least - room, greatest + room
-
-    def y(value: float) -> float:
-        return top + HEIGHT - (value - low) / (high - low) * HEIGHT
-
+    y = Scale(least - room, greatest + room, top + HEIGHT, top)
     right = WIDTH - RIGHT
+    frame = {"x": LEFT, "y": top, "width": right - LEFT, "height": HEIGHT}
+    end = {"class_": "small", "text_anchor": "end"}
     parts = [
-        f'<rect class="frame" x="{LEFT}" y="{top}" width="{right - LEFT}" height="{HEIGHT}"/>',
-        f'<text class="small" x="{right}" y="{top - 5}" text-anchor="end">{_legend(panel)}</text>',
+        tag("rect", class_="frame", **frame),
+        tag("text", _legend(panel), x=right, y=top - 5, **end),
         *(
-            f'<text class="small" x="{LEFT - 6}" y="{y(value) + 3:.1f}" text-anchor="end">'
-            f"{value:.4g}</text>"
+            tag("text", f"{value:.4g}", x=LEFT - 6, y=y(value) + 3, **end)
             for value in sorted({least, greatest})
         ),
     ]
     if panel.bound is not None:
         level = y(panel.bound)
-        parts.append(
-            f'<line class="bound" x1="{LEFT}" x2="{right}" y1="{level:.1f}" y2="{level:.1f}"/>'
-        )
+        parts.append(tag("line", class_="bound", x1=LEFT, x2=right, y1=level, y2=level))
     for index, column in enumerate(panel.curves.values()):
         path = _line_path(*_thinned(time, column), x, y)
         if path:
-            parts.append(f'<path class="line c{min(index, 1)}" d="{path}"/>')
+            parts.append(tag("path", class_=f"line c{min(index, 1)}", d=path))
     return parts
 
 
 def _legend(panel: Panel) -> str:
     others = [f"dashed: {name}" for name in list(panel.curves)[1:]]
-    return _escaped(", ".join([panel.name, *others]))
+    return one_line(", ".join([panel.name, *others]), 200)
 
 
 def _value_range(panel: Panel) -> tuple[float, float]:
@@ -402,18 +387,10 @@ def _thinned(time: Column, column: Column) -> tuple[Column, Column]:
     return time[kept], column[kept]
 
 
-def _line_path(time: Column, column: Column, x: Place, y: Place) -> str:
+def _line_path(time: Column, column: Column, x: Scale, y: Scale) -> str:
     """Straight lines from sample to sample, broken where a sample is not finite."""
-    pieces, broken = [], True
-    for seconds, value in zip(time.tolist(), column.tolist(), strict=True):
-        if not math.isfinite(value):
-            broken = True
-            continue
-        step = "M" if broken else "L"
-        pieces.append(f"{step}{x(seconds):.1f} {y(min(max(value, -LARGEST), LARGEST)):.1f}")
-        broken = False
-    return "".join(pieces)
-
-
-def _escaped(text: str) -> str:
-    return escape(one_line(text, 200))
+    low, high = -LARGEST, LARGEST
+    return path_of(
+        (x(seconds), y(min(max(value, low), high)) if math.isfinite(value) else math.nan)
+        for seconds, value in zip(time.tolist(), column.tolist(), strict=True)
+    )

@@ -14,9 +14,9 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from html import escape
 
 from pytest_dura.reports.gsn.element import Argument, Element
+from pytest_dura.reports.svg import Point, Svg, path_of, points_of, tag
 
 _FONT_SIZE = 12.0
 """Height of the letters in units of the picture."""
@@ -132,66 +132,58 @@ class Shape:
         round_ = self.kind in {"Solution", "CounterSolution"}
         return self.height - (_DIAMOND if self.undeveloped and not round_ else 0)
 
-    def svg(self) -> str:
-        """One group with the outline, its decorations, and the text."""
-        colour = COLOURS.get(self.verdict, _INK)
-        data = dict(self.counts)
+    def svg(self, *, legend: bool = False) -> Svg:
+        """One group with the outline, its decorations, and the text.
+
+        Args:
+            legend: It is a sample of its kind, and stands for no element.
+        """
+        size = " ".join(f"{value:.1f}" for value in (self.x, self.y, self.width, self.height))
+        data: dict[str, object] = {"legend" if legend else "id": self.id, "kind": self.kind}
+        data |= {"size" if legend else "box": size, **self.counts}
         for key in ("undeveloped", "defeated"):
             if getattr(self, key):
                 data[key] = "true"
-        counts = "".join(f' data-{key}="{_attr(value)}"' for key, value in data.items())
-        marks = self._decorations()
-        return (
-            f'<g data-id="{_attr(self.id)}" data-kind="{self.kind}" data-box="{self._box()}"'
-            f"{counts}>"
-            f"<title>{text_of(self.title or self.id)}</title>"
-            f'<g class="{self.kind}" stroke="{colour}">{self._outline()}{marks}</g>'
-            f"{self._text()}</g>"
+        colour = COLOURS.get(self.verdict, _INK)
+        return tag(
+            "g",
+            tag("title", self.title or self.id),
+            tag("g", *self._outline(), *self._decorations(), class_=self.kind, stroke=colour),
+            *self._text(),
+            **{f"data-{key}": value for key, value in data.items()},
         )
 
-    def _box(self) -> str:
-        return " ".join(f"{value:.1f}" for value in (self.x, self.y, self.width, self.height))
-
-    def _outline(self) -> str:
+    def _outline(self) -> Iterator[Svg]:
         x, y, w, h = self.x, self.y, self.width, self.body
         if self.kind in {"Solution", "CounterSolution"}:
-            return f'<circle cx="{x + w / 2:.1f}" cy="{y + w / 2:.1f}" r="{w / 2:.1f}"/>'
-        if self.kind in {"Assumption", "Justification"}:
-            return (
-                f'<ellipse cx="{x + w / 2:.1f}" cy="{y + h / 2:.1f}" rx="{w / 2:.1f}" '
-                f'ry="{h / 2:.1f}"/><text class="letter" x="{x + w - 5:.1f}" y="{y + h:.1f}">'
-                f"{self.kind[0]}</text>"
-            )
-        if self.kind == "Strategy":
+            yield tag("circle", cx=x + w / 2, cy=y + w / 2, r=w / 2)
+        elif self.kind in {"Assumption", "Justification"}:
+            yield tag("ellipse", cx=x + w / 2, cy=y + h / 2, rx=w / 2, ry=h / 2)
+            yield tag("text", self.kind[0], class_="letter", x=x + w - 5, y=y + h)
+        elif self.kind == "Strategy":
             points = [(x + _SKEW, y), (x + w, y), (x + w - _SKEW, y + h), (x, y + h)]
-            return f'<polygon points="{_points(points)}"/>'
-        round_ = min(h / 2, 16.0) if self.kind == "Context" else 0
-        return f'<rect x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" rx="{round_:.0f}"/>'
+            yield tag("polygon", points=points_of(points))
+        else:
+            corner = round(min(h / 2, 16.0)) if self.kind == "Context" else 0
+            yield tag("rect", x=x, y=y, width=w, height=h, rx=corner)
 
-    def _decorations(self) -> str:
+    def _decorations(self) -> Iterator[Svg]:
         x, y, w, h = self.x, self.y, self.width, self.body
-        text = ""
         if self.undeveloped:
             middle, low, half = x + w / 2, y + h, _DIAMOND / 2
             points = [(middle, low), (middle + half, low + half), (middle, low + 2 * half),
                       (middle - half, low + half)]  # fmt: skip
-            text += f'<polygon class="diamond" points="{_points(points)}"/>'
+            yield tag("polygon", class_="diamond", points=points_of(points))
         if self.defeated:
-            text += (
-                f'<path class="cross" d="M{x:.1f} {y:.1f}L{x + w:.1f} {y + h:.1f}'
-                f'M{x + w:.1f} {y:.1f}L{x:.1f} {y + h:.1f}"/>'
-            )
-        return text
+            cross = path_of([(x, y), (x + w, y + h)]) + path_of([(x + w, y), (x, y + h)])
+            yield tag("path", class_="cross", d=cross)
 
-    def _text(self) -> str:
+    def _text(self) -> Iterator[Svg]:
         middle = self.x + self.width / 2
         top = self.y + (self.body - len(self.lines) * _LINE_HEIGHT) / 2 + _FONT_SIZE - 0.5
-        text = ""
         for i, line in enumerate(self.lines):
-            weight = ' class="bold"' if i < self.bold else ""
-            y = top + i * _LINE_HEIGHT
-            text += f'<text x="{middle:.1f}" y="{y:.1f}"{weight}>{text_of(line)}</text>'
-        return text
+            bold = "bold" if i < self.bold else None
+            yield tag("text", line, x=middle, y=top + i * _LINE_HEIGHT, class_=bold)
 
 
 @dataclass(frozen=True)
@@ -199,17 +191,15 @@ class Edge:
     """A relation: ``supportedBy``, ``inContextOf`` or ``challenges``, from corner to corner."""
 
     relation: str
-    points: tuple[tuple[float, float], ...]
+    points: tuple[Point, ...]
 
-    def svg(self) -> str:
+    def svg(self) -> Svg:
         """A line that ends in the arrow of its relation."""
-        return (
-            f'<polyline class="{self.relation}" points="{_points(self.points)}" '
-            f'marker-end="url(#{self.relation})"/>'
-        )
+        corners, arrow = points_of(self.points), f"url(#{self.relation})"
+        return tag("polyline", class_=self.relation, points=corners, marker_end=arrow)
 
 
-STYLE = (
+STYLE = Svg(
     "text{font:12px Helvetica,Arial,'DejaVu Sans',sans-serif;text-anchor:middle;fill:#1b1f24}"
     ".left text,text.left{text-anchor:start}text.letter{font-weight:bold;stroke:none}"
     "text.bold{font-weight:bold}text.head{font-size:18px;font-weight:bold}text.warning{fill:#b42318;font-weight:bold}"
@@ -223,7 +213,7 @@ STYLE = (
 )
 """Colours are given with the picture's own background, so that it is the same in a dark page."""
 
-MARKERS = (
+MARKERS = Svg(
     '<marker id="supportedBy" viewBox="0 0 10 10" refX="10" refY="5" markerWidth="8" '
     'markerHeight="8" orient="auto"><path d="M0 0L10 5L0 10z" fill="#57606a"/></marker>'
     '<marker id="inContextOf" viewBox="0 0 10 10" refX="10" refY="5" markerWidth="9" '
@@ -233,20 +223,6 @@ MARKERS = (
     'markerHeight="9" orient="auto"><path d="M0 0.8L9.5 5L0 9.2" fill="none" '
     'stroke="#b42318"/></marker>'
 )
-
-
-def text_of(text: str) -> str:
-    """Text for XML."""
-    return escape(text, quote=False)
-
-
-def _attr(value: object) -> str:
-    return escape(str(value), quote=True)
-
-
-def _points(points: object) -> str:
-    assert isinstance(points, list | tuple)
-    return " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
 
 
 _MOST_CELLS = 150
@@ -594,5 +570,5 @@ class _Layout:
         self.drawn.add(shape.id)
         self.picture.shapes.append(shape)
 
-    def _edge(self, relation: str, *points: tuple[float, float]) -> None:
+    def _edge(self, relation: str, *points: Point) -> None:
         self.picture.edges.append(Edge(relation, points))

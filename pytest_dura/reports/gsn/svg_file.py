@@ -17,14 +17,13 @@ from pytest_dura.reports.gsn.drawing import (
     Shape,
     drawn_argument,
     layout_argument,
-    text_of,
     wrap_text,
 )
 from pytest_dura.reports.gsn.user_argument import session_argument
+from pytest_dura.reports.svg import Svg, document, joined, tag
 from pytest_dura.reports.wording import is_incomplete
 
 FILE = "assurance-case.svg"
-NAMESPACE = "http://www.w3.org/2000/svg"
 
 _STATED = ("cases", "episodes", "valid", "invalid", "missing")
 _KINDS = ("Goal", "Strategy", "Solution", "Context", "Assumption", "CounterGoal")
@@ -43,21 +42,27 @@ def render(record: SessionRecord) -> str:
     head, y = _picture_head(record, view)
     picture = layout_argument(view, next(iter(argument)), y)
     height = picture.height + MARGIN
-    edges = "\n".join(edge.svg() for edge in picture.edges)
-    shapes = "\n".join(shape.svg() for shape in picture.shapes)
+    edges = joined([edge.svg() for edge in picture.edges], "\n")
     text = argument[next(iter(argument))].text
     return (
-        f'<svg xmlns="{NAMESPACE}" viewBox="0 0 {WIDTH:.0f} {height:.0f}" width="{WIDTH:.0f}" '
-        f'height="{height:.0f}" role="img" aria-labelledby="gsn-title gsn-text">\n'
-        '<title id="gsn-title">Assurance case, generated, unreviewed</title>\n'
-        f'<desc id="gsn-text">{text_of(f"{text} {session.text}")}</desc>\n'
-        f"<style>{STYLE}</style><defs>{MARKERS}</defs>\n"
-        f'<path fill="#fff" d="M0 0H{WIDTH:.0f}V{height:.0f}H0z"/>\n'
-        f"{head}\n<g>{edges}</g>\n{shapes}\n</svg>\n"
+        document(
+            round(WIDTH),
+            round(height),
+            tag("title", "Assurance case, generated, unreviewed", id="gsn-title"),
+            tag("desc", f"{text} {session.text}", id="gsn-text"),
+            joined([tag("style", STYLE), tag("defs", MARKERS)]),
+            tag("path", fill="#fff", d=f"M0 0H{WIDTH:.0f}V{height:.0f}H0z"),
+            *head,
+            tag("g", edges),
+            *(shape.svg() for shape in picture.shapes),
+            role="img",
+            aria_labelledby="gsn-title gsn-text",
+        )
+        + "\n"
     )
 
 
-def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[str, float]:
+def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[list[Svg], float]:
     """Title, warning, place for the reviewer and legend; and where they end."""
     lines = [("head", "Assurance case (GSN): generated, unreviewed")]
     if is_incomplete(record):
@@ -74,30 +79,25 @@ def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[str, floa
     y = MARGIN + 6
     texts = []
     for kind, line in lines:
-        texts.append(
-            f'<text class="left {kind}" x="{MARGIN:.0f}" y="{y:.0f}">{text_of(line)}</text>'
-        )
+        place = {"x": round(MARGIN), "y": round(y)}
+        texts.append(tag("text", line, class_=f"left {kind}", **place))
         y += 20
-    legend = _legend(y + 4)
-    return "\n".join([*texts, *legend]), y + 84
+    return [*texts, *_legend(y + 4)], y + 84
 
 
-def _legend(y: float) -> list[str]:
+def _legend(y: float) -> list[Svg]:
     """Every kind of element and relation of the notation with its name, outside of the counts."""
     parts = []
     x = MARGIN
     for kind in _KINDS:
         round_ = kind == "Solution"
         lines = wrap_text(kind, 200, 1)
-        shape = Shape(kind, kind, lines, 60 if round_ else 104, x=x, y=y)
-        parts.append(shape.svg().replace("data-id", "data-legend").replace("data-box", "data-size"))
+        shape = Shape(kind, kind, lines, 60.0 if round_ else 104.0, x=x, y=y)
+        parts.append(shape.svg(legend=True))
         x += shape.width + 16
-    undeveloped = Shape("undeveloped", "Goal", ["Undeveloped"], 104, undeveloped=True, x=x, y=y)
-    defeated = Shape("defeated", "Goal", ["Defeated"], 90, defeated=True, x=x + 120, y=y)
-    parts += [
-        shape.svg().replace("data-id", "data-legend").replace("data-box", "data-size")
-        for shape in (undeveloped, defeated)
-    ]
+    undeveloped = Shape("undeveloped", "Goal", ["Undeveloped"], 104.0, undeveloped=True, x=x, y=y)
+    defeated = Shape("defeated", "Goal", ["Defeated"], 90.0, defeated=True, x=x + 120, y=y)
+    parts += [shape.svg(legend=True) for shape in (undeveloped, defeated)]
     x += 226
     names = {
         "supportedBy": "supported by",
@@ -107,5 +107,6 @@ def _legend(y: float) -> list[str]:
     for i, (relation, label) in enumerate(names.items()):
         height = y + 4 + i * 18
         parts.append(Edge(relation, ((x, height), (x + 50, height))).svg())
-        parts.append(f'<text class="left" x="{x + 58:.0f}" y="{height + 4:.0f}">{label}</text>')
+        place = {"x": round(x + 58), "y": round(height + 4)}
+        parts.append(tag("text", label, class_="left", **place))
     return parts

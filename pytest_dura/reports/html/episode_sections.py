@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from math import floor, log10
 from typing import Any
 
 from pytest_dura.evidence.model import SessionRecord
@@ -20,6 +19,7 @@ from pytest_dura.reports.html.contents import (
     requirement_anchor,
     split_folded,
 )
+from pytest_dura.reports.svg import Scale
 from pytest_dura.reports.tables import (
     FAILURE_MODE_HEADINGS,
     NULL_NOTE,
@@ -103,12 +103,7 @@ def clearance_chart(rows: Sequence[ClearanceRow]) -> Mapping[str, Any]:
     """
     greatest = max(max(row.times) for row in rows)
     greatest = max([greatest, *((row.mean or 0.0) + (row.sd or 0.0) for row in rows)])
-    step = _tick_step(greatest)
-    end = step * (floor(greatest / step + 1e-9) + 1)
-    scale = (CHART_RIGHT - CHART_LEFT) / end
-    ticks = [
-        {"x": _chart_x(i * step, scale), "value": i * step} for i in range(round(end / step) + 1)
-    ]
+    scale = Scale.from_zero(greatest, CHART_LEFT, CHART_RIGHT)
     height = CHART_TOP + _CHART_ROW * len(rows)
     return {
         "width": CHART_RIGHT + 8.0,
@@ -117,22 +112,14 @@ def clearance_chart(rows: Sequence[ClearanceRow]) -> Mapping[str, Any]:
         "right": CHART_RIGHT,
         "top": CHART_TOP,
         "bottom": height,
-        "ticks": ticks,
+        "ticks": [{"x": _chart_x(value, scale), "value": value} for value in scale.ticks],
         "rows": [
             _chart_row(row, CHART_TOP + _CHART_ROW * place, scale) for place, row in enumerate(rows)
         ],
     }
 
 
-def _tick_step(greatest: float) -> float:
-    """A step of 1, 2 or 5 times a power of ten that gives five to ten ticks up to ``greatest``."""
-    if greatest <= 0:
-        return 1.0
-    power = 10.0 ** floor(log10(greatest / 5))
-    return next(step for step in (power, 2 * power, 5 * power, 10 * power) if greatest / step < 10)
-
-
-def _chart_row(row: ClearanceRow, top: float, scale: float) -> Mapping[str, Any]:
+def _chart_row(row: ClearanceRow, top: float, scale: Scale) -> Mapping[str, Any]:
     y = top + 31.0
     mean, sd = row.mean, row.sd or 0.0
     return {
@@ -157,8 +144,8 @@ def _chart_row(row: ClearanceRow, top: float, scale: float) -> Mapping[str, Any]
     }
 
 
-def _chart_x(value: float, scale: float) -> float:
-    return round(CHART_LEFT + value * scale, 1)
+def _chart_x(value: float, scale: Scale) -> float:
+    return round(scale(value), 1)
 
 
 def scenario_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:

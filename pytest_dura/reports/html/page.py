@@ -23,6 +23,7 @@ from pytest_dura.reports.html.contents import (
     player_anchor,
 )
 from pytest_dura.reports.html.player import content_hash
+from pytest_dura.reports.svg import tag
 from pytest_dura.reports.wording import model_options, replay_command
 
 if TYPE_CHECKING:
@@ -291,6 +292,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters.update(_FILTERS)
+    environment.globals["svg"] = tag
     return environment
 
 

@@ -18,7 +18,6 @@ import zlib
 from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.simulator import Line, Scene, Tracks
-from pytest_dura.evidence.text import name, visible
+from pytest_dura.evidence.text import html, name, visible
 from pytest_dura.evidence.traces import Trace
 from pytest_dura.reports.episode_view import margin_over_time
 
@@ -337,7 +336,7 @@ def player_page(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> str
     )
     return _PAGE.format(
         policy=policy,
-        title=escape(f"{data['about'].get('id', 'episode')} - episode player"),
+        title=html(f"{data['about'].get('id', 'episode')} - episode player"),
         style=style,
         data=pack_data(data),
         script=script,

@@ -8,6 +8,7 @@ import pytest
 from session_records import REQUIREMENTS, session_record, verdict
 from stated_counts import stated_counts
 
+from pytest_dura.reports import svg
 from pytest_dura.reports.gsn import svg_file
 from pytest_dura.reports.gsn.drawing import text_width, wrap_text
 
@@ -73,7 +74,7 @@ def test_the_picture_stands_alone():
     text = svg_file.render(session_record())
     assert "<script" not in text
     assert re.findall(r"(?:href|src|url)\s*=|@import|url\((?!#)", text) == []
-    assert set(re.findall(r"https?://[^\"]*", text)) == {svg_file.NAMESPACE}
+    assert set(re.findall(r"https?://[^\"]*", text)) == {svg.NAMESPACE}
     root = ET.fromstring(text)
     assert root.find(f"{NAMESPACE}title").text == "Assurance case, generated, unreviewed"
     assert "gate failed" in root.find(f"{NAMESPACE}desc").text
