@@ -47,7 +47,7 @@ def main() -> None:
     ticks, percepts = orchestrator.state.ticks, orchestrator.state.percepts
     context = RoleContext(0, spec.time_step, spec.scenario)
     rows = []
-    roles = {"plausibility": RoleSpec(DRIVING.roles["security_assessor"]), **MONITORS}
+    roles = {"plausibility": RoleSpec(DRIVING.default_roles["security_assessor"]), **MONITORS}
     for name, role in roles.items():
         detector, least = role.create(), float("inf")
         for _ in range(options.repeats):

@@ -46,6 +46,10 @@ from .core.state import (
     sealed,
 )
 from .core.trust import factory
+from .domains import DOMAINS, ROLES, SIMULATORS, Domain
+from .evidence.bundle import FORMATS
+from .execution.executors import EXECUTORS, ExecutorKind
+from .faults.catalogue import FAULT_TYPES
 from .faults.model import Fault, Moment
 from .faults.parts import FaultPart
 from .library.cases import Case, SearchedCase
@@ -61,6 +65,12 @@ Bench = Runner  # deprecated
 __version__: str
 
 __all__ = [
+    "DOMAINS",
+    "EXECUTORS",
+    "FAULT_TYPES",
+    "FORMATS",
+    "ROLES",
+    "SIMULATORS",
     "ActionError",
     "Alert",
     "Assessed",
@@ -72,11 +82,13 @@ __all__ = [
     "ConfigurationError",
     "ConformanceError",
     "DependabilityMetrics",
+    "Domain",
     "DuraError",
     "Episode",
     "EpisodeSpec",
     "EpisodeVerdict",
     "Event",
+    "ExecutorKind",
     "Falsification",
     "Falsified",
     "Fault",

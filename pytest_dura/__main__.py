@@ -231,8 +231,8 @@ def _verify(options: argparse.Namespace) -> int:
     if bundle.intact and bundle.not_rendered is not None:
         print(
             f"not re-rendered: pytest-dura {one_line(bundle.not_rendered, _MAX_LENGTH)} wrote this "
-            f"bundle, and this is {__version__}; its hashes hold, and concluding from its episodes "
-            "gives its verdicts"
+            f"bundle, and this is {__version__}: the hashes hold, and concluding from the episodes "
+            "gives the record; whether rendering it gives the files was not checked"
         )
         return _NOT_RENDERED
     plural = "" if len(bundle.problems) == 1 else "s"

@@ -1,174 +1,166 @@
-"""Domains: the kinds of system that a scenario names by an alias, such as ``driving``.
+"""Domains: what each kind of system declares, and the registries of domains, simulators and roles.
 
-A domain says which simulator runs it, which roles a case has by default, and what they are called.
+A scenario names a simulator, such as ``driving``; the first part of the name is its domain.
 """
 
 from __future__ import annotations
 
 import difflib
-import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.roles import STANDARD_ROLES
+from pytest_dura.core.roles import STANDARD_ROLES, Role
+from pytest_dura.core.simulator import Simulator
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from pytest_dura.faults.model import Channel
 
 
 @dataclass(frozen=True)
 class Domain:
-    """A kind of system, as import paths ``package.module:name``: naming it imports nothing of it.
+    """A kind of system.
 
     Args:
-        simulator: The simulator's class.
-        roles: The default roles, by role name.
-        short_names: Classes with a short name: role name to short name to import path. A role may
-            be known by short names alone and be in no scenario by default.
+        name: Its name, with which those of its roles and simulators begin.
+        roles: Short names of the default roles, by role name.
         parameters: Parameters that a class with a short name needs to know of the domain, by that
             name. A scenario's own parameters come before them.
         world: The pydantic model of ``world``, for editors and for messages.
-        signals: The names of the ground-truth signals.
-        percept_signals: The names of the percept signals, without the prefix ``percept.``.
-        proposal_signals: The names of the signals that proposals and their explanations give,
-            without the prefix ``proposal.``.
-        channels: What each sensor channel holds, by name; see ``pytest_dura.faults.model``.
-        fault_targets: The default target of faults, by what their type acts on.
-        concrete: A function of world, duration in seconds and seed that returns an equal world in
+        signals: Names of the ground-truth signals; ``None`` if only the simulator has them.
+        percept_signals: Names of the percept signals, without the prefix ``percept.``.
+        proposal_signals: Names of the signals that proposals and their explanations give, without
+            the prefix ``proposal.``.
+        channels: What each sensor channel holds, by name; ``None`` if only a running episode shows
+            that.
+        fault_targets: Default target of faults, by what their type acts on.
+        concrete: Function of world, duration in seconds and seed that returns an equal world in
             which nothing is left to the seed, and returns such a world as it is.
     """
 
-    simulator: str
+    name: str
     roles: Mapping[str, str] = field(default_factory=dict)
-    short_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
-    world: str | None = None
-    signals: str | None = None
-    percept_signals: str | None = None
-    proposal_signals: str | None = None
-    channels: str | None = None
-    fault_targets: str | None = None
-    concrete: str | None = None
+    world: type[BaseModel] | None = None
+    signals: Sequence[str] | None = None
+    percept_signals: Sequence[str] | None = None
+    proposal_signals: Sequence[str] | None = None
+    channels: Mapping[str, Channel] | None = None
+    fault_targets: Mapping[str, str] = field(default_factory=dict)
+    concrete: Callable[[Mapping[str, Any], float, int], dict[str, Any]] | None = None
 
-    def world_model(self) -> Any:
-        """Import the pydantic model of ``world``; ``None`` for a domain without one."""
-        return _import_attribute(self.world)
+    @property
+    def simulator(self) -> str:
+        """Import path of the simulator of the domain's own name."""
+        return SIMULATORS.path(self.name)
 
-    def signal_names(self) -> tuple[str, ...] | None:
-        """Import the names of the ground-truth signals; ``None`` if only the simulator has them."""
-        return _import_names(self.signals)
+    @property
+    def short_names(self) -> Mapping[str, Mapping[str, str]]:
+        """Import paths of the roles that the domain knows: role name to short name to path."""
+        return {
+            role: {short: ROLES.path(name) for short, name in names.items()}
+            for role, names in _names_of_roles(self.name).items()
+        }
 
-    def percept_signal_names(self) -> tuple[str, ...] | None:
-        """Import the names of the percept signals, without prefix; ``None`` if not declared."""
-        return _import_names(self.percept_signals)
-
-    def proposal_signal_names(self) -> tuple[str, ...] | None:
-        """Import the names of the proposal signals, without prefix; ``None`` if not declared."""
-        return _import_names(self.proposal_signals)
-
-    def channel_kinds(self) -> Mapping[str, Any] | None:
-        """Import what the channels hold; ``None`` if only a running episode shows that."""
-        kinds: Mapping[str, Any] | None = _import_attribute(self.channels)
-        return kinds
-
-    def default_targets(self) -> Mapping[str, str]:
-        """Import the default targets of faults, by what their type acts on."""
-        return _import_attribute(self.fault_targets) or {}
+    @property
+    def default_roles(self) -> Mapping[str, str]:
+        """Import paths of the default roles, by role name."""
+        return {
+            role: role_spec(role, RoleSpec(name), self).path for role, name in self.roles.items()
+        }
 
     def concrete_world(
         self, world: Mapping[str, Any], duration: float, seed: int
     ) -> dict[str, Any]:
         """Write out what the seed draws in a world, where the domain can; else copy the world."""
-        function = _import_attribute(self.concrete)
-        return dict(world if function is None else function(world, duration, seed))
+        return dict(world if self.concrete is None else self.concrete(world, duration, seed))
 
 
-def _import_attribute(path: str | None) -> Any:
-    if path is None:
-        return None
-    module, _, name = path.partition(":")
-    return getattr(importlib.import_module(module), name)
+def _is_buildable(value: Any) -> bool:
+    return callable(value)  # whether it may be built is checked where it is: see `core.trust`
 
 
-def _import_names(path: str | None) -> tuple[str, ...] | None:
-    return None if path is None else tuple(_import_attribute(path))
+DOMAINS: Registry[Domain] = Registry(
+    "pytest_dura.domains",
+    "domain",
+    lambda value: isinstance(value, Domain),
+    "a pytest_dura.Domain",
+)
+SIMULATORS: Registry[type[Simulator]] = Registry(
+    "pytest_dura.simulators",
+    "simulator",
+    _is_buildable,
+    "a subclass of pytest_dura.Simulator",
+    names=r"[A-Za-z][\w-]*(\.[A-Za-z][\w-]*)?",
+)
+"""Simulators; ``driving`` is the domain's own, and ``driving.sumo`` would be another of it."""
+ROLES: Registry[type[Role]] = Registry(
+    "pytest_dura.roles",
+    "role",
+    _is_buildable,
+    "a subclass of pytest_dura.Role",
+    names=r"([A-Za-z][\w-]*\.)?[A-Za-z]\w*\.[A-Za-z][\w-]*",
+)
+"""Roles by domain, role and short name, such as ``driving.generator.reactive``; those of any domain
+have no first part."""
 
 
-_PLANNERS = "pytest_dura.driving.roles.planners"
-_RECOVERY = "pytest_dura.driving.roles.recovery"
-_STL = "pytest_dura.requirements.monitoring.stl_monitor:StlSafetyMonitor"
+def _names_of_roles(domain: str) -> Mapping[str, Mapping[str, str]]:
+    """Map roles to short names to registered names; of equal ones the domain's own counts."""
+    return _sorted_by_role(domain, ROLES.known())
 
-DOMAINS: dict[str, Domain] = {
-    "driving": Domain(
-        simulator="pytest_dura.driving.highway:HighwaySimulator",
-        roles={
-            "generator": f"{_PLANNERS}:RuleBased",
-            "safety_monitor": "pytest_dura.driving.roles.safety:SeparationMonitor",
-            "security_assessor": "pytest_dura.driving.roles.security:PlausibilityAssessor",
-            "fault_injector": "pytest_dura.faults.injector:CampaignInjector",
-            "performance_oracle": "pytest_dura.driving.roles.performance:DrivingOracle",
-            "recovery_planner": f"{_RECOVERY}:EmergencyBrake",
-        },
-        short_names={
-            "generator": {
-                "rule_based": f"{_PLANNERS}:RuleBased",
-                "reactive": f"{_PLANNERS}:Reactive",
-                "tactical": "pytest_dura.driving.roles.tactical:Tactical",
-                "aggressive": f"{_PLANNERS}:Aggressive",
-                "random": f"{_PLANNERS}:RandomPlanner",
-                "llm": "pytest_dura.llm.driving.planner:LlmPlanner",
-            },
-            "safety_monitor": {"stl": _STL},
-            "stl_monitor": {"stl": _STL},
-            "recovery_planner": {
-                "emergency_brake": f"{_RECOVERY}:EmergencyBrake",
-                "safe_stop": f"{_RECOVERY}:SafeStop",
-                "replan": f"{_RECOVERY}:Replan",
-                "ignore_untrusted": f"{_RECOVERY}:IgnoreUntrusted",
-                "alert": f"{_RECOVERY}:AlertOnly",
-            },
-            "residual_monitor": {
-                "cusum": "pytest_dura.driving.roles.residuals:ResidualMonitor",
-                "isolation_forest": "pytest_dura.driving.roles.learned:IsolationForestMonitor",
-                "one_class_svm": "pytest_dura.driving.roles.learned:OneClassSvmMonitor",
-            },
-        },
-        parameters={"stl": {"signals": "pytest_dura.driving.signals:percept_at"}},
-        world="pytest_dura.driving.scenario:DrivingWorld",
-        signals="pytest_dura.driving.signals:NAMES",
-        percept_signals="pytest_dura.driving.signals:PERCEPT_NAMES",
-        proposal_signals="pytest_dura.driving.explanations:SIGNALS",
-        channels="pytest_dura.driving.sensors:CHANNELS",
-        fault_targets="pytest_dura.driving.sensors:FAULT_TARGETS",
-        concrete="pytest_dura.driving.scenario:concrete_world",
-    )
-}
+
+@lru_cache(maxsize=32)
+def _sorted_by_role(domain: str, registered: tuple[str, ...]) -> dict[str, dict[str, str]]:
+    names: dict[str, dict[str, str]] = {}
+    for name in sorted(registered, key=lambda name: name.count(".")):
+        *owner, role, short = name.split(".")
+        if owner in ([], [domain]):
+            names.setdefault(role, {})[short] = name
+    return {role: dict(sorted(names[role].items())) for role in sorted(names)}
+
+
+def names_of_role(role: str) -> dict[str, str]:
+    """Map short names of a role in any domain to registered names.
+
+    A short name of two domains is there as it is registered, such as ``driving.generator.random``.
+    """
+    names: dict[str, list[str]] = {}
+    for name in ROLES:
+        *_, known, short = name.split(".")
+        if known == role:
+            names.setdefault(short, []).append(name)
+    return {
+        short if len(registered) == 1 else name: name
+        for short, registered in names.items()
+        for name in registered
+    }
 
 
 def domain_of(simulator: str) -> Domain | None:
-    """Find the domain by its alias or its simulator's path; ``None`` for any other simulator."""
-    if simulator in DOMAINS:
-        return DOMAINS[simulator]
-    return next((domain for domain in DOMAINS.values() if domain.simulator == simulator), None)
+    """Find the domain of a simulator by its name or path; ``None`` for one that is in no domain."""
+    name = SIMULATORS.name_of(simulator) if ":" in simulator else simulator
+    domain = str(name).partition(".")[0]
+    return DOMAINS[domain] if name in SIMULATORS and domain in DOMAINS else None
 
 
 def simulator_spec(path: str, params: Mapping[str, object]) -> RoleSpec:
     """Make the RoleSpec of the simulator that a scenario names.
 
     Raises:
-        ConfigurationError: For a name that is neither an alias nor an import path.
+        ConfigurationError: For a name that is neither registered nor an import path.
     """
-    if path in DOMAINS:
-        return RoleSpec(DOMAINS[path].simulator, dict(params))
+    if path in SIMULATORS:
+        return RoleSpec(SIMULATORS.path(path), dict(params))
     if ":" in path:
         return RoleSpec(path, dict(params))
-    raise ConfigurationError(
-        f"unknown simulator {path!r}",
-        key="simulator",
-        found=path,
-        expected=", ".join(sorted(DOMAINS)) + ", or an import path package.module:Class",
-        remedy=did_you_mean(path, DOMAINS),
-    )
+    raise SIMULATORS.unknown(path, key="simulator", also="an import path package.module:Class")
 
 
 def role_spec(role: str, spec: RoleSpec, domain: Domain | None) -> RoleSpec:
@@ -179,9 +171,10 @@ def role_spec(role: str, spec: RoleSpec, domain: Domain | None) -> RoleSpec:
     """
     if ":" in spec.path:
         return spec
-    known = domain.short_names.get(role, {}) if domain is not None else {}
-    if domain is not None and spec.path in known:
-        return RoleSpec(known[spec.path], {**domain.parameters.get(spec.path, {}), **spec.params})
+    known = _names_of_roles("" if domain is None else domain.name).get(role, {})
+    if spec.path in known:
+        given = {} if domain is None else domain.parameters.get(spec.path, {})
+        return RoleSpec(ROLES.path(known[spec.path]), {**given, **spec.params})
     names = ", ".join(sorted(known))
     raise ConfigurationError(
         f"unknown {role} {spec.path!r}",

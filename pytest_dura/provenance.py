@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib.util
 import inspect
@@ -11,6 +12,7 @@ import re
 import subprocess
 import sys
 import sysconfig
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -164,21 +166,8 @@ def _python_files(package: Path, most: int) -> Iterator[Path]:
                     return
 
 
-_READ = re.compile(
-    r"""\b(?:environb?(?:\s*\[|\s*\.\s*(?:get|setdefault|pop)\s*\()|getenvb?\s*\()\s*
-    b?["']([A-Za-z_]\w*)["']""",
-    re.VERBOSE,
-)
 _EXCLUDED = re.compile(r"PYTEST_|.*(?:KEY|TOKEN|SECRET|PASSW|CREDENTIAL)", re.IGNORECASE)
 """Variables that differ by process or user, and that no episode should depend on."""
-
-
-def _variables_in(text: str) -> set[str]:
-    """Find the variables that Python code reads by a literal name.
-
-    Secrets are left out, and what pytest sets for each of its processes and tests.
-    """
-    return {name for name in _READ.findall(text) if not _EXCLUDED.match(name)}
 
 
 def describe_variable(name: str) -> str:
@@ -192,16 +181,6 @@ def describe_variable(name: str) -> str:
 _MAX_PACKAGE_FILES = 5000
 """Files that are read of a package; a larger one has no digest."""
 _OURS = "pytest_dura"
-_IMPORT = re.compile(
-    r"""\b(?:
-        from[ \t]*\.[\w. \t]*\bimport\b  # of its own package, all of which counts anyway
-        | from[ \t]+([^\W\d][\w.]*)[ \t]+import\b
-        | import[ \t]+([^\W\d][\w., \t]*)
-        | (?:import_module|__import__)\(\s*["']([^\W\d][\w.]*)
-    )""",
-    re.VERBOSE,
-)
-_CONTINUED = re.compile(r"\\\r?\n")
 
 
 @dataclass(frozen=True)
@@ -224,8 +203,9 @@ def user_code(file: Path, module: str) -> UserCode | None:
 
     That is the top-level package that defines it, and in turn the packages and modules that any of
     their files imports by name, as far as they are not installed: the versions of installed
-    packages are recorded elsewhere. Imports are searched in the text, so that those within a
-    function count too. Imports by a computed name are not found, nor are data files.
+    packages are recorded elsewhere. Imports within a function count too. Imports by a computed name
+    are not found, nor are data files. A file that this Python cannot parse, and therefore cannot
+    import either, counts by its content alone.
 
     Args:
         file: The file that defines it.
@@ -278,10 +258,9 @@ class _FileCollector:
         self._files[file] = name, hashlib.sha256(data).hexdigest()
         if file.suffix != ".py":
             return
-        # Another encoding than UTF-8 spoils letters of names that are not ASCII, and nothing else.
-        text = _CONTINUED.sub(" ", data.decode(errors="replace"))
-        self._variables |= _variables_in(text)
-        for top in _imported(text):
+        variables, tops = _names_in(data)
+        self._variables |= variables
+        for top in tops:
             if top not in self._looked_for:
                 self._looked_for.add(top)
                 for origin in _origins(top, file.parent):
@@ -289,14 +268,65 @@ class _FileCollector:
                         self.add(origin, top)
 
 
-def _imported(text: str) -> Iterator[str]:
-    """Yield the top-level names that a file imports by absolute imports."""
-    for match in _IMPORT.finditer(text):
-        for names in match.groups(""):
-            for name in names.split(","):
-                top = name.split(" as ")[0].strip().partition(".")[0]
-                if top.isidentifier() and top != _OURS and top not in sys.stdlib_module_names:
-                    yield top
+_READERS = {"environ", "environb"}
+_READING = {"get", "setdefault", "pop"}
+_GETTERS = {"getenv", "getenvb"}
+_IMPORTERS = {"import_module", "__import__"}
+
+
+def _names_in(source: bytes) -> tuple[set[str], list[str]]:
+    """Find the environment variables that Python code reads, and the packages that it imports.
+
+    Both by literal names. Of variables secrets are left out, and what pytest sets for each of its
+    processes and tests; of packages the standard library, and those of relative imports, which are
+    the code's own package.
+    """
+    variables: set[str] = set()
+    modules: list[str] = []
+    for node in ast.walk(_parsed(source)):
+        if isinstance(node, ast.Import):
+            modules += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            modules.append(node.module or "")
+        elif isinstance(node, ast.Subscript) and _last_name(node.value) in _READERS:
+            variables.add(_literal(node.slice))
+        elif isinstance(node, ast.Call) and node.args:
+            name, of = _last_name(node.func), getattr(node.func, "value", None)
+            if name in _GETTERS or (name in _READING and _last_name(of) in _READERS):
+                variables.add(_literal(node.args[0]))
+            elif name in _IMPORTERS:
+                modules.append(_literal(node.args[0]))
+    tops = dict.fromkeys(module.partition(".")[0] for module in modules)
+    return (
+        {name for name in variables if name.isidentifier() and not _EXCLUDED.match(name)},
+        [
+            top
+            for top in tops
+            if top.isidentifier() and top not in {_OURS, *sys.stdlib_module_names}
+        ],
+    )
+
+
+def _parsed(source: bytes) -> ast.AST:
+    """Parse a file; one that cannot be parsed is as an empty one."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the code that is read, which is not ours
+            return ast.parse(source)
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return ast.Module([], [])
+
+
+def _last_name(node: ast.AST | None) -> str:
+    """Find ``c`` in ``c`` and in ``a.b.c``."""
+    return str(getattr(node, "attr", "") or getattr(node, "id", ""))
+
+
+def _literal(node: ast.AST) -> str:
+    """Find the text of a literal, in bytes too; empty for anything else."""
+    value = node.value if isinstance(node, ast.Constant) else ""
+    text = value.decode(errors="replace") if isinstance(value, bytes) else value
+    return text if isinstance(text, str) else ""
 
 
 def _origins(top: str, beside: Path) -> Iterator[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -35,15 +34,6 @@ class Runner(EpisodeRunner):
     def __post_init__(self) -> None:
         """Trace faults with this runner."""
         self._tracer = FaultTracer(self)
-
-    def follow(self, case: Case, runs: Sequence[int]) -> None:
-        """Report the causal chains of episodes that were run before, each once.
-
-        Args:
-            case: The case.
-            runs: Numbers of the runs.
-        """
-        self._tracer.follow(case, runs)
 
     def chains(self, case: Case, episode: JudgedEpisode) -> list[CausalChain]:
         """Each fault of an episode from plan to outcome, with the help of fault-free twins.

@@ -1,6 +1,5 @@
 from .detector_training import Training, train
 from .events import (
-    CampaignProgress,
     CausalChain,
     EpisodeUsed,
     EventStream,
@@ -26,7 +25,6 @@ from .falsification import (
 )
 
 __all__ = [
-    "CampaignProgress",
     "CausalChain",
     "EpisodeUsed",
     "EventStream",

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pytest_dura.campaign.falsification import BUDGET, SHRINK_BUDGET, Falsifier
 from pytest_dura.campaign.pairs import PairedCampaign
-from pytest_dura.campaign.reporting import ComponentFailures
 from pytest_dura.campaign.runs import CampaignRuns
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
@@ -52,19 +51,10 @@ class Campaign(CampaignRuns):
         """
         if requirement.paired is not None:
             return self.paired(requirement.paired.without).judge(requirement, check)
-        judge, situations = self.judge_of(requirement, check), self.situations()
-        self.failures = ComponentFailures()
-        faulty = []
-        for episode in self.in_order([self.case], judge):
-            verdict = judge_episode(requirement, episode, check)
-            judge.add(self.with_crash(verdict, episode, check or requirement.check))
-            situations.add(episode)
-            judge.situation = situations.situation
-            self.failures.add(episode)
-            if episode.faults:
-                faulty.append(episode.spec.run)
-        # Once all have run, so that a component that remembers episodes meets no twin between them.
-        self.follow(faulty)
+        judge = self.judge_of(requirement, check)
+        episodes = self.in_order([self.case], judge)
+        judged = ((judge_episode(requirement, each, check), (each,)) for each in episodes)
+        self.decide(judge, judged, check or requirement.check)
         return judge.verdict()
 
     def falsify(

@@ -33,7 +33,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Role
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import RoleView
-from pytest_dura.domains import DOMAINS, domain_of, role_spec
+from pytest_dura.domains import ROLES, domain_of, names_of_role, role_spec
 from pytest_dura.library.cases import expand_cases
 from pytest_dura.library.loading import load_library
 from pytest_dura.provenance import describe_tool
@@ -169,10 +169,9 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
     Raises:
         ConfigurationError: If there is none.
     """
-    short: dict[str, str] = {}
-    for domain in DOMAINS.values():
-        for known in domain.short_names.values():
-            short |= {kind: path for kind, path in known.items() if kind in KINDS}
+    short = {
+        kind: known for kind, known in names_of_role("residual_monitor").items() if kind in KINDS
+    }
     if ":" not in name and name not in short:
         raise ConfigurationError(
             f"there is no learned detector {name!r}",
@@ -181,7 +180,7 @@ def detector_class(name: str) -> type[AnomalyMonitor]:
             expected=", ".join(sorted(short)) + ", or an import path package.module:Class",
             remedy=did_you_mean(name, short),
         )
-    detector = RoleSpec(short.get(name, name)).resolve()
+    detector = RoleSpec(ROLES.path(short[name]) if name in short else name).resolve()
     if not (
         inspect.isclass(detector) and issubclass(detector, AnomalyMonitor) and detector.kind in FITS
     ):

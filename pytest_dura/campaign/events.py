@@ -22,101 +22,6 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignProgress:
-    """How far a campaign is, as plain data.
-
-    Args:
-        case: Id of the case.
-        subject: What the runs are for, such as the id of a requirement; empty where only the
-            test function knows.
-        done: Runs that are over.
-        budget: Runs that are planned, or may be run at most.
-        may_end_early: Whether the runs end once the requirement is decided.
-        taken_over: Of the runs that are over the first ones, as far as they were at hand: this or
-            an earlier session had simulated them.
-        violations: Runs that violated the requirement; ``None`` where nothing is judged.
-        upper: Upper confidence bound on the rate of violations, from the runs so far; ``None``
-            where there is none, and for a requirement that accepts no violation.
-        confidence: One-sided confidence of that bound.
-    """
-
-    case: str
-    subject: str
-    done: int
-    budget: int
-    may_end_early: bool = False
-    taken_over: int = 0
-    violations: int | None = None
-    upper: float | None = None
-    confidence: float | None = None
-
-
-@dataclass
-class RunningCampaign:
-    """Progress of a campaign, updated at each run.
-
-    An update costs nothing; ``progress``, which a display reads some times a second, computes.
-
-    Args:
-        case: Id of the case.
-        subject: What the runs are for.
-        budget: Runs that are planned, or may be run at most.
-        judge: Judges the runs; ``None`` where nothing is judged.
-    """
-
-    case: str
-    subject: str
-    budget: int
-    judge: CampaignJudge | None = None
-    done: int = field(default=0, init=False)
-    ended: bool = field(default=False, init=False)
-    """Whether no further run follows, for whatever reason."""
-    _taken_over: int = field(default=0, init=False)
-    _at_first: int | None = field(default=None, init=False)
-
-    def reach(self, done: int, budget: int, simulated: int) -> Progress:
-        """Set how many runs are over; returns the event that reports it.
-
-        Args:
-            done: Runs that are over.
-            budget: Runs that are planned by now, or may be run at most.
-            simulated: Episodes that were simulated for this process so far.
-        """
-        self.done, self.budget = done, budget
-        if self._at_first is None:
-            self._at_first = simulated
-        if simulated == self._at_first:
-            self._taken_over = done
-        return Progress(self, done, budget)
-
-    def end(self) -> Progress:
-        """End it: no further run follows; returns the event that reports it."""
-        self.ended = True
-        return Progress(self, self.done, self.budget, ended=True)
-
-    def progress(self) -> CampaignProgress:
-        """Progress as plain data, without the bound on the rate."""
-        judge = self.judge
-        return CampaignProgress(
-            case=self.case,
-            subject=self.subject,
-            done=self.done,
-            budget=self.budget,
-            may_end_early=judge is not None and judge.sequential,
-            taken_over=self._taken_over,
-            violations=None if judge is None else judge.violations,
-        )
-
-    def bounded(self, progress: CampaignProgress) -> CampaignProgress:
-        """The same with the bound on the rate, which may take some milliseconds."""
-        judge = self.judge
-        upper = None if judge is None else judge.upper
-        if judge is None or upper is None:
-            return progress
-        return replace(progress, upper=upper, confidence=judge.requirement.confidence)
-
-
 @dataclass(frozen=True)
 class CausalChain:
     """One fault of one episode, from plan to outcome; times in s, ``None`` for what never was.
@@ -157,10 +62,7 @@ class CausalChain:
 class EpisodeUsed:
     """An item looks at an episode of a case; at every use, though it is simulated once.
 
-    Args:
-        case: The case.
-        episode: The episode.
-        planned: Episodes that are planned of the case; 0 if this one's seed was chosen by hand.
+    ``planned`` is how many are planned of the case, 0 if this one's seed was chosen by hand.
     """
 
     case: Case
@@ -170,12 +72,7 @@ class EpisodeUsed:
 
 @dataclass(frozen=True, slots=True)
 class SearchedEpisodeUsed:
-    """An item looks at an episode of a case that a strategy chose, which is no sample.
-
-    Args:
-        case: The case.
-        episode: The episode.
-    """
+    """An item looks at an episode of a case that a strategy chose, which is no sample."""
 
     case: SearchedCase
     episode: SearchedEpisode
@@ -183,12 +80,7 @@ class SearchedEpisodeUsed:
 
 @dataclass(frozen=True, slots=True)
 class VerdictReached:
-    """An item decides a requirement on a campaign.
-
-    Args:
-        verdict: The verdict.
-        requirement: What it decides.
-    """
+    """An item decides a requirement on a campaign."""
 
     verdict: CampaignVerdict
     requirement: Requirement
@@ -196,13 +88,7 @@ class VerdictReached:
 
 @dataclass(frozen=True, slots=True)
 class FaultsTraced:
-    """Each fault of an episode was followed from plan to outcome, once in a process.
-
-    Args:
-        case: The case.
-        episode: The episode, on which a verdict rests.
-        chains: The causal chain of each fault.
-    """
+    """Each fault of an episode was followed from plan to outcome, once in a process."""
 
     case: Case
     episode: JudgedEpisode
@@ -211,12 +97,7 @@ class FaultsTraced:
 
 @dataclass(frozen=True, slots=True)
 class MonitorsMeasured:
-    """The quality of a case's monitors was measured where recovery did not act.
-
-    Args:
-        case: The case.
-        qualities: The quality of each monitor.
-    """
+    """The quality of a case's monitors was measured where recovery did not act."""
 
     case: Case
     qualities: Sequence[MonitorQuality]
@@ -224,12 +105,7 @@ class MonitorsMeasured:
 
 @dataclass(frozen=True, slots=True)
 class SearchEnded:
-    """A search for violations has ended.
-
-    Args:
-        case: What it searched.
-        search: What came of it.
-    """
+    """A search for violations has ended."""
 
     case: Case
     search: Falsification
@@ -237,19 +113,89 @@ class SearchEnded:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """A run of a campaign or search is about to begin, or all of them are over.
+    """How far a campaign or search is: a run is about to begin, or all of them are over.
 
     Args:
-        campaign: The campaign; ``campaign.progress()`` computes its counts as they are by then.
+        case: Id of the case.
+        subject: What the runs are for, such as the id of a requirement; empty where only the
+            test function knows.
         done: Runs that are over.
         budget: Runs that are planned, or may be run at most.
+        may_end_early: Whether the runs end once the requirement is decided.
+        taken_over: Of the runs that are over the first ones, as far as they were at hand: this or
+            an earlier session had simulated them.
+        violations: Runs that violated the requirement; ``None`` where nothing is judged.
+        upper: Upper confidence bound on the rate of violations; see :meth:`bounded`.
+        confidence: One-sided confidence of that bound.
         ended: Whether no further run follows, for whatever reason.
+        judge: Judges the runs; ``None`` where nothing is judged.
     """
 
-    campaign: RunningCampaign
+    case: str
+    subject: str
     done: int
     budget: int
+    may_end_early: bool = False
+    taken_over: int = 0
+    violations: int | None = None
+    upper: float | None = None
+    confidence: float | None = None
     ended: bool = False
+    judge: CampaignJudge | None = field(default=None, repr=False, compare=False)
+
+    def bounded(self) -> Progress:
+        """The same with the bound by now, which may take some milliseconds.
+
+        There is none before the first run, and for a requirement that accepts no violation.
+        """
+        upper = None if self.judge is None else self.judge.upper
+        if self.judge is None or upper is None:
+            return self
+        return replace(self, upper=upper, confidence=self.judge.requirement.confidence)
+
+
+class RunningCampaign:
+    """Makes the events on the progress of a campaign or search.
+
+    Args:
+        case: Id of the case.
+        subject: What the runs are for.
+        budget: Runs that are planned, or may be run at most.
+        judge: Judges the runs; ``None`` where nothing is judged.
+    """
+
+    def __init__(
+        self, case: str, subject: str, budget: int, judge: CampaignJudge | None = None
+    ) -> None:
+        early = judge is not None and judge.sequential
+        self._latest = Progress(case, subject, 0, budget, early, judge=judge)
+        self._at_first: int | None = None
+
+    def reach(self, done: int, budget: int, simulated: int) -> Progress:
+        """Note how many runs are over.
+
+        Args:
+            done: Runs that are over.
+            budget: Runs that are planned by now, or may be run at most.
+            simulated: Episodes that were simulated for this process so far.
+        """
+        if self._at_first is None:
+            self._at_first = simulated
+        taken_over = done if simulated == self._at_first else self._latest.taken_over
+        now = self._latest
+        self._latest = Progress(
+            now.case, now.subject, done, budget, now.may_end_early, taken_over, self._violations,
+            judge=now.judge,
+        )  # fmt: skip
+        return self._latest
+
+    def end(self) -> Progress:
+        """Note that no further run follows."""
+        return replace(self._latest, violations=self._violations, ended=True)
+
+    @property
+    def _violations(self) -> int | None:
+        return None if self._latest.judge is None else self._latest.judge.violations
 
 
 SessionEvent = (

@@ -5,10 +5,9 @@ FaultTracer compares a run with faults with the run of the same seed without any
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 
-from pytest_dura.campaign.events import CausalChain, FaultsTraced, RunningCampaign
+from pytest_dura.campaign.events import CausalChain, FaultsTraced
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.episode import Divergence, Episode, outcome_of
 from pytest_dura.core.errors import ConfigurationError
@@ -85,8 +84,6 @@ def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[s
 
 TWINS_SUBJECT = "fault-free twins"
 """Subject of these runs in reports of progress."""
-_MAX_RECENT_CHAINS = 64
-"""Episodes whose chains are kept while a viewer shows them."""
 
 
 class FaultTracer:
@@ -99,41 +96,31 @@ class FaultTracer:
     def __init__(self, runner: EpisodeRunner) -> None:
         self.runner = runner
         self._reported: set[EpisodeKey] = set()
-        self._chains: OrderedDict[EpisodeKey, list[CausalChain]] = OrderedDict()
 
     def follow(self, case: Case, runs: Sequence[int]) -> None:
-        """See :meth:`pytest_dura.runner.Runner.follow`."""
+        """Emit the causal chains of episodes that were run before, each once.
+
+        Args:
+            case: The case.
+            runs: Numbers of the runs.
+        """
         runner = self.runner
         tasks = {run: runner.task(case, run) for run in runs}
         due = [run for run in runs if key_of(tasks[run]) not in self._reported]
         upcoming = UpcomingTasks(len(due), lambda step: [runner.twin(case, tasks[due[step]].spec)])
-        running = RunningCampaign(case.id, TWINS_SUBJECT, len(due))
-        try:
+        with runner.progress(case, TWINS_SUBJECT, len(due)) as reach:
             for step, run in enumerate(due):
                 upcoming.reach(step)
-                runner.events.emit(running.reach(step, len(due), runner.store.simulated))
+                reach(step, len(due))
                 episode = runner.fetch(case, run)
                 self._reported.add(key_of(tasks[run]))
                 chains = self.chains(case, episode, upcoming)
                 runner.events.emit(FaultsTraced(case, episode, chains))
-        finally:
-            runner.store.cancel()
-            runner.events.emit(running.end())
 
     def chains(
         self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()
     ) -> list[CausalChain]:
         """See :meth:`pytest_dura.runner.Runner.chains`; ``ahead`` are tasks that come next."""
-        key = self.runner.key(episode)
-        if key not in self._chains:
-            self._chains[key] = self._linked(case, episode, ahead)
-        while len(self._chains) > _MAX_RECENT_CHAINS:
-            self._chains.popitem(last=False)
-        return self._chains[key]
-
-    def _linked(
-        self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask]
-    ) -> list[CausalChain]:
         runner, requirements = self.runner, self.runner.requirements_of(case)
         reached = any(fault.manifested_at is not None for fault in episode.faults)
         if not (runner.twins and reached):

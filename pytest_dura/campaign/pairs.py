@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.events import MonitorsMeasured
-from pytest_dura.campaign.reporting import ComponentFailures
 from pytest_dura.campaign.runs import CampaignRuns, finite_number
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
@@ -137,23 +136,11 @@ class PairedCampaign:
         """
         check_comparison(requirement)
         campaign = self.campaign
-        judge, situations = campaign.judge_of(requirement, check), campaign.situations()
-        campaign.failures, compared = ComponentFailures(), _PairResults(requirement, check)
-        runs, faulty = [], []
+        judge, compared = campaign.judge_of(requirement, check), _PairResults(requirement, check)
         cases = [campaign.case, self.case]
-        for episode, twin in self._with_twins(campaign.in_order(cases, judge), cases):
-            verdict = compared.add(episode, twin)
-            judge.add(campaign.with_crash(verdict, episode, check or requirement.check))
-            situations.add(episode)
-            situations.add(twin)
-            judge.situation = situations.situation
-            campaign.failures.add(episode)
-            campaign.failures.add(twin)
-            runs.append(episode.spec.run)
-            if episode.faults:
-                faulty.append(episode.spec.run)
-        campaign.follow(faulty)
-        self._report_monitors(runs)
+        pairs = self._with_twins(campaign.in_order(cases, judge), cases)
+        judged = ((compared.add(*pair), pair) for pair in pairs)
+        self._report_monitors(campaign.decide(judge, judged, check or requirement.check))
         campaign_verdict = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
         doubt = self._doubt(compared)

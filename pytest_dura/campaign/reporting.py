@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pytest_dura.requirements.campaign_verdicts import violation_text
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import Episode
@@ -63,7 +65,8 @@ def explain_verdict(
 def _violations(verdict: CampaignVerdict) -> list[str]:
     if not verdict.counterexamples:
         return []
-    lines = [f"worst:    {describe_counterexample(asdict(verdict.counterexamples[0]))}"]
+    worst = verdict.counterexamples[0]
+    lines = [f"worst:    {worst.episode}{violation_text(worst.time, worst.margin)}"]
     others = [
         counterexample.episode.rpartition("#")[2] for counterexample in verdict.counterexamples[1:]
     ]
@@ -72,16 +75,6 @@ def _violations(verdict: CampaignVerdict) -> list[str]:
     if verdict.without_effect:
         lines.append(f"invalid:  in {verdict.without_effect} of them no fault had an effect")
     return lines
-
-
-def describe_counterexample(example: Mapping[str, Any]) -> str:
-    """Run, time and margin of a counterexample, from its plain data."""
-    time, margin = example["time"], example["margin"]
-    when = "" if time is None else f" at t = {time:.2f} s"
-    by = ""
-    if margin is not None:
-        by = f", by {abs(margin):.3g}" if margin else ", right at the bound"
-    return f"{example['episode']}{when}{by}"
 
 
 def _runs(numbers: Sequence[str]) -> str:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
-from pytest_dura.campaign.events import EpisodeUsed, EventStream, SearchedEpisodeUsed
+from pytest_dura.campaign.events import (
+    EpisodeUsed,
+    EventStream,
+    RunningCampaign,
+    SearchedEpisodeUsed,
+)
 from pytest_dura.core.boundary import ROLE_TIMEOUT
 from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.episode import Episode, EpisodeSpec
@@ -26,6 +32,7 @@ from pytest_dura.library.fault_campaigns import NO_FAULTS, FaultCampaign
 from pytest_dura.library.loading import Library
 from pytest_dura.library.roles import ParameterResolver
 from pytest_dura.library.scenario import Scenario
+from pytest_dura.requirements.campaign_judge import CampaignJudge
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
 from pytest_dura.requirements.model import Requirement
 
@@ -194,6 +201,32 @@ class EpisodeRunner:
         episode = self.store.get(task, ahead)
         self.store.earlier.search_used(task)
         return SearchedEpisode.of(episode)
+
+    @contextmanager
+    def progress(
+        self, case: Case, subject: str, budget: int, judge: CampaignJudge | None = None
+    ) -> Iterator[Callable[[int, int], None]]:
+        """Emit the progress of some runs of a case; in the end, cancel what was begun ahead.
+
+        Args:
+            case: The case.
+            subject: What the runs are for.
+            budget: Runs that are planned, or may be run at most.
+            judge: Judges the runs; ``None`` where nothing is judged.
+
+        Yields:
+            A function to call before each run, with the runs that are over, and the budget by then.
+        """
+        running = RunningCampaign(case.id, subject, budget, judge)
+
+        def reach(done: int, budget: int) -> None:
+            self.events.emit(running.reach(done, budget, self.store.simulated))
+
+        try:
+            yield reach
+        finally:
+            self.store.cancel()
+            self.events.emit(running.end())
 
     def search_task(self, case: Case, run: int = 0, again: int = 0) -> EpisodeTask:
         """The task of :meth:`searched`, without a recording for viewers."""

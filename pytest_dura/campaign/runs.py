@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from pytest_dura.campaign.events import RunningCampaign, VerdictReached
+from pytest_dura.campaign.events import VerdictReached
 from pytest_dura.campaign.fault_tracing import FaultTracer
 from pytest_dura.campaign.reporting import ComponentFailures, explain_verdict
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.errors import ConfigurationError, DuraError
-from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
+from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
-from pytest_dura.requirements.campaign_judge import CampaignJudge
+from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situations, varies
 from pytest_dura.requirements.checks import Check
 from pytest_dura.requirements.episode_verdicts import (
@@ -95,10 +94,6 @@ def finite_number(key: str, value: Any) -> float:
     return number
 
 
-_MAX_EXTRA_SHARE = 0.2
-"""Further runs that may follow invalid ones, as a share of a fixed number of planned runs."""
-
-
 class RequirementViolated(DuraError):  # noqa: N818 - it is an outcome, not an error
     """A campaign does not support a requirement. ``verdict`` holds the counts it rests on."""
 
@@ -133,10 +128,6 @@ class CampaignRuns:
         """Make a tracer, unless one is given."""
         self._tracer = self.tracer or FaultTracer(self.runner)
 
-    def follow(self, runs: Sequence[int]) -> None:
-        """Trace the faults of these runs."""
-        self._tracer.follow(self.case, runs)
-
     bench = renamed("bench", "runner")
 
     def __repr__(self) -> str:
@@ -165,35 +156,18 @@ class CampaignRuns:
             judge: Ends the runs once it is decided. A sequential one has no further runs.
         """
         sequential = self.until_decided if judge is None else judge.sequential
-        budget = 0 if sequential else math.ceil(_MAX_EXTRA_SHARE * self.planned)
-        run, end = 0, self.planned
-        with self._reporting_progress(cases, judge) as (running, ahead):
-            while run < end and not (judge is not None and judge.decided):
+        decided = self.requirement if judge is None else judge.requirement
+        subject = "" if decided is None else decided.id
+        run, schedule = 0, RunSchedule(self.planned, sequential=sequential)
+        ahead = self.upcoming(cases)
+        with self.runner.progress(self.case, subject, schedule.end, judge) as reach:
+            while run < schedule.end and not (judge is not None and judge.decided):
                 ahead.reach(run)
-                episode = self._run(run, end, running, ahead)
+                reach(run, schedule.end)
+                episode = self.runner.episode(self.case, run, planned=self.planned, ahead=ahead)
                 yield episode
                 run += 1
-                if episode.validity == "invalid" and end < self.planned + budget:
-                    end += 1
-
-    @contextmanager
-    def _reporting_progress(
-        self, cases: Sequence[Case], judge: CampaignJudge | None
-    ) -> Iterator[tuple[RunningCampaign, UpcomingTasks]]:
-        """The progress of this campaign, and its planned runs as tasks.
-
-        On exit, tasks that were begun ahead are cancelled.
-        """
-        runner, own = self.runner, self.requirement
-        decided = own if judge is None else judge.requirement
-        subject = "" if decided is None else decided.id
-        running = RunningCampaign(self.case.id, subject, self.planned, judge)
-        ahead = self.upcoming(cases)
-        try:
-            yield running, ahead
-        finally:
-            runner.store.cancel()
-            runner.events.emit(running.end())
+                schedule.add(episode.validity)
 
     def upcoming(self, cases: Sequence[Case]) -> UpcomingTasks:
         """The planned runs of several cases as tasks, run by run."""
@@ -201,23 +175,43 @@ class CampaignRuns:
             self.planned, lambda run: [self.runner.task(case, run) for case in cases]
         )
 
-    def _run(
-        self, run: int, end: int, running: RunningCampaign, ahead: Iterable[EpisodeTask]
-    ) -> JudgedEpisode:
-        """The run of this number; ``end`` is how many are planned by now."""
-        self.runner.events.emit(running.reach(run, end, self.runner.store.simulated))
-        return self.runner.episode(self.case, run, planned=self.planned, ahead=ahead)
-
-    def with_crash(
-        self, verdict: EpisodeVerdict, episode: JudgedEpisode, check: Check
-    ) -> EpisodeVerdict:
-        """The verdict, marked where the episode's crash violates nothing.
+    def decide(
+        self,
+        judge: CampaignJudge,
+        judged: Iterable[tuple[EpisodeVerdict, Sequence[JudgedEpisode]]],
+        check: Check,
+    ) -> list[int]:
+        """Hand verdicts to a judge one by one, then trace the faults of the runs.
 
         Args:
-            verdict: On the episode, or on the pair that it belongs to.
-            episode: The episode.
-            check: What it was judged by, besides the requirements of its case.
+            judge: The judge.
+            judged: Verdicts, each with the run that it is on, and with its twin if it is on a pair.
+            check: What they were judged by, besides the requirements of the case.
+
+        Returns:
+            The numbers of the runs.
         """
+        faults = {fault["id"] for fault in self.case.faults}
+        situations = Situations(varies=varies(self.case.scenario.variation, faults))
+        self.failures = ComponentFailures()
+        runs, faulty = [], []
+        for verdict, episodes in judged:
+            judge.add(self._with_crash(verdict, episodes[0], check))
+            for episode in episodes:
+                situations.add(episode)
+                self.failures.add(episode)
+            judge.situation = situations.situation
+            runs.append(episodes[0].spec.run)
+            if episodes[0].faults:
+                faulty.append(runs[-1])
+        # Once all have run, so that a component that remembers episodes meets no twin between them.
+        self._tracer.follow(self.case, faulty)
+        return runs
+
+    def _with_crash(
+        self, verdict: EpisodeVerdict, episode: JudgedEpisode, check: Check
+    ) -> EpisodeVerdict:
+        """The verdict, marked where the episode's crash violates nothing."""
         requirements = self.runner.requirements_of(self.case)
         if verdict.verdict == "violated" or not is_unseen_crash(episode, requirements, check):
             return verdict
@@ -238,11 +232,6 @@ class CampaignRuns:
             component=self.component,
             until_decided=self.until_decided,
         )
-
-    def situations(self) -> Situations:
-        """The collector that says whether this campaign's episodes are all equal."""
-        faults = {fault["id"] for fault in self.case.faults}
-        return Situations(varies=varies(self.case.scenario.variation, faults))
 
     def requirement_of_call(self, own: Requirement, given: Mapping[str, Any]) -> Requirement:
         """The requirement with the fields that a call gives, apart from ``None``.

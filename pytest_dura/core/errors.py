@@ -135,12 +135,20 @@ def list_names(names: Sequence[str]) -> str:
     return ", ".join([*names[:MAX_LISTED_NAMES], *([f"{left} more"] if left > 0 else [])])
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Suggest the nearest of the known names, or list them all where none is near."""
+def did_you_mean(name: str, known: Iterable[str], otherwise: str = "") -> str:
+    """Suggest the nearest of the known names.
+
+    Args:
+        name: What was found.
+        known: What could stand there.
+        otherwise: Remedy where none is near; by default a list of them.
+    """
     names = sorted(set(known))
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     if near:
         return f"did you mean {near[0]!r}?"
+    if otherwise:
+        return otherwise
     return "use one of: " + list_names(names) if names else "remove it"
 
 

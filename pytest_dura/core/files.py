@@ -1,7 +1,8 @@
-"""Files written whole or not at all, and locks on open files that end with the process."""
+"""Files written whole or not at all, and locked files whose locks end with the process."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import sys
@@ -9,6 +10,10 @@ import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True)
@@ -81,70 +86,129 @@ def _keep_name(directory: Path) -> None:
         os.close(handle)
 
 
-if sys.platform == "win32":
-    import msvcrt
+class LockHeldError(Exception):
+    """Lock of a file that another process holds; its text is what the holder wrote into it."""
 
-    _BYTE = 1 << 30  # behind what the file holds, which others are to read
 
-    def lock(handle: int) -> None:
-        """Lock an open file for this process.
+class LockedFile:
+    """Open file that this process alone has locked, until it is released or the process ends.
+
+    filelock locks the descriptor and lets go of nothing else, as two things are not its: a process
+    that is forked meanwhile may outlive this one, and holds no lock; and code that runs in this
+    process may close descriptors that are not its own (``os.closerange(3, 256)``), whose numbers
+    are then reused for other files, which must neither be closed nor written.
+
+    Args:
+        number: The open and locked descriptor.
+        file: Its name.
+    """
+
+    def __init__(self, number: int, file: Path) -> None:
+        self._number: int | None = number
+        self._file, self._opened = file, os.fstat(number)
+        _HELD.add(self)
+
+    @classmethod
+    def acquire(cls, file: Path, mode: int = 0o644, *, create: bool = True) -> Self:
+        """Open and lock a file; a symbolic link is not followed.
+
+        Args:
+            file: Its name, in a folder that exists.
+            mode: Mode of a new file.
+            create: Whether to make a file that is missing.
 
         Raises:
-            PermissionError: If another one has it.
+            LockHeldError: If another process holds it.
+            OSError: If it cannot be opened, or its file system knows no locks.
         """
-        os.lseek(handle, _BYTE, os.SEEK_SET)
+        from filelock import lock_descriptor
+
+        flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | (os.O_CREAT if create else 0)
+        while True:
+            number = os.open(file, flags, mode)
+            try:
+                locked = lock_descriptor(number, blocking=False)
+                holder = "" if locked else _read_text(number)
+                if locked and _is_named(number, file):
+                    return cls(number, file)
+            except BaseException:  # ctrl-C too must not leave the file open; it is raised again
+                os.close(number)
+                raise
+            os.close(number)
+            if not locked:
+                raise LockHeldError(holder)
+            # Otherwise its former holder removed it in between.
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the descriptor is open, and on the file that was opened."""
+        if self._number is None:
+            return False
         try:
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-        finally:
-            os.lseek(handle, 0, os.SEEK_SET)
+            return os.path.samestat(os.fstat(self._number), self._opened)
+        except OSError:
+            return False
 
-else:
-    import fcntl
+    def read(self) -> str:
+        """Text that a holder wrote last; empty for a new file."""
+        return "" if self._number is None else _read_text(self._number)
 
-    def lock(handle: int) -> None:
-        """Lock an open file for this process.
+    def write(self, text: str) -> None:
+        """Replace the text; the lock is given up if that fails.
 
         Raises:
-            BlockingIOError: If another one has it.
+            OSError: If it cannot be written.
         """
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if self._number is None:
+            raise OSError(f"{self._file} is released")
+        try:
+            os.lseek(self._number, 0, os.SEEK_SET)
+            os.ftruncate(self._number, 0)
+            os.write(self._number, f"\n{text}\n".encode())
+        except BaseException:  # see above
+            self.forget()
+            raise
+
+    def release(self) -> None:
+        """Remove the file and unlock it. A second call does nothing."""
+        if self.is_held:  # otherwise the name may by now be another holder's
+            if sys.platform == "win32":  # which removes no open files
+                self.forget()
+            # While it is locked: afterwards the name may be another's. A file that cannot be
+            # removed is unlocked all the same.
+            with contextlib.suppress(OSError):
+                self._file.unlink(missing_ok=True)
+        self.forget()
+
+    def forget(self) -> None:
+        """Close the descriptor, if it is still ours, and leave the file."""
+        _HELD.discard(self)
+        held, number, self._number = self.is_held, self._number, None
+        if held and number is not None:
+            os.close(number)
 
 
-def is_named(handle: int, file: Path) -> bool:
-    """Whether an open file is still the one of this name."""
+def _read_text(number: int) -> str:
+    """Text of a holder, which begins behind the first byte: Windows lets nobody else read that."""
+    os.lseek(number, 1, os.SEEK_SET)
+    return os.read(number, 200).decode(errors="replace").strip()
+
+
+def _is_named(number: int, file: Path) -> bool:
     try:
-        return os.path.samestat(os.fstat(handle), file.stat())
+        return os.path.samestat(os.fstat(number), file.stat())
     except FileNotFoundError:
         return False
 
 
-class OwnedHandle:
-    """File descriptor that is closed only as long as it belongs to the file that was opened.
+# Of the process: a handler of forks cannot be unregistered. It keeps locks without other reference.
+_HELD: set[LockedFile] = set()
 
-    Code that runs in this process may close descriptors that are not its own
-    (``os.closerange(3, 256)``). Their numbers are then reused for other files, which must neither
-    be closed nor written.
 
-    Args:
-        number: The open descriptor.
-    """
+def _forget_locks() -> None:
+    for locked in list(_HELD):
+        locked.forget()
 
-    def __init__(self, number: int) -> None:
-        self.number: int | None = number
-        self._opened = os.fstat(number)
 
-    @property
-    def is_intact(self) -> bool:
-        """Whether it is open, and on the file that was opened."""
-        if self.number is None:
-            return False
-        try:
-            return os.path.samestat(os.fstat(self.number), self._opened)
-        except OSError:
-            return False
-
-    def close(self) -> None:
-        """Close it, if it is still ours. A second call does nothing."""
-        intact, number, self.number = self.is_intact, self.number, None
-        if intact and number is not None:
-            os.close(number)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_locks)

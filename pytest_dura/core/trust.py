@@ -3,32 +3,90 @@
 Scenario files, requirement files and evidence may come from strangers. What they name is imported
 from installed packages and the session's own project alone, and called only if it is a subclass of
 a known base or a function that :func:`factory` marks. A check or a measure is an ordinary function,
-and has to be the project's own.
+and has to be the project's own. Of an installed package, files name what it registers by an entry
+point, or other parts of a package that registers something.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 import sysconfig
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from importlib.machinery import ModuleSpec
-from importlib.metadata import entry_points
+from importlib.metadata import distributions
 from importlib.util import find_spec
 from inspect import isclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from pytest_dura.core.errors import ConfigurationError
 
 _ENTRY_POINTS = "pytest_dura"
-"""Group of entry points with which an installed package offers its functions as checks."""
+"""Group of entry points with which an installed package offers its functions as checks; the groups
+of registries begin with it and a dot."""
 _OURS = "pytest_dura"
 _MARK = "__dura_factory__"
 _PACKAGES = ("site-packages", "dist-packages")
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+class Offer(NamedTuple):
+    """Entry point of an installed package: its import path, and what provides it."""
+
+    path: str
+    distribution: str
+    provider: str
+
+
+Offers = Mapping[str, Mapping[str, tuple[Offer, ...]]]
+
+
+def offers(group: str) -> Mapping[str, tuple[Offer, ...]]:
+    """Map the names in a group of entry points to what installed packages offer under them."""
+    return _offers(_import_path()).get(group, {})
+
+
+def _import_path() -> tuple[str, ...]:
+    return tuple(sys.path) if "" not in sys.path else (str(Path.cwd()), *filter(None, sys.path))
+
+
+@lru_cache(maxsize=64)
+def _offers(path: tuple[str, ...]) -> Offers:
+    """Merge the entry points of each place on the import path; of a distribution the first counts.
+
+    Args:
+        path: Folders and archives; what one of them holds is read once in a process.
+    """
+    seen: set[str] = set()
+    groups: dict[str, dict[str, tuple[Offer, ...]]] = {}
+    for place in path:
+        own = [entry for entry in _offers_in(place) if entry[2].distribution not in seen]
+        seen.update(offer.distribution for _, _, offer in own)
+        for group, name, offer in own:
+            known = groups.setdefault(group, {})
+            known[name] = (*known.get(name, ()), offer)
+    return groups
+
+
+@cache
+def _offers_in(place: str) -> list[tuple[str, str, Offer]]:
+    """Read group, name and offer of the entry points that are ours, in one place."""
+    found: list[tuple[str, str, Offer]] = []
+    for installed in distributions(path=[place]):
+        points = [p for p in installed.entry_points if p.group.partition(".")[0] == _ENTRY_POINTS]
+        if points:  # the rest of the metadata takes a hundred times as long to read
+            metadata = installed.metadata
+            name = re.sub(r"[-_.]+", "-", str(metadata["Name"])).lower()
+            provider = f"{name} {metadata['Version']}"
+            found += [
+                (point.group, point.name, Offer(point.value.split(" ")[0], name, provider))
+                for point in points
+            ]
+    return found
 
 
 def factory(function: F) -> F:
@@ -49,19 +107,21 @@ class Places:
         own: Folders of the session's own project.
         foreign: Folders of strangers' files. Of two folders that contain a module, the inner one
             counts.
+        trusting: Whether files may name any installed package.
     """
 
     own: tuple[Path, ...] = ()
     foreign: tuple[Path, ...] = ()
+    trusting: bool = False
     _importable: set[str] = field(default_factory=set, init=False, repr=False, compare=False)
     _own_modules: dict[str, bool] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
     @classmethod
-    def of(cls, own: Iterable[Path], foreign: Iterable[Path]) -> Places:
+    def of(cls, own: Iterable[Path], foreign: Iterable[Path], *, trusting: bool = False) -> Places:
         """Make them of paths that may be links."""
-        return cls(tuple(map(Path.resolve, own)), tuple(map(Path.resolve, foreign)))
+        return cls(tuple(map(Path.resolve, own)), tuple(map(Path.resolve, foreign)), trusting)
 
     def foreign_folder(self, file: Path) -> Path | None:
         """Folder of strangers that a file lies in, if it does."""
@@ -97,6 +157,24 @@ class Places:
                 )
         self._importable.add(top)
 
+    def check_registered(self, path: str) -> None:
+        """Refuse an import path, see :func:`check_registered`."""
+        top = path.partition(":")[0].partition(".")[0]
+        spec = _spec(top)
+        if self.trusting or spec is None or self.is_own(top) or _is_standard(spec):
+            return  # what is missing or of Python itself is refused where it is imported
+        if any(self.foreign_folder(file) for file in _files(spec)):
+            return  # likewise
+        if not any(_offers_of(top)):
+            raise ConfigurationError(
+                f"{path!r} is of an installed package that registers nothing for pytest-dura",
+                found=path,
+                expected="a registered name, a class of your project, or of a package with an "
+                f"entry point in a group {_ENTRY_POINTS}.*",
+                remedy="derive a class of your project from it and name that, register it in the "
+                "package, or add --dura-trust-code",
+            )
+
     def is_own(self, module: str) -> bool:
         """Whether functions that a module defines may be called by name."""
         if module not in self._own_modules:
@@ -114,8 +192,7 @@ class Places:
             return False
         if not any(part in _PACKAGES for file in files for part in file.parts):
             return True
-        offered = entry_points(group=_ENTRY_POINTS)
-        return any(point.value.partition(":")[0].partition(".")[0] == top for point in offered)
+        return _ENTRY_POINTS in _offers_of(top)
 
 
 _places = Places()
@@ -142,6 +219,28 @@ def check_import(path: str) -> None:
         ConfigurationError: For a module of Python itself, and one in a folder of strangers.
     """
     _places.check_import(path)
+
+
+def check_registered(path: str) -> None:
+    """Refuse an import path in a file or a record that leads to a package without any registration.
+
+    Nothing is imported. What the project itself defines needs no registration.
+
+    Args:
+        path: ``package.module:Name``.
+
+    Raises:
+        ConfigurationError: For a module of an installed package that registers nothing.
+    """
+    _places.check_registered(path)
+
+
+def _offers_of(top: str) -> Iterator[str]:
+    """Yield the groups in which a top-level module offers something."""
+    for group, names in _offers(_import_path()).items():
+        for points in names.values():
+            if any(re.split(r"[:.]", point.path)[0] == top for point in points):
+                yield group
 
 
 def check_buildable(path: str, target: object, kinds: tuple[type, ...]) -> None:

@@ -1,7 +1,7 @@
 from .baseline import Baseline, claims_of, compare_claims
 from .bundle import (
+    FORMATS,
     RECORD_FILE,
-    RENDERED_FILES,
     all_formats,
     read_record,
     read_session_record,
@@ -36,10 +36,10 @@ from .verify import verify_bundle
 from .verify_record import record_problems
 
 __all__ = [
+    "FORMATS",
     "LINE",
     "MANIFEST_FILE",
     "RECORD_FILE",
-    "RENDERED_FILES",
     "SCHEMA_VERSION",
     "UNKNOWN_COMPONENT",
     "UNTRACED_FAULT",

@@ -11,12 +11,12 @@ import os
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.files import temporary_prefix
+from pytest_dura.core.registry import Registry
 from pytest_dura.evidence.entry import Entry, plain_data
 from pytest_dura.evidence.episodes import SPOOL_PREFIX
 from pytest_dura.evidence.files import (
@@ -35,53 +35,48 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.schema import SCHEMA_FILE, schema_text
 from pytest_dura.evidence.traces import TRACE_FOLDER, is_trace_name
 
-FORMATS = (
-    "pytest_dura.reports.summary",
-    "pytest_dura.reports.html.page",
-    "pytest_dura.reports.gsn.yaml_file",
-    "pytest_dura.reports.gsn.svg_file",
-    "pytest_dura.reports.cyclonedx",
-    "pytest_dura.reports.intoto",
-)
-"""Modules of the formats, in the order in which they are written."""
-
 
 class Format(Protocol):
-    """Interface of the module of a format."""
-
-    FILE: str
+    """Interface of a report format, which may be a module."""
 
     def render(self, record: SessionRecord) -> str:
         """Render the file's text, which is a function of the record."""
         ...
 
 
-def all_formats() -> Iterator[Format]:
-    """Import the modules of the formats, one at a time."""
-    for name in FORMATS:
-        yield cast("Format", import_module(name))
-
-
 RECORD_FILE = "evidence.json"
-_EPISODES_KEY = "episodes"
-RENDERED_FILES = (
-    "manifest.json",
-    "report.html",
-    "summary.md",
-    "assurance-case.gsn.yaml",
-    "assurance-case.svg",
-    "cyclonedx.json",
-    "test-result.intoto.json",
-    "evidence.schema.json",
+FORMATS: Registry[Format] = Registry(
+    "pytest_dura.reports",
+    "report format",
+    lambda value: callable(getattr(value, "render", None)),
+    "a module or an object with a function render(record)",
+    names=r"[A-Za-z0-9][\w-]*(\.[\w-]+)+",
+    reserved=(RECORD_FILE, MANIFEST_FILE, SCHEMA_FILE),
 )
-"""Other files of a bundle; the manifest is the first to be removed."""
+"""Formats by the names of their files."""
+_EPISODES_KEY = "episodes"
+
+
+def all_formats() -> Iterator[Format]:
+    """Import the formats, one at a time."""
+    return (FORMATS[name] for name in FORMATS)
+
+
+def rendered_files() -> tuple[str, ...]:
+    """Names of the other files of a bundle; the manifest is the first to be removed."""
+    return (MANIFEST_FILE, *FORMATS, SCHEMA_FILE)
+
+
 STREAMED_BYTES = 8 << 20
 """Bytes of a record above which its episodes are read one at a time."""
 RESUME_FOLDER = ".episodes"
 """Folder of the episodes that an interrupted session leaves to the next one."""
 _TOOL = re.compile(rb'"tool"\s*:\s*\{\s*"name"\s*:\s*"pytest-dura"')
 _HEAD_BYTES = 1 << 16
-_TEMPORARY_PREFIXES = tuple(map(temporary_prefix, (RECORD_FILE, *RENDERED_FILES)))
+
+
+def _temporary_prefixes() -> tuple[str, ...]:
+    return tuple(map(temporary_prefix, (RECORD_FILE, *rendered_files())))
 
 
 def check_directory(directory: Path) -> None:
@@ -106,7 +101,7 @@ def check_directory(directory: Path) -> None:
     if record.is_symlink() or not record.is_file() or not _is_our_record(record):
         problem = f"its {RECORD_FILE} is not of a session of pytest-dura"
         raise _foreign_error(f"this directory is not empty, and {problem}", directory, RECORD_FILE)
-    expected = {RECORD_FILE, *RENDERED_FILES, *listed_files(directory)}
+    expected = {RECORD_FILE, *rendered_files(), *listed_files(directory)}
     for name in names:
         folder, _, last = name.rpartition("/")
         if name not in expected and not (folder == TRACE_FOLDER and is_trace_name(last)):
@@ -121,7 +116,7 @@ def _is_temporary(name: str) -> bool:
         if first == TRACE_FOLDER:
             return rest.startswith(".") or is_trace_name(rest)
         return first == RESUME_FOLDER
-    return first == LOCK_FILE or first.startswith((*_TEMPORARY_PREFIXES, SPOOL_PREFIX))
+    return first == LOCK_FILE or first.startswith((*_temporary_prefixes(), SPOOL_PREFIX))
 
 
 def _is_our_record(record: Path) -> bool:
@@ -188,10 +183,10 @@ def clear_bundle(directory: Path, *, traces: bool = True) -> None:
         ConfigurationError: If one of them cannot be removed.
     """
     with _removal_errors(directory):
-        for name in RENDERED_FILES:
+        for name in rendered_files():
             (directory / name).unlink(missing_ok=True)
         for begun in _entries(directory):
-            if begun.name.startswith(_TEMPORARY_PREFIXES) or begun.name.startswith(SPOOL_PREFIX):
+            if begun.name.startswith(_temporary_prefixes()) or begun.name.startswith(SPOOL_PREFIX):
                 begun.unlink()
     if traces:
         _clear_traces(directory)
@@ -417,19 +412,17 @@ def _write_all(record: SessionRecord) -> SessionRecord:
         for file, trace in traces.items()
         if _file_size(record.directory / file) != trace["bytes"]
     }
-    formats = list(all_formats())
     while True:
         written = _with_broken_files(record, broken)
         write_record(written.directory, written)
         before = len(broken)
-        for report_format in formats:
-            if report_format.FILE not in broken:
-                _write_format(report_format, written, broken)
+        for name in FORMATS:
+            if name not in broken:
+                _write_format(name, written, broken)
         if len(broken) == before:
             break
     write_file(written.directory / SCHEMA_FILE, [schema_text()])
-    rendered = [report_format.FILE for report_format in formats]
-    names = [RECORD_FILE, SCHEMA_FILE, *(name for name in rendered if name not in broken)]
+    names = [RECORD_FILE, SCHEMA_FILE, *(name for name in FORMATS if name not in broken)]
     # A trace is listed with the digest that its writer computed, which may reveal a later change.
     files = {name: file_entry(written.directory / name) for name in names} | traces
     write_file(written.directory / MANIFEST_FILE, [manifest_text(files)])
@@ -438,7 +431,7 @@ def _write_all(record: SessionRecord) -> SessionRecord:
 
 def _withdraw(record: SessionRecord, error: BaseException, before: object) -> None:
     """Make room, then mark the record as incomplete, lest half a bundle reads as a pass."""
-    for name in RENDERED_FILES:
+    for name in rendered_files():
         with suppress(OSError):
             (record.directory / name).unlink(missing_ok=True)
     file = record.directory / RECORD_FILE
@@ -470,14 +463,14 @@ def _file_identity(file: Path) -> tuple[int, int] | None:
     return status.st_ino, status.st_mtime_ns
 
 
-def _write_format(report_format: Format, record: SessionRecord, broken: dict[str, str]) -> None:
+def _write_format(name: str, record: SessionRecord, broken: dict[str, str]) -> None:
     try:
-        text = report_format.render(record)
+        text = FORMATS[name].render(record)
     except Exception as error:  # named in the record, and the gate fails
-        broken[report_format.FILE] = _failure_text(error)
-        (record.directory / report_format.FILE).unlink(missing_ok=True)
+        broken[name] = _failure_text(error)
+        (record.directory / name).unlink(missing_ok=True)
         return
-    write_file(record.directory / report_format.FILE, [text])
+    write_file(record.directory / name, [text])
 
 
 def _failure_text(error: Exception) -> str:

@@ -9,10 +9,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from typing import Any, TypeAlias
 
+from pytest_dura.evidence.metrics import (
+    CaseMetrics,
+    PooledMetrics,
+    SharedViolations,
+    case_order,
+    missing_runs,
+    verdicts_on_cases,
+)
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.redaction import count_redactions
 from pytest_dura.evidence.sessions import origin_counts
@@ -449,39 +457,48 @@ def _entry(
     }  # fmt: skip
 
 
-_MAX_LISTED_RUNS = 100
-"""Greatest number of runs that are listed of a case."""
+def measure_cases(record: SessionRecord) -> SessionRecord:
+    """Add what follows from the planned episodes to a record.
 
-
-def verdicts_on_cases(verdicts: Iterable[Data]) -> Mapping[tuple[str, str], list[Data]]:
-    """Group verdicts by case and component; a comparison of pairs rests on two cases."""
-    by_case: dict[tuple[str, str], list[Data]] = defaultdict(list)
-    for verdict in verdicts:
-        for case in dict.fromkeys(
-            [verdict["case"], (verdict["pairs"] or {}).get("case", verdict["case"])]
-        ):
-            by_case[case, verdict["component"]].append(verdict)
-    return by_case
-
-
-def missing_runs(case: Data, verdicts: Iterable[Data], reported: Collection[int]) -> dict[str, Any]:
-    """Count the planned runs of a case that never reported, and list the first of them.
-
-    A run that a campaign did not need for its decision is not missing.
+    These are metrics and missing runs of cases, ``also_without`` of verdicts, ``overall`` and
+    ``effectiveness``.
 
     Args:
-        case: Its entry in the record.
-        verdicts: Those that rest on it, of :func:`verdicts_on_cases`.
-        reported: Numbers of the planned runs that reported, whatever their validity.
+        record: With its verdicts, its monitors, and its cases in any order.
     """
-    needed = planned = 0
-    for verdict in verdicts:
-        needed = max(needed, verdict["planned"] - verdict["saved"])
-        planned = max(planned, verdict["planned"])
-    if case["planned"] > planned:
-        needed = case["planned"]  # more than any verdict needs
-    missing = [run for run in range(needed) if run not in reported]
-    return {"missing_runs": missing[:_MAX_LISTED_RUNS], "missing_runs_total": len(missing)}
+    verdicts, cases = record["verdicts"], sorted(record["cases"], key=case_order)
+    shared, courses = SharedViolations(verdicts), PairedCourses(verdicts)
+    pooled = PooledMetrics(cases, verdicts)
+    metrics = {_case_key(case): CaseMetrics() for case in cases}
+    reported: dict[tuple[str, str], set[int]] = {key: set() for key in metrics}
+    for episode in record.episodes():
+        key = episode["case"], episode["component"]
+        if episode["planned"] and key in metrics:
+            metrics[key].add(episode)
+            reported[key].add(episode["spec"]["run"])
+            for summary in (pooled, shared, courses):
+                summary.add(episode)
+    judged = verdicts_on_cases(verdicts)
+    measured = [
+        {
+            **{name: value for name, value in case.items() if name != "repeat"},
+            "metrics": metrics[key].to_json(case["planned"]),
+            "repeat": case["repeat"],
+            **missing_runs(case, judged.get(key, []), reported[key]),
+        }
+        for key, case in ((_case_key(case), case) for case in cases)
+    ]
+    counts = zip(verdicts, shared.to_json(), strict=True)
+    return record.changed(
+        cases=measured,
+        verdicts=[{**verdict, "also_without": count} for verdict, count in counts],
+        overall=pooled.to_json(),
+        effectiveness=effectiveness(verdicts, record["monitors"], courses),
+    )
+
+
+def _case_key(case: Data) -> tuple[str, str]:
+    return case["id"], case["component"]
 
 
 def timings(
@@ -507,23 +524,31 @@ def timings(
     }
 
 
-def totals(record: SessionRecord) -> dict[str, Any]:
-    """Compute the record's key ``totals``, which every format states.
+def verdict_counts(verdicts: Iterable[Data]) -> dict[str, int]:
+    """Count verdicts by status; ``waived`` ones also count under their own status."""
+    known = list(verdicts)
+    statuses = Counter(verdict["verdict"] for verdict in known)
+    return {
+        **{status: statuses[status] for status in ("supported", "violated", "undecided")},
+        "waived": sum(verdict["waiver"] is not None for verdict in known),
+    }
 
-    ``valid``, ``invalid`` and ``missing`` count episodes, ``supported``, ``violated`` and
-    ``undecided`` verdicts; ``waived`` verdicts also count under their own status.
-    """
+
+def totals(record: SessionRecord) -> dict[str, Any]:
+    """Compute the record's key ``totals``, which every format states."""
     validity = Counter(episode["validity"] for episode in record.episodes())
-    statuses = Counter(verdict["verdict"] for verdict in record["verdicts"])
     return {
         "gate": record["gate"]["result"],
         "requirements": len(record["requirements"]),
         "cases": len(record["cases"]),
         "episodes": validity.total(),
         **{name: validity[name] for name in ("valid", "invalid", "missing")},
-        **{name: statuses[name] for name in ("supported", "violated", "undecided")},
-        "waived": sum(verdict["waiver"] is not None for verdict in record["verdicts"]),
+        **verdict_counts(record["verdicts"]),
     }
+
+
+_AFTERWARDS = ("redacted", "totals")
+"""Keys that are added after redactions are counted."""
 
 
 def conclude_record(
@@ -559,7 +584,7 @@ def conclude_record(
         ),
     }
     head = redact(head)
-    redactions = count_redactions(head)
+    redactions = count_redactions({key: head[key] for key in head if key not in _AFTERWARDS})
     for episode in record.episodes():
         redactions += count_redactions(episode)
     head["redacted"] = dict(sorted(Counter(redactions).items()))

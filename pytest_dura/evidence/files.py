@@ -7,12 +7,10 @@ therefore be read an episode at a time. A file of any other layout is not read i
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
 import platform
-import sys
 from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,7 +19,7 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.files import OwnedHandle, WrittenFile, is_named, lock, replace_file
+from pytest_dura.core.files import LockedFile, LockHeldError, WrittenFile, replace_file
 from pytest_dura.provenance import recorded_path
 
 
@@ -65,12 +63,19 @@ class DirectoryLock:
     """
 
     def __init__(self, directory: Path) -> None:
-        self._file = directory / LOCK_FILE
-        self._handle: OwnedHandle | None = None
         try:
             directory.mkdir(parents=True, exist_ok=True)
-            while self._handle is None:
-                self._handle = self._try_lock()
+            self._locked = LockedFile.acquire(directory / LOCK_FILE)
+            self._locked.write(f"process {os.getpid()} on {platform.node()}")
+        except LockHeldError as holder:
+            raise ConfigurationError(
+                f"another session ({str(holder) or 'of a process that is not known'}) "
+                "is writing to this evidence directory",
+                key="--dura-evidence",
+                found=str(directory),
+                expected="a directory of its own for each session at a time",
+                remedy="wait for the other session, or name another directory",
+            ) from None
         except OSError as error:
             raise ConfigurationError(
                 f"the evidence cannot be written: {error.strerror or error}",
@@ -82,44 +87,7 @@ class DirectoryLock:
 
     def release(self) -> None:
         """Release the lock. A second call does nothing."""
-        if self._handle is None:
-            return
-        handle, self._handle = self._handle, None
-        if not handle.is_intact:  # it was closed elsewhere: the file may be another session's
-            return
-        # A file that cannot be removed blocks no session, as it is unlocked.
-        with contextlib.suppress(OSError):
-            if sys.platform == "win32":  # where open files cannot be removed
-                handle.close()
-            self._file.unlink(missing_ok=True)  # while it is held; later it may be another's
-        handle.close()
-
-    def _try_lock(self) -> OwnedHandle | None:
-        """Open and lock the file; ``None`` if its former holder removed it meanwhile."""
-        no_link = getattr(os, "O_NOFOLLOW", 0)
-        handle = os.open(self._file, os.O_RDWR | os.O_CREAT | no_link, 0o644)
-        try:
-            lock(handle)
-            if not is_named(handle, self._file):
-                os.close(handle)
-                return None
-            os.ftruncate(handle, 0)
-            os.write(handle, f"process {os.getpid()} on {platform.node()}\n".encode())
-        except (BlockingIOError, PermissionError):  # the latter on Windows
-            holder = os.read(handle, 200).decode(errors="replace").strip()
-            os.close(handle)
-            raise ConfigurationError(
-                f"another session ({holder or 'of a process that is not known'}) "
-                "is writing to this evidence directory",
-                key="--dura-evidence",
-                found=str(self._file.parent),
-                expected="a directory of its own for each session at a time",
-                remedy="wait for the other session, or name another directory",
-            ) from None
-        except BaseException:  # ctrl-C too must not leave the file open
-            os.close(handle)
-            raise
-        return OwnedHandle(handle)
+        self._locked.release()
 
 
 MANIFEST_FILE = "manifest.json"

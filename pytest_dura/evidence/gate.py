@@ -242,6 +242,40 @@ class Gate:
         return cls("passed", exit_code, warn_undecided, failed, ())
 
 
+def judge_again(record: Mapping[str, Any]) -> Gate:
+    """Judge a recorded session again.
+
+    Reasons besides its verdicts, its searches and its tests are taken as recorded.
+
+    Args:
+        record: The record, of which no episodes are needed.
+    """
+    gate = record["gate"]
+    others = other_objections(record)
+    if gate["result"] == "passed" and record["require_repeatable"]:
+        others += repeat_objections(record["cases"])
+    return _gate_of(record, others)
+
+
+def other_objections(record: Mapping[str, Any]) -> list[str]:
+    """Reasons against a recorded session besides its verdicts, its searches and its tests."""
+    by_rule = _gate_of(record, ()).reasons
+    return [reason for reason in record["gate"]["reasons"] if reason not in by_rule]
+
+
+def _gate_of(record: Mapping[str, Any], objections: Sequence[str]) -> Gate:
+    gate = record["gate"]
+    return Gate.of(
+        record["verdicts"],
+        objections,
+        searches=record["searches"],
+        interrupted=record["status"] != "complete",
+        exit_code=gate["exit_code"],
+        failed=gate["failed"],
+        warn_undecided=gate["warn_undecided"],
+    )
+
+
 def verdict_objections(
     verdicts: Sequence[Data], searches: Sequence[Data], *, warn_undecided: bool
 ) -> list[str]:

@@ -11,16 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.core.episode import canonical
-from pytest_dura.evidence.conclude import (
-    PairedCourses,
-    effectiveness,
-    missing_runs,
-    verdicts_on_cases,
-)
+from pytest_dura.evidence.conclude import measure_cases
 from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.episodes import EpisodeSpool, add_episode, case_situations, unpack_report
 from pytest_dura.evidence.gate import REPEAT_KEYS, SearchRecords, worse_repeat
-from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics, SharedViolations, case_order
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import NO_REUSE, ReuseRecord
 from pytest_dura.requirements.campaign_judge import judge_campaign
@@ -353,12 +347,6 @@ class RecordBuilder:
             ConfigurationError: If the episodes cannot be read.
         """
         self._add_unreported_cases()
-        verdicts = self.verdicts()
-        shared = SharedViolations(verdicts)
-        courses = PairedCourses(verdicts)
-        cases, overall = self._measured_cases(verdicts, shared, courses)
-        monitors = [self._monitors[key] for key in sorted(self._monitors)]
-        counts = zip(verdicts, shared.to_json(), strict=True)
         head = {
             "schema_version": SCHEMA_VERSION,
             "status": status,
@@ -367,14 +355,15 @@ class RecordBuilder:
             "component_under_test": self._components.to_json(),
             "models": self._models.to_json(),
             "requirements": [self._requirements[name] for name in sorted(self._requirements)],
-            "cases": cases,
-            "verdicts": [{**verdict, "also_without": count} for verdict, count in counts],
+            "cases": [
+                {**case, "repeat": self._repeats.get(key)} for key, case in self._cases.items()
+            ],
+            "verdicts": self.verdicts(),
             "searches": self.searches.to_json(self._waivers),
-            "monitors": monitors,
-            "overall": overall,
-            "effectiveness": effectiveness(verdicts, monitors, courses),
+            "monitors": [self._monitors[key] for key in sorted(self._monitors)],
         }
-        return SessionRecord.of_head(head, self.directory or Path(), self._spool.__iter__)
+        record = SessionRecord.of_head(head, self.directory or Path(), self._spool.__iter__)
+        return measure_cases(record)
 
     def verdicts(self) -> list[JsonObject]:
         """List all verdicts, also on what never reported, sorted by case and requirement."""
@@ -508,30 +497,3 @@ class RecordBuilder:
         clash = self._clashes.get((verdict["case"], verdict["component"]))
         if clash is not None and verdict["verdict"] == "supported":
             verdict["verdict"], verdict["reason"] = "undecided", clash
-
-    def _measured_cases(
-        self, verdicts: list[JsonObject], shared: SharedViolations, courses: PairedCourses
-    ) -> tuple[list[JsonObject], list[JsonObject]]:
-        """Metrics of each case, in the order of the scenarios, and of each component."""
-        metrics = {key: CaseMetrics() for key in self._cases}
-        pooled = PooledMetrics(self._cases.values(), verdicts)
-        reported: dict[tuple[str, str], set[int]] = {key: set() for key in self._cases}
-        for episode in self._spool:
-            key = episode["case"], episode["component"]
-            if episode["planned"] and key in metrics:
-                metrics[key].add(episode)
-                pooled.add(episode)
-                shared.add(episode)
-                courses.add(episode)
-                reported[key].add(episode["spec"]["run"])
-        judged = verdicts_on_cases(verdicts)
-        cases = [
-            {
-                **self._cases[key],
-                "metrics": metrics[key].to_json(self._cases[key]["planned"]),
-                "repeat": self._repeats.get(key),
-                **missing_runs(self._cases[key], judged.get(key, []), reported[key]),
-            }
-            for key in sorted(self._cases, key=lambda key: case_order(self._cases[key]))
-        ]
-        return cases, pooled.to_json()

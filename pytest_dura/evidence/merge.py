@@ -7,6 +7,7 @@ written into a directory of their own.
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from pytest_dura.evidence.conclude import conclude_record
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
-from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate
+from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate, other_objections
 from pytest_dura.evidence.gather import RecordBuilder
 from pytest_dura.evidence.merge_checks import (
     KEYS_OF_ALL_COMPONENTS,
@@ -59,12 +60,26 @@ def _merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]
         "require_repeatable": first["require_repeatable"],
         "environment": {**first["environment"], "git": git},
         "execution": first["execution"],
+        **_merged_second_engine(parts),
         "argument": first["argument"],
         "reuse": merged_reuse(part.record["reuse"] for part in parts),
         "shard": None,
         "selection": first["selection"],
         "merged_from": [_shard_summary(part) for part in parts],
     }
+
+
+def _merged_second_engine(parts: Sequence[ShardBundle]) -> dict[str, Any]:
+    """Sum up what the second engines of all shards were compared on, if they have one."""
+    engines = [part.record.head.second_engine for part in parts]
+    entries = [engine for engine in engines if engine is not None]
+    if not entries:
+        return {}
+    left_out: Counter[str] = Counter()
+    for entry in entries:
+        left_out.update(entry.not_compared)
+    counts = {"compared": sum(entry.compared for entry in entries), "not_compared": dict(left_out)}
+    return {"second_engine": {**entries[0].to_json(), **counts}}
 
 
 def _shard_summary(part: ShardBundle) -> dict[str, Any]:
@@ -209,7 +224,7 @@ def _merged_gate(
         objections: Reasons against the merged record itself.
     """
     codes = {part.record["gate"]["exit_code"] for part in parts}
-    against = [reason for part in parts for reason in _objections(part)]
+    against = [reason for part in parts for reason in other_objections(part.record.head)]
     code = NO_TESTS
     if codes != {NO_TESTS}:
         empty = [part for part in parts if part.record["gate"]["exit_code"] == NO_TESTS]
@@ -225,21 +240,6 @@ def _merged_gate(
         failed=sum(part.record["gate"]["failed"] for part in parts),
         warn_undecided=parts[0].record["gate"]["warn_undecided"],
     )
-
-
-def _objections(part: ShardBundle) -> list[str]:
-    """Reasons against a shard besides its verdicts and its tests."""
-    gate = part.record["gate"]
-    by_rule = Gate.of(
-        part.record["verdicts"],
-        (),
-        searches=part.record["searches"],
-        interrupted=False,
-        exit_code=gate["exit_code"],
-        failed=gate["failed"],
-        warn_undecided=gate["warn_undecided"],
-    )
-    return [reason for reason in gate["reasons"] if reason not in by_rule.reasons]
 
 
 def check_output(output: Path, inputs: Sequence[Path]) -> None:

@@ -357,6 +357,8 @@ def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
 def _session(record: SessionRecord) -> NamedValues:
     for key in ("base_seed", "evidence_level", "require_repeatable", "argument", "selection"):
         yield key, record[key]
+    engine = record.head.second_engine
+    yield "second_engine.version", None if engine is None else engine.version
     yield "gate.warn_undecided", record["gate"]["warn_undecided"]
     yield "shard.options", record["shard"]["options"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import statistics
 from array import array
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from pytest_dura.core.metrics import DISCOMFORT
@@ -433,3 +433,38 @@ def _derived(episode: Data) -> dict[str, bool | None]:
         "comfort_failed": None if discomfort is None else discomfort["max"] > 1.0,
         "rescued": switching["takeovers"] > 0 if switching["decisions"] else None,
     }
+
+
+_MAX_LISTED_RUNS = 100
+"""Greatest number of runs that are listed of a case."""
+
+
+def verdicts_on_cases(verdicts: Iterable[Data]) -> Mapping[tuple[str, str], list[Data]]:
+    """Group verdicts by case and component; a comparison of pairs rests on two cases."""
+    by_case: dict[tuple[str, str], list[Data]] = defaultdict(list)
+    for verdict in verdicts:
+        for case in dict.fromkeys(
+            [verdict["case"], (verdict["pairs"] or {}).get("case", verdict["case"])]
+        ):
+            by_case[case, verdict["component"]].append(verdict)
+    return by_case
+
+
+def missing_runs(case: Data, verdicts: Iterable[Data], reported: Collection[int]) -> dict[str, Any]:
+    """Count the planned runs of a case that never reported, and list the first of them.
+
+    A run that a campaign did not need for its decision is not missing.
+
+    Args:
+        case: Its entry in the record.
+        verdicts: Those that rest on it, of :func:`verdicts_on_cases`.
+        reported: Numbers of the planned runs that reported, whatever their validity.
+    """
+    needed = planned = 0
+    for verdict in verdicts:
+        needed = max(needed, verdict["planned"] - verdict["saved"])
+        planned = max(planned, verdict["planned"])
+    if case["planned"] > planned:
+        needed = case["planned"]  # more than any verdict needs
+    missing = [run for run in range(needed) if run not in reported]
+    return {"missing_runs": missing[:_MAX_LISTED_RUNS], "missing_runs_total": len(missing)}

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic import ValidationError
 
 from pytest_dura.evidence.case_model import CaseEntry, CoverageEntry, OverallEntry, RequirementEntry
-from pytest_dura.evidence.entry import Count, Entry, JsonObject, Positive, plain_data
+from pytest_dura.evidence.entry import Absent, Count, Entry, JsonObject, Positive, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import (
@@ -23,6 +23,7 @@ from pytest_dura.evidence.session_model import (
     LanguageModelEntry,
     MergedShard,
     ReuseEntry,
+    SecondEngineEntry,
     SelectionEntry,
     SessionTimings,
     ShardEntry,
@@ -90,6 +91,9 @@ class RecordHead(Entry):
     """Where the session ran; of merged shards the first one."""
     execution: ExecutionEntry
     """Who simulated the episodes (`--dura-executor`); of merged shards the first one."""
+    second_engine: Absent[SecondEngineEntry] = None
+    """What a second engine for formulas was compared on (ini `dura_stl_engine`); of merged shards
+    their sums. Absent without one."""
     argument: ArgumentEntry | None
     """The user's own argument, over which the assurance case is built; null without."""
     reuse: ReuseEntry

@@ -493,7 +493,7 @@ def _texts(value: Any) -> Iterator[str]:
             yield element
         elif isinstance(element, Mapping):
             yield from (key for key in element if isinstance(key, str))
-            pending.extend(element.values())
+            pending.extend(element[key] for key in element)
         elif isinstance(element, (list, tuple)):
             pending.extend(element)
 

@@ -78,11 +78,29 @@ class ExecutionEntry(Entry):
     session, or is refused.
     """
 
-    executor: Literal["in-process", "processes", "dask"]
-    """`in-process`: the processes of pytest, or of pytest-xdist. `processes`: processes of the same
-    machine. `dask`: the workers of a Dask cluster."""
+    executor: Annotated[str, Field(min_length=1)]
+    """Its registered name. `in-process`: the processes of pytest, or of pytest-xdist. `processes`:
+    processes of the same machine. `dask`: the workers of a Dask cluster."""
     processes: Positive | None
     """How many processes of the same machine; null for another executor."""
+
+
+class SecondEngineEntry(Entry):
+    """What a second engine for formulas was compared on (ini `dura_stl_engine = both`).
+
+    Where it differs from our own, the episode is missing and the gate fails.
+    """
+
+    engine: Literal["rtamt"]
+    """Its name."""
+    version: str
+    """Its version."""
+    compared: Count
+    """Verdicts on episodes by formulas that both engines came to, differences included; what two
+    requirements, or a search and a test, ask of one episode by one formula is one."""
+    not_compared: dict[str, Positive]
+    """Verdicts that it does not come to, by the reason: a check that is a function, a trace of one
+    sample, what it fails on."""
 
 
 class EarlierSession(Entry):

@@ -1,176 +1,79 @@
-"""Verify a bundle: hashes, schema, formats, traces, and all that follows from the episodes.
+"""Verify a bundle, in three sentences.
 
-The record's own sums are checked in ``verify_record``, its verdicts in ``verify_verdicts``.
-Functions named ``..._problems`` yield a sentence for each difference.
+1. The hashes of the manifest hold.
+2. Concluding from the recorded episodes gives the recorded verdicts, gate, totals, metrics and
+   coverage.
+3. Rendering the record gives the files, byte for byte.
+
+The second one is checked with the code that concludes a session. What that code cannot make again,
+since only the session knew it, is taken as recorded, and must not contradict itself; see
+``verify_record``. Nothing of the user's code is run, and nothing is written.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from importlib import import_module
-from itertools import chain
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.errors import ConfigurationError, DuraError, describe_error
+from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord, Tally
 from pytest_dura.evidence.bundle import (
+    FORMATS,
     RECORD_FILE,
-    RENDERED_FILES,
-    Format,
-    all_formats,
     read_session_record,
+    rendered_files,
 )
-from pytest_dura.evidence.conclude import (
-    PairedCourses,
-    coverage,
-    effectiveness,
-    missing_runs,
-    timings,
-    verdicts_on_cases,
-)
+from pytest_dura.evidence.conclude import conclude_record, measure_cases
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episodes import outcome_figures
 from pytest_dura.evidence.files import file_entry, files_below, listed_files, manifest_problems
+from pytest_dura.evidence.gate import judge_again
 from pytest_dura.evidence.junit import junit_problems
 from pytest_dura.evidence.mcap import read_trace
-from pytest_dura.evidence.metrics import CaseMetrics, PooledMetrics, SharedViolations
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.redaction import count_redactions
 from pytest_dura.evidence.schema import check_record
-from pytest_dura.evidence.sessions import reuse_problems
 from pytest_dura.evidence.traces import Trace, trace_path
-from pytest_dura.evidence.verify_record import record_problems
+from pytest_dura.evidence.verify_record import differences, record_problems
 from pytest_dura.evidence.verify_verdicts import verdict_problems
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitoring.quality import MonitorQuality
-
-
-def _other_version(record: SessionRecord) -> str | None:
-    """Version that wrote the record, if it is another one, whose reports may differ."""
-    # The package is loaded already; an import by statement would look like a circle.
-    version = str(record["tool"]["version"])
-    return None if version == import_module("pytest_dura").__version__ else version
-
-
-def rendering_problems(record: SessionRecord) -> Iterator[str]:
-    """Render the record again, and yield the files that come out different."""
-    for report_format in all_formats():
-        problem = _rendering_problem(report_format, record)
-        if problem:
-            yield f"{report_format.FILE}: {problem}"
-
-
-def _rendering_problem(report_format: Format, record: SessionRecord) -> str:
-    try:
-        # Surrogates are escaped in the file.
-        rendered = report_format.render(record).encode(errors="backslashreplace")
-        file = (record.directory / report_format.FILE).read_bytes()
-    except Exception as error:  # a damaged record may break what renders it anywhere
-        return f"cannot be rendered again ({describe_error(error)})"
-    return "" if file == rendered else "not as it is rendered from the record"
-
 
 Data = Mapping[str, Any]
-CaseKey = tuple[str, str]
-_AFTERWARDS = ("redacted", "totals")
-"""Keys that are added after redactions are counted."""
+_RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")
+_STATEMENT_FILE = "test-result.intoto.json"
+_MOST_DIFFERENCES = 10
+"""Greatest number of differences that are listed of one key of the record."""
 
 
-def recomputed_problems(record: SessionRecord) -> Iterator[str]:
-    """Compute what is derived in a record again, and yield the differences."""
-    yield from _case_problems(record)
-    computed = coverage(record["cases"], record["verdicts"], record.episodes())
-    yield from _differences("coverage", record["coverage"], computed)
-    recorded = record["timings"]
-    measured = {name: recorded[name] for name in ("wall_seconds", "evidence_seconds")}
-    yield from _differences("timings", recorded, timings(record.episodes(), **measured))
-    redactions = count_redactions({k: v for k, v in record.head.items() if k not in _AFTERWARDS})
-    for episode in record.episodes():
-        redactions += count_redactions(episode)
-    yield from _differences("redacted", record["redacted"], dict(redactions))
-    cases = {(case["id"], case["component"]) for case in record["cases"]}
-    for number, monitor in enumerate(record["monitors"]):
-        if (monitor["case"], monitor["component"]) not in cases:
-            yield f"monitors/{number}: its case is not listed"
-        yield from _monitor_problems(f"monitors/{number}", monitor)
+def hash_problems(directory: Path, record: SessionRecord, names: Iterable[str]) -> Iterator[str]:
+    """Check the hashes: those of the manifest, and the one of the record in the statement.
 
-
-def _case_problems(record: SessionRecord) -> Iterator[str]:
-    metrics: dict[CaseKey, CaseMetrics] = defaultdict(CaseMetrics)
-    reported: dict[CaseKey, set[int]] = defaultdict(set)
-    shared = SharedViolations(record["verdicts"])
-    pooled = PooledMetrics(record["cases"], record["verdicts"])
-    courses = PairedCourses(record["verdicts"])
-    for episode in record.episodes():
-        if episode["planned"]:
-            shared.add(episode)
-            pooled.add(episode)
-            courses.add(episode)
-            key = episode["case"], episode["component"]
-            metrics[key].add(episode)
-            reported[key].add(episode["spec"]["run"])
-    also_without = [verdict["also_without"] for verdict in record["verdicts"]]
-    yield from _differences("verdicts: also_without", also_without, shared.to_json())
-    yield from _differences("overall", record["overall"], pooled.to_json())
-    computed = effectiveness(record["verdicts"], record["monitors"], courses)
-    yield from _differences("effectiveness", record["effectiveness"], computed)
-    judged = verdicts_on_cases(record["verdicts"])
-    for case in record["cases"]:
-        key, name = (case["id"], case["component"]), f"case {case['id']}"
-        own_metrics = metrics[key].to_json(case["planned"])
-        yield from _differences(f"{name}: metrics", case["metrics"], own_metrics)
-        missing = missing_runs(case, judged.get(key, []), reported[key])
-        yield from _differences(name, {key: case[key] for key in missing}, missing)
-        override = case["runs_override"]
-        if override is not None and case["planned"] not in (0, override):
-            planned = f"{case['planned']} runs planned"
-            yield f"{name}: {planned}, and --dura-runs={override} replaces them"
-
-
-def _monitor_problems(name: str, monitor: Data) -> Iterator[str]:
-    quality = MonitorQuality.from_json(monitor)
-    yield from _differences(name, monitor, {"case": monitor["case"], **quality.to_json()})
-    times = quality.delays if quality.horizon is None else quality.lead_times
-    if len(times) != quality.true_positives or (quality.delays and quality.lead_times):
-        yield f"{name}: {quality.true_positives} true positives, and {len(times)} times of them"
-    if quality.late + quality.early > quality.false_negatives:
-        yield f"{name}: more late and early alarms than false negatives"
-    if quality.false_positives > quality.false_alarms:
-        yield f"{name}: fewer false alarms than episodes with one"
-
-
-def _differences(name: str, recorded: Any, computed: Any) -> Iterator[str]:
-    """Yield the first place at which plain data differs from a computed value, if there is one."""
-    for place, first, second in _element_differences(name, recorded, plain_data(computed)):
-        yield f"{place} is {first}, and the record gives {second}"
+    Args:
+        directory: The bundle.
+        record: Its record.
+        names: Its files.
+    """
+    yield from manifest_problems(directory, _kept_episodes(record, names))
+    statement = directory / _STATEMENT_FILE
+    if statement.is_symlink():
         return
-
-
-def _presence(present: bool) -> str:
-    return "there" if present else "not"
-
-
-def _element_differences(name: str, recorded: Any, computed: Any) -> Iterator[tuple[str, str, str]]:
-    if isinstance(recorded, Mapping) and isinstance(computed, Mapping):
-        for key in [*recorded, *(key for key in computed if key not in recorded)]:
-            if key in recorded and key in computed:
-                yield from _element_differences(f"{name}/{key}", recorded[key], computed[key])
-            else:
-                yield f"{name}/{key}", _presence(key in recorded), _presence(key in computed)
-    elif isinstance(recorded, list) and isinstance(computed, list):
-        if len(recorded) != len(computed):
-            yield f"{name}: its number", str(len(recorded)), str(len(computed))
-        for number, (first, second) in enumerate(zip(recorded, computed, strict=False)):
-            yield from _element_differences(f"{name}/{number}", first, second)
-    elif recorded != computed or isinstance(recorded, bool) != isinstance(computed, bool):
-        yield name, repr(recorded)[:80], repr(computed)[:80]
+    try:
+        subjects = json.loads(statement.read_bytes())["subject"]
+        digests = [each["digest"]["sha256"] for each in subjects if each["name"] == RECORD_FILE]
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+        yield f"{_STATEMENT_FILE}: no statement on the record ({describe_error(error)})"
+    else:
+        if digests != [file_entry(directory / RECORD_FILE)["sha256"]]:
+            yield f"{_STATEMENT_FILE}: a statement on another {RECORD_FILE}"
 
 
 @dataclass
@@ -211,7 +114,7 @@ def trace_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[s
         try:
             for problem in _problems_of_trace(record, episode, claims, rejudged):
                 yield f"{name}: {problem}"
-        except (DuraError, OSError, LookupError, TypeError, ValueError, AttributeError) as error:
+        except Exception as error:  # whatever a damaged trace does to its readers
             yield f"{name}: cannot be read as the trace of {episode['id']} ({error})"
 
 
@@ -329,18 +232,80 @@ def _trace_episode(trace: Trace, episode: Data) -> JudgedEpisode:
     )
 
 
-_RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")
-DAMAGE_ERRORS = (
-    DuraError,
-    AttributeError,
-    LookupError,
-    TypeError,
-    ValueError,
-    ArithmeticError,
-    OSError,
-    RecursionError,
-)
-"""Errors that reading a damaged file may raise."""
+def conclusion_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[str]:
+    """Conclude from the recorded episodes again, and yield the differences.
+
+    Args:
+        record: The record.
+        rejudged: Verdicts on traces, of :func:`trace_problems`.
+    """
+    for problem in verdict_problems(record, rejudged.verdicts):
+        yield f"{RECORD_FILE}: {problem}"
+    again = conclude_again(record).head
+    for key in dict.fromkeys([*record.head, *again]):
+        found, expected = ({key: head[key]} if key in head else {} for head in (record.head, again))
+        for problem in islice(differences("", found, expected), _MOST_DIFFERENCES):
+            yield f"{RECORD_FILE}: {problem}{_subject(record, problem)}"
+
+
+def conclude_again(record: SessionRecord) -> SessionRecord:
+    """Conclude a recorded session as it was concluded itself, from its episodes and verdicts."""
+    timings = record["timings"]
+    return conclude_record(
+        measure_cases(record),
+        finished=record["finished"],
+        gate=judge_again(record.head).to_json(),
+        inputs=record["inputs"],
+        wall_seconds=timings["wall_seconds"],
+        evidence_seconds=timings["evidence_seconds"],
+        redact=lambda same: same,  # the session took out its secrets
+    )
+
+
+_ENTRY = re.compile(r"/(cases|verdicts)/(\d+)/")
+
+
+def _subject(record: SessionRecord, pointer: str) -> str:
+    """Name the case or the verdict that a JSON pointer leads to."""
+    match = _ENTRY.match(pointer)
+    if match is None:
+        return ""
+    entry = record[match[1]][int(match[2])]
+    return f" ({entry['id'] if match[1] == 'cases' else _name(entry)})"
+
+
+def _name(verdict: Data) -> str:
+    return f"{verdict['requirement']} on {verdict['case']}"
+
+
+def rendering_problems(record: SessionRecord) -> Iterator[str]:
+    """Render the record again, and yield the files that come out different."""
+    listed = set(listed_files(record.directory))
+    for name in FORMATS:
+        # A bundle that was written elsewhere has no formats of packages that are only here.
+        if FORMATS.is_ours(name) or name in listed:
+            problem = _rendering_problem(name, record)
+            if problem:
+                yield f"{name}: {problem}"
+
+
+def _rendering_problem(name: str, record: SessionRecord) -> str:
+    try:
+        # Surrogates are escaped in the file.
+        rendered = FORMATS[name].render(record).encode(errors="backslashreplace")
+        file = record.directory / name
+        # What a link leads to may be read without end.
+        equal = file.stat().st_size == len(rendered) and file.read_bytes() == rendered
+    except Exception as error:  # a damaged record may break what renders it anywhere
+        return f"cannot be rendered again ({describe_error(error)})"
+    return "" if equal else "not as it is rendered from the record"
+
+
+def _other_version(record: SessionRecord) -> str | None:
+    """Version that wrote the record, if it is another one, whose reports may differ."""
+    # The package is loaded already; an import by statement would look like a circle.
+    version = str(record["tool"]["version"])
+    return None if version == import_module("pytest_dura").__version__ else version
 
 
 @dataclass
@@ -352,8 +317,8 @@ class Verification:
         files: Number of files that were checked.
         totals: Those of the record, if it could be read.
         rejudged: Verdicts that were judged again on traces.
-        not_rendered: Version that wrote the bundle, if it is not this one; its formats were then
-            not rendered again.
+        not_rendered: Version that wrote the bundle, if it is not this one: the third sentence was
+            not checked then.
     """
 
     problems: list[str]
@@ -369,9 +334,7 @@ class Verification:
 
 
 def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
-    """Check a bundle against itself: its hashes, its references, its sums, its formats.
-
-    Nothing of the user's code is run, and nothing is written.
+    """Check the three sentences on a bundle.
 
     Args:
         directory: The evidence directory.
@@ -401,34 +364,33 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
     except ConfigurationError as error:
         verification.problems += [*manifest_problems(directory), f"{RECORD_FILE}: {error}"]
         return verification
-    verification.problems += manifest_problems(directory, _kept_episodes(record, names))
     try:
-        mismatches = check_record(record)
-        if mismatches:
-            verification.problems += [f"{RECORD_FILE}: schema: {text}" for text in mismatches]
-            return verification  # sums need the shape of the schema
-        verification.totals = record["totals"]
-        verification.problems += record_problems(record)
-    except DAMAGE_ERRORS as error:
-        verification.problems.append(_damaged(error))
-        return verification
-    verification.problems += _extra_files(record)
-    verification.not_rendered = _other_version(record)
-    if verification.not_rendered is None:
-        verification.problems += rendering_problems(record)
-    verification.problems += trace_problems(record, verification.rejudged)
-    try:
-        verification.problems += derived_problems(record, verification.rejudged)
-    except DAMAGE_ERRORS as error:
-        verification.problems.append(_damaged(error))
+        _check_sentences(verification, record, names)
+    except Exception as error:  # whatever a damaged record does to the code that concludes it
+        why = str(error).partition("\n")[0]
+        verification.problems.append(f"{RECORD_FILE}: damaged ({type(error).__name__}: {why})")
     if junit is not None:
         verification.problems += junit_problems(record, junit)
     return verification
 
 
-def _damaged(error: Exception) -> str:
-    why = str(error).partition("\n")[0]
-    return f"{RECORD_FILE}: damaged ({type(error).__name__}: {why})"
+def _check_sentences(
+    verification: Verification, record: SessionRecord, names: Iterable[str]
+) -> None:
+    problems = verification.problems
+    problems += hash_problems(record.directory, record, names)
+    problems += _extra_files(record)
+    mismatches = check_record(record)
+    if mismatches:
+        problems += [f"{RECORD_FILE}: schema: {text}" for text in mismatches]
+        return  # what follows needs the shape of the schema
+    verification.totals = record["totals"]
+    problems += record_problems(record)
+    problems += trace_problems(record, verification.rejudged)
+    problems += conclusion_problems(record, verification.rejudged)
+    verification.not_rendered = _other_version(record)
+    if verification.not_rendered is None:
+        problems += rendering_problems(record)
 
 
 def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
@@ -441,19 +403,7 @@ def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
 
 def _extra_files(record: SessionRecord) -> Iterator[str]:
     """Yield the files that the manifest lists and that belong to no bundle."""
-    expected = {RECORD_FILE, *RENDERED_FILES}
+    expected = {RECORD_FILE, *rendered_files()}
     expected.update(e["trace"]["file"] for e in record.episodes() if e["trace"] is not None)
     for name in sorted(set(listed_files(record.directory)) - expected):
         yield f"{name}: in the manifest, and no file of this bundle"
-
-
-def derived_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[str]:
-    """Compute what follows from the episodes again."""
-    yield from (
-        f"{RECORD_FILE}: {problem}"
-        for problem in chain(
-            recomputed_problems(record),
-            reuse_problems(record),
-            verdict_problems(record, rejudged.verdicts),
-        )
-    )

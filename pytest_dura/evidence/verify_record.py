@@ -1,14 +1,15 @@
-"""Verify that a record agrees with itself: episodes, searches, sums, references and gate.
+"""Check what a record has that cannot be computed again: it must not contradict itself.
 
-Each function yields a sentence for every contradiction that it finds.
+These are episodes, searches, references and monitors. Each function yields a sentence for every
+contradiction that it finds.
 """
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from hashlib import sha256
-from math import isclose
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -16,19 +17,14 @@ from pytest_dura.core.episode import canonical, outcome_of
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.bundle import RECORD_FILE
-from pytest_dura.evidence.conclude import totals
-from pytest_dura.evidence.gate import (
-    NOTHING_FOUND,
-    VIOLATED_OUTCOMES,
-    repeat_objections,
-    repeat_problems,
-    verdict_objections,
-)
+from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, repeat_problems
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.redaction import holds_redaction
-from pytest_dura.evidence.sessions import shard_problems
+from pytest_dura.evidence.sessions import reuse_problems, shard_problems
+from pytest_dura.evidence.text import one_line
 from pytest_dura.provenance import digest_of
-from pytest_dura.requirements.rate_tests import EXACT_METHOD, upper_bound
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 Data = Mapping[str, Any]
 
@@ -330,7 +326,6 @@ def _counterexample_problems(search: Data, counterexample: Data) -> Iterator[str
 
 
 EpisodeKey = tuple[str, str]
-_COUNTED = ("flagged", "collided", "gridlock")
 
 
 def record_problems(record: SessionRecord) -> Iterator[str]:
@@ -344,7 +339,6 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
     cases = {(case["id"], case["component"]): case for case in record["cases"]}
     requirements = {requirement["id"] for requirement in record["requirements"]}
     ids: set[EpisodeKey] = set()
-    sums: dict[EpisodeKey, Counter[str]] = defaultdict(Counter)
     known: set[bytes] = set()
     digests: dict[EpisodeKey, set[str]] = {
         (case["repeat"]["episode"], case["component"]): set()
@@ -368,27 +362,26 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
         if (digest := sha256(inputs).digest()) in known:
             yield f"episode {episode['id']}: it is listed twice"
         known.add(digest)
-        if episode["planned"]:
-            _add_episode(sums[episode["case"], episode["component"]], episode)
-    for key, case in cases.items():
-        yield from _case_sum_problems(case, sums[key])
+    for case in record["cases"]:
+        override = case["runs_override"]
+        if override is not None and case["planned"] not in (0, override):
+            planned = f"{case['planned']} runs planned"
+            yield f"case {case['id']}: {planned}, and --dura-runs={override} replaces them"
         repeated = case["repeat"] and (case["repeat"]["episode"], case["component"])
         for problem in repeat_problems(case, digests.get(repeated, ())):
             yield f"case {case['id']}: {problem}"
     for verdict in record["verdicts"]:
         yield from _verdict_problems(verdict, cases, requirements, ids)
     yield from _question_problems(record)
-    yield from _coverage_problems(record)
-    yield from _gate_problems(record)
+    yield from _monitor_problems(record, cases)
     yield from search_problems(record)
+    yield from reuse_problems(record)
     yield from shard_problems(record)
 
 
 def _session_problems(record: SessionRecord) -> Iterator[str]:
     if record["status"] != "complete":
         yield f"the session is {record['status']}: its evidence is incomplete"
-    if record["totals"] != (counted := totals(record)):
-        yield f"totals: {record['totals']}, and it holds {counted}"
     cases = {(case["id"], case["component"]): case for case in record["cases"]}
     requirements = {requirement["id"] for requirement in record["requirements"]}
     if len(cases) < len(record["cases"]):
@@ -469,30 +462,6 @@ def _limits(verdict: Data) -> list[Any]:
     return [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
 
 
-def _add_episode(sums: Counter[str], episode: Data) -> None:
-    sums["run"] += 1
-    sums[episode["validity"]] += 1
-    sums["ended_early"] += episode["termination"] == "decided"
-    for key in _COUNTED:
-        if episode["outcome"][key]:
-            sums[f"{key}.run"] += 1
-            sums[f"{key}.valid"] += episode["validity"] == "valid"
-
-
-def _case_sum_problems(case: Data, sums: Mapping[str, int]) -> Iterator[str]:
-    metrics = case["metrics"]
-    recorded = {
-        name: metrics[name] for name in ("run", "valid", "invalid", "missing", "ended_early")
-    }
-    for key in _COUNTED:
-        for over in ("valid", "run"):
-            if metrics[key] is not None:
-                recorded[f"{key}.{over}"] = metrics[key][over]
-    for name, count in recorded.items():
-        if count != sums[name]:
-            yield f"case {case['id']}: {name} is {count}, and its episodes say {sums[name]}"
-
-
 def _verdict_problems(
     verdict: Data,
     cases: Mapping[EpisodeKey, Data],
@@ -508,102 +477,51 @@ def _verdict_problems(
     for episode in (*named, *verdict["open"], *verdict["unseen_crashes"]):
         if (episode, verdict["component"]) not in episodes:
             yield f"{name}: its episode {episode} is not listed"
-    yield from _verdict_count_problems(name, verdict)
-    yield from _verdict_status_problems(name, verdict)
 
 
-def _verdict_count_problems(name: str, verdict: Data) -> Iterator[str]:
-    if verdict["episodes"] + verdict["invalid"] + verdict["missing"] != verdict["run"]:
-        yield f"{name}: valid, invalid and missing episodes do not add up to {verdict['run']}"
-    valid = sum(counterexample["valid"] for counterexample in verdict["counterexamples"])
-    listed = valid, len(verdict["counterexamples"]) - valid
-    if (verdict["violations"], verdict["without_effect"]) != listed:
-        counts = f"{verdict['violations']} violations, {verdict['without_effect']} without effect"
-        yield f"{name}: {counts}, and {listed[0]} and {listed[1]} counterexamples"
-    if verdict["violations"] + len(verdict["open"]) > verdict["episodes"]:
-        yield f"{name}: more violations and open episodes than the {verdict['episodes']} valid ones"
-    if verdict["without_effect"] > verdict["invalid"]:
-        invalid = f"{verdict['invalid']} invalid episodes"
-        yield f"{name}: more violations without effect than the {invalid}"
+def _monitor_problems(record: SessionRecord, cases: Mapping[EpisodeKey, Data]) -> Iterator[str]:
+    """Compute the rates of monitors from their counts again."""
+    for number, monitor in enumerate(record["monitors"]):
+        name = f"monitors/{number}"
+        if (monitor["case"], monitor["component"]) not in cases:
+            yield f"{name}: its case is not listed"
+        quality = MonitorQuality.from_json(monitor)
+        again = {"case": monitor["case"], **quality.to_json()}
+        yield from differences(f"/{name}", monitor, plain_data(again))
+        times = quality.delays if quality.horizon is None else quality.lead_times
+        if len(times) != quality.true_positives or (quality.delays and quality.lead_times):
+            yield f"{name}: {quality.true_positives} true positives, and {len(times)} times of them"
+        if quality.late + quality.early > quality.false_negatives:
+            yield f"{name}: more late and early alarms than false negatives"
+        if quality.false_positives > quality.false_alarms:
+            yield f"{name}: fewer false alarms than episodes with one"
 
 
-def _bound_problems(name: str, verdict: Data) -> Iterator[str]:
-    """Compute the bound from the counts again; runs that are all equal have none."""
-    bound = verdict["bound"]
-    if verdict["situation"] is not None:
-        if bound["upper"] is not None:
-            yield f"{name}: its runs are equal, and a rate is bound"
-    elif bound["method"] == EXACT_METHOD and verdict["episodes"]:
-        worst = verdict["violations"] + len(verdict["open"])
-        upper = upper_bound(
-            min(worst, verdict["episodes"]), verdict["episodes"], bound["confidence"]
-        )
-        if bound["upper"] is None or not isclose(bound["upper"], upper, rel_tol=1e-9):
-            yield f"{name}: the bound is {bound['upper']}, and its counts give {upper}"
+_ABSENT = "nothing"
 
 
-def _verdict_status_problems(name: str, verdict: Data) -> Iterator[str]:
-    """Check that the counts allow the status."""
-    bound, status = verdict["bound"], verdict["verdict"]
-    exact = bound["method"] == EXACT_METHOD
-    yield from _bound_problems(name, verdict)
-    broken = verdict["violations"] or verdict["without_effect"]
-    if status == "violated" and not broken and verdict["pairs"] is None:
-        yield f"{name}: violated without a violation"
-    if status != "supported":
-        return
-    if verdict["missing"] or not verdict["episodes"]:
-        counts = f"{verdict['episodes']} episodes valid and {verdict['missing']} missing"
-        yield f"{name}: supported, {counts}"
-    if verdict["run"] + verdict["saved"] < verdict["planned"]:
-        yield f"{name}: supported with {verdict['run']} of {verdict['planned']} planned runs"
-    if bound["at_most"] is None and (verdict["violations"] or verdict["open"]):
-        counts = f"{verdict['violations']} violations and {len(verdict['open'])} open episodes"
-        yield f"{name}: supported with {counts}"
-    if verdict["without_effect"] or verdict["unseen_crashes"]:
-        yield f"{name}: supported, although an invalid run violates it or a crash violates nothing"
-    too_high = exact and bound["at_most"] is not None
-    if too_high and (bound["upper"] is None or bound["upper"] > bound["at_most"]):
-        yield f"{name}: supported with a bound of {bound['upper']} above {bound['at_most']}"
+def differences(pointer: str, recorded: Any, computed: Any) -> Iterator[str]:
+    """Yield the places, as JSON pointers, at which plain data differs from computed data."""
+    if isinstance(recorded, Mapping) and isinstance(computed, Mapping):
+        for key in [*recorded, *(key for key in computed if key not in recorded)]:
+            place = f"{pointer}/{str(key).replace('~', '~0').replace('/', '~1')}"
+            if key in recorded and key in computed:
+                yield from differences(place, recorded[key], computed[key])
+            else:
+                kinds = ("a value", _ABSENT) if key in recorded else (_ABSENT, "a value")
+                yield f"{place}: found {kinds[0]}, expected {kinds[1]}"
+    elif isinstance(recorded, list) and isinstance(computed, list):
+        if len(recorded) != len(computed):
+            yield f"{pointer}: found {len(recorded)} entries, expected {len(computed)}"
+        for number, (found, expected) in enumerate(zip(recorded, computed, strict=False)):
+            yield from differences(f"{pointer}/{number}", found, expected)
+    elif recorded != computed or isinstance(recorded, bool) != isinstance(computed, bool):
+        yield f"{pointer}: found {_short(recorded)}, expected {_short(computed)}"
 
 
-def _coverage_problems(record: SessionRecord) -> Iterator[str]:
-    """Compare the cells of the coverage with the verdicts."""
-    decided: dict[tuple[str, str], set[str]] = defaultdict(set)
-    for verdict in record["verdicts"]:
-        decided[verdict["requirement"], verdict["case"]].add(verdict["verdict"])
-    cells = defaultdict(set)
-    for cell in record["coverage"]["cells"]:
-        if cell["verdict"] is not None:
-            cells[cell["requirement"], cell["case"]].add(cell["verdict"])
-    for requirement, case in sorted(set(cells) - set(decided)):
-        yield f"coverage: {requirement} on {case} counts as tested, and has no verdict"
-    for key, statuses in sorted(cells.items()):
-        if key in decided and not statuses <= decided[key]:
-            yield f"coverage: {key[0]} on {key[1]} is not {', '.join(sorted(statuses))}"
+def _short(value: Any) -> str:
+    """JSON of a value, cut short."""
+    return one_line(json.dumps(value, ensure_ascii=False), _MAX_SHOWN)
 
 
-def _gate_problems(record: SessionRecord) -> Iterator[str]:
-    gate = record["gate"]
-    against = verdict_objections(
-        record["verdicts"], record["searches"], warn_undecided=gate["warn_undecided"]
-    )
-    if gate["result"] == "passed":
-        if against or record["status"] != "complete" or gate["exit_code"] != 0:
-            why = against[0] if against else f"status {record['status']}"
-            yield f"gate: passed, although {why} (exit code {gate['exit_code']})"
-    elif not gate["reasons"]:
-        yield f"gate: {gate['result']}, and no reason is given"
-    if gate["result"] != "passed" and gate["exit_code"] == 0:
-        yield f"gate: {gate['result']}, and the exit code is 0"
-    unrepeated = repeat_objections(record["cases"]) if record["require_repeatable"] else iter(())
-    if gate["result"] == "passed" and (objection := next(unrepeated, None)) is not None:
-        yield f"gate: passed, although it requires cases to be repeatable: {objection}"
-    if gate["result"] == "passed" and gate["failed"]:
-        yield f"gate: passed, although {gate['failed']} test items failed"
-    if gate["result"] == "passed" and gate["reasons"]:
-        yield f"gate: passed, although {gate['reasons'][0]}"
-    if (gate["result"] == "incomplete") != (record["status"] != "complete"):
-        yield f"gate: {gate['result']}, and the session is {record['status']}"
-    if gate["result"] != "passed" and (untold := sorted({*against} - {*gate["reasons"]})):
-        yield f"gate: {untold[0]}, which is no reason of it"
+_MAX_SHOWN = 100

@@ -1,173 +1,47 @@
-"""Verify that verdicts are what the recorded episodes of their campaigns come to.
+"""Judge the verdicts of a record again: on traces, and on the recorded episodes of their campaigns.
 
 A verdict names the episodes that violated it. The statuses of all others follow from their
-validity, or from their traces where there are any; from all of them it is decided again.
+validity, or from their traces where there are any; the judge of campaigns decides on them again.
+Taken as recorded are margins and vacuous episodes without a trace, and tables of pairs.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episodes import case_situations
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.requirements.campaign_judge import CampaignJudge
-from pytest_dura.requirements.campaign_verdicts import (
-    EQUAL_RUNS,
-    EVERY_EPISODE,
-    REPEATED,
-    CampaignVerdict,
-    Margins,
-    Situation,
-    Situations,
-)
+from pytest_dura.evidence.verify_record import differences
+from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
+from pytest_dura.requirements.campaign_verdicts import EVERY_EPISODE, CampaignVerdict, Situations
+from pytest_dura.requirements.comparison import mcnemar
 from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.pairs import Change, PairCounts
+from pytest_dura.requirements.rate_tests import EXACT_METHOD, upper_bound
 
 Data = Mapping[str, Any]
 
 
-def _has_margin(verdict: EpisodeVerdict) -> bool:
-    """Whether an episode's margin is part of its campaign's distribution."""
-    return verdict.valid and verdict.verdict != "open"
-
-
-def _margin_distribution(margins: Iterable[float | None]) -> dict[str, Any] | None:
-    """Summarise the margins that are not ``None``, as in the record."""
-    distribution = Margins.of([margin for margin in margins if margin is not None])
-    return None if distribution is None else asdict(distribution)
-
-
-def _margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Iterator[str]:
-    """Yield the contradictions between the margins of a verdict.
-
-    Args:
-        verdict: Of the record.
-        on_traces: Verdicts on its episodes by their traces.
-    """
-    margins = verdict["margins"]
-    counterexamples = verdict["counterexamples"]
-    listed = [entry["margin"] for entry in counterexamples if entry["valid"]]
-    order = [
-        (not entry["valid"], entry["margin"] or 0.0, entry["episode"]) for entry in counterexamples
-    ]
-    if order != sorted(order):
-        yield "its counterexamples are not in the order of their margins"
-    if (margins is None) != (verdict["margin"] is None):
-        yield f"the margin is {verdict['margin']}, and its distribution {margins}"
-    elif margins is not None:
-        yield from _distribution_problems(
-            verdict, [margin for margin in listed if margin is not None], on_traces
-        )
-
-
-def _distribution_problems(
-    verdict: Data, listed: list[float], on_traces: Iterable[EpisodeVerdict]
-) -> Iterator[str]:
-    margins = verdict["margins"]
-    points = [margins[name] for name in ("min", "q25", "median", "q75", "max")]
-    if None in points or points != sorted(points):
-        yield "the quartiles of its margins are not in order"
-        return
-    if margins["min"] != verdict["margin"]:
-        yield f"its least margin is {verdict['margin']}, and its distribution has {margins['min']}"
-    if not len(listed) <= margins["n"] <= verdict["episodes"]:
-        yield f"{margins['n']} margins of {verdict['episodes']} episodes"
-    traced = [
-        on_trace.margin
-        for on_trace in on_traces
-        if _has_margin(on_trace) and on_trace.margin is not None
-    ]
-    for margin in (*listed, *traced):
-        if not margins["min"] <= margin <= margins["max"]:
-            yield f"its margins begin at {margins['min']}, and one is {margin}"
-    # A test on single episodes reports the margins of violations alone.
-    measured = verdict["paired"] is not None and verdict["paired"]["measure"]
-    by_tests = not verdict["check"] and not measured
-    whole = verdict["violations"] == verdict["episodes"] == len(listed) or by_tests
-    if whole and margins != plain_data(_margin_distribution(listed)):
-        yield "the distribution of its margins is not that of its counterexamples"
-
-
-_ROUNDING = 1e-6
-_PAIR_COUNTS = ("only_with", "only_without", "both", "neither")
-
-
-def pair_problems(verdict: Data, recovered: int | None) -> Iterator[str]:
-    """Yield the contradictions between a table of pairs, its verdict and its runs.
-
-    Args:
-        verdict: Of the record, on pairs.
-        recovered: Its runs in which recovery acted, if they are known.
-    """
-    pairs = verdict["pairs"]
-    if "change" in pairs:
-        yield from _change_problems(verdict)
-        return
-    from pytest_dura.requirements.comparison import mcnemar
-
-    open_pairs = pairs["incomplete"]
-    complete = sum(pairs[kind] for kind in _PAIR_COUNTS)
-    if not pairs["pairs"] == complete + open_pairs == verdict["run"]:
-        yield f"the table of its pairs does not add up to {verdict['run']}"
-    acted = sum(pairs[f"acted_{kind}"] for kind in _PAIR_COUNTS)
-    if any(pairs[f"acted_{kind}"] > pairs[kind] for kind in _PAIR_COUNTS):
-        yield "recovery acted in more of its pairs than there are"
-    if recovered is not None and not acted <= recovered <= acted + open_pairs:
-        yield f"recovery acted in {acted} of its pairs, and in {recovered} of its runs"
-    p_value = mcnemar(pairs["only_with"], pairs["only_without"])
-    if pairs["p_value"] != p_value:
-        yield f"p is {pairs['p_value']}, and its table gives {p_value}"
-    tried = pairs["acted_only_without"] + pairs["acted_both"]
-    rate = pairs["acted_only_without"] / tried if tried else None
-    if pairs["success_rate"] != rate:
-        yield f"the rate of success is {pairs['success_rate']}, and its table gives {rate}"
-    for name in ("with", "without"):
-        least, violated = pairs["both"] + pairs[f"only_{name}"], pairs[f"violated_{name}"]
-        if not least <= violated <= least + open_pairs:
-            yield f"{violated} runs {name} it violated it, and its table says {least}"
-
-
-def _change_problems(verdict: Data) -> Iterator[str]:
-    """Yield the contradictions between the changes of a measure, their summary and the verdict."""
-    from pytest_dura.requirements.pairs import Change
-
-    change = verdict["pairs"]["change"]
-    if len(change["pairs"]) != len(change["values"]):
-        yield f"its change has {len(change['values'])} values for {len(change['pairs'])} pairs"
-        return
-    if Change.from_json(change).to_json() != change:
-        yield "the summary of its change is not that of its values"
-    counted = change["n"] + sum(len(change[key]) for key in ("lost", "gained"))
-    if not counted <= verdict["run"]:
-        yield f"its change has {counted} pairs, of {verdict['run']}"
-    bound = verdict["paired"]["change_at_most"]
-    excesses = [value - bound for value in change["values"] if value is not None]
-    # Values that equal the bound but for rounding violate nothing.
-    slack = _ROUNDING * max(1.0, abs(bound))
-    least, most = (sum(excess > shift for excess in excesses) for shift in (slack, -slack))
-    lost = len(change["lost"])
-    if not least + lost <= verdict["violations"] <= most + lost:
-        yield f"{verdict['violations']} pairs violate it, and its changes give {least + lost}"
-
-
 TraceVerdicts = Mapping[tuple[int, str], EpisodeVerdict]
 """Verdicts on traces, by the number of the verdict and the id of the episode."""
-_EXTRA_SHARE = 0.2
-"""Further runs that may follow invalid ones, as a share of the planned ones."""
-_UNLISTED: Data = {"planned": math.inf, "variation": {}, "faults": []}
+_UNLISTED: Data = {"planned": float("inf"), "variation": {}, "faults": []}
 """Substitute for a case that the record does not have."""
+_NONDETERMINISTIC = "infrastructure: nondeterministic"
+"""Beginning of the reason why a session does not trust a verdict."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _Run:
-    """Properties of a planned run that a verdict rests on."""
+    """Properties of a planned run, or of a run and its twin, that a verdict rests on."""
 
     episode: str
+    number: int
     validity: str
     termination: str
     proposals: int
@@ -177,20 +51,12 @@ class _Run:
     trajectory: str
     drawn: bool
 
-
-@dataclass
-class _Case:
-    """The planned runs of a case with one component."""
-
-    runs: dict[int, _Run] = field(default_factory=dict)
-    is_unambiguous: bool = True
-    """Whether each number stands for a single run."""
-
-    def add(self, episode: Data) -> None:
-        number, metrics = episode["spec"]["run"], episode["metrics"]
-        self.is_unambiguous &= number not in self.runs
-        self.runs[number] = _Run(
+    @classmethod
+    def of(cls, episode: Data) -> _Run:
+        metrics = episode["metrics"]
+        return cls(
             episode["id"],
+            episode["spec"]["run"],
             episode["validity"],
             episode["termination"],
             metrics["proposals"],
@@ -201,57 +67,71 @@ class _Case:
             episode["drawn"],
         )
 
-    def add_to(self, situations: Situations, numbers: Iterable[int]) -> None:
-        """Add the runs of these numbers to the situations."""
-        for number in numbers:
-            run = self.runs[number]
-            situations.add_run(
-                run.episode.rpartition("#")[0],
-                number,
-                run.trajectory,
-                valid=run.validity == "valid",
-                drawn=run.drawn,
-            )
+    def add_to(self, situations: Situations) -> None:
+        """Add the run to those of which it is asked whether they are all equal."""
+        case, valid = self.episode.rpartition("#")[0], self.validity == "valid"
+        situations.add_run(case, self.number, self.trajectory, valid=valid, drawn=self.drawn)
+
+    def with_twin(self, twin: _Run) -> _Run:
+        """The pair of both, which is spoilt as soon as one of them is."""
+        for spoilt in ("missing", "invalid"):
+            for side in (self, twin):
+                if side.validity == spoilt:
+                    return replace(self, validity=spoilt, termination=side.termination)
+        return self
 
 
-def _situation_text(situation: str | None) -> str:
-    return "no single situation" if situation is None else f"one situation, {situation}"
+@dataclass
+class _CaseRuns:
+    """The planned runs of a case with one component, by number."""
+
+    runs: dict[int, _Run] = field(default_factory=dict)
+    is_unambiguous: bool = True
+    """Whether each number stands for a single run."""
+
+    def add(self, run: _Run) -> None:
+        self.is_unambiguous &= run.number not in self.runs
+        self.runs[run.number] = run
 
 
 def verdict_problems(record: SessionRecord, judged: TraceVerdicts) -> Iterator[str]:
-    """Yield the contradictions between verdicts and their episodes.
+    """Judge each verdict again, and yield the differences.
 
     Args:
         record: The record.
         judged: Verdicts on traces.
     """
-    cases: dict[tuple[str, str], _Case] = defaultdict(_Case)
+    runs: dict[tuple[str, str], _CaseRuns] = defaultdict(_CaseRuns)
     for episode in record.episodes():
         if episode["planned"]:
-            cases[episode["case"], episode["component"]].add(episode)
-    listed = {(case["id"], case["component"]): case for case in record["cases"]}
+            runs[episode["case"], episode["component"]].add(_Run.of(episode))
+    cases = {(case["id"], case["component"]): case for case in record["cases"]}
     requirements = {requirement["id"]: requirement for requirement in record["requirements"]}
-    of_cases = {(case["id"], case["component"]): case["requirements"] for case in record["cases"]}
     verdicts_on: dict[tuple[str, str], list[Data]] = defaultdict(list)
     for verdict in record["verdicts"]:
         verdicts_on[verdict["case"], verdict["component"]].append(verdict)
+    on_traces: dict[int, dict[str, EpisodeVerdict]] = defaultdict(dict)
+    for (number, name), traced in judged.items():
+        on_traces[number][name] = traced
     for number, verdict in enumerate(record["verdicts"]):
-        name = f"verdict {verdict['requirement']} on {verdict['case']}"
-        case_runs, twin_runs = cases[verdict["case"], verdict["component"]], None
-        case = listed.get((verdict["case"], verdict["component"]), _UNLISTED)
-        if verdict["planned"] > case["planned"]:
-            yield f"{name}: {verdict['planned']} runs planned, and fewer of its case"
-        if verdict["pairs"] is not None:
-            twin_runs = cases[verdict["pairs"]["case"], verdict["component"]]
-        on_traces = {episode: traced for (at, episode), traced in judged.items() if at == number}
         place = verdict["case"], verdict["component"]
-        violating = _violating_episodes(verdicts_on[place], verdict["run"], of_cases.get(place, ()))
-        requirement = requirements.get(verdict["requirement"], {})
+        case = cases.get(place, _UNLISTED)
+        pairs = verdict["pairs"]
         check = _VerdictCheck(
-            verdict, requirement, case_runs, twin_runs, on_traces, violating, case_situations(case)
+            verdict,
+            requirements.get(verdict["requirement"], {}),
+            case,
+            runs[place],
+            None if pairs is None else runs[pairs["case"], verdict["component"]],
+            on_traces[number],
+            _violating_episodes(verdicts_on[place], verdict["run"], case.get("requirements", ())),
         )
+        about = f"{verdict['requirement']} on {verdict['case']}"
         for problem in check.problems():
-            yield f"{name}: {problem}"
+            if problem.startswith("/"):
+                yield f"/verdicts/{number}{problem} ({about})"
+            else:
+                yield f"verdict {about}: {problem}"
 
 
 def _violating_episodes(
@@ -272,38 +152,64 @@ def _violating_episodes(
 
 @dataclass(frozen=True)
 class _VerdictCheck:
-    """Check of a verdict against the runs that it rests on."""
+    """Check of a verdict against the runs that it rests on.
+
+    Args:
+        verdict: Of the record.
+        requirement: Of the record.
+        case: Of the record.
+        own: Planned runs of the case.
+        twins: Runs that these are compared with, of a verdict on pairs.
+        on_traces: Verdicts on its episodes by their traces.
+        violating_episodes: Ids of episodes that violate a requirement of the case; ``None`` if not
+            all were judged.
+    """
 
     verdict: Data
     requirement: Data
-    case: _Case
-    twin: _Case | None
+    case: Data
+    own: _CaseRuns
+    twins: _CaseRuns | None
     on_traces: Mapping[str, EpisodeVerdict]
     violating_episodes: Collection[str] | None
-    """Ids of episodes that violate a requirement of the case; ``None`` if not all are judged."""
-    situations: Situations
-    """Situations of its case, without any run yet."""
 
     def problems(self) -> Iterator[str]:
-        yield from _margin_problems(self.verdict, self.on_traces.values())
-        verdict, unrecorded = self.verdict, self._unrecorded_run()
-        if verdict["spoilt"] is not None:
-            spoilt = verdict["spoilt"]["episode"]
-            if all(run.episode != spoilt for run in self.case.runs.values()):
-                yield f"{spoilt} says nothing of it, and is none of its runs"
-        if unrecorded is not None:
-            yield f"it rests on {verdict['run']} runs, and {unrecorded} is not among the episodes"
+        """Yield differences as JSON pointers below the verdict, and contradictions in words."""
+        verdict, spoilt = self.verdict, self.verdict["spoilt"]
+        yield from _margin_problems(verdict, self.on_traces.values())
+        if verdict["planned"] > self.case["planned"]:
+            yield f"{verdict['planned']} runs planned, and fewer of its case"
+        if spoilt and all(run.episode != spoilt["episode"] for run in self.own.runs.values()):
+            yield f"{spoilt['episode']} says nothing of it, and is none of its runs"
+        runs = self._runs()
+        if runs is None:
+            yield f"it rests on {verdict['run']} runs, and not all are among the episodes"
+            yield from _claim_problems(verdict)
             return
-        is_unambiguous = self.case.is_unambiguous
-        if is_unambiguous and verdict["situation"] != (situation := self._situation()):
-            recorded, computed = map(_situation_text, (verdict["situation"], situation))
-            yield f"its runs are {recorded}, and their trajectories say {computed}"
         if verdict["pairs"] is not None:
-            recovered = sum(self.case.runs[number].recovered for number in range(verdict["run"]))
-            yield from pair_problems(verdict, recovered if is_unambiguous else None)
-            return
-        runs = self._runs_of_verdict()
-        violated = {counterexample["episode"] for counterexample in verdict["counterexamples"]}
+            recovered = sum(run.recovered for run in runs)
+            yield from _pair_problems(verdict, recovered if self.own.is_unambiguous else None)
+        else:
+            yield from self._run_problems(runs)
+            yield from self._crash_problems(runs)
+        again = list(self._judged_again(runs))
+        yield from again[0] if again else _claim_problems(verdict)
+
+    def _runs(self) -> list[_Run] | None:
+        """List the runs, or pairs of runs, that it may rest on; ``None`` if not all are there."""
+        own, number = self.own.runs, self.verdict["run"]
+        if not self.verdict["check"] and self.twins is None:
+            # A test on single episodes, of which a part may have been chosen.
+            return [own[run] for run in sorted(own)] if number <= len(own) else None
+        twins = own if self.twins is None else self.twins.runs
+        if any(run not in own or run not in twins for run in range(number)):
+            return None
+        return [own[run].with_twin(twins[run]) for run in range(number)]
+
+    def _run_problems(self, runs: Sequence[_Run]) -> Iterator[str]:
+        """Compare violating, open and crashed runs with how they ended."""
+        verdict, ends = self.verdict, {run.episode: run for run in runs}
+        violated = {entry["episode"] for entry in verdict["counterexamples"]}
         # A violation that was seen before an infrastructure error counts.
         valid = sum(
             run.validity == "valid" or (run.validity == "missing" and run.episode in violated)
@@ -311,89 +217,55 @@ class _VerdictCheck:
         )
         if verdict["episodes"] > valid:
             yield f"{verdict['episodes']} episodes are valid to it, and {valid} are"
-        if violated - {run.episode for run in runs}:
-            yield f"{min(violated)} is its counterexample, and none of its runs"
-        yield from self._early_ends(runs)
-        if len(runs) == verdict["run"] and is_unambiguous:
-            yield from self._decided_again(runs)
-
-    def _early_ends(self, runs: Sequence[_Run]) -> Iterator[str]:
-        """Compare runs that are open, crashed or without effect with how they ended."""
-        verdict = self.verdict
-        ends = {run.episode: run for run in runs}
+        if unknown := violated - ends.keys():
+            yield f"{min(unknown)} is its counterexample, and none of its runs"
         for episode in verdict["open"]:
             if episode in ends and ends[episode].termination not in EARLY_ENDS:
                 yield f"{episode} is open, and it ended by {ends[episode].termination}"
         for episode in verdict["unseen_crashes"]:
             if episode in ends and ends[episode].termination != "critical":
                 yield f"{episode} crashed unseen, and it ended by {ends[episode].termination}"
-        for violated in verdict["counterexamples"]:
-            run = ends.get(violated["episode"])
-            if run is not None and violated["valid"] == (run.validity == "invalid"):
+        for entry in verdict["counterexamples"]:
+            run = ends.get(entry["episode"])
+            if run is not None and entry["valid"] == (run.validity == "invalid"):
                 yield f"{run.episode} is {run.validity}, and its violation says otherwise"
-        if self.violating_episodes is None or verdict["verdict"] != "supported":
+
+    def _crash_problems(self, runs: Sequence[_Run]) -> Iterator[str]:
+        """Yield crashes that violate nothing, and that a supported verdict passes over."""
+        if self.violating_episodes is None or self.verdict["verdict"] != "supported":
             return
-        explained = {*self.violating_episodes, *verdict["unseen_crashes"]}
+        explained = {*self.violating_episodes, *self.verdict["unseen_crashes"]}
         for run in runs:
             if run.termination == "critical" and run.episode not in explained:
                 yield f"supported, although {run.episode} crashed and violates nothing"
 
-    def _situation(self) -> Situation | None:
-        """Situation of its runs, by their trajectories."""
+    def _judged_again(self, runs: Sequence[_Run]) -> Iterator[list[str]]:
+        """Yield the differences from the verdict that its runs give; nothing if none is known."""
         verdict = self.verdict
-        if not verdict["check"]:
-            self.case.add_to(self.situations, self.case.runs)
-            return self.situations.situation if verdict["run"] >= verdict["planned"] > 1 else None
-        for case in (self.case, self.twin):
-            if case is not None:
-                case.add_to(self.situations, range(verdict["run"]))
-        return self.situations.situation
-
-    def _unrecorded_run(self) -> str | None:
-        """Name a run that it rests on and that is not recorded."""
-        verdict = self.verdict
-        if not verdict["check"]:
-            # A test on single episodes, of which a part may have been chosen.
-            return None if verdict["run"] <= len(self.case.runs) else "one of them"
-        for case in (self.case, self.twin):
-            for number in range(verdict["run"]):
-                if case is not None and number not in case.runs:
-                    return f"number {number}"
-        return None
-
-    def _runs_of_verdict(self) -> list[_Run]:
-        """List the runs that it may rest on, in their order."""
-        chosen = self.case.runs
-        numbers = range(self.verdict["run"]) if self.verdict["check"] else sorted(chosen)
-        return [chosen[number] for number in numbers]
-
-    def _decided_again(self, runs: Sequence[_Run]) -> Iterator[str]:
+        unambiguous = self.own.is_unambiguous and (self.twins is None or self.twins.is_unambiguous)
+        if len(runs) != verdict["run"] or not unambiguous:
+            return  # it is not known which runs it rests on
         statuses = self._statuses(runs)
         if statuses is None:
             names = ("episodes", "invalid", "missing")
-            counts = ", ".join(f"{self.verdict[name]} {name}" for name in names)
-            yield f"its runs do not come to {counts}"
+            counts = ", ".join(f"{verdict[name]} {name}" for name in names)
+            yield [f"its runs do not come to {counts}"]
             return
         verdicts, is_only = statuses
-        if not is_only and (self._sequential or any(run.not_manifested for run in verdicts)):
+        sequential = verdict["method"] not in (EVERY_EPISODE, "fixed")
+        if not is_only and (sequential or any(run.not_manifested for run in verdicts)):
             return  # the order matters, and is not known
-        decided = [self._judged(verdicts, until) for until in (False, True)]
-        possible = [verdict for verdict in decided if verdict is not None]
-        if not any(self._agrees(verdict) for verdict in possible):
-            gives = "another number of runs"
-            if possible:
-                gives = f"{possible[0].verdict}: {possible[0].reason}"
-            yield f"{self.verdict['verdict']}: {self.verdict['reason']}; its runs give {gives}"
-        if is_only and all(run.episode in self.on_traces for run in runs):
-            margins = [run.margin for run in verdicts if _has_margin(run)]
-            if self.verdict["margins"] != plain_data(_margin_distribution(margins)):
-                yield "the distribution of its margins is not that of its traces"
-            if self.verdict["vacuous"] != sum(run.vacuous for run in verdicts):
-                yield f"{self.verdict['vacuous']} vacuous, and its traces say otherwise"
-
-    @property
-    def _sequential(self) -> bool:
-        return self.verdict["method"] not in (EVERY_EPISODE, "fixed")
+        try:
+            decided = [self._decided(runs, verdicts, until) for until in (False, True)]
+        except ConfigurationError as error:
+            yield [f"it cannot be judged ({error.problem})"]
+            return
+        possible = [
+            list(self._differences(known, verdicts, is_only=is_only)) for known in decided if known
+        ]
+        yield min(
+            possible, key=len, default=["/run: its runs end the campaign earlier, or not yet"]
+        )
 
     def _statuses(self, runs: Sequence[_Run]) -> tuple[list[EpisodeVerdict], bool] | None:
         """Assign a status to each run; the flag says whether this is the only assignment."""
@@ -406,6 +278,7 @@ class _VerdictCheck:
             missing=verdict["missing"],
             violated=verdict["violations"] + verdict["without_effect"],
         )
+        measured = verdict["paired"] is not None and verdict["paired"]["measure"]
         is_only, vacuous, verdicts = True, verdict["vacuous"], []
         listed = {*violated, *verdict["open"]}
         rest = Counter(run.validity for run in runs if run.episode not in listed)
@@ -435,6 +308,7 @@ class _VerdictCheck:
                 margin, time = counterexample["margin"], counterexample["time"]
             elif traced is not None:
                 margin, empty = traced.margin, traced.vacuous
+            early = run.termination in EARLY_ENDS and not measured
             verdicts.append(
                 EpisodeVerdict(
                     verdict["requirement"],
@@ -448,70 +322,211 @@ class _VerdictCheck:
                     run.valid_proposals,
                     empty,
                     run.not_manifested,
-                    without_effect=status == "violated" and run.validity == "invalid",
-                    ended=run.termination if run.termination in EARLY_ENDS else "",
+                    without_effect=counterexample is not None and not counterexample["valid"],
+                    ended=run.termination if early else "",
                     unseen_crash=run.episode in verdict["unseen_crashes"],
                 )
             )
         return None if any(remaining.values()) else (verdicts, is_only)
 
-    def _judged(self, verdicts: Sequence[EpisodeVerdict], until: bool) -> CampaignVerdict | None:
-        """Decide again; ``None`` if that takes another number of runs."""
+    def _decided(
+        self, runs: Sequence[_Run], verdicts: Sequence[EpisodeVerdict], until: bool
+    ) -> CampaignVerdict | None:
+        """Decide again as a campaign does; ``None`` if that takes another number of runs."""
         recorded, bound = self.verdict, self.verdict["bound"]
+        every = recorded["method"] == EVERY_EPISODE
+        asked = Requirement.from_json(
+            {
+                "id": recorded["requirement"],
+                "at_most": bound["at_most"],
+                "confidence": bound["confidence"],
+                "method": None if every else recorded["method"],
+                "p0": self.requirement.get("p0") if recorded["method"] == "sprt" else None,
+                "paired": recorded["paired"],
+            }
+        )
+        planned = recorded["planned"]
         judge = CampaignJudge(
-            Requirement(
-                id=recorded["requirement"],
-                at_most=bound["at_most"],
-                confidence=bound["confidence"],
-                method=None if recorded["method"] == EVERY_EPISODE else recorded["method"],
-                p0=self.requirement.get("p0") if recorded["method"] == "sprt" else None,
-            ),
+            asked,
             recorded["case"],
-            planned=recorded["planned"],
+            planned=planned,
             component=recorded["component"],
             until_decided=until,
         )
-        for verdict in verdicts:
-            over = judge.decided or len(judge.verdicts) == recorded["planned"]
-            if recorded["check"] and judge.sequential and over:
+        situations = case_situations(self.case)
+        if not recorded["check"] and self.twins is None:
+            # Each test has decided on its own episode: they have no order and no end.
+            for run in runs:
+                run.add_to(situations)
+            for verdict in verdicts:
+                judge.add(verdict)
+            judge.situation = situations.situation if len(runs) >= planned > 1 else None
+            return judge.verdict()
+        schedule = RunSchedule(planned, sequential=judge.sequential)
+        for number, verdict in enumerate(verdicts):
+            if judge.decided or number == schedule.end:
                 return None
+            run = self.own.runs[number]
+            schedule.add(run.validity)
             judge.add(verdict)
-        judge.situation = recorded["situation"]
-        if recorded["check"] and judge.situation == REPEATED:
-            return judge.verdict() if len(verdicts) == EQUAL_RUNS else None
-        if recorded["check"]:
-            enough = judge.decided or len(verdicts) == recorded["planned"]
-            if not (enough if judge.sequential else len(verdicts) == self._plan()):
-                return None
-        return judge.verdict()
+            run.add_to(situations)
+            if self.twins is not None:
+                self.twins.runs[number].add_to(situations)
+            judge.situation = situations.situation
+        over = judge.decided or len(verdicts) == schedule.end or not verdicts
+        return judge.verdict() if over else None
 
-    def _plan(self) -> int:
-        """Count the runs of a fixed plan, further ones after invalid runs included."""
-        planned = end = self.verdict["planned"]
-        budget, number = math.ceil(_EXTRA_SHARE * planned), 0
-        while number < end and number in self.case.runs:
-            if self.case.runs[number].validity == "invalid" and end < planned + budget:
-                end += 1
-            number += 1
-        return int(end)
-
-    def _agrees(self, decided: CampaignVerdict) -> bool:
-        verdict = self.verdict
-        if verdict["run"] == 0 and verdict["verdict"] == "undecided":
-            return True
-        bound = plain_data(asdict(decided.bound))
-        if (decided.method, decided.saved, bound) != (
-            verdict["method"],
-            verdict["saved"],
-            verdict["bound"],
+    def _differences(
+        self, again: CampaignVerdict, verdicts: Sequence[EpisodeVerdict], *, is_only: bool
+    ) -> Iterator[str]:
+        """Compare with a verdict that was judged again, as far as that is known."""
+        recorded = self.verdict
+        computed = {
+            key: value for key, value in plain_data(again.to_json()).items() if key in recorded
+        }
+        unknown = {"pairs"}  # a table that is checked on its own
+        if not recorded["run"]:
+            unknown.add("reason")  # a test that ended without a verdict says so itself
+        distrusted = recorded["reason"].startswith(_NONDETERMINISTIC)
+        if (recorded["verdict"], again.verdict) == ("undecided", "supported") and distrusted:
+            unknown |= {"verdict", "reason"}
+        by_tests = not recorded["check"] and self.twins is None
+        violated = {entry["episode"] for entry in recorded["counterexamples"]}
+        measured = {*violated, *self.on_traces}
+        if not by_tests and any(
+            _has_margin(run) and run.episode not in measured for run in verdicts
         ):
-            return False
-        if verdict["verdict"] == "undecided" and decided.verdict == "supported":
-            return bool(verdict["reason"].startswith("infrastructure: nondeterministic"))
-        spoilt = None if decided.spoilt is None else decided.spoilt.verdict
-        recorded_spoilt = None if verdict["spoilt"] is None else verdict["spoilt"]["verdict"]
-        return (decided.verdict, decided.reason, spoilt) == (
-            verdict["verdict"],
-            verdict["reason"],
-            recorded_spoilt,
-        )
+            unknown |= {"margin", "margins"}
+        for key in computed.keys() - unknown:
+            if key == "spoilt" and computed[key] and recorded[key]:
+                names = ("episode", "verdict") if is_only else ("verdict",)
+                for name in names:
+                    yield from differences(
+                        f"/spoilt/{name}", recorded[key][name], computed[key][name]
+                    )
+            else:
+                yield from differences(f"/{key}", recorded[key], computed[key])
+
+
+def _has_margin(verdict: EpisodeVerdict) -> bool:
+    """Whether an episode's margin is part of its campaign's distribution."""
+    return verdict.valid and verdict.verdict != "open"
+
+
+def _margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Iterator[str]:
+    """Check margins that are taken as recorded: those of all episodes are not known.
+
+    Args:
+        verdict: Of the record.
+        on_traces: Verdicts on its episodes by their traces.
+    """
+    margins = verdict["margins"]
+    if (margins is None) != (verdict["margin"] is None):
+        yield f"the margin is {verdict['margin']}, and its distribution {margins}"
+    if margins is None:
+        return
+    points = [margins[name] for name in ("min", "q25", "median", "q75", "max")]
+    if None in points or points != sorted(points):
+        yield "the quartiles of its margins are not in order"
+        return
+    if margins["min"] != verdict["margin"]:
+        yield f"its least margin is {verdict['margin']}, and its distribution has {margins['min']}"
+    listed = [entry["margin"] for entry in verdict["counterexamples"] if entry["valid"]]
+    known = [margin for margin in listed if margin is not None]
+    if not len(known) <= margins["n"] <= verdict["episodes"]:
+        yield f"{margins['n']} margins of {verdict['episodes']} episodes"
+    known += [
+        traced.margin for traced in on_traces if _has_margin(traced) and traced.margin is not None
+    ]
+    for margin in known:
+        if not margins["min"] <= margin <= margins["max"]:
+            yield f"its margins begin at {margins['min']}, and one is {margin}"
+
+
+_ROUNDING = 1e-6
+_PAIR_COUNTS = ("only_with", "only_without", "both", "neither")
+
+
+def _pair_problems(verdict: Data, recovered: int | None) -> Iterator[str]:
+    """Check a table of pairs, which is taken as recorded, against its verdict and its runs.
+
+    Args:
+        verdict: Of the record, on pairs.
+        recovered: Its runs in which recovery acted, if they are known.
+    """
+    pairs = verdict["pairs"]
+    if "change" in pairs:
+        yield from _change_problems(verdict)
+        return
+    open_pairs = pairs["incomplete"]
+    complete = sum(pairs[kind] for kind in _PAIR_COUNTS)
+    if not pairs["pairs"] == complete + open_pairs == verdict["run"]:
+        yield f"the table of its pairs does not add up to {verdict['run']}"
+    acted = sum(pairs[f"acted_{kind}"] for kind in _PAIR_COUNTS)
+    if any(pairs[f"acted_{kind}"] > pairs[kind] for kind in _PAIR_COUNTS):
+        yield "recovery acted in more of its pairs than there are"
+    if recovered is not None and not acted <= recovered <= acted + open_pairs:
+        yield f"recovery acted in {acted} of its pairs, and in {recovered} of its runs"
+    p_value = mcnemar(pairs["only_with"], pairs["only_without"])
+    again = PairCounts.from_json({**pairs, "p_value": p_value}).to_json()
+    yield from differences("/pairs", pairs, {**pairs, **again})
+    for name in ("with", "without"):
+        least, violated = pairs["both"] + pairs[f"only_{name}"], pairs[f"violated_{name}"]
+        if not least <= violated <= least + open_pairs:
+            yield f"{violated} runs {name} it violated it, and its table says {least}"
+
+
+def _change_problems(verdict: Data) -> Iterator[str]:
+    """Check the changes of a measure against their summary and the verdict."""
+    change = verdict["pairs"]["change"]
+    if len(change["pairs"]) != len(change["values"]):
+        yield f"its change has {len(change['values'])} values for {len(change['pairs'])} pairs"
+        return
+    yield from differences("/pairs/change", change, Change.from_json(change).to_json())
+    counted = change["n"] + sum(len(change[key]) for key in ("lost", "gained"))
+    if not counted <= verdict["run"]:
+        yield f"its change has {counted} pairs, of {verdict['run']}"
+    bound = verdict["paired"]["change_at_most"]
+    excesses = [value - bound for value in change["values"] if value is not None]
+    # Values that equal the bound but for rounding violate nothing.
+    slack = _ROUNDING * max(1.0, abs(bound))
+    least, most = (sum(excess > shift for excess in excesses) for shift in (slack, -slack))
+    lost = len(change["lost"])
+    if not least + lost <= verdict["violations"] <= most + lost:
+        yield f"{verdict['violations']} pairs violate it, and its changes give {least + lost}"
+
+
+def _claim_problems(verdict: Data) -> Iterator[str]:
+    """Check a verdict of which it is not known what each of its runs came to."""
+    bound, valid, run = verdict["bound"], verdict["episodes"], verdict["run"]
+    counterexamples, open_ = verdict["counterexamples"], len(verdict["open"])
+    violations, missing = verdict["violations"], verdict["missing"]
+    without_effect = verdict["without_effect"]
+    if valid + verdict["invalid"] + missing != run:
+        yield f"valid, invalid and missing episodes do not add up to {run}"
+    listed = sum(entry["valid"] for entry in counterexamples)
+    if (violations, without_effect) != (listed, len(counterexamples) - listed):
+        counts = f"{violations} violations, {without_effect} without effect"
+        yield f"{counts}, and {len(counterexamples)} counterexamples, {listed} of them valid"
+    if violations + open_ > valid or without_effect > verdict["invalid"]:
+        yield f"more violations and open episodes than the {valid} valid and the invalid ones"
+    if verdict["situation"] is not None:
+        expected = None
+    elif bound["method"] != EXACT_METHOD or not valid:
+        expected = bound["upper"]  # of a sequential method: the order matters, and is not known
+    else:
+        expected = upper_bound(min(violations + open_, valid), valid, bound["confidence"])
+    yield from differences("/bound/upper", bound["upper"], expected)
+    if verdict["verdict"] == "violated" and not counterexamples:
+        yield "violated without a violation"
+    exact = bound["method"] == EXACT_METHOD and bound["at_most"] is not None
+    against = (
+        (missing or not valid, f"{valid} episodes valid and {missing} missing"),
+        (run + verdict["saved"] < verdict["planned"], f"{run} of {verdict['planned']} runs"),
+        (bound["at_most"] is None and (violations or open_), "violations or open episodes"),
+        (without_effect, "violations in invalid runs"),
+        (verdict["unseen_crashes"], "a crash that violates nothing"),
+        (exact and (bound["upper"] or 1.0) > (bound["at_most"] or 0.0), "a bound above its rate"),
+    )
+    if verdict["verdict"] == "supported":
+        yield from (f"supported with {what}" for holds, what in against if holds)

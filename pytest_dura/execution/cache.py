@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -15,7 +14,7 @@ from typing import Any
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.files import OwnedHandle, is_named, lock
+from pytest_dura.core.files import LockedFile, LockHeldError
 from pytest_dura.execution.address import Address
 from pytest_dura.execution.codec import MAX_UNPACKED_BYTES, DamagedEpisodeError, unpack
 
@@ -51,60 +50,14 @@ class CacheEntry:
     changed: tuple[str, ...] | None = None
 
 
-class Claim:
+class Claim(LockedFile):
     """Right to simulate an episode, as long as this process holds it.
 
-    A process that is forked meanwhile, by a simulator for example, does not hold it as well: it
-    may outlive this one, and no process could take the episode over.
-
-    Args:
-        handle: The open and locked file.
-        file: Its name.
+    Attributes:
         attempts: How many processes ended while they had it, before this one.
     """
 
-    def __init__(self, handle: int, file: Path, attempts: int) -> None:
-        self._handle = OwnedHandle(handle)
-        self._file = file
-        self.attempts = attempts
-        _HELD.add(self)
-
-    @property
-    def is_held(self) -> bool:
-        """Whether its file is still open; code that closed it has given the claim up."""
-        return self._handle.is_intact
-
-    def release(self) -> None:
-        """Give the claim up. A second call does nothing."""
-        _HELD.discard(self)
-        if not self.is_held:  # its file was closed: by now the name may be another's
-            return
-        # While it is locked: afterwards the name may be another's. What cannot be removed counts
-        # as an attempt, no more.
-        if sys.platform == "win32":  # which removes no open files
-            self._handle.close()
-        with suppress(OSError):
-            self._file.unlink(missing_ok=True)
-        self._handle.close()
-
-    def forget(self) -> None:
-        """Close the file without giving the claim up, for a copy of the process that holds it."""
-        self._handle.close()
-
-
-# Of the process, not of a session: a fork copies the claims of all sessions that it runs, and a
-# handler of forks cannot be unregistered. It holds claims without any other reference, too.
-_HELD: set[Claim] = set()
-
-
-def _forget_claims() -> None:
-    for claim in list(_HELD):
-        claim.forget()
-    _HELD.clear()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_claims)
+    attempts = 0
 
 
 class EpisodeCache:
@@ -155,26 +108,15 @@ class EpisodeCache:
         """
         file = self._file(address, CLAIM)
         _make_private(file.parent)
-        while True:
-            handle = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), _PRIVATE)
-            try:
-                lock(handle)
-                if not is_named(handle, file):
-                    os.close(handle)  # its former holder was done with it in between
-                    continue
-                count, _, session = os.read(handle, 200).decode(errors="replace").partition(" ")
-                # Attempts of another session do not count: what was wrong may be mended.
-                attempts = int(count) if count.isdigit() and session == self.session else 0
-                os.lseek(handle, 0, os.SEEK_SET)
-                os.ftruncate(handle, 0)
-                os.write(handle, f"{attempts + 1} {self.session}".encode())
-            except (BlockingIOError, PermissionError):
-                os.close(handle)
-                return None
-            except BaseException:  # also ctrl-C leaves no open file; it is raised again
-                os.close(handle)
-                raise
-            return Claim(handle, file, attempts)
+        try:
+            claim = Claim.acquire(file, _PRIVATE)
+        except LockHeldError:
+            return None
+        count, _, session = claim.read().partition(" ")
+        # Attempts of another session do not count: what was wrong may be mended.
+        claim.attempts = int(count) if count.isdigit() and session == self.session else 0
+        claim.write(f"{claim.attempts + 1} {self.session}")
+        return claim
 
     def put(
         self,
@@ -430,11 +372,5 @@ def _remove_leftovers(directory: Path, now: float) -> None:
 
 
 def _remove_claim(file: Path) -> None:
-    with suppress(OSError):  # it is held, or gone
-        handle = os.open(file, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
-        try:
-            lock(handle)
-            if is_named(handle, file):
-                file.unlink()
-        finally:
-            os.close(handle)
+    with suppress(LockHeldError, OSError):  # the latter if it is gone
+        LockedFile.acquire(file, create=False).release()

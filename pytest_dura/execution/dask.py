@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import re
 import socket
 import threading
 import time
@@ -24,6 +25,7 @@ from pytest_dura.execution.address import (
     refuse_differences,
     simulate,
 )
+from pytest_dura.execution.executors import KEY, ExecutorKind
 from pytest_dura.execution.processes import ProcessEnvironment, ProcessPool
 from pytest_dura.execution.worker import CallFailedError, ProcessLostError, reply_of, result_of
 from pytest_dura.provenance import is_installed
@@ -110,7 +112,7 @@ def _process_environment(client: Mapping[str, Any]) -> ProcessEnvironment:
     return ProcessEnvironment(list(dict.fromkeys([*shared, *own.path])), folder)
 
 
-KEY = "--dura-executor"
+_LAST_PORT = 65535
 SECONDS_TO_CONNECT = 5.0
 SECONDS_TO_FIRST_WORKER = 30.0
 _SECONDS_TO_COMPARE = 300.0
@@ -479,3 +481,28 @@ class DaskExecutor(Executor):
             futures = list(self._tasks)
         for future in futures:
             self._set(future, error)
+
+
+class DaskCluster(ExecutorKind):
+    """The workers of a Dask cluster, by the address of its scheduler."""
+
+    form = "dask://HOST:PORT"
+
+    def __init__(self, argument: str) -> None:
+        given = re.fullmatch(r"//(\[[0-9A-Fa-f:.]+\]|[^/:@?#\s]+):([0-9]{1,5})/?", argument)
+        if given is None or not 0 < int(given[2]) <= _LAST_PORT:
+            raise ValueError(argument)
+        self.address = f"tcp://{given[1]}:{given[2]}"
+        self.where = f"by Dask, scheduler at {self.address}"
+
+    def connect(self) -> None:
+        """Connect to the scheduler and disconnect again; see :func:`connect`."""
+        connect(self.address)
+
+    def start(self) -> DaskExecutor:
+        """Connect to the cluster, and compare its workers with this process.
+
+        Raises:
+            ConfigurationError: If the cluster cannot be used.
+        """
+        return DaskExecutor(self.address)

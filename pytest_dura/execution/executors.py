@@ -3,23 +3,72 @@
 from __future__ import annotations
 
 import json
-import re
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from typing import Literal, ParamSpec, TypeVar
+from typing import ClassVar, ParamSpec, TypeVar
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.registry import Registry
 from pytest_dura.execution.address import Address, simulate
 from pytest_dura.execution.task import EpisodeTask, reason_not_portable
 
 KEY = "--dura-executor"
 MAX_SECONDS = 3600.0
 """Limit of an episode in another process, beside the time that its component is given."""
-Kind = Literal["in-process", "processes", "dask"]
-_LAST_PORT = 65535
+
+
+class ExecutorKind(ABC):
+    """Kind of executor that ``--dura-executor`` names, as ``name`` or ``name:argument``.
+
+    Args:
+        argument: What follows the name and the colon; empty without.
+
+    Raises:
+        ValueError: If it takes no such argument.
+    """
+
+    form: ClassVar[str]
+    """How it is written, for messages."""
+    local_processes: int | None = None
+    """How many processes of this machine simulate, if any do."""
+    where = "elsewhere"
+    """Where episodes are simulated, for the header: after "episodes are simulated"."""
+
+    def __init__(self, argument: str) -> None:
+        if argument:
+            raise ValueError(argument)
+
+    def connect(self) -> None:  # noqa: B027 - most have nothing to check
+        """Check that it can be started, without starting it.
+
+        Raises:
+            ConfigurationError: If it cannot be.
+        """
+
+    @abstractmethod
+    def start(self) -> Executor:
+        """Make the executor.
+
+        Its ``submit`` is called with a function, a task as text, further plain data, and the
+        keyword ``seconds``: the limit, which it holds itself and does not pass on. The function
+        returns bytes.
+
+        Raises:
+            ConfigurationError: If it cannot be started.
+        """
+
+
+EXECUTORS: Registry[type[ExecutorKind]] = Registry(
+    "pytest_dura.executors",
+    "executor",
+    lambda value: isinstance(value, type) and issubclass(value, ExecutorKind),
+    "a subclass of pytest_dura.ExecutorKind",
+)
 
 
 @dataclass(frozen=True)
@@ -27,75 +76,55 @@ class ExecutorChoice:
     """Choice of an executor.
 
     Args:
-        kind: Which executor.
-        count: How many processes; by default one for each core that may be used.
-        address: Of Dask's scheduler.
+        name: Its registered name.
+        kind: The executor; ``None`` for this process.
         seconds: Limit of an episode in another process, beside its component's time budgets.
     """
 
-    kind: Kind = "in-process"
-    count: int | None = None
-    address: str | None = None
+    name: str = "in-process"
+    kind: ExecutorKind | None = None
     seconds: float = MAX_SECONDS
 
     @classmethod
     def parse(cls, text: str | None) -> ExecutorChoice:
-        """Parse ``in-process``, ``processes``, ``processes:N`` or ``dask://HOST:PORT``.
+        """Parse a registered name, or such a name with an argument after a colon.
 
         Raises:
             ConfigurationError: For anything else.
         """
         if text in (None, "in-process"):
             return cls()
-        processes = re.fullmatch(r"processes(?::([1-9][0-9]{0,3}))?", text or "")
-        if processes:
-            return cls("processes", int(processes[1]) if processes[1] else None)
-        dask = re.fullmatch(r"dask://(\[[0-9A-Fa-f:.]+\]|[^/:@?#\s]+):([0-9]{1,5})/?", text or "")
-        if dask and 0 < int(dask[2]) <= _LAST_PORT:
-            return cls("dask", address=f"tcp://{dask[1]}:{dask[2]}")
+        name, colon, argument = str(text).partition(":")
+        form, remedy = ", ".join(EXECUTORS), did_you_mean(name, EXECUTORS)
+        if name in EXECUTORS:
+            kind = EXECUTORS[name]
+            form, remedy = kind.form, f"for example {KEY}=processes:4"
+            with suppress(ValueError):
+                if argument or not colon:
+                    return cls(name, kind(argument))
         raise ConfigurationError(
-            "there is no such executor",
-            key=KEY,
-            found=text,
-            expected="in-process, processes, processes:N with N of 1 to 9999, or dask://HOST:PORT",
-            remedy=f"for example {KEY}=processes:4",
+            "there is no such executor", key=KEY, found=text, expected=form, remedy=remedy
         )
 
     @property
     def processes(self) -> int | None:
         """How many processes of this machine simulate, if any do."""
-        if self.kind != "processes":
-            return None
-        from pytest_dura.execution.processes import usable_cores
-
-        return self.count or usable_cores()
+        return None if self.kind is None else self.kind.local_processes
 
     def connect(self) -> None:
-        """Connect to the cluster and disconnect again, where the choice is one.
-
-        Raises:
-            ConfigurationError: If Dask is not installed, or no server listens at the address.
-        """
-        if self.address is not None:
-            from pytest_dura.execution.dask import connect
-
-            connect(self.address)
+        """Check that the executor can be started; see :meth:`ExecutorKind.connect`."""
+        if self.kind is not None:
+            self.kind.connect()
 
     def execution(self) -> Execution:
-        """Make the executor; a cluster is connected to, and compared with this process.
+        """Start the executor.
 
         Raises:
-            ConfigurationError: If the cluster cannot be used.
+            ConfigurationError: If it cannot be started.
         """
-        if self.processes is not None:
-            from pytest_dura.execution.processes import ProcessPool
-
-            return Execution("processes", ProcessPool(self.processes), self.seconds)
-        if self.address is not None:
-            from pytest_dura.execution.dask import DaskExecutor
-
-            return Execution("dask", DaskExecutor(self.address), self.seconds)
-        return Execution()
+        if self.kind is None:
+            return Execution()
+        return Execution(self.name, self.kind.start(), self.seconds)
 
 
 T = TypeVar("T")
@@ -116,6 +145,17 @@ class InProcessExecutor(Executor):
         except BaseException as error:  # also ctrl-C is raised where the result is taken
             future.set_exception(error)
         return future
+
+
+class InProcess(ExecutorKind):
+    """The process of pytest itself; the default."""
+
+    form = "in-process"
+    where = "in pytest's own process"
+
+    def start(self) -> Executor:
+        """Make an executor that carries out each call at once."""
+        return InProcessExecutor()
 
 
 @dataclass(frozen=True)

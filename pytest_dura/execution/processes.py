@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import IO, Any, ParamSpec, TypeVar, cast
 
 from pytest_dura.core.errors import DuraError
+from pytest_dura.execution.executors import ExecutorKind
 from pytest_dura.execution.worker import (
     READY,
     RETIRES,
@@ -454,6 +456,23 @@ class ProcessPool(Executor):
             with self._lock:
                 self._children.pop(threading.current_thread(), None)
             child.end()
+
+
+class Processes(ExecutorKind):
+    """Processes of this machine: as many as it has usable cores, or the number that is given."""
+
+    form = "processes, or processes:N with N of 1 to 9999"
+
+    def __init__(self, argument: str) -> None:
+        if argument and not re.fullmatch("[1-9][0-9]{0,3}", argument):
+            raise ValueError(argument)
+        self._count = int(argument) if argument else usable_cores()
+        self.local_processes = self._count
+        self.where = f"in {self.local_processes} processes"
+
+    def start(self) -> ProcessPool:
+        """Make the pool."""
+        return ProcessPool(self._count)
 
 
 def _resolve(future: Future[bytes], reply: bytes) -> None:

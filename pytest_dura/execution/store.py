@@ -23,6 +23,7 @@ from pytest_dura.execution.executors import MAX_SECONDS, Execution, time_limit_o
 from pytest_dura.execution.task import EpisodeTask, missing_episode
 from pytest_dura.execution.worker import CallFailedError, ProcessLostError
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
+from pytest_dura.requirements.second_engine import SecondEngine
 
 EpisodeKey = tuple[str, int, tuple[int, ...]]
 
@@ -261,6 +262,7 @@ class EpisodeStore:
         cache: Shared with other processes, if there are any.
         execution: The executor; by default this process.
         memory: What this process keeps.
+        second_engine: Evaluates the formulas of all its episodes as well.
     """
 
     def __init__(
@@ -268,8 +270,9 @@ class EpisodeStore:
         cache: EpisodeCache | None = None,
         execution: Execution | None = None,
         memory: EpisodeMemory | None = None,
+        second_engine: SecondEngine | None = None,
     ) -> None:
-        self.cache = cache
+        self.cache, self.second_engine = cache, second_engine
         self.execution = execution or Execution()
         self.memory = memory or EpisodeMemory()
         self.earlier = EarlierEpisodes(cache)
@@ -295,9 +298,13 @@ class EpisodeStore:
             ConfigurationError: If a part of it cannot be built.
             DescriptorsClosedError: If its code closed files of this process.
         """
-        known = self.memory.find(task)
-        if known is not None:
-            return known
+        episode = self.memory.find(task)
+        if episode is None:
+            episode = self._new(task, ahead)
+        episode.evaluate_also_by(self.second_engine)
+        return episode
+
+    def _new(self, task: EpisodeTask, ahead: Iterable[EpisodeTask]) -> JudgedEpisode:
         alone = self.cache is None and self.execution.inside
         address = None if alone else self._address(task)
         if address is None:

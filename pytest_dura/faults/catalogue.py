@@ -9,6 +9,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.faults.activation import DURATIONS, TRIGGERS
@@ -136,89 +137,38 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models(inner)
 
 
-FAULT_TYPES: dict[str, str] = {
-    "bias": "pytest_dura.faults.types.scalar:Bias",
-    "drift": "pytest_dura.faults.types.scalar:Drift",
-    "noise": "pytest_dura.faults.types.scalar:Noise",
-    "gain": "pytest_dura.faults.types.scalar:Gain",
-    "stuck-at": "pytest_dura.faults.types.scalar:StuckAt",
-    "bit-flip": "pytest_dura.faults.types.scalar:BitFlip",
-    "out-of-range": "pytest_dura.faults.types.scalar:OutOfRange",
-    "freeze": "pytest_dura.faults.types.timing:Freeze",
-    "omission": "pytest_dura.faults.types.timing:Omission",
-    "delay": "pytest_dura.faults.types.timing:Delay",
-    "slow": "pytest_dura.faults.types.timing:Slow",
-    "intermittent": "pytest_dura.faults.types.timing:Intermittent",
-    "latency": "pytest_dura.faults.types.communication:Latency",
-    "loss": "pytest_dura.faults.types.communication:Loss",
-    "reorder": "pytest_dura.faults.types.communication:Reorder",
-    "duplicate": "pytest_dura.faults.types.communication:Duplicate",
-    "corruption": "pytest_dura.faults.types.communication:Corruption",
-    "denial": "pytest_dura.faults.types.communication:Denial",
-    "replay": "pytest_dura.faults.types.communication:Replay",
-    "masquerade": "pytest_dura.faults.types.communication:Masquerade",
-    "loss-of-effectiveness": "pytest_dura.faults.types.scalar:LossOfEffectiveness",
-    "lag": "pytest_dura.faults.types.scalar:Lag",
-    "stuck-command": "pytest_dura.faults.types.scalar:StuckCommand",
-    "inversion": "pytest_dura.faults.types.scalar:Inversion",
-    "brightness": "pytest_dura.faults.types.image:Brightness",
-    "salt-and-pepper": "pytest_dura.faults.types.image:SaltAndPepper",
-    "patch": "pytest_dura.faults.types.image:Patch",
-    "perturbation": "pytest_dura.faults.types.perturbation:Perturbation",
-    "ghost-obstacle": "pytest_dura.driving.object_faults:GhostObstacle",
-    "trajectory-spoof": "pytest_dura.driving.object_faults:TrajectorySpoof",
-    "object-miss": "pytest_dura.driving.object_faults:ObjectMiss",
-    "position-noise": "pytest_dura.driving.object_faults:PositionNoise",
-    "range-cut": "pytest_dura.driving.object_faults:RangeCut",
-    "class-change": "pytest_dura.driving.object_faults:ClassChange",
-    "id-switch": "pytest_dura.driving.object_faults:IdSwitch",
-    "moved-obstacle": "pytest_dura.driving.object_faults:MovedObstacle",
-    "gnss-jump": "pytest_dura.driving.channel_faults:GnssJump",
-    "gnss-drag-off": "pytest_dura.driving.channel_faults:GnssDragOff",
-    "gnss-jam": "pytest_dura.driving.channel_faults:GnssJam",
-    "prompt-text": "pytest_dura.driving.channel_faults:PromptText",
-    "prompt-drop": "pytest_dura.llm.faults:PromptDrop",
-    "prompt-reorder": "pytest_dura.llm.faults:PromptReorder",
-    "prompt-paraphrase": "pytest_dura.llm.faults:PromptParaphrase",
-    "model-failure": "pytest_dura.llm.faults:ModelFailure",
-    "model-delay": "pytest_dura.llm.faults:ModelDelay",
-}
-"""Type name to import path; a type is imported when it is used."""
+FAULT_TYPES: Registry[type[Fault]] = Registry(
+    "pytest_dura.faults",
+    "fault",
+    lambda value: isinstance(value, type) and issubclass(value, Fault),
+    "a subclass of pytest_dura.Fault",
+    reserved=("none", "catalogue"),
+)
 
 BY_CHANCE = "by_chance"
 """Key of a fault's plain data that says whether chance decides its effect; derived, not given."""
 
 
 def fault_class(name: str) -> type[Fault]:
-    """Import the class of a fault type: a name of the catalogue, or ``package.module:Class``.
+    """Import the class of a fault type: a registered name, or ``package.module:Class``.
 
     Raises:
         ConfigurationError: For an unknown type, and for a class that is no fault.
     """
-    if isinstance(name, str) and name in FAULT_TYPES:
-        return _import(FAULT_TYPES[name])
     if not isinstance(name, str) or ":" not in name:
-        near = difflib.get_close_matches(str(name), FAULT_TYPES, n=1)
+        if name not in FAULT_TYPES:
+            raise FAULT_TYPES.unknown(name, key="type", also="package.module:Class")
+        return FAULT_TYPES[name]
+    kind = RoleSpec(name).resolve()
+    if not FAULT_TYPES.fits(kind):
         raise ConfigurationError(
-            f"unknown fault {name!r}",
+            f"{name} is not a fault",
             key="type",
             found=name,
-            expected="package.module:Class, or one of " + ", ".join(sorted(FAULT_TYPES)),
-            remedy=f"did you mean {near[0]!r}?" if near else "choose a type of the catalogue",
+            expected=FAULT_TYPES.expected,
         )
-    return _import(name)
-
-
-def _import(path: str) -> type[Fault]:
-    kind = RoleSpec(path).resolve()
-    if not (isinstance(kind, type) and issubclass(kind, Fault)):
-        raise ConfigurationError(
-            f"{path} is not a fault",
-            key="type",
-            found=path,
-            expected="a subclass of pytest_dura.faults.model.Fault",
-        )
-    return kind
+    fault_type: type[Fault] = kind
+    return fault_type
 
 
 def load_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> Fault:
@@ -233,7 +183,7 @@ def load_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) ->
             dotted path within the fault.
     """
     kind = fault_class(data.get("type", ""))
-    filled = {"id": data["type"], **data}
+    filled = {"id": data["type"], **data, "type": _declared_type(kind, data["type"])}
     filled.pop(BY_CHANCE, None)
     target = targets.get(kind.acts_on, kind.default_target)
     if target is not None:
@@ -244,6 +194,12 @@ def load_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) ->
         raise _fault_error(kind, filled, error) from None
 
 
+def _declared_type(kind: type[Fault], given: str) -> str:
+    """Return the name that a class itself declares as its type, or the one that is given."""
+    names = get_args(kind.model_fields["type"].annotation)
+    return given if not names or given in names else str(names[0])
+
+
 def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:
     """Fill every default into plain data; see :func:`load_fault`."""
     return plain_fault(load_fault(data, targets))
@@ -251,7 +207,8 @@ def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -
 
 def plain_fault(fault: Fault) -> dict[str, Any]:
     """Dump a fault as plain data, from which :func:`load_fault` makes an equal one."""
-    return {**fault.model_dump(mode="json"), BY_CHANCE: fault.by_chance}
+    kind = FAULT_TYPES.portable(fault.type)
+    return {**fault.model_dump(mode="json"), "type": kind, BY_CHANCE: fault.by_chance}
 
 
 def default_fault(name: str, targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:

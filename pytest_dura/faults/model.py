@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.faults.activation import Activation, Duration
 from pytest_dura.faults.parts import MESSAGES, PROPOSAL, FaultPart, Target
@@ -171,7 +170,6 @@ def check_target(fault: Fault, channels: Mapping[str, Channel]) -> Channel:
         return channel
     if fault.acts_on in ("number", "any"):
         possible = [*possible, *_rows(channels)]
-    near = difflib.get_close_matches(str(target), possible, n=1)
     if channel is None:
         why = f"there is no channel {target.channel!r}"
     elif target.field and target.field not in channel.fields and channel.kind != "array":
@@ -183,7 +181,7 @@ def check_target(fault: Fault, channels: Mapping[str, Channel]) -> Channel:
         key="target",
         found=str(target),
         expected="one of " + ", ".join(possible) if possible else "another type of fault",
-        remedy=f"did you mean {near[0]!r}?" if near else "choose a target that it can act on",
+        remedy=did_you_mean(str(target), possible, "choose a target that it can act on"),
     )
 
 
@@ -217,13 +215,12 @@ def check_condition_targets(
             counts = [
                 f"{name}.count" for name, channel in channels.items() if channel.kind in _COUNTED
             ]
-            near = difflib.get_close_matches(str(target), [*known, *counts], n=1)
             raise ConfigurationError(
                 f"a condition cannot read {str(target)!r}",
                 key=key,
                 found=str(target),
                 expected="one of " + ", ".join([*known, *counts, "time"]),
-                remedy=f"did you mean {near[0]!r}?" if near else "compare a number",
+                remedy=did_you_mean(str(target), [*known, *counts], "compare a number"),
             )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import typing
 import warnings
 from collections.abc import Mapping
@@ -14,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.state import Lazy
 
@@ -298,11 +297,10 @@ def _no_part(value: Any, name: str) -> ConfigurationError:
     known = sorted(map(str, value)) if isinstance(value, Mapping) else list(_field_names(value))
     if not known and isinstance(value, (np.ndarray, list, tuple)):
         known = ["the rows, counted from 0"]
-    near = difflib.get_close_matches(name, known, n=1)
     return ConfigurationError(
         f"there is no {name!r} in a value of type {type(value).__name__}",
         key="target",
         found=name,
         expected="one of " + ", ".join(known) if known else "the channel as a whole",
-        remedy=f"did you mean {near[0]!r}?" if near else "name a part that is there",
+        remedy=did_you_mean(name, known, "name a part that is there"),
     )

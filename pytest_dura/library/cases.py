@@ -208,7 +208,7 @@ class Case:
         domain = domain_of(scenario.simulator.path)
         chosen: dict[str, RoleSpec | None] = {}
         if domain is not None:
-            chosen |= {role: RoleSpec(path) for role, path in domain.roles.items()}
+            chosen |= {role: RoleSpec(path) for role, path in domain.default_roles.items()}
         for role, entry in scenario.roles.items():
             chosen[role] = None if entry is None else RoleSpec(entry.path, entry.params)
         for role, spec in overrides.items():

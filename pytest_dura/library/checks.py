@@ -10,6 +10,7 @@ from typing import Any
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
+from pytest_dura.core.trust import check_registered
 from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec
 from pytest_dura.library.fault_campaigns import MAX_CASES, Faults, ScenarioFaults, expand_campaign
 from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
@@ -103,6 +104,8 @@ def _error_at(scenario: Scenario, error: ConfigurationError, key: str) -> Config
 
 def _simulator(scenario: Scenario) -> RoleSpec:
     spec = scenario.simulator_spec()
+    if ":" in scenario.simulator.path:
+        check_registered(spec.path)
     _check_parameters(spec)
     return spec
 
@@ -120,6 +123,8 @@ def _check_role(scenario: Scenario, role: str, domain: Domain | None) -> None:
             )
         return
     spec = role_spec(role, RoleSpec(entry.path, entry.params), domain)
+    if ":" in entry.path:
+        check_registered(spec.path)
     _check_parameters(spec)
     factory = spec.factory()
     base = STANDARD_ROLES.get(role)

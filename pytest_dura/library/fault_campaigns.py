@@ -314,13 +314,13 @@ def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
 
 def catalogue_for(scenario: Scenario) -> list[str]:
     """List the types of the catalogue whose defaults can act in the scenario's domain."""
-    return [name for name in sorted(FAULT_TYPES) if _usable(scenario, name)]
+    return [name for name in FAULT_TYPES if _usable(scenario, name)]
 
 
 def _usable(scenario: Scenario, name: str) -> bool:
     domain, kind = domain_of(scenario.simulator.path), fault_class(name)
-    channels = None if domain is None else domain.channel_kinds()
-    if domain is None or channels is None or kind.acts_on not in domain.default_targets():
+    channels = None if domain is None else domain.channels
+    if domain is None or channels is None or kind.acts_on not in domain.fault_targets:
         return False
     return bool(possible_targets(kind.acts_on, channels))
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from pytest_dura.core.episode import Termination
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
+from pytest_dura.core.trust import check_registered
 from pytest_dura.domains import domain_of
 from pytest_dura.faults.activation import TOLERANCE, Until, parse_condition
 from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
@@ -37,8 +38,8 @@ class FaultReader:
 
     def __init__(self, scenario: Scenario) -> None:
         domain = domain_of(scenario.simulator.path)
-        self._targets = {} if domain is None else domain.default_targets()
-        self._channels = None if domain is None else domain.channel_kinds()
+        self._targets = {} if domain is None else domain.fault_targets
+        self._channels = None if domain is None else domain.channels
         last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
         self._duration, self._end = scenario.lasts, last * scenario.time_step
         self._places: dict[tuple[str, str], Channel] = {}
@@ -55,6 +56,8 @@ class FaultReader:
         Raises:
             ConfigurationError: If the catalogue refuses it, or the domain has no such target.
         """
+        if ":" in str(data.get("type")):
+            check_registered(str(data["type"]))
         fault = load_fault(data, self._targets)
         filled = plain_fault(fault)
         if fault.type not in FAULT_TYPES:

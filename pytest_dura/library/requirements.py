@@ -287,12 +287,12 @@ def check_formula(scenario: Scenario, check: Check) -> None:
 
 def _known_signals(domain: Domain | None, formula: Formula) -> tuple[str, ...] | None:
     """List every signal that a formula may read; ``None`` where only the simulator knows them."""
-    truth = None if domain is None else domain.signal_names()
+    truth = None if domain is None else domain.signals
     if domain is None or truth is None:
         return None
     prefixed = {
-        "percept.": domain.percept_signal_names(),
-        PROPOSAL_PREFIX: domain.proposal_signal_names(),
+        "percept.": domain.percept_signals,
+        PROPOSAL_PREFIX: domain.proposal_signals,
     }
     named = [
         name

@@ -13,7 +13,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING
-from pytest_dura.domains import DOMAINS
+from pytest_dura.domains import ROLES, names_of_role
 
 
 class LocalRole(RoleSpec):
@@ -105,11 +105,7 @@ def generator_of_option(text: str) -> RoleSpec:
         ConfigurationError: If there is none, or it is no Generator.
     """
     key = "--dura-generator"
-    short = {
-        name: path
-        for domain in DOMAINS.values()
-        for name, path in domain.short_names.get("generator", {}).items()
-    }
+    short = names_of_role("generator")
     if ":" not in text and text not in short:
         raise ConfigurationError(
             f"unknown generator {text!r}",
@@ -118,7 +114,7 @@ def generator_of_option(text: str) -> RoleSpec:
             expected=", ".join(sorted(short)) + ", or an import path package.module:Name",
             remedy=did_you_mean(text, short),
         )
-    spec = RoleSpec(short.get(text, text))
+    spec = RoleSpec(ROLES.path(short[text]) if text in short else text)
     try:
         target = spec.resolve()
         if inspect.isclass(target):

@@ -30,7 +30,7 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import stream
 from pytest_dura.domains import DOMAINS, domain_of, simulator_spec
-from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
+from pytest_dura.faults.catalogue import FAULT_TYPES
 from pytest_dura.library.documents import Document, translate, validate
 
 SCHEMA_FILE = "scenario.schema.json"
@@ -298,7 +298,7 @@ def check_world(
         return dict(check(world))
     except ValidationError as error:
         domain = domain_of(simulator.path)
-        model = None if domain is None else domain.world_model()
+        model = None if domain is None else domain.world
         raise translate(error, model or BaseModel, scenario.source, "world") from None
     except ConfigurationError as error:
         key = error.key or "world"
@@ -393,10 +393,11 @@ def scenario_schema() -> dict[str, Any]:
     """Make the schema: a scenario's keys, each domain's world, each fault type's parameters."""
     from pydantic.json_schema import models_json_schema
 
-    models_by_alias = {alias: domain.world_model() for alias, domain in DOMAINS.items()}
-    worlds = {alias: model for alias, model in models_by_alias.items() if model is not None}
-    faults = {name: fault_class(name) for name in sorted(FAULT_TYPES)}
-    models = [Scenario, FaultEntry, *worlds.values(), *faults.values()]
+    worlds: dict[str, type[BaseModel]] = {
+        name: domain.world for name, domain in DOMAINS.items() if domain.world is not None
+    }
+    faults = dict(FAULT_TYPES.items())
+    models: list[type[BaseModel]] = [Scenario, FaultEntry, *worlds.values(), *faults.values()]
     references, combined = models_json_schema([(model, "validation") for model in models])
     definitions = combined["$defs"]
 

@@ -11,7 +11,6 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from http import HTTPStatus
 from importlib import import_module
 from importlib.util import find_spec
@@ -276,15 +275,15 @@ def data_url(image: Image) -> str:
 class OpenAiClient:
     """Client of an OpenAI-compatible server; it may be called from many threads.
 
-    Every call makes a connection of its own, goes to the base URL alone, ends within its budget and
-    is never repeated. Nothing but the endpoint is taken from the environment: no proxy, no other
-    key, no header. The key is taken out of all that comes back.
+    Every call goes to the base URL alone, ends within its budget and is never repeated; connections
+    are kept for the next call. Nothing but the endpoint, proxies and certificates is taken from the
+    environment: no other key, no header. The key is taken out of all that comes back.
 
     Args:
         endpoint: The server and the key.
 
     Raises:
-        ConfigurationError: If the extra ``llm`` is not installed.
+        ConfigurationError: If the extra ``llm`` is not installed, or a proxy cannot be used.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -293,7 +292,8 @@ class OpenAiClient:
             import_extra("PIL")
         self._transport = import_extra("pytest_dura.llm.transport")
         self.endpoint = endpoint
-        self._live = self._sdk(self._transport.Network)
+        proxy = self._transport.environment_proxy(endpoint.base_url)
+        self._live = self._sdk(self._transport.Network(), proxy)
 
     def ask(self, request: Request, budget: float, fault: ServerFault = "") -> Answer:
         """Make one call; see :class:`~pytest_dura.llm.port.ChatPort`. A fault takes 0 s."""
@@ -309,7 +309,7 @@ class OpenAiClient:
 
         if not fault:
             return self._timed(call, self._live, budget, read_completion)
-        sdk = self._sdk(partial(self._transport.failing, fault))
+        sdk = self._sdk(self._transport.failing(fault))
         return replace(self._timed(call, sdk, budget, read_completion), seconds=0.0)
 
     def listing(self, budget: float) -> Answer:
@@ -323,7 +323,7 @@ class OpenAiClient:
 
         return self._timed(call, self._live, budget, read)
 
-    def _sdk(self, network: Any) -> Any:
+    def _sdk(self, network: Any, proxy: Any = None) -> Any:
         """The SDK on a network. All that it would read from the environment is given to it."""
         return self._openai.OpenAI(
             api_key=self.endpoint.key,
@@ -334,7 +334,7 @@ class OpenAiClient:
             base_url=self.endpoint.base_url,
             max_retries=0,
             http_client=self._http.Client(
-                transport=self._transport.Wire(self.endpoint.key, network),
+                transport=self._transport.Wire(self.endpoint.key, network, proxy),
                 trust_env=False,
                 follow_redirects=False,
             ),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from pytest_dura.core.errors import did_you_mean
 from pytest_dura.faults.model import Kind, Moment
 from pytest_dura.faults.parts import FaultPart, NotNegative, RefusedError, Span
 from pytest_dura.faults.types.base import ListedFault
@@ -98,11 +98,10 @@ class DropParameters(FaultPart):
         """Refuse misspelt names: such a fault would change no prompt."""
         for name in names:
             if name not in cls.KNOWN:
-                near = difflib.get_close_matches(name.upper(), cls.KNOWN, n=1)
                 raise RefusedError(
                     f"the prompt has no block {name!r}",
                     "names of " + ", ".join(cls.KNOWN),
-                    f"did you mean {near[0]!r}?" if near else "name blocks of the prompt",
+                    did_you_mean(name.upper(), cls.KNOWN, "name blocks of the prompt"),
                 )
         return names
 

@@ -7,7 +7,6 @@ they are given and cannot run away.
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import html
 import json
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean
 from pytest_dura.core.state import NOTHING
 from pytest_dura.llm.answers import read_answer
 from pytest_dura.llm.port import Answer, Image, Message
@@ -359,13 +358,12 @@ def _name(directory: Path, path: Path) -> str:
 
 def _check_known(name: str, path: Path, known: Mapping[str, Path]) -> None:
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
         raise ConfigurationError(
             f"there is no template {name!r} to replace",
             file=str(path),
             found=name,
             expected="one of " + ", ".join(sorted(known)),
-            remedy=f"did you mean {near[0]!r}?" if near else "rename or remove it",
+            remedy=did_you_mean(name, known, "rename or remove it"),
         )
 
 

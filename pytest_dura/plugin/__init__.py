@@ -39,10 +39,15 @@ from pytest_dura.plugin.markers import (
     parametrize,
     run_marked_search,
 )
-from pytest_dura.plugin.messages import apply_code_places, escape_error, escape_reason
+from pytest_dura.plugin.messages import (
+    apply_code_places,
+    escape_error,
+    escape_reason,
+    usage_errors,
+)
 from pytest_dura.plugin.options import add_options, send_options
 from pytest_dura.plugin.property_tests import register_profile
-from pytest_dura.plugin.session import begin_progress, expect_progress, session_of
+from pytest_dura.plugin.session import session_of
 
 if TYPE_CHECKING:
     from xdist.remote import Producer
@@ -148,7 +153,8 @@ class SessionHooks:
         self.session.start()
         if self.session.active:
             self._begin_guard()
-        begin_progress(self.session)
+        if session.config.pluginmanager.hasplugin("dsession"):
+            self.session.begin_progress()
         if self.session.shard is not None:
             session.config.pluginmanager.register(self.session.shard, "dura-shard")
 
@@ -156,7 +162,17 @@ class SessionHooks:
         """Name the component under test."""
         from pytest_dura.plugin.terminal import header
 
-        return header(self.session) if self.session.active else []
+        session = self.session
+        if not session.active:
+            return []
+        return header(
+            session,
+            roles=session.roles,
+            models=session.models,
+            executor=session.executor,
+            shared=session.shared,
+            baseline=session.evidence.given.baseline,
+        )
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_collection(self) -> None:
@@ -226,11 +242,13 @@ class SessionHooks:
         earlier = bool(node_ids) and (self.session.options.evidence / "evidence.json").exists()
         if earlier or not all(map(lacks_case, own_items)):
             self.session.begin_evidence()
-            expect_progress(self.session)
+            if self.session.is_worker:
+                self.session.begin_progress()
         if self.session.evidence.record is not None:
             marked = [item.nodeid for item in own_items if item.get_closest_marker("dura")]
             self.session.evidence.note_tests(node_ids, marked)
-        self.session.check_argument()
+        with usage_errors():
+            self.session.evidence.given.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
 
     def pytest_report_collectionfinish(self) -> list[str]:
@@ -360,10 +378,19 @@ class SessionHooks:
 
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Show cases, verdicts and failures."""
-        if self.session.evidence.record is not None:
+        evidence = self.session.evidence
+        if evidence.final is not None:
             from pytest_dura.plugin.terminal import summary
 
-            summary(self.session, terminalreporter)
+            summary(
+                self.session,
+                terminalreporter,
+                evidence.final,
+                file=evidence.file,
+                objections=evidence.objections,
+                notes=self.session.executor.notes(),
+                shared=self.session.shared,
+            )
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:

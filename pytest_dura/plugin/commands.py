@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pytest
 
     from pytest_dura.core.episode import Episode, EpisodeSpec
+    from pytest_dura.core.registry import Registry
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.plugin.options import Options
@@ -50,9 +51,13 @@ def run_command(session: DuraSession) -> int:
 
 
 def _fault_line(name: str) -> str:
+    """Describe a fault type, or say why it cannot be used."""
     from pytest_dura.faults.catalogue import fault_class
 
-    fault_type = fault_class(name)
+    try:
+        fault_type = fault_class(name)
+    except ConfigurationError as error:  # another package's, which is not used here
+        return f"  {name}: {error.problem}"
     summary = (fault_type.__doc__ or "").partition("\n")[0]
     return f"  {name} ({fault_type.acts_on}): {summary}"
 
@@ -75,18 +80,15 @@ def _show_list(session: DuraSession) -> int:
             lines.append(f"      fault campaigns: {len(scenario.campaigns)}")
         lines.append(f"      requirements: {', '.join(scenario.requirements) or 'none'}")
     lines += ["", "faults (name them in a marker, a scenario or --dura-faults; docs/faults.md)"]
-    lines += map(_fault_line, sorted(FAULT_TYPES))
+    lines += map(_fault_line, FAULT_TYPES)
     lines += ["", "requirements"]
     for name, requirement in library.requirements.items():
         lines.append(f"  {name} ({requirement.kind}): {requirement.text}")
         lines += [f"      {line}" for line in describe_check(requirement)]
-    for alias, domain in DOMAINS.items():
-        lines += ["", f"roles of the domain {alias} (override the fixture of that name)"]
-        lines += [f"  {role}: {path}" for role, path in domain.roles.items()]
-        for role, names in domain.short_names.items():
-            use = "--dura-generator" if role == "generator" else "`roles` in a scenario"
-            lines += ["", f"short names of {role} in the domain {alias} (for {use})"]
-            lines += [f"  {name}: {path}" for name, path in names.items()]
+    for name in DOMAINS:
+        lines += ["", f"roles of the domain {name} (override the fixture of that name)"]
+        lines += _domain_lines(name)
+    lines += _registered_lines()
     lines += ["", f"would run with --dura-scenarios, base seed {options.seed}"]
     episodes = 0
     for planned in session.plan:
@@ -103,6 +105,52 @@ def _show_list(session: DuraSession) -> int:
     ]
     print_lines(lines)
     return 0
+
+
+def _domain_lines(name: str) -> Iterator[str]:
+    from pytest_dura.domains import DOMAINS
+
+    try:
+        domain = DOMAINS[name]
+        roles, short_names = domain.default_roles, domain.short_names
+    except ConfigurationError as error:  # another package's, which is not used here
+        yield f"  {error.problem}"
+        return
+    yield from (f"  {role}: {path}" for role, path in roles.items())
+    for role, names in short_names.items():
+        use = "--dura-generator" if role == "generator" else "`roles` in a scenario"
+        yield from ("", f"short names of {role} in the domain {name} (for {use})")
+        yield from (f"  {short}: {path}" for short, path in names.items())
+
+
+def _registered_lines() -> Iterator[str]:
+    """Yield simulators, executors and formats with what registers them, and what is wrong there."""
+    from pytest_dura.domains import DOMAINS, ROLES, SIMULATORS
+    from pytest_dura.evidence.bundle import FORMATS
+    from pytest_dura.execution.executors import EXECUTORS
+    from pytest_dura.faults.catalogue import FAULT_TYPES
+
+    listed: dict[str, Registry[Any]] = {
+        "simulators (for `simulator` in a scenario)": SIMULATORS,
+        "executors (for --dura-executor)": EXECUTORS,
+        "report formats (files of each bundle)": FORMATS,
+    }
+    for title, registry in listed.items():
+        yield from ("", title)
+        for name in registry:
+            yield _registered_line(registry, name)
+    others: list[Registry[Any]] = [DOMAINS, ROLES, FAULT_TYPES]
+    for registry in (*others, *listed.values()):
+        for problem in registry.problems():
+            yield f"warning: {problem.problem}"
+
+
+def _registered_line(registry: Registry[Any], name: str) -> str:
+    try:
+        entry = registry.entry(name)
+    except ConfigurationError as error:
+        return f"  {name}: {error.problem}"
+    return f"  {name}: {entry.path} ({entry.provider})"
 
 
 Data = Mapping[str, Any]
@@ -233,6 +281,7 @@ def _recorded_episode(
     config: pytest.Config, record: Data, episode: Data, option: str
 ) -> RecordedEpisode:
     from pytest_dura.core.episode import EpisodeSpec
+    from pytest_dura.core.trust import check_registered
     from pytest_dura.evidence.redaction import holds_redaction
     from pytest_dura.requirements.model import Requirement
 
@@ -246,6 +295,10 @@ def _recorded_episode(
             remedy="let the component read the secret from the environment, not from a parameter",
         )
     spec = EpisodeSpec.from_json(episode["spec"])
+    paths = [spec.simulator.path, *(role.path for role in spec.roles.values())]
+    for path in [*paths, *(str(fault.get("type")) for fault in spec.faults)]:
+        if ":" in path:
+            check_registered(path)
     roles = {name: _local_role(config, role, option) for name, role in spec.roles.items()}
     spec = replace(spec, roles=roles, simulator=_local_role(config, spec.simulator, option))
     case = {(case["id"], case["component"]): case for case in record["cases"]}

@@ -48,6 +48,8 @@ class SessionContext:
         self.config = config
         self.is_worker = hasattr(config, "workerinput")
         self.plan: list[Planned] = []
+        self.own_arguments: set[str] = set()
+        """Arguments that name scenario items, and no files."""
         self.named_requirements: set[str] = set()
         """Ids that the markers of collected tests name."""
         self.marked: dict[str, Requirement] = {}
@@ -71,6 +73,11 @@ class SessionContext:
         """Mapping that the controller sent to this worker; empty in the controller."""
         given: Mapping[str, Any] = getattr(self.config, "workerinput", {})
         return given
+
+    @property
+    def active(self) -> bool:
+        """Whether options or arguments ask for something of this package."""
+        return self.options.activated or bool(self.own_arguments)
 
     def extend_import_path(self) -> None:
         """Make ``planner:MyPlanner`` importable from where pytest was started, and from the root.

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.language_models import LanguageModels
+    from pytest_dura.requirements.second_engine import SecondEngine
     from pytest_dura.runner import Runner
 
 
@@ -116,16 +117,14 @@ class SessionExecutor:
         choice = self._choice
         if choice is None:
             return {"executor": "in-process", "processes": None}
-        return {"executor": choice.kind, "processes": choice.processes}
+        return {"executor": choice.name, "processes": choice.processes}
 
     def header(self) -> list[str]:
         """Header line, if another process simulates."""
         choice = self._choice
-        if choice is None:
+        if choice is None or choice.kind is None:
             return []
-        if choice.processes is not None:
-            return [f"dura: episodes are simulated in {choice.processes} processes"]
-        return [f"dura: episodes are simulated by Dask, scheduler at {choice.address}"]
+        return [f"dura: episodes are simulated {choice.kind.where}"]
 
     def notes(self) -> list[str]:
         """Lines on episodes that were simulated here although an executor was given."""
@@ -153,6 +152,65 @@ class SessionExecutor:
             self._simulated_here[component, why] += number
 
 
+_COMPARED_KEY = "dura_formulas_compared"
+"""Key in the output of a worker of pytest-xdist."""
+
+
+class FormulaEngines:
+    """The second engine for formulas, if the session has one, and what it was compared on.
+
+    Args:
+        both: Whether it has one.
+    """
+
+    def __init__(self, *, both: bool) -> None:
+        self._both = both
+        self._of_workers: list[dict[str, str]] = []
+
+    @cached_property
+    def second_engine(self) -> SecondEngine | None:
+        """Engine that evaluates the formulas of this process as well.
+
+        Raises:
+            ConfigurationError: If it cannot be imported.
+        """
+        if not self._both:
+            return None
+        from pytest_dura.requirements.second_engine import SecondEngine
+
+        return SecondEngine()
+
+    def check(self) -> None:
+        """Check that the second engine can be imported, before anything is collected or written.
+
+        Raises:
+            ConfigurationError: If it cannot.
+        """
+        _ = self.second_engine
+
+    def take_differences(self) -> list[str]:
+        """Return where the two engines differed since the last call."""
+        engine = self.second_engine
+        if engine is None:
+            return []
+        differences, engine.differences = engine.differences, []
+        return differences
+
+    def to_json(self) -> dict[str, Any]:
+        """The record's key ``second_engine``, which is absent without one."""
+        engine = self.second_engine
+        return {} if engine is None else {"second_engine": engine.counts(*self._of_workers)}
+
+    def send_to_controller(self, workeroutput: MutableMapping[str, Any]) -> None:
+        """Add to a worker's output what it has compared."""
+        engine = self.second_engine
+        workeroutput[_COMPARED_KEY] = {} if engine is None else engine.results
+
+    def receive_from_worker(self, workeroutput: Mapping[str, Any]) -> None:
+        """Add the counts of a worker that has ended."""
+        self._of_workers.append(workeroutput.get(_COMPARED_KEY, {}))
+
+
 EPISODES_FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle
 """Folder in the evidence directory while a session runs, and after one that was not whole."""
 _SESSION_KEY = "dura_session"
@@ -166,11 +224,14 @@ class SharedEpisodes:
     Args:
         context: The session's context.
         executor: Who simulates.
+        formulas: Who evaluates the formulas of the episodes.
     """
 
-    def __init__(self, context: SessionContext, executor: SessionExecutor) -> None:
+    def __init__(
+        self, context: SessionContext, executor: SessionExecutor, formulas: FormulaEngines
+    ) -> None:
         self.context = context
-        self._executor = executor
+        self._executor, self._formulas = executor, formulas
         self.lines: list[str] = []
         """What the terminal says before anything runs."""
         self._store: EpisodeStore | None = None
@@ -208,7 +269,9 @@ class SharedEpisodes:
         """Make the store from which the runner of this process takes episodes."""
         from pytest_dura.execution.store import EpisodeStore
 
-        self._store = EpisodeStore(self.cache, self._executor.execution())
+        self._store = EpisodeStore(
+            self.cache, self._executor.execution(), second_engine=self._formulas.second_engine
+        )
         return self._store
 
     @property

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.gather import RecordBuilder, Status
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.inputs import SessionInputs
     from pytest_dura.plugin.items import Selection, ShardHooks
     from pytest_dura.plugin.language_models import LanguageModels
@@ -179,6 +179,7 @@ class SessionEvidence:
         selection: What was left of its plan.
         shared: Its episodes.
         executor: Who simulates them.
+        formulas: Who evaluates their formulas.
         shard: Which part of a session it is, if it is one, once options are read.
     """
 
@@ -192,12 +193,13 @@ class SessionEvidence:
         selection: Selection,
         shared: SharedEpisodes,
         executor: SessionExecutor,
+        formulas: FormulaEngines,
         shard: Callable[[], ShardHooks | None],
     ) -> None:
         self.context = context
         self._roles, self._models, self._properties = roles, models, properties
         self._selection, self._shared, self._executor = selection, shared, executor
-        self._shard = shard
+        self._formulas, self._shard = formulas, shard
         self.record: RecordBuilder | None = None
         self.file: Path | None = None
         self.final: SessionRecord | None = None
@@ -385,6 +387,7 @@ class SessionEvidence:
             **self.record.header,
             "selection": self._selection.to_json(),
             "shard": self._shard_json(),
+            **self._formulas.to_json(),
         }
         self.record.header = self._properties.with_profile(header)
         record = self.given.with_baseline(self.record.record(status))

@@ -17,7 +17,9 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.context import replay_command, rerun_command
+from pytest_dura.plugin.markers import decides_nothing, marked_requirements
 from pytest_dura.plugin.options import option_rows
+from pytest_dura.plugin.outcomes import ItemResult, marked_target, target_of
 
 if TYPE_CHECKING:
     import os
@@ -112,7 +114,6 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
     from pytest_dura.campaign.events import VerdictReached
     from pytest_dura.campaign.reporting import explain_verdict
     from pytest_dura.plugin.item_reports import ending_events
-    from pytest_dura.plugin.outcomes import ItemResult
 
     context, planned = request.node.context, request.node.planned
     requirement = context.library().requirements[request.node.name]
@@ -194,8 +195,6 @@ class Selection:
 
     def _verdicts(self, items: Sequence[pytest.Item]) -> Iterator[tuple[str, int]]:
         """Yield the verdicts that items would come to, each with its declared runs."""
-        from pytest_dura.plugin.outcomes import target_of
-
         known: dict[tuple[str, str], list[str]] = {}
         for item in items:
             target = target_of(item)
@@ -210,8 +209,6 @@ class Selection:
 
     def _decided_by(self, item: pytest.Item, test: str, case: str) -> list[str]:
         """List the verdicts of a test on a case: one per requirement, or its own."""
-        from pytest_dura.plugin.markers import decides_nothing, marked_requirements
-
         if decides_nothing(item):
             return []
         try:
@@ -397,19 +394,15 @@ def _units_of(
 
 def _planned_case_of(context: SessionContext, item: pytest.Item) -> tuple[Case, int, bool] | None:
     """Return an item's case, its planned runs, and whether it pairs them with fault-free runs."""
-    from pytest_dura.plugin.markers import Target
-
     if isinstance(item, ScenarioItem):
         case, names = item.planned.case, item.planned.requirements
         runs = context.options.runs or case.scenario.planned
         return case, runs, _pairs(context, case, names)
-    parameters = getattr(getattr(item, "callspec", None), "params", {})
-    for fixture in ("episode", "campaign"):
-        target = parameters.get(fixture)
-        if isinstance(target, Target):
-            requirements = () if target.requirement is None else (target.requirement.id,)
-            return target.case, target.planned, _pairs(context, target.case, requirements)
-    return None
+    target = marked_target(item)
+    if target is None:
+        return None
+    requirements = () if target.requirement is None else (target.requirement.id,)
+    return target.case, target.planned, _pairs(context, target.case, requirements)
 
 
 def _pairs(context: SessionContext, case: Case, names: Iterable[str]) -> bool:

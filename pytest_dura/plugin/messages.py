@@ -58,7 +58,8 @@ def apply_code_places(config: pytest.Config) -> None:
     if get("dura_replay") is not None or get("dura_reduce") is not None:
         given = get("dura_evidence")
         foreign.append(here / given if given else config.rootpath / str(Options.evidence.default))
-    places = Places.of([config.rootpath], [] if get("dura_trust_code") else foreign)
+    trusting = get("dura_trust_code")
+    places = Places.of([config.rootpath], [] if trusting else foreign, trusting=trusting)
     previous = use_places(places)
 
     def restore() -> None:

@@ -67,6 +67,23 @@ def switch(setting: Setting) -> bool:
     return bool(setting.given)
 
 
+def second_engine(setting: Setting) -> bool:
+    """Return whether rtamt evaluates formulas as well.
+
+    Raises:
+        ConfigurationError: For another engine.
+    """
+    if setting.value not in ("own", "both"):
+        raise ConfigurationError(
+            "the ini setting dura_stl_engine names no engine for formulas",
+            key="dura_stl_engine",
+            found=str(setting.value),
+            expected="own or both",
+            remedy="for example -o dura_stl_engine=both",
+        )
+    return bool(setting.value == "both")
+
+
 def off_switch(setting: Setting) -> bool:
     """Return whether a switch that turns something off was left alone."""
     return not setting.given
@@ -286,7 +303,7 @@ def executor_choice(setting: Setting) -> ExecutorChoice | None:
     if timeout is not None:
         limit = Setting(_TIMEOUT_OPTION, timeout, None, setting.config)
         choice = replace(choice, seconds=seconds(limit))
-    if choice.kind == "processes" and setting.other("numprocesses"):
+    if choice.processes is not None and setting.other("numprocesses"):
         raise ConfigurationError(
             "the workers of pytest-xdist would each start processes of their own",
             key=option,

@@ -31,6 +31,7 @@ from pytest_dura.plugin.option_values import (
     is_choice,
     off_switch,
     reuse_folder,
+    second_engine,
     seconds,
     seconds_or_never,
     select_globs,
@@ -293,8 +294,8 @@ class Options:
     )
     executor: Option[ExecutorChoice | None] = Option(
         "--dura-executor",
-        "who simulates: in-process, processes or processes:N on this machine, or the workers "
-        "of a Dask cluster, dask://HOST:PORT",
+        "who simulates: in-process, processes or processes:N on this machine, the workers of a "
+        "Dask cluster, dask://HOST:PORT, or another executor that is registered",
         executor_choice,
         default="in-process",
         metavar="EXECUTOR",
@@ -415,7 +416,7 @@ class Options:
     trust_code: Option[bool] = Option(
         "--dura-trust-code",
         "let a bundle, or a scenario or fault file from outside the project, name code that "
-        "lies beside it: it is imported, and runs as you",
+        "lies beside it, and any installed package: it is imported, and runs as you",
         switch,
         details="See [what is trusted](trust.md).",
         repeated_in=("rerun", "replay"),
@@ -510,6 +511,16 @@ class Options:
         ini="dura_progress_interval",
         default="30",
         same_in_shards=False,
+    )
+    second_engine: Option[bool] = Option(
+        None,
+        "who evaluates formulas: own, or both, which lets rtamt evaluate them as well and fails "
+        "the gate where the two differ",
+        second_engine,
+        ini="dura_stl_engine",
+        default="own",
+        example="both",
+        details="See [two engines for formulas](verdicts.md#two-engines-for-formulas).",
     )
     secrets: Option[tuple[str, ...]] = Option(
         None,

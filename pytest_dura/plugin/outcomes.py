@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.markers import decides_nothing, marked_requirements
+from pytest_dura.plugin.markers import Target, decides_nothing, marked_requirements
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
@@ -184,12 +184,15 @@ def parameters_of(item: pytest.Item) -> Mapping[str, Any]:
 
 def target_of(item: pytest.Item) -> Any:
     """Return the planned case or the parametrized target of an item, which has a ``case``."""
-    planned = getattr(item, "planned", None)
-    if planned is not None:
-        return planned
-    parameters = parameters_of(item)
-    targets = (parameters.get(name) for name in ("episode", "campaign"))
-    return next((target for target in targets if hasattr(target, "case")), None)
+    return getattr(item, "planned", None) or marked_target(item)
+
+
+def marked_target(
+    item: pytest.Item, fixtures: Sequence[str] = ("episode", "campaign")
+) -> Target | None:
+    """Return the run, or the case, that a test with the marker ``dura`` looks at."""
+    targets = map(parameters_of(item).get, fixtures)
+    return next((target for target in targets if isinstance(target, Target)), None)
 
 
 def episode_of(item: pytest.Item) -> JudgedEpisode | None:

@@ -11,7 +11,7 @@ import os
 import re
 from collections.abc import Callable, Generator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_dura.campaign.events import CampaignProgress
+from pytest_dura.campaign.events import Progress
 from pytest_dura.plugin import progress_display
 from pytest_dura.plugin.progress_display import (
     DisplayMode,
@@ -34,8 +34,6 @@ from pytest_dura.plugin.progress_display import (
 
 if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
-
-    from pytest_dura.campaign.events import Progress, RunningCampaign
 
 
 BOUND_SHARE = 1 / 500
@@ -57,18 +55,16 @@ class Snapshots:
 
     def forget(self) -> None:
         """Forget the campaign, which has ended."""
-        self._campaign: RunningCampaign | None = None
-        self._bounded: CampaignProgress | None = None
+        self._bounded: Progress | None = None
         self._due = -1.0
 
-    def of(self, running: RunningCampaign) -> CampaignProgress:
-        """Return how far a campaign is."""
-        if running is not self._campaign:
+    def of(self, progress: Progress) -> Progress:
+        """Return how far a campaign is, with its bound."""
+        if self._bounded is None or self._bounded.judge is not progress.judge:
             self.forget()
-            self._campaign = running
-        progress, started = running.progress(), self._clock()
+        started = self._clock()
         if started >= self._due:
-            self._bounded = running.bounded(progress)
+            self._bounded = progress.bounded()
             ended = self._clock()
             self._due = ended + min((ended - started) / BOUND_SHARE, LONGEST_BOUND_AGE)
             return self._bounded
@@ -83,7 +79,7 @@ PROGRESS_FOLDER = ".progress"
 WRITE_INTERVAL = 0.25
 """Seconds after which a worker writes again."""
 _FILE_NAME = re.compile(r"([0-9a-f]{16})\.([A-Za-z0-9_-]{1,32})\.(json|tmp)")
-_FIELDS = {field.name for field in fields(CampaignProgress)}
+_FIELDS = {field.name for field in fields(Progress)} - {"ended", "judge"}
 _MOST_BYTES, _MOST_FILES, _LONGEST, _GREATEST = 4096, 256, 500, 10**9
 
 
@@ -107,12 +103,12 @@ class WorkerFile:
         self._written = False
         self._usable = True
 
-    def expect(self) -> None:
+    def begin(self) -> None:
         """Make the folder, by which the controller knows that campaigns are to come."""
         with suppress(OSError):  # without it there is no progress, which nothing depends on
             self._folder.mkdir(parents=True, exist_ok=True)
 
-    def write(self, event: Progress) -> None:
+    def update(self, event: Progress) -> None:
         """Write the progress of a campaign that has run for a while; remove the file at its end."""
         if event.ended:
             self._end()
@@ -122,10 +118,10 @@ class WorkerFile:
             self._due = now + WRITE_INTERVAL
         elif now >= self._due and self._usable:
             self._due = now + WRITE_INTERVAL
-            self._replace_file(self._snapshots.of(event.campaign))
+            self._replace_file(self._snapshots.of(event))
 
-    def _replace_file(self, progress: CampaignProgress) -> None:
-        data = json.dumps(asdict(progress)).encode()
+    def _replace_file(self, progress: Progress) -> None:
+        data = json.dumps({name: getattr(progress, name) for name in sorted(_FIELDS)}).encode()
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0)
         try:
             handle = os.open(self._begun, flags, 0o644)
@@ -148,7 +144,7 @@ class WorkerFile:
                 self._file.unlink()
 
 
-def read_files(folder: Path, token: str) -> dict[str, CampaignProgress]:
+def read_files(folder: Path, token: str) -> dict[str, Progress]:
     """Read the progress of each worker's campaign; what cannot be read is left out."""
     progress_of = {}
     for file, of_session, worker, end in _progress_files(folder):
@@ -190,7 +186,7 @@ def _progress_files(folder: Path) -> list[tuple[Path, str, str, str]]:
     return ours[:_MOST_FILES]
 
 
-def _read_progress(file: Path) -> CampaignProgress | None:
+def _read_progress(file: Path) -> Progress | None:
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
         handle = os.open(file, flags)
@@ -203,7 +199,7 @@ def _read_progress(file: Path) -> CampaignProgress | None:
         return None
 
 
-def _checked_progress(data: Any) -> CampaignProgress | None:
+def _checked_progress(data: Any) -> Progress | None:
     """Make progress of plain data, if every value is in its range."""
     if not (isinstance(data, dict) and set(data) == _FIELDS):
         return None
@@ -217,7 +213,7 @@ def _checked_progress(data: Any) -> CampaignProgress | None:
         and type(data["may_end_early"]) is bool
         and all(isinstance(share, float) and 0.0 <= share <= 1.0 for share in shares)
     )
-    return CampaignProgress(**data) if is_valid else None
+    return Progress(**data) if is_valid else None
 
 
 def _is_text(value: Any) -> bool:
@@ -246,10 +242,13 @@ class ProgressHooks:
         self._ticker: Ticker | None = None
         self._showing: ProgressView | None = None
         self._snapshots = Snapshots()
-        self._own_progress: dict[str, CampaignProgress] = {}
+        self._own_progress: dict[str, Progress] = {}
         self._was_shown, self._due = True, 0.0
+
+    def begin(self) -> None:
+        """Remove what workers of a session left that was killed."""
         if self._distributed:
-            remove_files(self._folder)  # of a session that was killed
+            remove_files(self._folder)
 
     def update(self, event: Progress) -> None:
         """Take in the progress of a campaign of this process."""
@@ -261,11 +260,11 @@ class ProgressHooks:
         elif self._mode == "live":
             if self._was_shown:
                 self._was_shown = False
-                self._own_progress = {"": self._snapshots.of(event.campaign)}
+                self._own_progress = {"": self._snapshots.of(event)}
                 self._begin()
         elif perf_counter() >= self._due:
             self._due = perf_counter() + progress_display.LINES_INTERVAL
-            self._own_progress = {"": self._snapshots.of(event.campaign)}
+            self._own_progress = {"": self._snapshots.of(event)}
             # A log is written between two runs: another thread could not suspend the capture.
             self._begin().refresh()
 
@@ -280,7 +279,7 @@ class ProgressHooks:
                 )
         return self._showing
 
-    def _running_campaigns(self) -> Mapping[str, CampaignProgress]:
+    def _running_campaigns(self) -> Mapping[str, Progress]:
         if self._distributed:
             return read_files(self._folder, self._token)
         self._was_shown = True

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, TextIO
 if TYPE_CHECKING:
     import pytest
 
-    from pytest_dura.campaign.events import CampaignProgress
+    from pytest_dura.campaign.events import Progress
 
 
 PACE_WINDOW = 10.0
@@ -37,16 +37,16 @@ class Pace:
         now: Seconds of any clock that runs evenly, as in all methods.
     """
 
-    def __init__(self, progress: CampaignProgress, now: float) -> None:
+    def __init__(self, progress: Progress, now: float) -> None:
         self._campaign = progress.case, progress.subject
         self._samples = deque([(now, progress.done)])
 
-    def is_of(self, progress: CampaignProgress) -> bool:
+    def is_of(self, progress: Progress) -> bool:
         """Whether this is the same campaign, further on."""
         same = self._campaign == (progress.case, progress.subject)
         return same and progress.done >= self._samples[-1][1]
 
-    def add(self, progress: CampaignProgress, now: float) -> None:
+    def add(self, progress: Progress, now: float) -> None:
         """Add a sample of the progress."""
         samples = self._samples
         if 0 < progress.done <= progress.taken_over:
@@ -95,7 +95,7 @@ class Row:
     """
 
     place: str
-    progress: CampaignProgress
+    progress: Progress
     rate: float | None
     left: float | None
 
@@ -171,13 +171,13 @@ def _cut(text: str, width: int) -> str:
     return (kept + "..")[: max(width, 0)]
 
 
-def _campaign_name(progress: CampaignProgress) -> str:
+def _campaign_name(progress: Progress) -> str:
     # Escape sequences in a name would act on the terminal.
     name = f"{progress.case} {progress.subject}".rstrip()
     return "".join(character if character.isprintable() else "?" for character in name)
 
 
-def _runs(progress: CampaignProgress) -> str:
+def _runs(progress: Progress) -> str:
     most = "at most " if progress.may_end_early else ""
     runs = "run" if progress.budget == 1 else "runs"
     taken = f" ({progress.taken_over} taken over)" if progress.taken_over else ""
@@ -205,7 +205,7 @@ class Board:
     def __init__(self) -> None:
         self._paces: dict[str, Pace] = {}
 
-    def rows(self, campaigns: Mapping[str, CampaignProgress], now: float) -> list[Row]:
+    def rows(self, campaigns: Mapping[str, Progress], now: float) -> list[Row]:
         """Return a row per place, in the order of their names.
 
         Args:
@@ -222,7 +222,7 @@ class Board:
             rows.append(Row(place, progress, pace.rate(now), pace.left(remaining, now)))
         return rows
 
-    def _pace(self, place: str, progress: CampaignProgress, now: float) -> Pace:
+    def _pace(self, place: str, progress: Progress, now: float) -> Pace:
         pace = self._paces.get(place)
         if pace is None or not pace.is_of(progress):
             return Pace(progress, now)
@@ -442,7 +442,7 @@ class ProgressView:
     def __init__(
         self,
         surface: Surface,
-        campaigns: Callable[[], Mapping[str, CampaignProgress]],
+        campaigns: Callable[[], Mapping[str, Progress]],
         clock: Callable[[], float] = perf_counter,
     ) -> None:
         self._surface, self._campaigns, self._clock = surface, campaigns, clock

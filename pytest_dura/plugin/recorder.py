@@ -21,8 +21,8 @@ from pytest_dura.plugin.outcomes import (
     check_passed,
     episode_of,
     failed_assertion,
+    marked_target,
     outcome_of_test,
-    parameters_of,
     status_of_test,
     without_verdict,
 )
@@ -45,9 +45,8 @@ if TYPE_CHECKING:
     from pytest_dura.execution.store import EpisodeKey
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.language_models import LanguageModels
-    from pytest_dura.plugin.markers import Target
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.runner import Runner
@@ -199,6 +198,7 @@ class ItemRecorder:
         runner: Returns the runner of episodes.
         models: Notes which language models episodes asked.
         shared: What could not be shared, and what searches took over.
+        formulas: Where two engines for formulas differ.
         executor: Who simulates.
         take: Takes a part of the report of an item that holds a great many episodes.
     """
@@ -210,11 +210,13 @@ class ItemRecorder:
         *,
         models: LanguageModels,
         shared: SharedEpisodes,
+        formulas: FormulaEngines,
         executor: SessionExecutor,
         take: Callable[[str], None],
     ) -> None:
         self.context, self._runner = context, runner
         self._models, self._shared, self._executor, self._take = models, shared, executor, take
+        self._formulas = formulas
         self._pending: ItemReport | None = None
         self._recorded: set[tuple[EpisodeKey, bool]] = set()
         self._used: dict[str, UsedEpisodes] = {}
@@ -367,6 +369,7 @@ class ItemRecorder:
         if call.when == "call":
             self._test_called(item, call, report)
         traces, problems = self.traces.take()
+        problems += self._formulas.take_differences()
         if traces or problems:
             self._report.traces += traces
             self._report.problems += problems
@@ -390,7 +393,7 @@ class ItemRecorder:
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> None:
         self._keep_failed_trace(call)
-        if self._target(item) is not None:
+        if marked_target(item, ["episode"]) is not None:
             self._test_outcome(item, call, report)
         # A test that skips itself, or is expected to fail, came to no verdict either.
         excused = report.skipped and not self.context.options.warn_undecided
@@ -471,8 +474,7 @@ class ItemRecorder:
 
     def _add_claims(self, item: pytest.Item) -> None:
         """Record what a test is to decide: if it ends before it does, that is undecided."""
-        run = self._target(item)
-        target = run or self._target(item, "campaign")
+        run, target = marked_target(item, ["episode"]), marked_target(item)
         if target is None:
             return
         campaign = getattr(item, "funcargs", {}).get("campaign")
@@ -487,16 +489,14 @@ class ItemRecorder:
             claim = {"requirement": requirement.id, "case": case, "each_run": run is not None}
             self._report.claims.append(claim)
 
-    def _target(self, item: pytest.Item, fixture: str = "episode") -> Target | None:
-        """Return the run, or the case, that a test looks at."""
-        target = parameters_of(item).get(fixture)
-        return target if hasattr(target, "planned") else None
-
     def _test_outcome(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> None:
         """Record the outcome of a test on one episode for the requirements in its markers."""
-        target, episode = self._target(item), getattr(item, "funcargs", {}).get("episode")
+        target, episode = (
+            marked_target(item, ["episode"]),
+            getattr(item, "funcargs", {}).get("episode"),
+        )
         if target is None or episode is None:
             return
         self._planned(target.case.id, episode.spec.component, target.planned)

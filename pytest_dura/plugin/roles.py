@@ -142,7 +142,7 @@ class SessionRoles:
             elif role == "generator" and option is not None:
                 spec = generator_of_option(option)
             else:
-                spec = RoleSpec(driving.roles[role])
+                spec = RoleSpec(driving.default_roles[role])
             self._defaults[role] = spec
         return self._defaults[role]
 

@@ -17,13 +17,14 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.plugin.context import Planned, SessionContext
-from pytest_dura.plugin.episodes import Repeats, SessionExecutor, SharedEpisodes
+from pytest_dura.plugin.episodes import FormulaEngines, Repeats, SessionExecutor, SharedEpisodes
 from pytest_dura.plugin.event_hook import EventHook
 from pytest_dura.plugin.evidence import SessionEvidence
 from pytest_dura.plugin.items import Selection, ShardHooks
 from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import usage_errors
 from pytest_dura.plugin.options import Options
+from pytest_dura.plugin.outcomes import ItemJudged, item_results
 from pytest_dura.plugin.property_tests import PropertyTests
 from pytest_dura.plugin.recorder import ItemRecorder
 from pytest_dura.plugin.roles import SessionRoles
@@ -135,64 +136,6 @@ def make_plan(context: DuraSession, chosen: Mapping[str, Chosen]) -> list[Planne
     return plan
 
 
-_PROGRESS_PLUGIN = "dura-progress"
-
-
-def begin_progress(context: SessionContext) -> None:
-    """Register the progress display of a session with workers."""
-    if context.config.pluginmanager.hasplugin("dsession"):
-        _register_progress(context)
-
-
-def expect_progress(context: SessionContext) -> None:
-    """Note that this process is to run campaigns."""
-    file = _progress_file(context) if context.is_worker else None
-    if file is not None:
-        file.expect()
-
-
-def _show_progress(context: SessionContext, events: EventStream) -> None:
-    """Show the progress of this process's runner, or write it for the controller."""
-    from pytest_dura.campaign.events import Progress
-
-    if context.is_worker:
-        file = _progress_file(context)
-        if file is not None:
-            events.subscribe(Progress, file.write)
-    else:
-        hooks = _register_progress(context)
-        if hooks is not None:
-            events.subscribe(Progress, hooks.update)
-
-
-def _progress_file(context: SessionContext) -> WorkerFile | None:
-    """Return the file in which a worker writes progress; ``None`` if nothing is shown."""
-    worker_input = context.worker_input
-    if "dura_progress" not in worker_input:
-        return None
-    from pytest_dura.plugin.progress import PROGRESS_FOLDER, WorkerFile
-
-    folder = context.options.evidence / PROGRESS_FOLDER
-    return WorkerFile(folder, worker_input["dura_progress"], worker_input["workerid"])
-
-
-def _register_progress(context: SessionContext) -> ProgressHooks | None:
-    """Register the progress display of this process, unless nothing is to be shown."""
-    from pytest_dura.plugin.progress_display import display_mode
-
-    mode = display_mode(context.config)
-    if mode is None or (mode == "lines" and isinf(context.options.progress_interval)):
-        return None
-    from pytest_dura.plugin.progress import PROGRESS_FOLDER, ProgressHooks
-
-    hooks: ProgressHooks | None = context.config.pluginmanager.getplugin(_PROGRESS_PLUGIN)
-    if hooks is None:
-        folder = context.options.evidence / PROGRESS_FOLDER
-        hooks = ProgressHooks(context.config, mode, folder, context.options.progress_interval)
-        context.config.pluginmanager.register(hooks, _PROGRESS_PLUGIN)
-    return hooks
-
-
 class DuraSession(SessionContext):
     """The parts of one pytest session, and what they do together at its beginning.
 
@@ -208,7 +151,8 @@ class DuraSession(SessionContext):
             options.executor, is_worker=self.is_worker, collect_only=config.option.collectonly
         )
         self.models = LanguageModels(self, self.roles)
-        self.shared = SharedEpisodes(self, self.executor)
+        self.formulas = FormulaEngines(both=options.second_engine)
+        self.shared = SharedEpisodes(self, self.executor, self.formulas)
         self.repeats = Repeats(self._get_runner, self.models, self.shared, self.executor)
         self.properties = PropertyTests(self, self._get_runner)
         self.selection = Selection(self)
@@ -220,6 +164,7 @@ class DuraSession(SessionContext):
             selection=self.selection,
             shared=self.shared,
             executor=self.executor,
+            formulas=self.formulas,
             shard=lambda: self.shard,
         )
         self.recorder = ItemRecorder(
@@ -227,22 +172,23 @@ class DuraSession(SessionContext):
             self._get_runner,
             models=self.models,
             shared=self.shared,
+            formulas=self.formulas,
             executor=self.executor,
             take=self.evidence.take,
         )
-        self.parts_of_workers = self.executor, self.properties, self.selection, self.shared
+        self.parts_of_workers = (
+            self.executor,
+            self.properties,
+            self.selection,
+            self.shared,
+            self.formulas,
+        )
         """Parts whose workers send what they know to the controller at their end."""
-        self._own_arguments: set[str] = set()
 
     @cached_property
     def shard(self) -> ShardHooks | None:
         """Hooks that keep the items of one shard, if the session is one."""
         return None if self.options.shard is None else ShardHooks(self, self.options.shard)
-
-    @property
-    def active(self) -> bool:
-        """Whether options or arguments ask for something of this package."""
-        return self.options.activated or bool(self._own_arguments)
 
     def start(self) -> None:
         """Check everything that can be checked before something runs, and plan.
@@ -259,6 +205,7 @@ class DuraSession(SessionContext):
             self.models.resolve_parameters()
             self.evidence.given.read()
             if self.active:
+                self.formulas.check()
                 self.executor.connect()
                 self.evidence.start()
 
@@ -273,24 +220,37 @@ class DuraSession(SessionContext):
             self.evidence.start()
             self.executor.start()
 
-    def check_argument(self) -> None:
-        """Check the user's argument against what was collected.
-
-        Raises:
-            pytest.UsageError: If it refers to what is not there.
-        """
-        with usage_errors():
-            self.evidence.given.check_argument()
-
     def take_arguments(self) -> None:
         """Leave to pytest the arguments that name files, and none if scenarios run alone."""
         config = self.config
-        if self._own_arguments:
+        if self.own_arguments:
             config.args = [
-                argument for argument in config.args if argument not in self._own_arguments
+                argument for argument in config.args if argument not in self.own_arguments
             ]
         elif self.options.scenarios and config.args_source is not config.ArgsSource.ARGS:
             config.args = []
+
+    @cached_property
+    def progress(self) -> WorkerFile | ProgressHooks | None:
+        """Display of this process's progress, or a worker's file; ``None`` if nothing is shown."""
+        from pytest_dura.plugin.progress import PROGRESS_FOLDER, ProgressHooks, WorkerFile
+        from pytest_dura.plugin.progress_display import display_mode
+
+        folder = self.options.evidence / PROGRESS_FOLDER
+        if "dura_progress" in self.worker_input:
+            given = self.worker_input
+            return WorkerFile(folder, given["dura_progress"], given["workerid"])
+        mode, interval = display_mode(self.config), self.options.progress_interval
+        if mode is None or (mode == "lines" and isinf(interval)):
+            return None
+        hooks = ProgressHooks(self.config, mode, folder, interval)
+        self.config.pluginmanager.register(hooks, "dura-progress")
+        return hooks
+
+    def begin_progress(self) -> None:
+        """Begin to show the progress of workers, or to write that of this worker."""
+        if self.progress is not None:
+            self.progress.begin()
 
     @cached_property
     def runner(self) -> Runner:
@@ -322,14 +282,20 @@ class DuraSession(SessionContext):
     @cached_property
     def events(self) -> EventStream:
         """Stream of what happens; those who follow it are called in the order of this list."""
-        from pytest_dura.campaign.events import EpisodeUsed, EventStream, SearchedEpisodeUsed
+        from pytest_dura.campaign.events import (
+            EpisodeUsed,
+            EventStream,
+            Progress,
+            SearchedEpisodeUsed,
+        )
         from pytest_dura.plugin import item_reports
 
         events = EventStream()
         self.recorder.subscribe(events)
         events.subscribe(EpisodeUsed, self.repeats.episode_used)
         events.subscribe(SearchedEpisodeUsed, self.properties.searched_used)
-        _show_progress(self, events)
+        if self.progress is not None:
+            events.subscribe(Progress, self.progress.update)
         item_reports.subscribe(self, self._get_runner, events)
         EventHook(self.config, self.recorder.add_problem).subscribe(events)
         return events
@@ -344,8 +310,6 @@ class DuraSession(SessionContext):
             report: Its report, which is not passed on yet.
             recorded: What it recorded.
         """
-        from pytest_dura.plugin.outcomes import ItemJudged, item_results
-
         results = item_results(self, self._get_runner, item, recorded)
         self.events.emit(ItemJudged(item, report, results))
 
@@ -356,7 +320,7 @@ class DuraSession(SessionContext):
             ConfigurationError: For arguments and scenarios that cannot be used.
         """
         chosen = _scenario_arguments(self)
-        self._own_arguments = set(chosen)
+        self.own_arguments = set(chosen)
         if self.options.scenarios or self.options.list_only or chosen:
             self.plan += make_plan(self, chosen)
         else:

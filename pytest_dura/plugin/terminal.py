@@ -42,9 +42,14 @@ from pytest_dura.plugin.terminal_verdicts import show_searches, show_verdicts
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import pytest
+
     from pytest_dura.evidence.baseline import Baseline
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.language_models import LanguageModels
+    from pytest_dura.plugin.roles import SessionRoles
 
 
 _MOST_REASONS = 8
@@ -82,18 +87,18 @@ def _reuse_sentences(
         yield f"{counted(rest, noun)}{suffix} simulated again for other reasons: see the record"
 
 
-def _resume_lines(session: DuraSession) -> Iterator[str]:
+def _resume_lines(config: pytest.Config, shared: SharedEpisodes) -> Iterator[str]:
     """Say how an incomplete session goes on, if anything of it was kept."""
-    if session.shared.is_whole or not session.shared.cache.count():
+    if shared.is_whole or not shared.cache.count():
         return
-    if session.shared.mode == "reuse":
+    if shared.mode == "reuse":
         yield "to go on, give the same command again: its episodes are kept"
     else:
-        yield f"to go on: {_resume_command(session)}"
+        yield f"to go on: {_resume_command(config)}"
 
 
-def _resume_command(session: DuraSession) -> str:
-    arguments: list[Any] = [*session.config.invocation_params.args]
+def _resume_command(config: pytest.Config) -> str:
+    arguments: list[Any] = [*config.invocation_params.args]
     option = "--dura-resume"
     if option not in arguments:
         arguments.append(option)
@@ -233,97 +238,131 @@ def _requirements_by_case(comparisons: Sequence[Data]) -> str:
 _COUNTED = ("supported", "violated", "undecided", "waived")
 
 
-def header(session: DuraSession) -> list[str]:
+def header(
+    context: SessionContext,
+    *,
+    roles: SessionRoles,
+    models: LanguageModels,
+    executor: SessionExecutor,
+    shared: SharedEpisodes,
+    baseline: Baseline | None,
+) -> list[str]:
     """Name component under test, base seed, what will run, and what is probably not meant."""
-    options, plan = session.options, session.plan
+    config, options, plan = context.config, context.options, context.plan
     parts = [f"base seed {options.seed}"]
-    component = _component(session)
+    component = _component(context, roles)
     if component:
         parts.insert(0, f"component under test {component}")
     if plan:
         runs = sum(options.runs or planned.case.scenario.planned for planned in plan)
         parts.append(f"{counted(len(plan), 'case')}, {counted(runs, 'episode')}")
-    lines = [*session.models.replayed(), "dura: " + ", ".join(parts)]
+    lines = [*models.replayed(), "dura: " + ", ".join(parts)]
     if options.runs is not None:
         lines.append(f"dura: --dura-runs={options.runs} replaces the planned number of runs")
     if options.shard is not None:
         lines.append(f"dura: {options.shard} of that; the others run elsewhere")
-    lines += [f"dura: {role} is OFF: {where}" for role, where in _switched_off(session)]
-    lines += session.executor.header()
-    lines += [f"dura: {line}" for line in session.shared.lines]
-    lines += session.models.header()
-    lines += _baseline_header(session.evidence.given.baseline)
+    lines += [f"dura: {role} is OFF: {where}" for role, where in _switched_off(context)]
+    lines += executor.header()
+    lines += [f"dura: {line}" for line in shared.lines]
+    lines += models.header()
+    lines += _baseline_header(baseline)
     if plan:
-        lines += [f"dura: warning: {warning}" for warning in session.library().warnings]
+        lines += [f"dura: warning: {warning}" for warning in context.library().warnings]
         lines += [
             f"dura: warning: {file} overrides `{role}`, which scenario items do not see; "
             "move the fixture to the root conftest.py"
-            for file, role in overrides_deeper_down(session.config)
+            for file, role in overrides_deeper_down(config)
         ]
     return [safe_line for line in lines for safe_line in safe_lines(line)]
 
 
-def _switched_off(session: DuraSession) -> list[tuple[str, str]]:
+def _switched_off(context: SessionContext) -> list[tuple[str, str]]:
     """List the roles that run nowhere, as far as known before anything runs, and why."""
     places = {
-        role: f"the fixture in {file}" for file, role in none_in_root_conftest(session.config)
+        role: f"the fixture in {file}" for file, role in none_in_root_conftest(context.config)
     }
-    for planned in session.plan:
+    for planned in context.plan:
         for role in planned.case.roles_off({}):
             places.setdefault(role, f"the scenario {planned.case.scenario.name}")
     return sorted(places.items())
 
 
-def unused_requirements(session: DuraSession) -> list[str]:
+def unused_requirements(context: SessionContext) -> list[str]:
     """Warn of requirements that nothing decides, which is probably not meant."""
     return [
         f"dura: warning: {place}: no scenario and no collected test uses the requirement {name!r}"
-        for name, place in session.unused.items()
+        for name, place in context.unused.items()
     ]
 
 
-def _component(session: DuraSession) -> str:
+def _component(context: SessionContext, roles: SessionRoles) -> str:
     """Name the component, or where it comes from, as far as known before anything runs."""
-    if session.options.generator is not None:
-        return session.roles.default("generator").label
-    conftest = root_conftest_with(session.config, "generator")
+    if context.options.generator is not None:
+        return roles.default("generator").label
+    conftest = root_conftest_with(context.config, "generator")
     if conftest is not None:
         return f"from the fixture `generator` in {conftest}"
-    names = {planned.case.roles({})["generator"].label for planned in session.plan}
+    names = {planned.case.roles({})["generator"].label for planned in context.plan}
     return ", ".join(sorted(names))
 
 
-def summary(session: DuraSession, terminal: Any) -> None:
-    """Show cases, verdicts and failures, from the record alone."""
-    record = session.evidence.final
+def summary(
+    context: SessionContext,
+    terminal: Any,
+    record: SessionRecord,
+    *,
+    file: Path | None,
+    objections: list[str],
+    notes: list[str],
+    shared: SharedEpisodes,
+) -> None:
+    """Show cases, verdicts and failures, from the record alone.
+
+    Args:
+        context: The session's context.
+        terminal: pytest's own.
+        record: Of the session that has ended.
+        file: The record's file, if it could be written.
+        objections: What stands against the session beside its verdicts.
+        notes: Where episodes were simulated against what an option says.
+        shared: What was taken over, and what can be.
+    """
     keys = ("cases", "searches", "baseline", "shard")
-    if record is None or not (any(record[key] for key in keys) or any(_searched_lines(record))):
+    if not (any(record[key] for key in keys) or any(_searched_lines(record))):
         return
     terminal.section("dura", "=")
     terminal = SafeTerminal(terminal)
-    if not session.active:  # then there was no header
-        for line in session.shared.lines:
+    if not context.active:  # then there was no header
+        for line in shared.lines:
             terminal.line(line)
     if record["cases"]:
-        _show_cases(session, terminal, record)
-    show_verdicts(session, terminal, record)
-    show_searches(session, terminal, record)
+        _show_cases(context, terminal, record)
+    show_verdicts(context, terminal, record)
+    show_searches(context, terminal, record)
     for line in _searched_lines(record):
         terminal.line(line)
-    show_repeats(terminal, record, session.evidence.objections)
+    show_repeats(terminal, record, objections)
     _show_baseline(terminal, record)
-    for note in session.executor.notes():
+    for note in notes:
         terminal.line(note)
-    _show_objections(terminal, session.evidence.objections)
+    _show_second_engine(terminal, record)
+    _show_objections(terminal, objections)
     terminal.line("")
-    if session.evidence.file is not None:
+    if file is not None:
         terminal.line(_gate_line(record))
         if record["shard"]:
             terminal.line("a part of a session: `python -m pytest_dura merge` gates on the whole")
-        page = typed_path(_page(session.evidence.file), session.config.invocation_params.dir)
+        page = typed_path(_page(file), context.config.invocation_params.dir)
         terminal.line(f"evidence: {page}")
-        for line in _resume_lines(session):
+        for line in _resume_lines(context.config, shared):
             terminal.line(line)
+
+
+def _show_second_engine(terminal: Any, record: SessionRecord) -> None:
+    from pytest_dura.reports.wording import second_engine_text
+
+    if text := second_engine_text(record):
+        terminal.line(f"formulas: {text}")
 
 
 def _show_objections(terminal: Any, objections: list[str]) -> None:
@@ -354,7 +393,7 @@ def _page(file: Path) -> Path:
     return report if report.is_file() else file
 
 
-def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> None:
+def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
     """Show what was run, and the tables of its results."""
     from pytest_dura.reports.wording import roles_off_lines
 
@@ -363,13 +402,13 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
     )
     for line in roles_off_lines(record):
         terminal.line(line, yellow=True)
-    if session.options.runs is not None:
-        terminal.line(f"--dura-runs={session.options.runs} replaced the planned number of runs")
+    if context.options.runs is not None:
+        terminal.line(f"--dura-runs={context.options.runs} replaced the planned number of runs")
     terminal.line("")
     # Runs without a role that serve a comparison are shown in its table.
     twins = {verdict["pairs"]["case"] for verdict in record["verdicts"] if verdict["pairs"]}
     shown = [case for case in record["cases"] if not case["without"] or case["id"] not in twins]
-    most = None if session.config.option.verbose > 0 else MOST_ROWS
+    most = None if context.config.option.verbose > 0 else MOST_ROWS
     listed = worst_cases(shown, record["verdicts"], most=most)
     overall = record["overall"]
     for line in case_table(listed, overall):
@@ -391,7 +430,7 @@ def _show_cases(session: DuraSession, terminal: Any, record: SessionRecord) -> N
     if by_hand:
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
     for lines in (
-        failure_mode_table(shown, by_case=session.config.option.verbose > 0),
+        failure_mode_table(shown, by_case=context.config.option.verbose > 0),
         reliance_table(listed, overall),
         fault_table(listed),
         attack_table(verdicts, record["cases"]),

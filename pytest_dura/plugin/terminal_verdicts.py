@@ -32,13 +32,9 @@ from pytest_dura.reports.searches import (
     searcher_rows,
     simulations_text,
 )
-from pytest_dura.reports.wording import (
-    assertion_sentences,
-    event_text,
-    fault_free_violations_text,
-    other_run_counts,
-)
-from pytest_dura.requirements.campaign_verdicts import SITUATIONS
+from pytest_dura.reports.verdicts import assertion_sentences, figures_text, reading_sentences
+from pytest_dura.reports.wording import event_text
+from pytest_dura.requirements.campaign_verdicts import violation_text
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.model import SessionRecord
@@ -69,7 +65,12 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
     shown_ids = {id(verdict) for verdict in shown}
     by_heading: dict[tuple[str, ...], list[Data]] = {}
     for verdict in shown:
-        heading = verdict["verdict"], _where(verdict), _counts(verdict), *_rests_on(verdict)
+        heading = (
+            verdict["verdict"],
+            _where(verdict),
+            figures_text(verdict),
+            *reading_sentences(verdict),
+        )
         by_heading.setdefault(heading, []).append(verdict)
     for heading, group in by_heading.items():
         _show_alike(terminal, heading, group)
@@ -106,34 +107,6 @@ def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[Data
     for sentence in rests_on:
         for line in textwrap.wrap(sentence, WIDTH - 11, subsequent_indent="  "):
             terminal.line(f"{'':<11}{line}")
-
-
-def _counts(verdict: Data) -> str:
-    """Write the figures that the verdict rests on."""
-    violations = counted(verdict["violations"], "violation") + fault_free_violations_text(verdict)
-    counts = f"n = {verdict['episodes']}, {violations}"
-    if verdict["pairs"]:
-        counts = f"pairs without {verdict['pairs']['without']}: {counts}"
-    others = [count for count in other_run_counts(verdict) if not count.endswith("vacuous")]
-    counts = ", ".join([counts, *others])
-    bound = verdict["bound"]
-    if bound["upper"] is not None:
-        counts += f", rate <= {bound['upper']:.2g} at {bound['confidence']:g}"
-    if verdict["situation"] is not None:
-        counts += f", {SITUATIONS[verdict['situation']]}"
-    counts += f", {verdict['method']}"
-    if verdict["saved"]:
-        counts += f", {verdict['saved']} of {verdict['planned']} runs saved"
-    waiver = f" [{verdict['waiver']['kind']}]" if verdict["waiver"] else ""
-    return counts + waiver
-
-
-def _rests_on(verdict: Data) -> list[str]:
-    """List what assertions decided and read; what failed is shown with the failure."""
-    sentences = [one_line(sentence, LONGEST_TEXT) for sentence in assertion_sentences(verdict)]
-    return [
-        sentence for sentence in sentences if not sentence.startswith(("failed: ", "by its check"))
-    ]
 
 
 def _with_margin(verdict: Data) -> str:
@@ -196,10 +169,10 @@ def _show_episode(
         return
     episode = episodes.get((shown_id, verdict["component"]), {"faults": [], "events": []})
     if verdict["counterexamples"]:
-        from pytest_dura.campaign.reporting import describe_counterexample
-
-        terminal.line(f"  worst:  {describe_counterexample(verdict['counterexamples'][0])}")
-        if not verdict["counterexamples"][0]["valid"]:
+        worst = verdict["counterexamples"][0]
+        when = violation_text(worst["time"], worst["margin"])
+        terminal.line(f"  worst:  {worst['episode']}{when}")
+        if not worst["valid"]:
             terminal.line(f"  invalid: {episode.get('invalid_reason')}")
         # Events that ended the episode early, if any did.
         for event in episode["events"]:

@@ -30,16 +30,16 @@ from typing import Any
 from urllib.parse import quote
 
 from pytest_dura.evidence.bundle import RECORD_FILE
+from pytest_dura.evidence.conclude import verdict_counts
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.gate import NOTHING_FOUND, OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.text import name, one_line, visible
+from pytest_dura.reports.verdicts import rate_bound, sample_text
 from pytest_dura.reports.wording import (
     NAME_LIMIT,
     UNREVIEWED,
     is_incomplete,
-    rate_bound,
-    sample_text,
     shard_text,
     valid_sha256,
 )
@@ -311,7 +311,7 @@ def _conformance(
     record: SessionRecord, requirement: str, verdicts: list[JsonObject], untested: int
 ) -> JsonObject:
     """The score where it is decided: 1 or 0, see the package; and the reason, always."""
-    counts = Counter(verdict["verdict"] for verdict in verdicts)
+    counts = verdict_counts(verdicts)
     refuted = any(
         verdict["verdict"] == "violated" and verdict["waiver"] is None for verdict in verdicts
     )
@@ -320,8 +320,8 @@ def _conformance(
         f"{counts[status]} {status}" for status in ("violated", "undecided") if counts[status]
     ]
     doubts += [f"{count} {OBJECTIONABLE_OUTCOMES[status]}" for status, count in searched.items()]
-    if waived := sum(verdict["waiver"] is not None for verdict in verdicts):
-        doubts.append(f"{waived} waived")
+    if counts["waived"]:
+        doubts.append(f"{counts['waived']} waived")
     if untested:
         doubts.append(f"{untested} untested")
     if is_incomplete(record):

@@ -17,6 +17,7 @@ from pytest_dura.evidence.gate import (
 )
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.requirements.campaign_verdicts import violation_text
 
 Data = Mapping[str, Any]
 """A part of the record."""
@@ -193,12 +194,10 @@ def searcher_rows(search: Data, requirement: str, kind: str) -> Iterator[tuple[s
 
 
 def counterexample_text(counterexample: Data, check: str) -> str:
-    """Margin, time and reason of a counterexample; a reason that repeats the check is left out."""
-    parts = [] if counterexample["margin"] is None else [f"margin {counterexample['margin']:.4g}"]
-    if counterexample["time"] is not None:
-        parts.append(f"at {counterexample['time']:.2f} s")
+    """Time, margin and reason of a counterexample; a reason that repeats the check is left out."""
+    when = violation_text(counterexample["time"], counterexample["margin"]).lstrip(", ")
     detail = "" if counterexample["detail"] == check else one_line(counterexample["detail"], 300)
-    return f"{' '.join(parts)}: {detail}" if parts and detail else " ".join(parts) or detail
+    return ": ".join(filter(None, [when, detail]))
 
 
 def shrinking_text(counterexample: Data) -> str:

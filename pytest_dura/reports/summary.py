@@ -7,11 +7,12 @@ mention, HTML or the end of a cell.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, groupby
 from typing import Any
 
+from pytest_dura.evidence.conclude import verdict_counts
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.text import code, markdown, name
@@ -31,21 +32,26 @@ from pytest_dura.reports.tables import (
     failure_modes_by_component,
     percent_text,
 )
+from pytest_dura.reports.verdicts import (
+    assertion_sentences,
+    rate_bound,
+    sample_text,
+    waiver_note,
+)
 from pytest_dura.reports.wording import (
     UNREVIEWED,
-    assertion_sentences,
     conclusion_sentences,
     evidence_option,
     is_incomplete,
     limitation_sentences,
     merge_text,
     model_options,
-    rate_bound,
     replay_command,
-    sample_text,
+    second_engine_text,
     selection_text,
     shard_text,
 )
+from pytest_dura.requirements.campaign_verdicts import violation_text
 
 
 def _model_lines(models: Sequence[Mapping[str, Any]], most: int) -> Iterator[str]:
@@ -104,6 +110,7 @@ def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
     yield f"- commit: {commit}"
     yield f"- tool: {_name(tool['name'])} {_name(tool['version'])}"
     yield f"- Python {_name(environment['python'])} on {_name(environment['platform'])}"
+    yield from [f"- formulas: {markdown(text)}"] if (text := second_engine_text(record)) else []
     yield f"- base seed: {record['base_seed']}"
     yield f"- created {_name(record['created'])}, finished {_name(record['finished'])}"
     yield f"- command: {code(record['command'], 1000) or '-'}"
@@ -128,14 +135,11 @@ def _search_failures(record: SessionRecord) -> Iterator[str]:
     """A line for each outcome that the gate does not accept, or that is waived."""
     for search, outcome in ordered_outcomes(record):
         if outcome_status(search, outcome) in OBJECTIONABLE_OUTCOMES:
-            waiver = ""
-            if search["waiver"] is not None:
-                kind, why = (markdown(search["waiver"][key], 200) for key in ("kind", "reason"))
-                waiver = f" (waived, {kind}: {why or 'no reason'})"
             yield (
                 f"- **search: {code(name(outcome['requirement']))}** on "
                 f"{code(name(search['case']))}, component {code(name(search['component']))}"
-                f"{waiver}: {markdown(outcome_headline(search, outcome), 400)}"
+                f"{waiver_note(search['waiver'], markdown)}: "
+                f"{markdown(outcome_headline(search, outcome), 400)}"
             )
 
 
@@ -281,13 +285,6 @@ def _failure_lines(record: SessionRecord, failures: list[JsonObject]) -> Iterato
 
 def _failure_context(record: SessionRecord, verdict: JsonObject) -> tuple[str, str]:
     """The text on a verdict before and after the name of its requirement."""
-    waiver = ""
-    if verdict["waiver"] is not None:
-        kind, why = (
-            markdown(verdict["waiver"]["kind"], 64),
-            markdown(verdict["waiver"]["reason"], 200),
-        )
-        waiver = f" (waived, {kind}: {why or 'no reason'})"
     text = (
         f" on {_name(verdict['case'])}, component {_name(verdict['component'])}: "
         f"{markdown(verdict['reason'], 400) or 'no reason'}. "
@@ -297,16 +294,13 @@ def _failure_context(record: SessionRecord, verdict: JsonObject) -> tuple[str, s
         text += f"\n  - {markdown(line, 600)}"
     if verdict["counterexamples"]:
         text += "\n  - " + _counterexample(record, verdict["counterexamples"])
-    return f"{verdict['verdict']}**{waiver}", text
+    return f"{verdict['verdict']}**{waiver_note(verdict['waiver'], markdown)}", text
 
 
 def _counterexample(record: SessionRecord, counterexamples: list[JsonObject]) -> str:
     first = counterexamples[0]
-    text = f"counterexample {_name(first['episode'])}"
-    if first["time"] is not None:
-        text += f" at {first['time']:.1f} s"
-    if first["margin"] is not None:
-        text += f", margin {first['margin']:.3g}"
+    when = violation_text(first["time"], first["margin"], valid=first["valid"])
+    text = f"counterexample {_name(first['episode'])}{when}"
     if len(counterexamples) > 1:
         text += f", and {len(counterexamples) - 1} more"
     command = _replay(record["command"], first["episode"])
@@ -359,25 +353,24 @@ def _verdict_row(verdict: JsonObject) -> str:
 
 
 def _requirement_rows(record: SessionRecord) -> Iterator[str]:
-    verdicts = Counter(
-        (verdict["requirement"], verdict["verdict"]) for verdict in record["verdicts"]
-    )
+    of_each: dict[str, list[JsonObject]] = defaultdict(list)
+    for verdict in record["verdicts"]:
+        of_each[verdict["requirement"]].append(verdict)
+    counts = {each["id"]: verdict_counts(of_each[each["id"]]) for each in record["requirements"]}
     cells = record["coverage"]["cells"]
     untested = Counter(cell["requirement"] for cell in cells if cell["verdict"] is None)
     more = " or more" if record["coverage"]["left_out"] else ""
 
     def failing(requirement: JsonObject) -> tuple[bool, bool]:
-        return not verdicts[requirement["id"], "violated"], not verdicts[
-            requirement["id"], "undecided"
-        ]
+        own = counts[requirement["id"]]
+        return not own["violated"], not own["undecided"]
 
     for requirement in sorted(record["requirements"], key=failing):
-        counts = (
-            verdicts[requirement["id"], status] for status in ("supported", "violated", "undecided")
-        )
+        own = counts[requirement["id"]]
+        numbers = (own[status] for status in ("supported", "violated", "undecided"))
         texts = (markdown(requirement[key] or "", 200) or "-" for key in ("kind", "text"))
         yield _table_row(
-            [_name(requirement["id"]), *texts, *counts, f"{untested[requirement['id']]}{more}"]
+            [_name(requirement["id"]), *texts, *numbers, f"{untested[requirement['id']]}{more}"]
         )
 
 

@@ -1,7 +1,4 @@
-"""Wording that reports share: figures, replay commands, and what a session shows or does not.
-
-A rate never stands without its n and its confidence.
-"""
+"""Wording that reports share: replay commands, and what a session shows or does not."""
 
 from __future__ import annotations
 
@@ -20,7 +17,6 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
-from pytest_dura.requirements.campaign_verdicts import SITUATIONS
 
 Data = Mapping[str, Any]
 """A part of the record."""
@@ -28,79 +24,12 @@ Data = Mapping[str, Any]
 UNREVIEWED = "generated, unreviewed"
 NAME_LIMIT = 400
 """Characters of a name in a machine-readable format."""
-_MAX_OBSERVED_NAMES = 8
-"""Names of what a test looked at, in a sentence."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _EVIDENCE, _LLM, _CASSETTE = "--dura-evidence", "--dura-llm", "--dura-cassette"
 _MAX_COMMAND = 100_000
 """Characters of a session's command; no shell takes many more."""
 _MOST_NAMES = 8
 """Requirements that a sentence names."""
-
-
-def sample_text(verdict: Data) -> str:
-    """Runs that a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
-    text = (
-        f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
-        f"{counted(verdict['violations'], 'violation')}"
-        f"{fault_free_violations_text(verdict)}"
-    )
-    return ", ".join([text, *other_run_counts(verdict)])
-
-
-def other_run_counts(verdict: Data) -> list[str]:
-    """Other counts of a verdict's runs that are not zero: ``2 ended before it was decided``."""
-    counts = {
-        "ended before it was decided": len(verdict["open"]),
-        "violated without effect of the fault": verdict["without_effect"],
-        **{status: verdict[status] for status in ("invalid", "missing", "vacuous")},
-    }
-    return [f"{count} {what}" for what, count in counts.items() if count]
-
-
-def fault_free_violations_text(verdict: Data) -> str:
-    """Number of a verdict's violations that are not the faults' doing; empty if none is known."""
-    count = verdict["also_without"]
-    return f" ({count} of them also without the faults)" if count else ""
-
-
-def rate_bound(verdict: Data) -> str:
-    """The bound on the rate of violations with its confidence, or that there is none."""
-    bound = verdict["bound"]
-    if bound["upper"] is None:
-        return f"no bound{no_rate_reason(verdict)}"
-    return f"rate <= {bound['upper']:.3g} at {bound['confidence']:g} confidence"
-
-
-def no_rate_reason(verdict: Data) -> str:
-    """Reason for which there is no rate, after a colon: all runs are equal; else empty."""
-    situation = verdict.get("situation")
-    return "" if situation is None else f": {SITUATIONS[situation]}"
-
-
-def assertion_sentences(verdict: Data) -> list[str]:
-    """Sentences on what a verdict rests on where assertions of a test decided it.
-
-    There is none for a verdict by checks alone. Names in it are a user's, and have to be escaped.
-    """
-    assertion = verdict["assertion"]
-    if assertion is None:
-        return []
-    seen = ", ".join(assertion["observed"][:_MAX_OBSERVED_NAMES]) or "nothing"
-    if len(assertion["observed"]) > _MAX_OBSERVED_NAMES:
-        seen += f" and {len(assertion['observed']) - _MAX_OBSERVED_NAMES} more"
-    sentences = [
-        f"failed: {failure['message']}, in {failure['episode']}"
-        for failure in assertion["failed"][:1]
-    ]
-    if assertion["alone"]:
-        sentences.append(f"by assertion: the test looked at {seen}")
-    elif assertion["observed"]:
-        sentences.append(f"by its check, and by assertion: the test looked at {seen}")
-    for entry in assertion["false"]:
-        episodes = counted(entry["episodes"], "episode")
-        sentences.append(f"false in {episodes} with which the test passed: {entry['check']}")
-    return sentences
 
 
 def event_text(event: Data) -> str:
@@ -149,6 +78,17 @@ def merge_text(record: SessionRecord) -> str:
     several = len({json.dumps(place, sort_keys=True) for place in places}) > 1
     count = counted(len(shards), "shard")
     return f"{count}, in environments that differ" if several else f"{count}, in one environment"
+
+
+def second_engine_text(record: SessionRecord) -> str:
+    """What a second engine for formulas was compared on; empty without one."""
+    # transitional: a head that is not valid is a mapping.
+    engine = getattr(record.head, "second_engine", None)
+    if engine is None:
+        return ""
+    text = f"{counted(engine.compared, 'verdict')} also evaluated by {engine.engine} "
+    left_out = [f"{number} not: {why}" for why, number in engine.not_compared.items()]
+    return "; ".join([text + engine.version, *left_out])
 
 
 def valid_sha256(text: object) -> str | None:
@@ -280,14 +220,13 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
             f"{totals['missing']} missing: they support nothing and enter no n. What one of them "
             "violates fails the gate all the same."
         )
-    supported = sum(verdict["verdict"] == "supported" for verdict in verdicts)
-    if supported:
+    if totals["supported"]:
         yield (
             "That no violation was seen does not mean that there can be none: the bound says how "
             "frequent they may still be."
         )
     yield from _by_assertion(verdicts)
-    if supported > 1:
+    if totals["supported"] > 1:
         yield "Each bound holds by itself with its confidence; that all hold at once is less sure."
     recoveries = sum(
         case["metrics"]["recoveries"] for case in record["cases"] if not case["without"]

@@ -29,6 +29,7 @@ from .pairs import (
     pair_verdict,
 )
 from .rate_tests import EProcess, FixedN, Sprt, lower_bound, make_test, runs_needed, upper_bound
+from .second_engine import EnginesDisagreeError, SecondEngine
 from .sequential import Boundaries, SequentialTest, operating_characteristics, simulate
 from .stl.evaluation import (
     Ending,
@@ -72,6 +73,7 @@ __all__ = [
     "Constant",
     "EProcess",
     "Ending",
+    "EnginesDisagreeError",
     "EpisodeStatus",
     "EpisodeVerdict",
     "Evaluation",
@@ -91,6 +93,7 @@ __all__ = [
     "Requirement",
     "RequirementJudge",
     "SearchVerdict",
+    "SecondEngine",
     "SequentialTest",
     "Signal",
     "Sprt",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from typing import Literal
@@ -123,6 +124,28 @@ MAX_INVALID_SHARE = 0.2
 """Share of invalid episodes above which a campaign is undecided."""
 _MIN_VALID_PROPOSALS = 0.5
 """Share of valid proposals below which a claim would rest on the recovery, not on the component."""
+
+
+_MAX_EXTRA_SHARE = 0.2
+"""Further runs that may follow invalid ones, as a share of a fixed number of planned runs."""
+
+
+class RunSchedule:
+    """Number of runs of a campaign: the planned ones, and a further run for each invalid one.
+
+    Args:
+        planned: Runs that are planned.
+        sequential: Whether the judge decides when the runs end; it has no further runs.
+    """
+
+    def __init__(self, planned: int, *, sequential: bool) -> None:
+        self.end = planned
+        """Runs that are due by now."""
+        self._most = planned + (0 if sequential else math.ceil(_MAX_EXTRA_SHARE * planned))
+
+    def add(self, validity: str) -> None:
+        """Take in the validity of the next run."""
+        self.end += validity == "invalid" and self.end < self._most
 
 
 class CampaignJudge:

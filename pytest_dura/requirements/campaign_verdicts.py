@@ -148,6 +148,21 @@ class Counterexample:
     valid: bool = True
 
 
+def violation_text(time: float | None, margin: float | None, *, valid: bool = True) -> str:
+    """When and by how much an episode violates a requirement, to stand behind its name.
+
+    Such as `` at t = 6.50 s, margin -0.25``; empty where neither is known.
+
+    Args:
+        time: Seconds at which it was violated first.
+        margin: Its robustness.
+        valid: Whether the episode is valid.
+    """
+    when = "" if time is None else f" at t = {time:.2f} s"
+    by = "" if margin is None else f", margin {margin:.3g}"
+    return f"{when}{by}{'' if valid else ', without effect of the fault'}"
+
+
 @dataclass(frozen=True, slots=True)
 class UncountedEpisode:
     """An episode that does not decide a requirement, and why."""

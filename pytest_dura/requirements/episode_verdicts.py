@@ -30,6 +30,14 @@ from pytest_dura.requirements.checks import (
     read_formula,
 )
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.second_engine import (
+    FUNCTION,
+    NO_ACCOUNT,
+    NO_TRACE,
+    NOT_FINITE,
+    EnginesDisagreeError,
+    SecondEngine,
+)
 from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate
 from pytest_dura.requirements.stl.formula import Formula, conjuncts, unknown_signal
 
@@ -189,7 +197,7 @@ def judge_episode(
             expected="a formula such as `always (gap > 0)`, or the path of a function",
             remedy="add a check, or judge it in test code",
         )
-    status, result = judged(check, episode)
+    status, result = _judged_by_both(requirement, check, episode)
     early = episode.termination in EARLY_ENDS
     return EpisodeVerdict(
         requirement=requirement.id,
@@ -231,8 +239,20 @@ def is_unseen_crash(
 def _violates(check: Check, episode: Episode) -> bool:
     try:
         return judged(check, episode)[0] == "violated"
-    except ConfigurationError:  # reported where the requirement itself is judged
-        return False
+    except (ConfigurationError, EnginesDisagreeError):
+        return False  # reported where the requirement itself is judged
+
+
+def _judged_by_both(
+    requirement: Requirement, check: Check, episode: Episode
+) -> tuple[EpisodeStatus, CheckResult]:
+    """As :func:`judged`; the episode is missing where two engines differ."""
+    try:
+        return judged(check, episode)
+    except EnginesDisagreeError as error:
+        values = f"`{check}`: {error.values}"
+        detail = str(EnginesDisagreeError(requirement.id, error.episode, values))
+        return "missing", CheckResult(False, detail=detail)
 
 
 def judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
@@ -241,9 +261,11 @@ def judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
     Raises:
         ConfigurationError: If the check cannot be read or imported, or names a signal that the
             episode does not have.
+        EnginesDisagreeError: If two engines evaluate a formula, and differ.
     """
     if isinstance(check, str) and not is_function_path(check):
         return _by_formula(read_formula(check), episode)
+    _pass_over(check_name(check), episode, FUNCTION)
     function = load_function(check) if isinstance(check, str) else check
     return _by_function(function, check_name(check), episode)
 
@@ -321,8 +343,11 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
     After an infrastructure error the trace is a prefix: it can show a violation, but not that there
     was none.
 
+    Where the episode has a second engine, that evaluates the formula as well.
+
     Raises:
         ConfigurationError: For a signal that the episode does not have.
+        EnginesDisagreeError: If the second engine differs.
     """
     known = _columns(formula, episode)
     missing = [name for name in formula.signals if name not in known]
@@ -332,6 +357,7 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         remedy = _WHOLE if episode.termination == "decided" else None
         raise unknown_signal(missing[0], known, str(formula), None, remedy)
     if missing or episode.ticks == 0:
+        _pass_over(str(formula), episode, NO_TRACE)
         return None, None
     columns = {name: known[name] for name in formula.signals}
     finite = np.logical_and.reduce([np.isfinite(column) for column in columns.values()])
@@ -341,6 +367,7 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         bad = next(name for name, column in columns.items() if not np.isfinite(column[samples]))
         gap = f"the signal {bad!r} is not finite at t = {episode.time[samples]:g} s"
         if samples == 0:
+            _pass_over(str(formula), episode, NOT_FINITE)
             undecided = Evaluation("undecided", np.inf, -np.inf, np.inf, None, 0.0, gap)
             return undecided, gap
     # The episode may have ended early for other formulas than this one.
@@ -353,6 +380,16 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         ending=_ENDINGS.get(episode.termination, "time") if whole else "open",
         time_step=episode.spec.time_step,
     )
+    engine = _second_engine(episode)
+    if engine is not None:
+        engine.compare(
+            formula,
+            evaluation,
+            cut,
+            time_step=episode.spec.time_step,
+            episode=episode.id,
+            spec=episode.spec.key,
+        )
     if episode.termination == "decided" and evaluation.status == "satisfied":
         # What would have followed can lower the margin to this.
         evaluation = replace(evaluation, margin=evaluation.lower)
@@ -370,7 +407,19 @@ def _without_account(
             evaluation, _ = evaluate_episode(known, episode)
             if evaluation is not None and evaluation.status == "violated":
                 return evaluation, detail
+    _pass_over(str(formula), episode, NO_ACCOUNT)
     return Evaluation("undecided", np.nan, -np.inf, np.inf, None, 0.0, detail), detail
+
+
+def _second_engine(episode: Episode) -> SecondEngine | None:
+    return episode.second_engine if isinstance(episode, JudgedEpisode) else None
+
+
+def _pass_over(check: str, episode: Episode, reason: str) -> None:
+    """Tell the second engine, if there is one, of a verdict that it cannot reach."""
+    engine = _second_engine(episode)
+    if engine is not None:
+        engine.pass_over(check, episode.spec.key, reason)
 
 
 def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.float64]]:
@@ -386,16 +435,24 @@ class JudgedEpisode(Episode):
 
     searched: ClassVar[bool] = False
     """Whether a search chose it, so that no rate can rest on it."""
+    second_engine: ClassVar[SecondEngine | None] = None
+    """Evaluates formulas as well, where an episode has one."""
 
     @classmethod
     def of(cls, episode: Episode) -> Self:
         """The same episode with these methods, read-only: all requirements share it."""
         made = cls(**{field.name: getattr(episode, field.name) for field in fields(Episode)})
+        made.evaluate_also_by(_second_engine(episode))
         made.time.flags.writeable = False
         made.signals = SealedColumns(made.signals)
         made.decisions = SealedColumns(made.decisions)
         vars(made)["_sealed"] = True
         return made
+
+    def evaluate_also_by(self, engine: SecondEngine | None) -> None:
+        """Set the second engine, which is no part of what happened in the episode."""
+        if engine is not None:
+            vars(self)["second_engine"] = engine
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Refuse it once the episode is sealed."""
@@ -468,7 +525,8 @@ def judge_searched(
         ConfigurationError: If the check cannot be read or imported, or names a signal that the
             episode does not have.
     """
-    status, result = judged(requirement.check if check is None else check, episode)
+    check = requirement.check if check is None else check
+    status, result = _judged_by_both(requirement, check, episode)
     return SearchVerdict(
         requirement.id,
         episode.id,

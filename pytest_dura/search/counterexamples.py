@@ -22,6 +22,7 @@ from pytest_dura.library.checks import scenario_problems
 from pytest_dura.library.documents import read_yaml
 from pytest_dura.library.planned_faults import parse_fault
 from pytest_dura.library.scenario import Scenario, check_world
+from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.checks import Check, check_name, is_function_path, load_function
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.search.portfolio import finite_or_none
@@ -344,10 +345,9 @@ def _file_heading(
 ) -> list[str]:
     case = trials.space.case
     component = case.roles(trials.runner.roles)["generator"].label
-    when = "" if counterexample.time is None else f" at t = {counterexample.time:g} s"
-    margin = "" if counterexample.margin is None else f", margin {counterexample.margin:.4g}"
+    when = violation_text(counterexample.time, counterexample.margin)
     lines = [
-        f"{component} violates {objective.requirement.id} here{when}{margin}: {objective.name}",
+        f"{component} violates {objective.requirement.id} here{when}: {objective.name}",
         f"From {case.id}, {origin}; confirmed by replay.",
     ]
     if counterexample.shrinking is not None:

@@ -13,13 +13,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.fault_campaigns import FaultCampaign
 from pytest_dura.library.scenario import check_world, world_checker
-from pytest_dura.search.simplification import (
-    ABSENT,
-    Keys,
-    place_order,
-    value_at,
-    with_value,
-)
+from pytest_dura.search.simplification import ABSENT, Keys, value_at, with_values
 from pytest_dura.search.space import (
     SLOT,
     FaultChoice,
@@ -225,10 +219,8 @@ def omissions(case: Case, world: Mapping[str, Any]) -> tuple[Omission, ...]:
 
 def without_omissions(world: Mapping[str, Any], places: Iterable[Keys]) -> dict[str, Any]:
     """Copy the world without some entries of lists, and with ``None`` for other parts."""
-    # From the last to the first, so that places stay the same.
-    for keys in sorted(places, key=place_order, reverse=True):
-        world = with_value(world, keys, ABSENT if isinstance(keys[-1], int) else None)
-    return dict(world)
+    edits = [(keys, ABSENT if isinstance(keys[-1], int) else None) for keys in places]
+    return dict(with_values(world, edits))
 
 
 def _places(data: Any, keys: Keys) -> Iterator[Keys]:

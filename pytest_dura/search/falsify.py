@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from pytest_dura.campaign.campaign import Campaign
-from pytest_dura.campaign.events import RunningCampaign, SearchEnded
+from pytest_dura.campaign.events import SearchEnded
 from pytest_dura.campaign.falsification import (
     Falsification,
     Limits,
@@ -137,23 +137,20 @@ def _run_search(
 ) -> tuple[SearchLog, CoverageCount]:
     runner, coverage = trials.runner, CoverageCount(trials.space.layout)
     subject = "search " + ", ".join(objective.requirement.id for objective in trials.objectives)
-    running = RunningCampaign(trials.space.case.id, subject, budget)
-    done = 0
-    runner.events.emit(running.reach(done, budget, runner.store.simulated))
+    with runner.progress(trials.space.case, subject, budget) as reach:
+        done = 0
+        reach(done, budget)
 
-    def evaluate(batch: Batch) -> Iterable[Outcome]:
-        nonlocal done
-        for point, outcome in zip(batch.points, trials.evaluate(batch), strict=True):
-            if outcome.simulated:
-                coverage.add(point)
-                done += 1
-                runner.events.emit(running.reach(done, budget, runner.store.simulated))
-            yield outcome
+        def evaluate(batch: Batch) -> Iterable[Outcome]:
+            nonlocal done
+            for point, outcome in zip(batch.points, trials.evaluate(batch), strict=True):
+                if outcome.simulated:
+                    coverage.add(point)
+                    done += 1
+                    reach(done, budget)
+                yield outcome
 
-    try:
         log = search(portfolio, evaluate, budget, len(trials.objectives))
-    finally:
-        runner.events.emit(running.end())
     if not log.simulations:
         # Every point contradicts itself: making one raises an error that says how.
         batch = portfolio.ask()

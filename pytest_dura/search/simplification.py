@@ -88,9 +88,19 @@ def with_value(data: Any, keys: Keys, value: Any) -> Any:
     return copied
 
 
-def place_order(keys: Keys) -> tuple[tuple[bool, Any], ...]:
-    """Sort places; where they are removed in reverse order, the others stay the same."""
-    return tuple((isinstance(key, str), key) for key in keys)
+def with_values(data: Any, edits: Iterable[tuple[Keys, Any]]) -> Any:
+    """Copy data with the values at several places replaced; ``ABSENT`` removes one."""
+
+    def order(edit: tuple[Keys, Any]) -> tuple[bool, tuple[tuple[bool, Any], ...]]:
+        # Remove last, and from the last to the first, so that places in lists stay the same.
+        keys, value = edit
+        return value is not ABSENT and value is not None, tuple(
+            (isinstance(key, str), key) for key in keys
+        )
+
+    for keys, value in sorted(edits, key=order, reverse=True):
+        data = with_value(data, keys, value)
+    return data
 
 
 def _dotted_path(keys: Keys) -> str:
@@ -433,18 +443,12 @@ class Simplification:
         Raises:
             ConfigurationError: If the values contradict each other.
         """
-        data = self.data
-        replaced: list[tuple[Keys, Any]] = []
-        removed: list[tuple[Keys, Any]] = []
-        for knob, place in zip(self.knobs, places, strict=True):
-            if place < len(knob.values) - 1:
-                value = knob.values[place]
-                edits = removed if value is ABSENT or value is None else replaced
-                edits.append((knob.keys, value))
-        # Remove last, and from the last to the first, so that places in lists stay the same.
-        removed.sort(key=lambda edit: place_order(edit[0]), reverse=True)
-        for keys, value in (*replaced, *removed):
-            data = with_value(data, keys, value)
+        edits = [
+            (knob.keys, knob.values[place])
+            for knob, place in zip(self.knobs, places, strict=True)
+            if place < len(knob.values) - 1
+        ]
+        data = with_values(self.data, edits)
         world = self.nominal.checked(data["world"])
         return make_searched_case(self.nominal.case, world, data["faults"], data["seed"])
 

@@ -119,7 +119,7 @@ pairs.require(measure='checks:farthest', change_at_most={bound})"""
     folder = project.path / "dura-evidence"
     assert main(["verify", str(folder)]) == 0
     problems = {
-        "the summary of its change": lambda change: change.update(mean=1.0),
+        "/pairs/change/mean: found 1.0": lambda change: change.update(mean=1.0),
         "and its changes give": lambda change: change.update(Change("m", *REVERSED).to_json()),
     }
     for problem, forge in problems.items():
@@ -130,7 +130,7 @@ pairs.require(measure='checks:farthest', change_at_most={bound})"""
         (forged / "evidence.json").write_text(json.dumps(record))
         capsys.readouterr()
         assert main(["verify", str(forged)]) == 1
-        assert (problem in capsys.readouterr().out) == (bound == "0.5" or "summary" in problem)
+        assert (problem in capsys.readouterr().out) == (bound == "0.5" or "mean" in problem)
 
 
 REVERSED = (("corridor/it#0", "corridor/it#1", "corridor/it#2"), (-1.0, -1.0, -1.0))

@@ -86,8 +86,8 @@ def test_a_requirement_of_the_file_is_what_a_test_may_ask_for(project):
     "check, word, margin, line",
     [
         ("touches_nothing", "violated", None, "worst:    corridor/it#0"),
-        ("half_a_metre", "violated", -0.5, "worst:    corridor/it#0, by 0.5"),
-        ("in_words", "violated", -2.5, "worst:    corridor/it#0 at t = 0.50 s, by 2.5"),
+        ("half_a_metre", "violated", -0.5, "worst:    corridor/it#0, margin -0.5"),
+        ("in_words", "violated", -2.5, "worst:    corridor/it#0 at t = 0.50 s, margin -2.5"),
         ("never_concerned", "undecided", None, "(vacuous)"),
     ],
 )

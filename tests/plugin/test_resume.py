@@ -227,11 +227,11 @@ def test_a_session_that_is_not_resumed_says_what_it_drops(interrupted):
     [
         (
             lambda record: record["reuse"].update(taken_over=4),
-            "reuse: taken_over is 4, and its episodes say 3",
+            "/reuse/taken_over: found 4, expected 3",
         ),
         (
             lambda record: record["episodes"][0]["origin"].update(session=None),
-            "reuse: taken_over is 3, and its episodes say 2",
+            "/reuse/taken_over: found 3, expected 2",
         ),
         (
             lambda record: record["reuse"].update(mode="none"),

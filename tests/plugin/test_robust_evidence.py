@@ -13,7 +13,8 @@ import pytest
 from corridors import scenario
 from outputs import output
 
-from pytest_dura.evidence import RENDERED_FILES, DirectoryLock, read_session_record
+from pytest_dura.evidence import DirectoryLock, read_session_record
+from pytest_dura.evidence.bundle import rendered_files
 from pytest_dura.evidence.episodes import EPISODES_PER_PART
 
 WAIT = 60.0
@@ -63,18 +64,18 @@ def test_a_killed_session_is_incomplete_and_takes_no_pass_over(project):
     project.run("corridor/it")
     evidence = project.path / "dura-evidence"
     assert project.evidence()["gate"]["result"] == "passed"
-    assert {*RENDERED_FILES} <= {file.name for file in evidence.iterdir()}
+    assert {*rendered_files()} <= {file.name for file in evidence.iterdir()}
     process = begun(project)
     process.send_signal(signal.SIGKILL)
     process.communicate(timeout=WAIT)
     record = read_session_record(evidence)
     assert (record["status"], record["gate"]["result"]) == ("running", "incomplete")
     assert record["gate"]["exit_code"] != 0
-    assert not {*RENDERED_FILES} & {file.name for file in evidence.iterdir()}
+    assert not {*rendered_files()} & {file.name for file in evidence.iterdir()}
     assert not list(evidence.glob(".session*")), "episodes on disk leave no file"
     project.run("corridor/it")
     assert project.evidence()["gate"]["result"] == "passed", "its lock blocks nobody"
-    assert {file.name for file in evidence.iterdir()} - {*RENDERED_FILES} <= {
+    assert {file.name for file in evidence.iterdir()} - {*rendered_files()} <= {
         "evidence.json",
         "episodes",
     }
@@ -219,7 +220,7 @@ def test_links_in_the_directory_are_replaced_and_never_followed(project):
     evidence, outside = project.path / "dura-evidence", project.path / "outside"
     outside.mkdir()
     assert project.run("corridor/it", "--dura-evidence-level=summary").ret == 0
-    for name in RENDERED_FILES:
+    for name in rendered_files():
         (outside / name).write_text("mine")
         (evidence / name).unlink()
         (evidence / name).symlink_to(outside / name)

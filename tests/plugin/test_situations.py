@@ -203,9 +203,9 @@ def a_bound(record):
 @pytest.mark.parametrize(
     "forge, told",
     [
-        (other_trajectory, "their trajectories say no single situation"),
-        (no_situation, "their trajectories say one situation, repeated"),
-        (a_bound, "its runs are equal, and a rate is bound"),
+        (other_trajectory, "/verdicts/0/run: its runs end the campaign earlier, or not yet"),
+        (no_situation, '/verdicts/0/situation: found null, expected "repeated"'),
+        (a_bound, "/verdicts/0/bound/upper: found 0.04, expected null"),
     ],
 )
 def test_what_is_forged_of_it_is_found(project, capsys, forge, told):

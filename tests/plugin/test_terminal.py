@@ -40,7 +40,7 @@ def test_the_summary_of_a_campaign(reference, mode):
     assert lines[start + 1 : start + 6] == [
         "  2 of 2 valid episodes violated it",
         "  check:  always (gap > 0)",
-        "  worst:  corridor/tight#0 at t = 0.20 s, right at the bound",
+        "  worst:  corridor/tight#0 at t = 0.20 s, margin 0",
         "  replay: pytest --dura-replay='corridor/tight#0'",
         "  rerun:  pytest corridor/tight::GAP-1 --dura-generator=corridor:Reckless",
     ]

@@ -29,7 +29,7 @@ from pytest_dura.driving import (
 DRIVING = DOMAINS["driving"]
 PATHS = {
     **DRIVING.short_names["generator"],
-    **{name: path for name, path in DRIVING.roles.items() if name != "fault_injector"},
+    **{name: path for name, path in DRIVING.default_roles.items() if name != "fault_injector"},
     **DRIVING.short_names["recovery_planner"],
     **DRIVING.short_names["residual_monitor"],
 }

@@ -501,7 +501,7 @@ def test_perturbation_is_what_its_function_makes_of_the_picture(picture, level, 
 
 
 def neutral() -> list[str]:
-    return [name for name, path in FAULT_TYPES.items() if ".faults.types." in path]
+    return [name for name in FAULT_TYPES if ".faults.types." in FAULT_TYPES.path(name)]
 
 
 def stream_for(name: str) -> list[Any]:

@@ -306,15 +306,13 @@ def check_terminal(bundle):
         invocation_params=SimpleNamespace(dir=bundle.root),
     )  # fmt: skip
     session = SimpleNamespace(
-        config=config, active=True, cassette=None,
-        executor=SimpleNamespace(notes=list), shared=SimpleNamespace(is_whole=True),
-        options=SimpleNamespace(runs=None, given=()),
-        evidence=SimpleNamespace(
-            final=bundle.record, objections=bundle.record["gate"]["reasons"],
-            file=bundle.directory / "evidence.json"),
+        config=config, active=True, cassette=None, options=SimpleNamespace(runs=None, given=()),
     )  # fmt: skip
     terminal = Terminal()
-    summary(session, terminal)
+    summary(
+        session, terminal, bundle.record, file=bundle.directory / "evidence.json", notes=[],
+        objections=bundle.record["gate"]["reasons"], shared=SimpleNamespace(is_whole=True),
+    )  # fmt: skip
     assert CONTROL.findall(terminal.text) == []
     assert len(terminal.text) < LARGEST
     ours = [line for line in terminal.text.split("\n") if line.startswith(("gate:", "#", "|"))]

@@ -184,7 +184,9 @@ def spec_of_drive(
 ) -> EpisodeSpec:
     """The spec of an episode with the domain's own roles."""
     domain = DOMAINS["driving"]
-    chosen: dict[str, RoleSpec | None] = {n: RoleSpec(path) for n, path in domain.roles.items()}
+    chosen: dict[str, RoleSpec | None] = {
+        n: RoleSpec(path) for n, path in domain.default_roles.items()
+    }
     if isinstance(generator, str):
         generator = RoleSpec(domain.short_names["generator"].get(generator, generator))
     chosen["generator"] = generator

@@ -255,17 +255,23 @@ class ScriptedServer:
         behaviours: For one request each, in order.
         otherwise: For every request after them.
         at_most: Seconds after which it closes by itself.
+        keep_alive: Whether a connection takes several requests; a behaviour then tells the length.
+        tls: With what it speaks TLS.
     """
 
-    def __init__(self, *behaviours, otherwise=None, at_most=60.0):
+    def __init__(self, *behaviours, otherwise=None, at_most=60.0, keep_alive=False, tls=None):
+        self.accepted = 0
         self.requests, self.unscripted = [], []
         self.model = MODEL
         self._behaviours, self._otherwise = deque(behaviours), otherwise
         self._lock, self._stopped = threading.Lock(), threading.Event()
         self._connections = set()
-        self._server = _Server(("127.0.0.1", 0), _Handler)
+        self._server = _Server(("127.0.0.1", 0), _KeepingHandler if keep_alive else _Handler)
+        if tls is not None:
+            self._server.socket = tls.wrap_socket(self._server.socket, server_side=True)
+        self.port = self._server.server_address[1]
         self._server.script = self
-        self.base_url = f"http://127.0.0.1:{self._server.server_address[1]}/v1"
+        self.base_url = f"http://127.0.0.1:{self.port}/v1"
         self._loop = threading.Thread(target=self._server.serve_forever, args=(0.02,), daemon=True)
         self._loop.start()
         self._watchdog = threading.Timer(at_most, self._end)
@@ -276,6 +282,12 @@ class ScriptedServer:
         """Adds behaviours for the next requests."""
         with self._lock:
             self._behaviours.extend(behaviours)
+
+    def close_connections(self):
+        """Closes those that are open, and returns when that has been done."""
+        with self._lock:
+            for connection in self._connections:
+                _shut(connection)
 
     @property
     def environment(self):
@@ -293,8 +305,7 @@ class ScriptedServer:
         with self._lock:
             first = not self._stopped.is_set()
             self._stopped.set()
-            for connection in self._connections:
-                _shut(connection)
+        self.close_connections()
         if first:
             self._server.shutdown()
             self._server.server_close()
@@ -320,6 +331,7 @@ class ScriptedServer:
     def _opened(self, connection):
         with self._lock:
             self._connections.add(connection)
+            self.accepted += 1
             if self._stopped.is_set():
                 _shut(connection)
 
@@ -379,3 +391,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_):
         pass
+
+
+class _KeepingHandler(_Handler):
+    protocol_version = "HTTP/1.1"

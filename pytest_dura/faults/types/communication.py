@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from typing import Annotated, Any, ClassVar, Literal, NoReturn, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.model import Channel, Kind, Moment, is_number
 from pytest_dura.faults.parts import (
@@ -310,8 +309,7 @@ class Masquerade(ListedFault):
             self._check_number("forged", forged)
         elif channel.kind in (*_COLUMNS, "objects"):
             known = ", ".join(channel.fields) or ("<row>.<column>" if channel.columns else "")
-            near = difflib.get_close_matches(name, channel.fields, n=1)
-            remedy = f"did you mean {near[0]!r}?" if near else "name a number of the message"
+            remedy = did_you_mean(name, channel.fields, "name a number of the message")
             expected = f"one of {known}" if known else "another target, with fields"
             self._refuse(
                 "forged", name, f"is no number in {self.place.channel!r}", expected, remedy

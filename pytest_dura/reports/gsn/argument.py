@@ -20,11 +20,9 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.gsn.element import Argument, Element, derived_id
 from pytest_dura.reports.gsn.verdicts import (
-    MAX_TEXT,
     EpisodeFacts,
     VerdictElements,
     monitor_text,
-    requirement_text,
     scenario_text,
     verdict_elements,
 )
@@ -36,6 +34,7 @@ from pytest_dura.reports.searches import (
     kept_text,
     outcome_headline,
 )
+from pytest_dura.reports.verdicts import MAX_TEXT, requirement_text
 from pytest_dura.reports.wording import is_incomplete, merge_text, names_text, shard_text
 
 Data = Mapping[str, Any]

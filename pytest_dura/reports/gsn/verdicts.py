@@ -11,109 +11,28 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.text import name, one_line
+from pytest_dura.evidence.text import name
 from pytest_dura.reports.gsn.element import Element, derived_id
 from pytest_dura.reports.html.contents import folded_cases, requirement_anchor, verdict_anchor
-from pytest_dura.reports.wording import (
-    evidence_option,
-    fault_free_violations_text,
-    model_options,
-    names_text,
-    no_rate_reason,
-    other_run_counts,
-    replay_command,
+from pytest_dura.reports.verdicts import (
+    as_sentence,
+    challenge_brief,
+    challenge_text,
+    evidence_text,
+    part_text,
+    short_evidence_text,
+    verdict_proposition,
+    waiver_text,
 )
+from pytest_dura.reports.wording import evidence_option, model_options, names_text, replay_command
+from pytest_dura.requirements.campaign_verdicts import violation_text
 
 Data = Mapping[str, Any]
-
-MAX_TEXT = 400
-"""Characters of a user's text in an element; the record has all of it."""
-
-
-def percent_text(share: float) -> str:
-    """A share as a percentage of four digits at most: ``18.1 %``."""
-    return f"{100 * share:.4g} %"
-
-
-def requirement_text(requirement: Data) -> str:
-    """The requirement as a proposition, with its bound."""
-    return (
-        f"{name(requirement['id'])}: {_as_sentence(requirement['text'])} {_bound_text(requirement)}"
-    )
-
-
-def _bound_text(requirement: Data) -> str:
-    """The bound that the requirement sets a campaign."""
-    pairs = requirement["paired"]
-    what = "episodes"
-    if pairs is not None:
-        lacking = name(pairs["without"])
-        what = f"pairs of equal seeds, with and without {lacking},"
-    if requirement["at_most"] is None:
-        return f"Asked for in all {what.rstrip(',')}."
-    return (
-        f"Violated in at most {percent_text(requirement['at_most'])} of {what.rstrip(',')}, "
-        f"confidence {percent_text(requirement['confidence'])}."
-    )
 
 
 def _place_text(case: str, component: str, *, several: bool) -> str:
     """The case, and the component where the session has several."""
     return f"{name(case)} [{name(component)}]" if several else name(case)
-
-
-def _verdict_text(verdict: Data, *, several: bool) -> str:
-    """The proposition that a verdict decides."""
-    where = _place_text(verdict["case"], verdict["component"], several=several)
-    bound = verdict["bound"]["at_most"]
-    how = "holds in every valid episode of" if bound is None else "keeps its bound in"
-    if verdict["without_effect"]:
-        how = "is violated in no episode, valid or not, of"
-    return f"{name(verdict['requirement'])} {how} {where}."
-
-
-def _evidence_text(verdict: Data) -> str:
-    """The counts and the bound of a verdict, as they stand in the record."""
-    what = "pairs" if verdict["pairs"] is not None else "episodes"
-    runs = f"{verdict['run']} run, {verdict['planned']} planned"
-    parts = [
-        ", ".join(
-            [f"n = {verdict['episodes']} valid {what} of {runs}", *other_run_counts(verdict)]
-        ),
-        f"violations: {verdict['violations']}{fault_free_violations_text(verdict)}",
-        _upper_text(verdict),
-    ]
-    if verdict["margin"] is not None:
-        parts.append(f"least margin {verdict['margin']:.4g}")
-    return "; ".join(parts) + "."
-
-
-def _short_evidence_text(verdict: Data) -> list[str]:
-    """Counts and bound in three lines of a few characters, for a circle of the picture."""
-    upper = verdict["bound"]["upper"]
-    bound = "no bound" if upper is None else f"≤ {percent_text(upper)}"
-    return [f"n = {verdict['episodes']}", f"{verdict['violations']} violated", bound]
-
-
-def _upper_text(verdict: Data) -> str:
-    bound = verdict["bound"]
-    method = one_line(str(bound["method"]))
-    if bound["upper"] is None:
-        return f"no bound on the rate of violations{no_rate_reason(verdict)} ({method})"
-    return (
-        f"rate of violations at most {percent_text(bound['upper'])} with confidence "
-        f"{percent_text(bound['confidence'])} ({method})"
-    )
-
-
-def _waiver_text(verdict: Data) -> str:
-    """The doubt that a waiver leaves, with the reason given for it."""
-    waiver = verdict["waiver"]
-    reason = _as_sentence(str(waiver["reason"] or "none was given"))
-    return (
-        f"Waived ({name(str(waiver['kind']))}), reason: {reason} The verdict stays "
-        f"{verdict['verdict']}: a waiver accepts the doubt that remains, and takes none away."
-    )
 
 
 def scenario_text(scenario: str, parameters: list[Data]) -> str:
@@ -127,7 +46,7 @@ def scenario_text(scenario: str, parameters: list[Data]) -> str:
 
 
 def _range_text(parameter: Data) -> str:
-    drawn, covered = parameter["drawn"], percent_text(parameter["covered"])
+    drawn, covered = parameter["drawn"], part_text(parameter["covered"])
     if parameter["choices"] is None:
         low, high = _figure_text(parameter["low"]), _figure_text(parameter["high"])
         return f"in [{low}, {high}], {drawn} drawn, {covered} of its tenths reached"
@@ -152,12 +71,6 @@ def monitor_text(monitor: str, target: str, rows: list[Data]) -> str:
 
 def _figure_text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, int | float) else name(str(value))
-
-
-def _as_sentence(text: str) -> str:
-    """A text of a user's on one line, ended."""
-    line = one_line(text, MAX_TEXT)
-    return line if not line or line[-1] in ".!?)" else f"{line}."
 
 
 MAX_COUNTEREXAMPLES = 5
@@ -314,13 +227,13 @@ class _VerdictBuilder:
     def _goal(self, support: list[str], waivers: list[str]) -> Element:
         verdict = self.verdict["verdict"]
         why = (
-            f" Undecided: {_as_sentence(str(self.verdict['reason']))}"
+            f" Undecided: {as_sentence(str(self.verdict['reason']))}"
             if verdict == "undecided"
             else ""
         )
         return Element(
             self.identifier("G"),
-            _verdict_text(self.verdict, several=self.several) + why,
+            verdict_proposition(self.verdict, self.where) + why,
             supported_by=tuple(support),
             in_context_of=tuple(waivers),
             undeveloped=verdict == "undecided",
@@ -334,17 +247,17 @@ class _VerdictBuilder:
     def _solution(self) -> Element:
         return Element(
             self.identifier("Sn"),
-            _evidence_text(self.verdict),
+            evidence_text(self.verdict),
             url=self.url,
             alias=self.alias("evidence"),
             layers=self.layers(),
-            brief=tuple(_short_evidence_text(self.verdict)),
+            brief=tuple(short_evidence_text(self.verdict)),
         )
 
     def _waiver(self) -> Element:
         return Element(
             self.identifier("J", "waiver"),
-            _waiver_text(self.verdict),
+            waiver_text(self.verdict),
             url=f"{self.url}/waiver",
             alias=self.alias("waiver"),
             brief=("waived",),
@@ -358,55 +271,28 @@ class _VerdictBuilder:
             for i, counterexample in enumerate(counterexamples)
         ]
         if not evidence:
-            text = _evidence_text(self.verdict)
-            short = tuple(_short_evidence_text(self.verdict))
+            text = evidence_text(self.verdict)
+            short = tuple(short_evidence_text(self.verdict))
             evidence = [Element(self.identifier("CSn"), text, url=self.url, brief=short)]
         yield Element(
             self.identifier("CG"),
-            self._challenge_text(len(counterexamples)),
+            challenge_text(self.verdict, self.where, len(counterexamples)),
             supported_by=tuple(element.id for element in evidence),
             challenges=self.identifier("G"),
             url=self.url,
             alias=self.alias("challenge"),
-            brief=self._challenge_brief(),
+            brief=challenge_brief(self.verdict),
         )
         yield from evidence
 
-    def _challenge_brief(self) -> tuple[str, str]:
-        verdict = self.verdict
-        if verdict["without_effect"] and not verdict["violations"]:
-            return f"{verdict['without_effect']} violate it", "without effect"
-        return f"{verdict['violations']} of {verdict['episodes']}", "violate it"
-
-    def _challenge_text(self, listed: int) -> str:
-        verdict = self.verdict
-        how = {
-            "violated": "",
-            "supported": ", as many as the bound allows",
-            "undecided": ", which decide nothing yet",
-        }[verdict["verdict"]]
-        what = "pairs" if verdict["pairs"] is not None else "episodes"
-        rest = len(verdict["counterexamples"]) - listed
-        more = f" {rest} more stand in the record." if listed and rest > 0 else ""
-        if verdict["without_effect"] and not verdict["violations"]:
-            return (
-                f"{verdict['without_effect']} of {verdict['invalid']} invalid {what} violate "
-                f"{self.requirement} in {self.where}, without effect of the fault.{more}"
-            )
-        return (
-            f"{verdict['violations']} of {verdict['episodes']} valid {what} violate "
-            f"{self.requirement} in {self.where}{how}{fault_free_violations_text(verdict)}.{more}"
-        )
-
     def _counterexample(self, index: int, counterexample: Data) -> Element:
         episode = counterexample["episode"]
-        when = "" if counterexample["time"] is None else f" at {counterexample['time']:.4g} s"
-        margin = (
-            "" if counterexample["margin"] is None else f", margin {counterexample['margin']:.4g}"
+        when = violation_text(
+            counterexample["time"], counterexample["margin"], valid=counterexample["valid"]
         )
+        brief = violation_text(counterexample["time"], None).strip()
         facts = self.facts.counterexamples.get((episode, self.verdict["component"]), {})
         seed = f", seed {facts['seed']}" if facts else ""
-        effect = "" if counterexample["valid"] else ", without effect of the fault"
         trace = facts.get("trace")
         evidence = evidence_option(self.record["command"])
         models = {
@@ -421,8 +307,8 @@ class _VerdictBuilder:
             layers["trace"] = name(str(trace["file"]))
         return Element(
             self.identifier("CSn", str(index)),
-            f"Episode {name(episode)} violates it{when}{margin}{seed}{effect}.",
+            f"Episode {name(episode)} violates it{when}{seed}.",
             url=f"{self.url}/counterexamples/{index}",
             layers=layers,
-            brief=("run " + name(episode).rpartition("#")[2][:10], when.strip()),
+            brief=("run " + name(episode).rpartition("#")[2][:10], brief),
         )

@@ -194,14 +194,12 @@ class ReportContents:
     Args:
         cases: By case id and component, in the order in which they were met.
         listed: The first by rank, then in the record's order.
-        total: Episodes in the record.
         candidates: Episodes with a trace, those that show most first.
         folded: Cases that passed and have no rows of their own; see :func:`folded_cases`.
     """
 
     cases: dict[CaseKey, CaseTally]
     listed: list[ListedEpisode]
-    total: int
     candidates: list[ListedEpisode]
     folded: frozenset[CaseKey]
 
@@ -214,9 +212,7 @@ class ReportContents:
         listed: list[tuple[int, int, ListedEpisode]] = []
         candidates: list[tuple[int, int, ListedEpisode]] = []
         sampled: Counter[CaseKey] = Counter()
-        total = 0
         for index, episode in enumerate(record.episodes()):
-            total += 1
             cases.setdefault((episode["case"], episode["component"]), CaseTally()).add(episode)
             # A verdict rests on planned episodes; one run by hand may bear the same id.
             key = episode["id"], episode["component"]
@@ -231,7 +227,7 @@ class ReportContents:
                     turn = len(turns) + sampled[of_case]
                     sampled[of_case] += 1
                 _keep_lowest(candidates, turn, shown, _MAX_CANDIDATES)
-        return cls(cases, _in_order(listed), total, _in_order(candidates), folded_cases(record))
+        return cls(cases, _in_order(listed), _in_order(candidates), folded_cases(record))
 
 
 def _violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:

@@ -373,7 +373,7 @@ def episode_section(record: SessionRecord, contents: ReportContents, links: Epis
             "run": sum(run for _, run in folded),
         },
         "several": len({key[1] for key in contents.cases}) > 1,
-        "total": contents.total,
+        "total": record["totals"]["episodes"],
         "shown": len(contents.listed),
         "rows": [
             _episode_row(episode, links, anchors)
@@ -385,7 +385,7 @@ def episode_section(record: SessionRecord, contents: ReportContents, links: Epis
             for episode in contents.listed
             if episode.rank == UNREMARKABLE
         ],
-        "left_out": contents.total - len(contents.listed),
+        "left_out": record["totals"]["episodes"] - len(contents.listed),
     }
 
 

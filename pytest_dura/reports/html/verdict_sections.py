@@ -32,15 +32,15 @@ from pytest_dura.reports.searches import (
     shrinking_text,
     simulations_text,
 )
+from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.reports.wording import (
-    assertion_sentences,
     conclusion_sentences,
     limitation_sentences,
     merge_text,
     selection_text,
     shard_text,
 )
-from pytest_dura.requirements.campaign_verdicts import SITUATIONS
+from pytest_dura.requirements.campaign_verdicts import SITUATIONS, violation_text
 from pytest_dura.requirements.model import FAULTS
 
 Data = Mapping[str, Any]
@@ -148,6 +148,9 @@ def _verdict_row(verdict: Data, links: EpisodeLinks) -> Data:
             {
                 **counterexample,
                 "link": links.of_episode(counterexample["episode"], verdict["component"]),
+                "when": violation_text(
+                    counterexample["time"], counterexample["margin"], valid=counterexample["valid"]
+                ),
             }
             for counterexample in shown
         ],

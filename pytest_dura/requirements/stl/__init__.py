@@ -1,1 +1,1 @@
-"""Signal temporal logic: parsed by rtamt, evaluated on NumPy columns."""
+"""Signal temporal logic: parsed and evaluated on NumPy columns, by one table of operators."""

@@ -94,9 +94,9 @@ class _Vacuity:
         # Seen from a sample that is reached, the operator lies on the other side.
         if node.window is None:
             spread = windows.running_past if ahead else windows.running
-            return spread(np.maximum, marks) > 0
+            return spread(marks, np.maximum) > 0
         slide = windows.sliding_past if ahead else windows.sliding
-        return slide(np.maximum, marks, *self.program.samples(node.window)) > 0
+        return slide(marks, np.maximum, *self.program.samples(node.window)) > 0
 
 
 Status = Literal["satisfied", "violated", "undecided"]
@@ -362,9 +362,9 @@ def robustness(formula: Formula, columns: Mapping[str, ArrayLike], time_step: fl
     whole = np.empty(shape)
     for start in range(0, shape[0], _CHUNK):
         rows = np.arange(start, min(start + _CHUNK, shape[0]))
-        part = {name: column[start : start + _CHUNK] for name, column in samples.items()}
+        part = {name: column[rows] for name, column in samples.items()}
         frame = Frame(part, (len(rows), shape[1]), time_step, rows=rows)
-        whole[start : start + _CHUNK] = _computed(plan, frame)
+        whole[rows] = _computed(plan, frame)
     return whole
 
 
@@ -392,15 +392,15 @@ def robustness_batch(
             raise ConfigurationError(
                 f"trace {number} is not one trace", found=shape, expected="columns of shape (n,)"
             )
-    lengths = np.array([shape[0] for shape in shapes], dtype=np.intp)
     results: list[Array] = [np.empty(0)] * len(traces)
-    # Traces of like length together, so that little is computed behind their ends.
-    order = np.argsort(lengths, kind="stable")
-    for start in range(0, len(order), _CHUNK):
-        rows = order[start : start + _CHUNK]
-        frame = _padded([inputs[row] for row in rows], lengths[rows], rows, time_step)
-        for row, values in zip(rows, _computed(plan, frame), strict=True):
-            results[row] = values[: lengths[row]]
+    lengths = [shape[0] for shape in shapes]
+    for length in set(lengths):  # traces of one length are rows of an array
+        rows = np.flatnonzero(np.equal(lengths, length))
+        for part in np.split(rows, range(_CHUNK, len(rows), _CHUNK)):
+            columns = {name: np.stack([inputs[row][name] for row in part]) for name in plan.signals}
+            frame = Frame(columns, (len(part), length), time_step, rows=part)
+            for row, values in zip(part, _computed(plan, frame), strict=True):
+                results[row] = values
     return results
 
 
@@ -470,23 +470,3 @@ def _shape(samples: Mapping[str, Array], columns: Mapping[str, ArrayLike]) -> tu
     if first[-1] == 0:
         raise empty_trace(f"columns of shape {first}")
     return first
-
-
-def _padded(
-    traces: Sequence[Mapping[str, Array]],
-    lengths: np.ndarray[tuple[int], np.dtype[np.intp]],
-    rows: np.ndarray[tuple[int], np.dtype[np.intp]],
-    time_step: float,
-) -> Frame:
-    """The traces in rows. The shorter ones go on with their last sample, to stay in range."""
-    shape = len(traces), int(lengths[-1])
-    columns = {}
-    for name in traces[0]:
-        columns[name] = np.empty(shape)
-        for row, trace, length in zip(columns[name], traces, lengths, strict=True):
-            row[:length] = trace[name]
-            row[length:] = trace[name][-1]
-    beyond = None
-    if lengths[0] < lengths[-1]:
-        beyond = np.arange(shape[1]) >= lengths[:, np.newaxis]
-    return Frame(columns, shape, time_step, beyond=beyond, rows=rows)

@@ -1,4 +1,4 @@
-"""Formula: its nodes, its text, how far it looks ahead, and checks before it judges anything.
+"""Formula: its nodes, the table of operators, its text, and checks before it judges anything.
 
 Expressions have a real value at each sample; formulas hold or do not, with a robustness as margin.
 ``position`` is the column in the text that a node was read from, for messages; it is not compared.
@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import difflib
 import math
+import operator
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias, TypeGuard
+
+import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
 
@@ -23,9 +26,6 @@ BooleanOperator = Literal["and", "or", "implies", "iff", "xor"]
 ComparisonOperator = Literal[">", ">=", "<", "<=", "==", "!="]
 ArithmeticOperator = Literal["+", "-", "*", "/", "pow"]
 FunctionName = Literal["abs", "sqrt", "exp"]
-
-FUTURE = ("always", "eventually", "until", "next", "strong_next")
-"""Operators that look ahead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +137,79 @@ class Step:
 Node: TypeAlias = Comparison | Not | Boolean | Temporal | TemporalPair | Step
 
 
-def children(node: Node | Expression) -> tuple[Node | Expression, ...]:
-    """The nodes directly below one, from left to right."""
+class Operator(NamedTuple):
+    """An operator of the language: a row of the table.
+
+    Args:
+        level: How tightly it binds; 0 for a function, which has parentheses.
+        name: Its name in the nodes. ``unless`` has none: it is read as other operators.
+        spellings: How it may be written.
+        node: Class of its node.
+        windowed: Whether it may have a window.
+        ahead: Whether it looks ahead.
+        compute: Result of an operator on values, margin of a comparison (positive where it holds);
+            of numbers as of arrays.
+    """
+
+    level: int
+    name: str
+    spellings: str
+    node: type
+    windowed: bool = False
+    ahead: bool = False
+    compute: Any = None
+
+
+# The loosest first. Each operator between two operands associates to the left.
+_TABLE = (
+    Operator(1, "xor", "xor", Boolean),
+    Operator(2, "iff", "iff <->", Boolean),
+    Operator(3, "implies", "implies ->", Boolean),
+    Operator(4, "or", "or |", Boolean),
+    Operator(5, "and", "and &", Boolean),
+    Operator(6, "since", "since S", TemporalPair, windowed=True),
+    Operator(7, "unless", "unless W", TemporalPair, windowed=True, ahead=True),
+    Operator(8, "until", "until U", TemporalPair, windowed=True, ahead=True),
+    Operator(9, "not", "not !", Not),
+    Operator(9, "always", "always G", Temporal, windowed=True, ahead=True),
+    Operator(9, "eventually", "eventually F", Temporal, windowed=True, ahead=True),
+    Operator(9, "historically", "historically H", Temporal, windowed=True),
+    Operator(9, "once", "once O", Temporal, windowed=True),
+    Operator(9, "next", "next X", Step, ahead=True),
+    Operator(9, "prev", "prev Y", Step),
+    Operator(9, "strong_next", "s_next sX", Step, ahead=True),
+    Operator(9, "strong_prev", "s_prev sY", Step),
+    Operator(10, ">=", ">=", Comparison, compute=operator.sub),
+    Operator(10, ">", ">", Comparison, compute=operator.sub),
+    Operator(10, "<=", "<=", Comparison, compute=lambda left, right: right - left),
+    Operator(10, "<", "<", Comparison, compute=lambda left, right: right - left),
+    Operator(10, "==", "==", Comparison, compute=lambda left, right: -abs(left - right)),
+    Operator(10, "!=", "!= !==", Comparison, compute=lambda left, right: abs(left - right)),
+    Operator(11, "-", "-", Arithmetic, compute=operator.sub),
+    Operator(12, "+", "+", Arithmetic, compute=operator.add),
+    Operator(13, "/", "/", Arithmetic, compute=operator.truediv),
+    Operator(14, "*", "*", Arithmetic, compute=operator.mul),
+    Operator(0, "pow", "pow", Arithmetic, compute=np.power),
+    Operator(0, "abs", "abs", Function, compute=abs),
+    Operator(0, "sqrt", "sqrt", Function, compute=np.sqrt),
+    Operator(0, "exp", "exp", Function, compute=np.exp),
+    Operator(0, "rise", "rise", Step),
+    Operator(0, "fall", "fall", Step),
+)
+OPERATORS = {row.name: row for row in _TABLE}
+ON_BOUND = frozenset({">=", "<=", "=="})
+"""Comparisons that hold at a margin of zero."""
+FUTURE = frozenset(row.name for row in _TABLE if row.ahead)
+"""Operators that look ahead."""
+
+
+def operator_of(node: Any) -> Operator:
+    """The row of a node that is neither a signal nor a constant."""
+    return OPERATORS["not" if isinstance(node, Not) else getattr(node, "operator", "") or node.name]
+
+
+def children(node: Node | Expression) -> tuple[Any, ...]:
+    """The nodes directly below one, from left to right; those of an expression are expressions."""
     if isinstance(node, (Signal, Constant)):
         return ()
     if isinstance(node, (Not, Temporal, Step, Function)):
@@ -162,65 +233,37 @@ def conjuncts(root: Node) -> list[Node]:
     return [root]
 
 
-def node_text(node: Node | Expression) -> str:
-    """A formula or an expression as text that parses to equal nodes."""
-    if isinstance(node, (Signal, Constant, Arithmetic, Function)):
-        return _expression(node)
-    if isinstance(node, Comparison):
-        return f"{_expression(node.left)} {node.operator} {_expression(node.right)}"
-    if isinstance(node, (Boolean, TemporalPair)):
-        return _joined(node)
-    return f"{_prefix(node)} ({node_text(node.operand)})"
-
-
 def exact(number: float) -> str:
     """The shortest text that reads back as the same number."""
     return repr(float(number)).removesuffix(".0")
 
 
-def seconds(window: Window) -> str:
-    """A window in seconds, such as ``[0:2.5]``."""
-    return f"[{exact(window.start)}:{exact(window.end)}]"
-
-
-def _expression(node: Expression) -> str:
+def node_text(node: Any) -> str:
+    """A formula or an expression as text that parses to equal nodes."""
     if isinstance(node, Signal):
         return node.name
     if isinstance(node, Constant):
         return exact(node.value)
-    if isinstance(node, Function):
-        return f"{node.name}({_expression(node.operand)})"
-    if node.operator == "pow":
-        return f"pow({_expression(node.left)}, {_expression(node.right)})"
-    right = _term(node.right)
-    if node.operator == "-" and isinstance(node.right, Constant):
+    row = operator_of(node)
+    texts = [node_text(child) for child in children(node)]
+    if row.node in (Function, Arithmetic) and not row.level:
+        return f"{row.name}({', '.join(texts)})"
+    if row.node is Comparison:
+        return f"{texts[0]} {row.name} {texts[1]}"
+    bare = [row.node is Arithmetic and not _is_joined(child) for child in children(node)]
+    if row.name in ("and", "or") and getattr(node.left, "operator", "") == row.name:
+        bare[0] = True  # a chain of one operator associates to the left in rtamt and here
+    if row.name == "-" and isinstance(node.right, Constant):
         # rtamt fails on `a - 5`, which it tries to read as a formula `a` and another, `-5`.
-        right = f"({right})"
-    return f"{_term(node.left)} {node.operator} {right}"
+        bare[1] = False
+    *left, right = [text if as_is else f"({text})" for text, as_is in zip(texts, bare, strict=True)]
+    window = getattr(node, "window", None)
+    bounds = f"[{exact(window.start)}:{exact(window.end)}]" if window else ""
+    return " ".join([*left, row.spellings.split()[0] + bounds, right])
 
 
-def _term(node: Expression) -> str:
-    joined = isinstance(node, Arithmetic) and node.operator != "pow"
-    return f"({_expression(node)})" if joined else _expression(node)
-
-
-def _joined(node: Boolean | TemporalPair) -> str:
-    left = node_text(node.left)
-    # A chain of one operator associates to the left in rtamt and here.
-    chain = node.operator in ("and", "or")
-    if not (chain and isinstance(node.left, Boolean) and node.left.operator == node.operator):
-        left = f"({left})"
-    return f"{left} {_prefix(node)} ({node_text(node.right)})"
-
-
-def _prefix(node: Node) -> str:
-    """The operator as it is written, with its window if it has one."""
-    if isinstance(node, (Temporal, TemporalPair)):
-        return node.operator + (seconds(node.window) if node.window else "")
-    if isinstance(node, (Boolean, Comparison)):
-        return node.operator
-    name = getattr(node, "operator", "not")
-    return str(name).replace("strong_", "s_")
+def _is_joined(node: Node | Expression) -> bool:
+    return isinstance(node, Arithmetic) and node.operator != "pow"
 
 
 @dataclass(frozen=True)
@@ -260,7 +303,8 @@ class Formula:
         ``next`` looks one sample ahead, which is no number of seconds, and adds nothing.
         ``None`` without an operator that looks ahead through a window.
         """
-        return _horizon(self.root)
+        timed = [n for n in walk(self.root) if _looks_ahead(n) and getattr(n, "window", None)]
+        return _longest(self.root, _seconds_ahead) if timed else None
 
     @cached_property
     def future_operators(self) -> tuple[tuple[str, int], ...]:
@@ -269,9 +313,7 @@ class Formula:
         ``unless`` is read as ``always .. or .. until``: both stand here, at its column.
         """
         operators = [
-            (node.operator, node.position)
-            for node in walk(self.root)
-            if isinstance(node, (Temporal, TemporalPair, Step)) and node.operator in FUTURE
+            (node.operator, node.position) for node in walk(self.root) if _looks_ahead(node)
         ]
         return tuple(sorted(operators, key=lambda operator: operator[1]))
 
@@ -307,12 +349,43 @@ def marked(text: str, position: int) -> str:
     return f"\n    {line}\n    {' ' * position}^"
 
 
-def _horizon(node: Node | Expression) -> float | None:
-    below = [seconds for child in children(node) if (seconds := _horizon(child)) is not None]
-    deepest = max(below, default=None)
-    if isinstance(node, (Temporal, TemporalPair)) and node.operator in FUTURE and node.window:
-        return node.window.end + (deepest or 0.0)
-    return deepest
+def _looks_ahead(node: Node | Expression) -> TypeGuard[Temporal | TemporalPair | Step]:
+    return isinstance(node, (Temporal, TemporalPair, Step)) and node.operator in FUTURE
+
+
+def _longest(node: Node | Expression, own: Callable[[Node | Expression], float]) -> float:
+    """The greatest sum of what nodes add, over all ways from a node to a leaf."""
+    below = max((_longest(child, own) for child in children(node)), default=0)
+    return own(node) + below
+
+
+def _seconds_ahead(node: Node | Expression) -> float:
+    window = getattr(node, "window", None)
+    return window.end if _looks_ahead(node) and window else 0.0
+
+
+def reach(node: Node | Expression, time_step: float) -> int | None:
+    """Samples behind the first one that the verdict there may rest on.
+
+    Whatever follows them changes neither the verdict nor which conditions held.
+
+    Args:
+        node: The formula; its windows are multiples of the time step.
+        time_step: Seconds from sample to sample.
+
+    Returns:
+        ``None`` with an operator that looks ahead without a window: it has no such end.
+    """
+
+    def ahead(node: Node | Expression) -> float:
+        if not _looks_ahead(node):
+            return 0
+        if isinstance(node, Step):
+            return 1
+        return math.inf if node.window is None else in_samples(node.window, time_step)[1]
+
+    samples = _longest(node, ahead)
+    return None if samples == math.inf else int(samples)
 
 
 _RANGING = ("always", "eventually", "until")
@@ -427,30 +500,3 @@ def _between_samples(
         expected="bounds that are multiples of the time step",
         remedy=f"write {near} for {bound:g}",
     )
-
-
-def reach(node: Node | Expression, time_step: float) -> int | None:
-    """Samples behind the first one that the verdict there may rest on.
-
-    Whatever follows them changes neither the verdict nor which conditions held.
-
-    Args:
-        node: The formula; its windows are multiples of the time step.
-        time_step: Seconds from sample to sample.
-
-    Returns:
-        ``None`` with an operator that looks ahead without a window: it has no such end.
-    """
-    farthest = 0
-    for child in children(node):
-        below = reach(child, time_step)
-        if below is None:
-            return None
-        farthest = max(farthest, below)
-    if isinstance(node, Step) and node.operator in FUTURE:
-        return farthest + 1
-    if isinstance(node, (Temporal, TemporalPair)) and node.operator in FUTURE:
-        if node.window is None:
-            return None
-        return farthest + in_samples(node.window, time_step)[1]
-    return farthest

@@ -24,16 +24,12 @@ import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.stl.formula import (
-    Arithmetic,
-    ArithmeticOperator,
+    ON_BOUND,
     BooleanOperator,
     Comparison,
-    ComparisonOperator,
     Constant,
     Expression,
     Formula,
-    Function,
-    FunctionName,
     Node,
     Not,
     Signal,
@@ -41,9 +37,11 @@ from pytest_dura.requirements.stl.formula import (
     Temporal,
     TemporalPair,
     check_time_step,
+    children,
     in_samples,
     marked,
     node_text,
+    operator_of,
     past_only_or_refuse,
     walk,
 )
@@ -162,7 +160,7 @@ Samples: TypeAlias = Mapping[str, float]
 class NotFiniteError(Exception):
     """An expression without a finite value at the sample at hand."""
 
-    def __init__(self, node: Arithmetic | Function, value: float) -> None:
+    def __init__(self, node: Expression, value: float) -> None:
         super().__init__(f"{node} is {value}")
         self.node, self.value = node, value
 
@@ -173,7 +171,8 @@ def comparison(node: Comparison) -> Callable[[Samples], Value]:
     The function raises :class:`NotFiniteError`.
     """
     left, right = expression(node.left), expression(node.right)
-    margin, on_bound = _MARGINS[node.operator], node.operator in (">=", "<=", "==")
+    margin = operator_of(node).compute
+    on_bound = node.operator in ON_BOUND
 
     def compared(samples: Samples) -> Value:
         value = margin(left(samples), right(samples))
@@ -187,63 +186,24 @@ def expression(node: Expression) -> Callable[[Samples], float]:
     if isinstance(node, Signal):
         return itemgetter(node.name)
     if isinstance(node, Constant):
-        value = node.value
-        return lambda _samples: value
-    if isinstance(node, Function):
-        operand, function = expression(node.operand), _FUNCTIONS[node.name]
-        return _finite(node, lambda samples: function(operand(samples)))
-    left, right = expression(node.left), expression(node.right)
-    join = _ARITHMETIC[node.operator]
-    return _finite(node, lambda samples: join(left(samples), right(samples)))
+        constant = node.value
+        return lambda _samples: constant
+    operands = [expression(operand) for operand in children(node)]
+    compute = operator_of(node).compute
+    if isinstance(compute, np.ufunc):
+        # Computed as for requirements; what only plain floats do, every computer rounds alike.
+        compute = np.errstate(all="ignore")(compute)
 
-
-def _finite(
-    node: Arithmetic | Function, compute: Callable[[Samples], float]
-) -> Callable[[Samples], float]:
     def computed(samples: Samples) -> float:
         try:
-            value = compute(samples)
-        except (ZeroDivisionError, ValueError):  # x / 0 and sqrt(-1)
+            value = compute(*[operand(samples) for operand in operands])
+        except ZeroDivisionError:
             value = math.nan
         if not math.isfinite(value):
-            raise NotFiniteError(node, value)
-        return value
+            raise NotFiniteError(node, float(value))
+        return float(value)
 
     return computed
-
-
-# Operations that every computer rounds alike use plain floats. The others use numpy, so that a
-# monitor computes what a requirement does.
-def _power(base: float, exponent: float) -> float:
-    with np.errstate(all="ignore"):
-        return float(np.power(base, exponent))
-
-
-def _exponential(exponent: float) -> float:
-    with np.errstate(all="ignore"):
-        return float(np.exp(exponent))
-
-
-_ARITHMETIC: dict[ArithmeticOperator, Callable[[float, float], float]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.truediv,
-    "pow": _power,
-}
-_FUNCTIONS: dict[FunctionName, Callable[[float], float]] = {
-    "abs": math.fabs,
-    "sqrt": math.sqrt,
-    "exp": _exponential,
-}
-_MARGINS: dict[ComparisonOperator, Callable[[float, float], float]] = {
-    ">": operator.sub,
-    ">=": operator.sub,
-    "<": lambda left, right: right - left,
-    "<=": lambda left, right: right - left,
-    "==": lambda left, right: -abs(left - right),
-    "!=": lambda left, right: abs(left - right),
-}
 
 
 Judged: TypeAlias = Callable[[Sequence[Value]], Value]

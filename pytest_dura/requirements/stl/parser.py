@@ -33,32 +33,29 @@ without a unit; one bound alone has a unit only beside a zero.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import lru_cache
-from typing import NoReturn, cast, get_args
+from typing import Any, cast
+
+import numpy as np
 
 from pytest_dura.requirements.stl.formula import (
+    OPERATORS,
     Arithmetic,
-    ArithmeticOperator,
-    BinaryTemporal,
     Boolean,
-    BooleanOperator,
     Comparison,
-    ComparisonOperator,
     Constant,
     Expression,
     Formula,
     Function,
-    FunctionName,
     Node,
     Not,
     Signal,
     Step,
-    StepOperator,
     Temporal,
     TemporalPair,
-    UnaryTemporal,
     Window,
+    children,
+    operator_of,
     walk,
 )
 from pytest_dura.requirements.stl.syntax import Tree, read_tree, refuse
@@ -67,24 +64,17 @@ __all__ = ["parse"]
 
 MAX_DEPTH = 100
 
-_TEMPORAL = get_args(UnaryTemporal)
-_STEPS = get_args(StepOperator)
 _LOGIC = ("and", "or")
 _EDGED = ("implies", "iff", "xor", "until", "unless", "since")
 # Prefix operators that could be meant to reach over a connective; `rise` and `fall` have
 # parentheses.
-_REACHING = (*_TEMPORAL, "prev", "next", "strong_prev", "strong_next")
-_FUNCTIONS = get_args(FunctionName)
-_VALUES = (*get_args(ArithmeticOperator), *_FUNCTIONS, "signal", "number")
+_REACHING = tuple(
+    row.name for row in OPERATORS.values() if row.node in (Temporal, Step) and row.level
+)
 # `+` binds tighter than `-`, and `*` tighter than `/`.
 _SPLIT = {
     "-": ("+", "(a - b) + c", "a - (b + c)"),
     "/": ("*", "(a / b) * c", "a / (b * c)"),
-}
-_FUNCTION_VALUES: dict[FunctionName, Callable[[float], float]] = {
-    "abs": math.fabs,
-    "sqrt": math.sqrt,
-    "exp": math.exp,
 }
 
 
@@ -126,38 +116,36 @@ class _Conversion:
     def formula(self, tree: Tree) -> Node:
         """The formula that a tree stands for."""
         tree = _bare(tree)
-        kind, at = tree.kind, tree.token.position
-        if kind in _VALUES:
+        kind, at, window = tree.kind, tree.token.position, tree.window
+        made: Any = _node_of(tree)
+        if made in (Signal, Constant, Arithmetic, Function):
             remedy = "compare it, as in `x > 0`"
             refuse(self._text, tree.start, "found a value", "a formula", remedy)
-        if kind in get_args(ComparisonOperator):
+        if made is Comparison:
             return self._comparison(tree)
-        if len(tree.operands) == 2:
-            return self._joined(tree)
-        operand = self.formula(tree.operands[0])
-        if kind == "not":
-            return Not(operand)
-        if kind in _TEMPORAL:
-            return Temporal(cast("UnaryTemporal", kind), operand, tree.window, at)
-        return Step(cast("StepOperator", kind), operand, at)
-
-    def _joined(self, tree: Tree) -> Node:
-        left, right = (self.formula(operand) for operand in tree.operands)
-        self._check_connective(tree, right)
-        kind, window, at = tree.kind, tree.window, tree.token.position
-        if kind in get_args(BooleanOperator):
-            return Boolean(cast("BooleanOperator", kind), left, right)
-        if kind in get_args(BinaryTemporal):
-            return TemporalPair(cast("BinaryTemporal", kind), left, right, window, at)
-        # `unless`: the left holds as long as the window may last, or until the right does.
-        whole = None if window is None else Window(0.0, window.end, window.position)
-        held = Temporal("always", left, whole, at)
-        return Boolean("or", held, TemporalPair("until", left, right, window, at))
+        operands = [self.formula(operand) for operand in tree.operands]
+        if len(operands) == 2:
+            self._check_connective(tree, operands[1])
+        if kind == "unless":
+            # The left holds as long as the window may last, or until the right does.
+            whole = None if window is None else Window(0.0, window.end, window.position)
+            held = Temporal("always", operands[0], whole, at)
+            left, right = operands
+            return Boolean("or", held, TemporalPair("until", left, right, window, at))
+        about: dict[type, tuple[object, ...]] = {
+            Not: tuple(operands),
+            Boolean: (kind, *operands),
+            Step: (kind, *operands, at),
+            Temporal: (kind, *operands, window, at),
+            TemporalPair: (kind, *operands, window, at),
+        }
+        node: Node = made(*about[made])
+        return node
 
     def _comparison(self, tree: Tree) -> Comparison:
         at = tree.token.position
         for side in map(_bare, tree.operands):
-            if side.kind in get_args(ComparisonOperator):
+            if _node_of(side) is Comparison:
                 remedy = "write `(a < b) and (b < c)` for `a < b < c`"
                 at = max(at, side.token.position)
                 refuse(self._text, at, "comparisons are compared", "one comparison", remedy)
@@ -166,45 +154,28 @@ class _Conversion:
             problem = "a comparison of constants is always the same"
             remedy = "compare a signal, as in `x > 0`"
             refuse(self._text, at, problem, "at least one signal", remedy)
-        return Comparison(cast("ComparisonOperator", tree.kind), left, right)
+        operator: Any = tree.kind
+        return Comparison(operator, left, right)
 
     def _value(self, tree: Tree) -> Expression:
         """The expression that a tree stands for."""
         tree = _bare(tree)
-        if tree.kind == "signal":
+        made: Any = _node_of(tree)
+        if made is Signal:
             return Signal(tree.token.text, tree.start)
-        if tree.kind == "number":
+        if made is Constant:
             return Constant(float(tree.token.text))
-        if tree.kind not in _VALUES:
+        if made not in (Arithmetic, Function):
             problem = "a formula stands inside arithmetic or a comparison"
             remedy = "join formulas by and, or, implies; compare values only"
             refuse(self._text, tree.token.position, problem, "a value", remedy)
         self._check_arithmetic(tree)
-        operands = [self._value(operand) for operand in tree.operands]
-        result: Expression
-        if tree.kind in _FUNCTIONS:
-            result = Function(cast("FunctionName", tree.kind), *operands)
-        else:
-            result = Arithmetic(cast("ArithmeticOperator", tree.kind), *operands)
-        self._check_constant(result, tree)
-        return result
-
-    def _check_constant(self, expression: Expression, tree: Tree) -> None:
-        if isinstance(expression, Arithmetic) and expression.operator == "/":
-            divisor = expression.right
-            if not _reads_a_signal(divisor) and _constant(divisor) == 0.0:
-                self._no_value(tree.token.position, "division by zero")
-        if _reads_a_signal(expression):
-            return
-        try:
-            value = _constant(expression)
-        except (ArithmeticError, ValueError):
-            value = math.nan
-        if not math.isfinite(value):
-            self._no_value(tree.start, "this constant has no finite value")
-
-    def _no_value(self, at: int, problem: str) -> NoReturn:
-        refuse(self._text, at, problem, "a finite value")
+        result: Any = made(tree.kind, *(self._value(operand) for operand in tree.operands))
+        if tree.kind == "/" and not _reads_a_signal(result.right) and not _constant(result.right):
+            refuse(self._text, tree.token.position, "division by zero", "a finite value")
+        if not _reads_a_signal(result) and not math.isfinite(_constant(result)):
+            refuse(self._text, tree.start, "this constant has no finite value", "a finite value")
+        return cast("Expression", result)
 
     def _check_arithmetic(self, tree: Tree) -> None:
         """Refuse ``a - b + c`` and ``a / b * c``, which rtamt reads from the right."""
@@ -233,6 +204,12 @@ class _Conversion:
             problem = f"`{name}` could be meant to reach over the `{joint}`"
             remedy = f"write `({name} (a)) {joint} (b)` or `{name} (a {joint} b)`, as it is meant"
             refuse(self._text, mine.position, problem, "parentheses", remedy)
+
+
+def _node_of(tree: Tree) -> type:
+    """The class of the node that a tree without parentheses around it becomes."""
+    kinds = {"signal": Signal, "number": Constant}
+    return kinds[tree.kind] if tree.kind in kinds else OPERATORS[tree.kind].node
 
 
 def _bare(tree: Tree) -> Tree:
@@ -265,15 +242,9 @@ def _reads_a_signal(expression: Expression) -> bool:
 
 
 def _constant(expression: Expression) -> float:
-    """The value of an expression without signals."""
+    """The value of an expression without signals, not finite where it has none."""
     if isinstance(expression, Constant):
         return expression.value
-    if isinstance(expression, Function):
-        return _FUNCTION_VALUES[expression.name](_constant(expression.operand))
-    assert isinstance(expression, Arithmetic)
-    left, right = _constant(expression.left), _constant(expression.right)
-    if expression.operator == "pow":
-        return math.pow(left, right)
-    if expression.operator == "/":
-        return left / right
-    return {"+": left + right, "-": left - right, "*": left * right}[expression.operator]
+    values = [np.float64(_constant(operand)) for operand in children(expression)]
+    with np.errstate(all="ignore"):
+        return float(operator_of(expression).compute(*values))

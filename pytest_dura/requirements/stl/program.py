@@ -8,6 +8,7 @@ value first depends on it, once for each trace.
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, TypeAlias
@@ -18,56 +19,44 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.stl import windows
 from pytest_dura.requirements.stl.formula import (
     FUTURE,
+    ON_BOUND,
     Arithmetic,
-    ArithmeticOperator,
     Boolean,
     Comparison,
-    ComparisonOperator,
     Constant,
     Expression,
     Formula,
     Function,
-    FunctionName,
     Node,
     Not,
+    Signal,
     Step,
     Temporal,
     TemporalPair,
     Window,
     check_time_step,
+    children,
     conjuncts,
+    in_samples,
     node_text,
+    operator_of,
     walk,
 )
 from pytest_dura.requirements.stl.windows import Array, Frame, first_not_finite
 
-_ARITHMETIC: dict[ArithmeticOperator, np.ufunc] = {
-    "+": np.add,
-    "-": np.subtract,
-    "*": np.multiply,
-    "/": np.divide,
-    "pow": np.power,
-}
-FUNCTIONS: dict[FunctionName, np.ufunc] = {"abs": np.abs, "sqrt": np.sqrt, "exp": np.exp}
+_FRAME = -1
+"""Slot of the frame, for steps that need more than values."""
 
 
-def _column_step(frame: Frame, name: str) -> Array:
+def _column(frame: Frame, name: str) -> Array:
     return frame.columns[name]
 
 
-def _constant_step(_frame: Frame, value: np.float64) -> np.float64:
-    return value
+def _everywhere(value: Array | float, frame: Frame) -> Array:
+    return np.full(frame.shape, value)
 
 
-def _arithmetic_step(frame: Frame, left: Array, right: Array, node: Arithmetic) -> Array:
-    return _finite(frame, _ARITHMETIC[node.operator](left, right), node)
-
-
-def _function_step(frame: Frame, operand: Array, node: Function) -> Array:
-    return _finite(frame, FUNCTIONS[node.name](operand), node)
-
-
-def _finite(frame: Frame, values: Array, node: Arithmetic | Function) -> Array:
+def _finite(values: Array, frame: Frame, node: Arithmetic | Function) -> Array:
     if not np.isfinite(values).all():
         whole = np.broadcast_to(values, frame.shape)
         index = first_not_finite(whole)
@@ -80,68 +69,16 @@ def _finite(frame: Frame, values: Array, node: Arithmetic | Function) -> Array:
     return values
 
 
-def _margin_step(frame: Frame, left: Array, right: Array, operator: ComparisonOperator) -> Array:
-    """How far a comparison is from its bound, positive where it holds.
+def _truth(margins: Array, on_bound: bool) -> Array:
+    """+1 where a comparison holds and -1 elsewhere; ``on_bound`` is its truth at margin zero.
 
     The difference of two distinct numbers is never zero (IEEE 754), and never NaN for finite ones.
     """
-    difference = right - left if operator[0] == "<" else left - right
-    if operator == "==":
-        difference = -np.abs(difference)
-    elif operator == "!=":
-        difference = np.abs(difference)
-    if np.ndim(difference) == 0:  # two constants
-        return np.full(frame.shape, difference)
-    return difference
-
-
-def _truth_step(_frame: Frame, margins: Array, on_bound: bool) -> Array:
-    """+1 where a comparison holds and -1 elsewhere; ``on_bound`` is its truth at margin zero."""
     holds = margins >= 0 if on_bound else margins > 0
     return np.where(holds, 1.0, -1.0)
 
 
-def _negation_step(_frame: Frame, values: Array) -> Array:
-    return -values
-
-
-def _joined_step(_frame: Frame, left: Array, right: Array, join: np.ufunc) -> Array:
-    joined: Array = join(left, right)
-    return joined
-
-
-def _everywhere_step(frame: Frame, value: float) -> Array:
-    return np.full(frame.shape, value)
-
-
-def _sliding_step(frame: Frame, values: Array, join: np.ufunc, first: int, last: int) -> Array:
-    return windows.sliding(join, frame.ended(values, _empty_window_value(join)), first, last)
-
-
-def _sliding_past_step(
-    _frame: Frame, values: Array, join: np.ufunc, first: int, last: int
-) -> Array:
-    return windows.sliding_past(join, values, first, last)
-
-
-def _running_step(frame: Frame, values: Array, join: np.ufunc) -> Array:
-    return windows.running(join, frame.ended(values, _empty_window_value(join)))
-
-
-def _running_past_step(_frame: Frame, values: Array, join: np.ufunc) -> Array:
-    return windows.running_past(join, values)
-
-
-def _until_step(frame: Frame, left: Array, right: Array, first: int, last: int | None) -> Array:
-    """See ``windows.until``; nothing holds behind the end, whatever the left side is there."""
-    return windows.until(left, frame.ended(right, -np.inf), first, last)
-
-
-def _since_step(_frame: Frame, left: Array, right: Array, first: int, last: int | None) -> Array:
-    return windows.since(left, right, first, last)
-
-
-def _until_beyond_step(_frame: Frame, known: Array, least: Array, last: int | None) -> Array:
+def _until_beyond(known: Array, least: Array, last: int | None) -> Array:
     """Greatest value of ``until`` if its right side may hold behind the end.
 
     Args:
@@ -155,16 +92,10 @@ def _until_beyond_step(_frame: Frame, known: Array, least: Array, last: int | No
     return values
 
 
-def _open_tail_step(_frame: Frame, values: Array, last: int, unknown: float) -> Array:
-    return windows.open_tail(values, last, unknown)
-
-
-def _following_step(frame: Frame, values: Array, end: float) -> Array:
-    return windows.following(frame.ended(values, end), end)
-
-
-def _preceding_step(_frame: Frame, values: Array, start: float) -> Array:
-    return windows.preceding(values, start)
+def _looks_ahead(kernel: Callable[..., Any]) -> bool:
+    """Whether a value of the kernel may depend on later samples."""
+    ahead = (windows.sliding, windows.running, windows.until, windows.open_tail, windows.following)
+    return kernel in (*ahead, _everywhere, _until_beyond)
 
 
 def _empty_window_value(join: np.ufunc) -> float:
@@ -194,7 +125,7 @@ class Mode(NamedTuple):
 TRUNCATED = Mode()
 
 Operation: TypeAlias = tuple[Callable[..., Any], tuple[int, ...], tuple[Any, ...]]
-"""What to carry out, the slots of its inputs, and its options."""
+"""What to carry out, the slots of its inputs, and its options behind them."""
 
 
 class Program:
@@ -231,13 +162,13 @@ class Program:
         """First and last sample of a window, relative to the sample at hand."""
         if self._time_step is None:  # any other sample is outside of a trace of one
             return int(window.start > 0), int(window.end > 0)
-        return round(window.start / self._time_step), round(window.end / self._time_step)
+        return in_samples(window, self._time_step)
 
     def order(self, slot: int) -> list[tuple[int, Operation]]:
         """The steps to carry out for the values of one slot, which comes last."""
         order = self._orders.get(slot)
         if order is None:
-            needed: set[int] = set()
+            needed = {_FRAME}
             stack = [slot]
             while stack:
                 step = stack.pop()
@@ -245,90 +176,87 @@ class Program:
                     needed.add(step)
                     stack.extend(self._steps[step][1])
             # A step's inputs were added before it.
-            order = [(step, self._steps[step]) for step in sorted(needed)]
+            order = [(step, self._steps[step]) for step in sorted(needed - {_FRAME})]
             self._orders[slot] = order
         return order
 
     def is_causal(self, slot: int) -> bool:
         """Whether its value at a sample does not depend on later samples."""
-        return self._causal[slot]
+        return slot != _FRAME and self._causal[slot]
 
     def _add(self, kernel: Callable[..., Any], *inputs: int, options: tuple[Any, ...] = ()) -> int:
-        operation = (kernel, inputs, options)
-        slot = self._numbers.get(operation)
+        step = (kernel, inputs, options)
+        slot = self._numbers.get(step)
         if slot is None:
-            slot = self._numbers[operation] = len(self._steps)
-            self._steps.append(operation)
-            inputs_causal = all(self._causal[slot] for slot in inputs)
-            self._causal.append(inputs_causal and kernel not in _AHEAD)
+            slot = self._numbers[step] = len(self._steps)
+            self._steps.append(step)
+            causal = all(self._causal[slot] for slot in inputs if slot != _FRAME)
+            self._causal.append(causal and not _looks_ahead(kernel))
         return slot
+
+    def _expression(self, node: Expression) -> int:
+        if isinstance(node, Signal):
+            return self._add(_column, _FRAME, options=(node.name,))
+        if isinstance(node, Constant):
+            return self._add(np.float64, options=(node.value,))
+        operands = (self._expression(operand) for operand in children(node))
+        value = self._add(operator_of(node).compute, *operands)
+        return self._add(_finite, value, _FRAME, options=(node,))
 
     def _compiled(self, node: Node, mode: Mode) -> int:
         if isinstance(node, Comparison):
-            return self._comparison(node, mode)
+            sides = self._expression(node.left), self._expression(node.right)
+            margins = self._add(operator_of(node).compute, *sides)
+            if not any(isinstance(part, Signal) for part in walk(node)):
+                margins = self._add(_everywhere, margins, _FRAME)
+            truth = (node.operator in ON_BOUND,)
+            return self._add(_truth, margins, options=truth) if mode.truth else margins
         if isinstance(node, Not):
-            return self._add(_negation_step, self.slot(node.operand, mode.flipped()))
+            return self._negated(node.operand, mode)
         if isinstance(node, Boolean):
             return self._boolean(node, mode)
         if isinstance(node, Temporal):
             return self._temporal(node, mode)
-        if isinstance(node, TemporalPair):
-            return self._pair(node, mode)
-        return self._step(node, mode)
+        return self._pair(node, mode) if isinstance(node, TemporalPair) else self._step(node, mode)
 
-    def _comparison(self, node: Comparison, mode: Mode) -> int:
-        sides = self._expression(node.left), self._expression(node.right)
-        margins = self._add(_margin_step, *sides, options=(node.operator,))
-        if mode.truth:
-            on_bound = node.operator in (">=", "<=", "==")
-            return self._add(_truth_step, margins, options=(on_bound,))
-        return margins
-
-    def _expression(self, node: Expression) -> int:
-        if isinstance(node, Arithmetic):
-            sides = self._expression(node.left), self._expression(node.right)
-            return self._add(_arithmetic_step, *sides, options=(node,))
-        if isinstance(node, Function):
-            return self._add(_function_step, self._expression(node.operand), options=(node,))
-        if isinstance(node, Constant):
-            return self._add(_constant_step, options=(np.float64(node.value),))
-        return self._add(_column_step, options=(node.name,))
+    def _negated(self, node: Node, mode: Mode) -> int:
+        return self._add(operator.neg, self.slot(node, mode.flipped()))
 
     def _boolean(self, node: Boolean, mode: Mode) -> int:
+        add, least, greatest = self._add, np.minimum, np.maximum
         left, right = self.slot(node.left, mode), self.slot(node.right, mode)
         if node.operator == "and":
-            return self._join(np.minimum, left, right)
+            return add(least, left, right)
         if node.operator == "or":
-            return self._join(np.maximum, left, right)
-        not_left = self._add(_negation_step, self.slot(node.left, mode.flipped()))
+            return add(greatest, left, right)
+        not_left = self._negated(node.left, mode)
         if node.operator == "implies":
-            return self._join(np.maximum, not_left, right)
-        not_right = self._add(_negation_step, self.slot(node.right, mode.flipped()))
+            return add(greatest, not_left, right)
+        not_right = self._negated(node.right, mode)
         if node.operator == "iff":
-            forth = self._join(np.maximum, not_left, right)
-            return self._join(np.minimum, forth, self._join(np.maximum, not_right, left))
-        only_left = self._join(np.minimum, left, not_right)
-        return self._join(np.maximum, only_left, self._join(np.minimum, right, not_left))
-
-    def _join(self, join: np.ufunc, left: int, right: int) -> int:
-        return self._add(_joined_step, left, right, options=(join,))
+            return add(least, add(greatest, not_left, right), add(greatest, not_right, left))
+        return add(greatest, add(least, left, not_right), add(least, right, not_left))
 
     def _temporal(self, node: Temporal, mode: Mode) -> int:
         join = np.minimum if node.operator in ("always", "historically") else np.maximum
-        ahead = node.operator in FUTURE
-        # An unknown sample shows where it can pull the minimum down or the maximum up.
-        shows = ahead and mode.unknown == -_empty_window_value(join)
-        if node.window is None:
-            if shows and mode.open_end:
-                return self._add(_everywhere_step, options=(mode.unknown,))
-            kernel = _running_step if ahead else _running_past_step
-            return self._add(kernel, self.slot(node.operand, mode), options=(join,))
-        first, last = self.samples(node.window)
-        sliding = _sliding_step if ahead else _sliding_past_step
+        neutral = _empty_window_value(join)
         operand = self.slot(node.operand, mode)
-        windowed = self._add(sliding, operand, options=(join, first, last))
+        if node.operator not in FUTURE:
+            if node.window is None:
+                return self._add(windows.running_past, operand, options=(join,))
+            bounds = self.samples(node.window)
+            return self._add(windows.sliding_past, operand, options=(join, *bounds))
+        # An unknown sample shows where it can pull the minimum down or the maximum up.
+        shows = mode.unknown == -neutral
+        if node.window is None and shows and mode.open_end:
+            unknown = self._add(np.float64, options=(mode.unknown,))
+            return self._add(_everywhere, unknown, _FRAME)
+        if node.window is None:
+            return self._add(windows.running, operand, options=(join,))
+        first, last = self.samples(node.window)
+        windowed = self._add(windows.sliding, operand, options=(join, first, last))
         if shows and last > 0:
-            return self._add(_open_tail_step, windowed, options=(last, mode.unknown))
+            return self._add(windows.open_tail, windowed, options=(last, mode.unknown))
         return windowed
 
     def _pair(self, node: TemporalPair, mode: Mode) -> int:
@@ -337,30 +265,28 @@ class Program:
         if node.window is not None:
             bounds = self.samples(node.window)
         if node.operator == "since":
-            return self._add(_since_step, left, right, options=bounds)
-        until = self._add(_until_step, left, right, options=bounds)
+            return self._add(windows.since, left, right, options=bounds)
+        until = self._add(windows.until, left, right, options=bounds)
         last = bounds[1]
         if mode.unknown == math.inf and (mode.open_end if last is None else last > 0):
-            least = self._add(_running_step, left, options=(np.minimum,))
-            return self._add(_until_beyond_step, until, least, options=(last,))
+            least = self._add(windows.running, left, options=(np.minimum,))
+            return self._add(_until_beyond, until, least, options=(last,))
         return until
 
     def _step(self, node: Step, mode: Mode) -> int:
         operand = self.slot(node.operand, mode)
-        if node.operator in ("next", "strong_next"):
-            end = math.inf if node.operator == "next" else -math.inf
-            end = end if mode.unknown is None else mode.unknown
-            return self._add(_following_step, operand, options=(end,))
+        # Where there is no neighbour the weak operators hold, and the strong ones do not.
+        edge = -math.inf if node.operator.startswith("strong_") else math.inf
+        if node.operator in FUTURE:
+            edge = edge if mode.unknown is None else mode.unknown
+            return self._add(windows.following, operand, options=(edge,))
         if node.operator in ("prev", "strong_prev"):
-            start = math.inf if node.operator == "prev" else -math.inf
-            return self._add(_preceding_step, operand, options=(start,))
-        negated = self._add(_negation_step, self.slot(node.operand, mode.flipped()))
+            return self._add(windows.preceding, operand, options=(edge,))
         # Before the trace nothing was: neither the formula nor, for fall, its opposite.
-        if node.operator == "rise":
-            before = self._add(_preceding_step, negated, options=(math.inf,))
-            return self._join(np.minimum, before, operand)
-        before = self._add(_preceding_step, operand, options=(math.inf,))
-        return self._join(np.minimum, before, negated)
+        before, now = self._negated(node.operand, mode), operand
+        if node.operator == "fall":
+            before, now = now, before
+        return self._add(np.minimum, self._add(windows.preceding, before, options=(math.inf,)), now)
 
 
 def _depends_on_the_end(node: Node, open_end: bool) -> bool:
@@ -375,17 +301,6 @@ def _depends_on_the_end(node: Node, open_end: bool) -> bool:
     return False
 
 
-_AHEAD = (
-    _everywhere_step,
-    _sliding_step,
-    _running_step,
-    _until_step,
-    _until_beyond_step,
-    _open_tail_step,
-    _following_step,
-)
-
-
 class Values:
     """The values of a program on one frame, each computed at its first use.
 
@@ -395,15 +310,14 @@ class Values:
     def __init__(self, program: Program, frame: Frame, known: dict[int, Any] | None = None) -> None:
         self.frame = frame
         self._program = program
-        self._known: dict[int, Any] = known or {}
+        self._known: dict[int, Any] = {_FRAME: frame, **(known or {})}
 
     def __getitem__(self, slot: int) -> Array:
         known = self._known
         if slot not in known:
-            frame = self.frame
             for step, (kernel, inputs, options) in self._program.order(slot):
                 if step not in known:
-                    known[step] = kernel(frame, *[known[i] for i in inputs], *options)
+                    known[step] = kernel(*[known[i] for i in inputs], *options)
         values: Array = known[slot]
         return values
 
@@ -413,7 +327,7 @@ class Values:
         known = [
             (slot, values)
             for slot, values in self._known.items()
-            if np.ndim(values) and program.is_causal(slot)
+            if program.is_causal(slot) and np.ndim(values)
         ]
 
         def prefix(size: int) -> Values:

@@ -9,25 +9,26 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.stl.formula import Window, marked, unknown_signal
+from pytest_dura.requirements.stl.formula import (
+    OPERATORS,
+    Arithmetic,
+    Comparison,
+    Window,
+    marked,
+    unknown_signal,
+)
 
 _MAX_LENGTH = 4000
 _EXAMPLE = "write for example `always (gap > 0)` or `always (gap < 5 implies speed <= 2)`"
 MAX_SECONDS = 1e6
 """No window is longer: about eleven days."""
 
-_UNITS = {
-    "s": Fraction(1),
-    "ms": Fraction(1, 10**3),
-    "us": Fraction(1, 10**6),
-    "ns": Fraction(1, 10**9),
-}
+_UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _SHAPE = "[a:b] with 0 <= a <= b, in seconds, or each with its unit s, ms, us or ns"
 _REMEDY = "write for example [0:2.5] or [0:500ms]; leave the window out for all samples"
 
@@ -41,6 +42,14 @@ _TOKEN = re.compile(
     r"|(?P<end>;)",
     re.ASCII,
 )
+_NO_FORMULA = {
+    "comment": ("found a comment", "put the comment elsewhere"),
+    "assignment": (
+        "found an assignment",
+        "leave out `name =` before a formula; to compare two values write `==`",
+    ),
+    "end": ("found `;`", "leave out `;`; join formulas with `and`"),
+}
 _OTHER_SYNTAXES = {
     "&&": "`and`",
     "||": "`or`",
@@ -55,8 +64,7 @@ _OTHER_SYNTAXES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Token:
+class Token(NamedTuple):
     """A piece of text; ``kind`` is ``number``, ``name``, ``symbol``, or ``end`` behind the last."""
 
     kind: str
@@ -88,161 +96,43 @@ def _tokenize(text: str) -> list[Token]:
     position = 0
     while position < len(text):
         match = _TOKEN.match(text, position)
-        if match is None:
-            _foreign(text, position)
-        kind: str = str(match.lastgroup)
-        if kind in ("comment", "assignment", "end"):
-            _no_specification(text, position, kind)
-        if kind == "symbol" and match.group() in _OTHER_SYNTAXES:
-            _foreign(text, position, match.group())
+        kind, piece = (str(match.lastgroup), match.group()) if match else ("", text[position])
+        if kind in _NO_FORMULA:
+            expected = "one formula alone" if kind == "end" else "a formula alone"
+            problem, remedy = _NO_FORMULA[kind]
+            refuse(text, position, problem, expected, remedy)
+        if piece in _OTHER_SYNTAXES:
+            meant = _OTHER_SYNTAXES[piece]
+            refuse(text, position, f"found `{piece}`", meant, f"write {meant}")
+        if not kind:
+            expected = "signals, numbers, operators and parentheses"
+            expected += "" if piece.isascii() else " in ASCII letters"
+            shown = piece if piece.isprintable() else piece.encode("unicode_escape").decode()
+            refuse(text, position, f"this does not belong here: `{shown}`", expected)
         if kind != "space":
-            tokens.append(Token(kind, match.group(), position))
-        position = match.end()
+            tokens.append(Token(kind, piece, position))
+        position += len(piece)
     return [*tokens, Token("end", "", len(text.rstrip()))]
 
 
-def finite(text: str, number: Token) -> float:
-    """The value of a number, which must be in the range of a float.
-
-    Raises:
-        ConfigurationError: For one that would become infinite, or zero without being it.
-    """
-    value = float(number.text)
-    if value == float("inf"):
-        refuse(text, number.position, "this number is too large", "a finite number")
-    if value == 0.0 and re.search("[1-9]", re.split("[eE]", number.text)[0]):
-        refuse(text, number.position, "this number is too small, it reads as 0", "a larger number")
-    return value
-
-
-def _read_window(text: str, tokens: Sequence[Token], at: int) -> tuple[Window, int]:
-    """The window whose ``[`` is token ``at``, and the number of the token after its ``]``.
-
-    A bound without a unit is in seconds. rtamt would lend ``[1:500ms]``'s unit to the ``1`` and
-    fail on ``[1ms:5]``, so beside a bound with a unit only a zero may go without.
-
-    Raises:
-        ConfigurationError: For a bound that is no number or has no known unit, bounds that are not
-            ordered, and windows longer than :data:`MAX_SECONDS`.
-    """
-    opening = tokens[at].position
-    first, at = _bound(text, tokens, at + 1)
-    if tokens[at].text not in (":", ","):
-        _unexpected(text, tokens[at])
-    last, at = _bound(text, tokens, at + 1)
-    if tokens[at].text != "]":
-        _unexpected(text, tokens[at])
-    if (first.unit or last.unit) and any(
-        bound.unit is None and bound.value for bound in (first, last)
-    ):
-        remedy = "give both bounds a unit, such as [500ms:2s]"
-        refuse(text, opening, "only one bound of the window has a unit", _SHAPE, remedy)
-    start, end = first.seconds, last.seconds
-    if start > end:
-        refuse(text, opening, "the window is not ordered", _SHAPE, _REMEDY)
-    if end > MAX_SECONDS:
-        limit = f"at most {MAX_SECONDS:g} seconds"
-        refuse(text, opening, "the window is absurdly long", limit, _REMEDY)
-    return Window(start, end, opening), at + 1
-
-
-@dataclass(frozen=True, slots=True)
-class _Bound:
-    value: Fraction
-    unit: str | None
-
-    @property
-    def seconds(self) -> float:
-        return float(self.value * _UNITS[self.unit or "s"])
-
-
-def _bound(text: str, tokens: Sequence[Token], at: int) -> tuple[_Bound, int]:
-    number = tokens[at]
-    if number.kind != "number":
-        _unexpected(text, number)
-    finite(text, number)
-    value, unit = Fraction(number.text), tokens[at + 1]
-    if unit.kind != "name":
-        return _Bound(value, None), at + 1
-    if unit.text not in _UNITS:
-        refuse(text, unit.position, f"`{unit.text}` is no unit of time", "s, ms, us or ns", _REMEDY)
-    return _Bound(value, unit.text), at + 2
-
-
-def _unexpected(text: str, token: Token) -> NoReturn:
-    problem = f"found {f'`{token.text}`' if token.text else 'the end'} in a window"
-    if token.text == "-":
-        problem = "a bound of the window is negative"
-    refuse(text, token.position, problem, _SHAPE, _REMEDY)
-
-
-def _foreign(text: str, position: int, symbol: str | None = None) -> NoReturn:
-    symbol = symbol or text[position]
-    if symbol in _OTHER_SYNTAXES:
-        meant = _OTHER_SYNTAXES[symbol]
-        refuse(text, position, f"found `{symbol}`", meant, f"write {meant}")
-    expected = "signals, numbers, operators and parentheses"
-    if not symbol.isascii():
-        expected += " in ASCII letters"
-    shown = symbol if symbol.isprintable() else symbol.encode("unicode_escape").decode()
-    refuse(text, position, f"this does not belong here: `{shown}`", expected)
-
-
-def _no_specification(text: str, position: int, kind: str) -> NoReturn:
-    if kind == "comment":
-        refuse(text, position, "found a comment", "a formula alone", "put the comment elsewhere")
-    if kind == "assignment":
-        remedy = "leave out `name =` before a formula; to compare two values write `==`"
-        refuse(text, position, "found an assignment", "a formula alone", remedy)
-    remedy = "leave out `;`; join formulas with `and`"
-    refuse(text, position, "found `;`", "one formula alone", remedy)
-
-
 # How operators may be written, and their names in the nodes.
-_PREFIXES = {
-    "always": "always", "G": "always",
-    "eventually": "eventually", "F": "eventually",
-    "historically": "historically", "H": "historically",
-    "once": "once", "O": "once",
-    "next": "next", "X": "next",
-    "prev": "prev", "Y": "prev",
-    "s_next": "strong_next", "sX": "strong_next",
-    "s_prev": "strong_prev", "sY": "strong_prev",
-}  # fmt: skip
-_UNARY = ("not", *_PREFIXES.values())
-_FUNCTIONS = ("abs", "sqrt", "exp", "pow", "rise", "fall")
-_CONNECTIVES = {
-    "and": "and", "&": "and",
-    "or": "or", "|": "or",
-    "implies": "implies", "->": "implies",
-    "iff": "iff", "<->": "iff",
-    "xor": "xor",
-    "until": "until", "U": "until",
-    "unless": "unless", "W": "unless",
-    "since": "since", "S": "since",
-}  # fmt: skip
-_BETWEEN_VALUES = {
-    **{operator: operator for operator in ("+", "-", "*", "/", ">=", ">", "<=", "<", "==", "!=")},
-    "!==": "!=",
-}
-_BINARY = {**_BETWEEN_VALUES, **_CONNECTIVES}
-_WINDOWED = (
-    "always", "eventually", "historically", "once", "until", "unless", "since",
-)  # fmt: skip
-# The loosest first. Each operator between two operands associates to the left.
-_LEVELS = (
-    ("xor",), ("iff",), ("implies",), ("or",), ("and",), ("since",), ("unless",), ("until",),
-    _UNARY,
-    (">=", ">", "<=", "<", "==", "!="), ("-",), ("+",), ("/",), ("*",),
-)  # fmt: skip
-_LEVEL = {operator: level for level, row in enumerate(_LEVELS, 1) for operator in row}
+_NAMES = {spelling: row.name for row in OPERATORS.values() for spelling in row.spellings.split()}
+_LEVEL = {name: row.level for name, row in OPERATORS.items()}
+_UNARY = tuple(name for name in _LEVEL if _LEVEL[name] == _LEVEL["not"])
+_FUNCTIONS = tuple(name for name in _LEVEL if not _LEVEL[name])
+_BINARY = {written: name for written, name in _NAMES.items() if name not in (*_UNARY, *_FUNCTIONS)}
+_BETWEEN_VALUES = tuple(
+    written for written, name in _BINARY.items() if OPERATORS[name].node in (Comparison, Arithmetic)
+)
+_CONNECTIVES = tuple(written for written in _BINARY if written not in _BETWEEN_VALUES)
+_PREFIXES = {written: name for written, name in _NAMES.items() if name in _UNARY and name != "not"}
 
 _TRUTH = ("true", "false", "TRUE", "FALSE", "True", "False")
 _SHORT = ("U", "W", "S")
 _KEYWORDS = tuple(
-    prefix
-    for prefix in ("not", *_PREFIXES, *_FUNCTIONS, *_CONNECTIVES)
-    if len(prefix) > 1 and prefix.islower()
+    written
+    for written in ("not", *_PREFIXES, *_FUNCTIONS, *_CONNECTIVES)
+    if len(written) > 1 and written.islower()
 )
 _OPERAND = "a signal, a number, `(` or an operator such as `always` or `not`"
 _OPERATOR = "an operator such as `>`, `and`, `implies`, or the end of the formula"
@@ -254,7 +144,7 @@ class Tree:
 
     Args:
         kind: ``signal``, ``number``, ``(`` for parentheses, or the operator by its name in the
-            nodes (``unless`` has none there).
+            table.
         token: The operator, the signal or the number; a number's with its sign.
         start: The column of the first token.
         operands: What the operator stands before or between.
@@ -325,18 +215,23 @@ class _Reader:
         self._at += 1
         return self._tokens[self._at - 1]
 
+    def _refuse(self, problem: str, expected: str, remedy: str = _EXAMPLE) -> NoReturn:
+        refuse(self._text, self._token.position, problem, expected, remedy)
+
+    def _wrong(self, expected: str, remedy: str = _EXAMPLE) -> NoReturn:
+        unexpected = f"`{self._token.text}`" if self._token.kind != "end" else "the end"
+        self._refuse(f"found {unexpected}", expected, remedy)
+
     def _operand(self) -> None:
         """Prefix operators and opening parentheses, then a signal or a number."""
         while True:
             token = self._token
             if token.kind == "number" or token.text == "-":
                 return self._number()
-            kind = "not" if token.text == "!" else token.text
-            if token.kind == "name":
-                kind = self._kind_of_name()
+            kind = self._kind_of_name() if token.kind == "name" else _NAMES.get(token.text, "(")
             if kind == "signal":
                 return self._signal()
-            if kind in _FUNCTIONS or kind == "(":
+            if kind in _FUNCTIONS or token.text == "(":
                 self._pending.append(_Pending(kind, self._take()))
                 if kind != "(":
                     self._at += 1  # its parenthesis
@@ -370,44 +265,50 @@ class _Reader:
     def _reduce(self, level: int) -> _Pending | None:
         """Apply pending operators that bind as tightly as ``level``; return the last that stays."""
         while self._pending and self._pending[-1].level >= level:
-            last = self._pending.pop()
-            count = 1 if last.kind in _UNARY else 2
-            operands = tuple(self._trees[-count:])
-            del self._trees[-count:]
-            start = last.token.position if count == 1 else operands[0].start
-            self._trees.append(Tree(last.kind, last.token, start, operands, last.window))
+            self._join(self._pending.pop())
         return self._pending[-1] if self._pending else None
 
     def _close(self) -> None:
         opened = self._reduce(1)
         if opened is None:
             self._wrong(_OPERATOR)
-        count = 2 if opened.kind == "pow" else 1
-        if opened.commas < count - 1:
+        if opened.kind == "pow" and not opened.commas:
             self._wrong("`,` and the exponent, as in `pow(x, 2)`")
-        self._pending.pop()
+        self._join(self._pending.pop())
+        self._at += 1
+
+    def _join(self, pending: _Pending) -> None:
+        """Replace the last trees by the one of the operator that stands before or between them."""
+        between = pending.kind in _BINARY.values()
+        count = 2 if between or pending.kind == "pow" else 1
         operands = tuple(self._trees[-count:])
         del self._trees[-count:]
-        self._trees.append(Tree(opened.kind, opened.token, opened.token.position, operands))
-        self._at += 1
+        start = operands[0].start if between else pending.token.position
+        self._trees.append(Tree(pending.kind, pending.token, start, operands, pending.window))
 
     def _number(self) -> None:
         sign = None
         if self._token.text == "-":
             if self._after.kind != "number":
-                problem = "`-` stands before no number"
                 remedy = "write `0 - x` for the negative of x, `not` for the negation of a formula"
-                refuse(self._text, self._token.position, problem, "a number", remedy)
+                self._refuse("`-` stands before no number", "a number", remedy)
             sign = self._take()
-        number, after = self._take(), self._token
-        end = number.position + len(number.text)
-        if after.position == end and after.kind in ("name", "number"):
-            problem = f"a number ends in `{after.text}`"
-            refuse(self._text, end, problem, "digits", "mend the number")
-        finite(self._text, number)
+        number = self._finite_number()
         if sign is not None:
             number = Token("number", "-" + number.text, sign.position)
         self._trees.append(Tree("number", number, number.position))
+        after, end = self._token, self._tokens[self._at - 1].position + len(number.text.lstrip("-"))
+        if after.position == end and after.kind in ("name", "number"):
+            self._refuse(f"a number ends in `{after.text}`", "digits", "mend the number")
+
+    def _finite_number(self) -> Token:
+        """Take a number that is in the range of a float, and zero only if it says so."""
+        text = self._token.text
+        if float(text) == float("inf"):
+            self._refuse("this number is too large", "a finite number")
+        if float(text) == 0.0 and re.search("[1-9]", re.split("[eE]", text)[0]):
+            self._refuse("this number is too small, it reads as 0", "a larger number")
+        return self._take()
 
     def _signal(self) -> None:
         name = self._token.text
@@ -417,13 +318,50 @@ class _Reader:
         self._at += 1
 
     def _window(self, kind: str) -> Window | None:
-        """The window of the operator that was taken last, if one follows."""
+        """The window of the operator that was taken last, if one follows.
+
+        A bound without a unit is in seconds. rtamt would lend ``[1:500ms]``'s unit to the ``1`` and
+        fail on ``[1ms:5]``, so beside a bound with a unit only a zero may go without.
+        """
         if self._token.text != "[":
             return None
-        if kind not in _WINDOWED:
+        if not OPERATORS[kind].windowed:
             self._no_window()
-        window, self._at = _read_window(self._text, self._tokens, self._at)
-        return window
+        opening = self._take().position
+        first, first_unit = self._bound(":,")
+        last, last_unit = self._bound("]")
+        if (first and last_unit and not first_unit) or (last and first_unit and not last_unit):
+            remedy = "give both bounds a unit, such as [500ms:2s]"
+            problem = "only one bound of the window has a unit"
+            refuse(self._text, opening, problem, _SHAPE, remedy)
+        if first > last:
+            refuse(self._text, opening, "the window is not ordered", _SHAPE, _REMEDY)
+        if last > MAX_SECONDS:
+            limit = f"at most {MAX_SECONDS:g} seconds"
+            refuse(self._text, opening, "the window is absurdly long", limit, _REMEDY)
+        return Window(first, last, opening)
+
+    def _bound(self, ends: str) -> tuple[float, str]:
+        """Take a bound of a window and the symbol behind it: its seconds, and its unit if any."""
+        if self._token.kind != "number":
+            self._not_in_window()
+        value, unit = Fraction(self._finite_number().text), ""
+        if self._token.kind == "name":
+            unit = self._token.text
+            if unit not in _UNITS:
+                self._refuse(f"`{unit}` is no unit of time", "s, ms, us or ns", _REMEDY)
+            self._take()
+        if self._token.text not in tuple(ends):
+            self._not_in_window()
+        self._take()
+        return float(value / _UNITS[unit or "s"]), unit
+
+    def _not_in_window(self) -> NoReturn:
+        text = self._token.text
+        problem = f"found {f'`{text}`' if text else 'the end'} in a window"
+        self._refuse(
+            "a bound of the window is negative" if text == "-" else problem, _SHAPE, _REMEDY
+        )
 
     def _kind_of_name(self) -> str:
         """What a name is where an operand begins."""
@@ -431,7 +369,7 @@ class _Reader:
         if name == "not":
             return "not"
         if name in _CONNECTIVES and (name not in _SHORT or after in ("(", "[")):
-            refuse(self._text, self._token.position, f"found `{name}`", "a formula before it")
+            self._refuse(f"found `{name}`", "a formula before it")
         if name in _FUNCTIONS:
             return name if after == "(" else "signal"
         if name in _PREFIXES:
@@ -439,7 +377,7 @@ class _Reader:
         if name in _TRUTH and not (self._signals and name in self._signals):
             problem = f"found the truth value `{name}`"
             remedy = "compare a signal, as in `flag > 0.5`"
-            refuse(self._text, self._token.position, problem, "comparisons", remedy)
+            self._refuse(problem, "comparisons", remedy)
         if after in ("(", "["):
             self._unknown_name()
         return "signal"
@@ -457,7 +395,7 @@ class _Reader:
                 f"write `({name}) - {number}` for the signal `{name}`, or "
                 f"`{name} (-{number} ...)` for the operator"
             )
-            refuse(self._text, self._token.position, problem, "parentheses", remedy)
+            self._refuse(problem, "parentheses", remedy)
         operand = after.kind == "number" or (
             after.kind == "name" and (after.text not in _CONNECTIVES or after.text in _SHORT)
         )
@@ -469,12 +407,12 @@ class _Reader:
         near = difflib.get_close_matches(name.lower(), _KEYWORDS, n=1)
         remedy = f"did you mean `{near[0]}`?" if near else "check its spelling"
         problem, expected = f"`{name}` is no operator or function", "one of " + ", ".join(_KEYWORDS)
-        refuse(self._text, self._token.position, problem, expected, remedy)
+        self._refuse(problem, expected, remedy)
 
     def _no_window(self) -> NoReturn:
         remedy = "windows belong to always, eventually, until, unless, historically, once, since"
         problem = f"`{self._tokens[self._at - 1].text}` takes no window"
-        refuse(self._text, self._token.position, problem, _OPERAND, remedy)
+        self._refuse(problem, _OPERAND, remedy)
 
     def _no_operator(self) -> NoReturn:
         token = self._token
@@ -485,7 +423,3 @@ class _Reader:
         if token.kind == "name" and self._after.text in ("(", "["):
             self._unknown_name()
         self._wrong(_OPERATOR)
-
-    def _wrong(self, expected: str, remedy: str = _EXAMPLE) -> NoReturn:
-        unexpected = f"`{self._token.text}`" if self._token.kind != "end" else "the end"
-        refuse(self._text, self._token.position, f"found {unexpected}", expected, remedy)

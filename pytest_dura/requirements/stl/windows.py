@@ -21,14 +21,14 @@ from pytest_dura.requirements.stl.formula import Formula, unknown_signal
 Array: TypeAlias = NDArray[np.float64]
 
 
-def sliding(join: np.ufunc, values: Array, first: int, last: int) -> Array:
+def sliding(values: Array, join: np.ufunc, first: int, last: int) -> Array:
     """Minimum or maximum over the samples ``t + first .. t + last``.
 
     Windows are doubled until they are wide enough: ``log2(last - first)`` passes over the array.
 
     Args:
-        join: ``np.minimum`` or ``np.maximum``.
         values: Shape ``(..., n)``.
+        join: ``np.minimum`` or ``np.maximum``.
         first: First sample of the window, at least 0.
         last: Last one, at least ``first``.
     """
@@ -50,19 +50,19 @@ def sliding(join: np.ufunc, values: Array, first: int, last: int) -> Array:
     return result
 
 
-def sliding_past(join: np.ufunc, values: Array, first: int, last: int) -> Array:
+def sliding_past(values: Array, join: np.ufunc, first: int, last: int) -> Array:
     """Minimum or maximum over the samples ``t - last .. t - first``."""
-    result: Array = sliding(join, values[..., ::-1], first, last)[..., ::-1]
+    result: Array = sliding(values[..., ::-1], join, first, last)[..., ::-1]
     return result
 
 
-def running(join: np.ufunc, values: Array) -> Array:
+def running(values: Array, join: np.ufunc) -> Array:
     """Minimum or maximum over this sample and all later ones."""
     result: Array = join.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
     return result
 
 
-def running_past(join: np.ufunc, values: Array) -> Array:
+def running_past(values: Array, join: np.ufunc) -> Array:
     """Minimum or maximum over this sample and all earlier ones."""
     result: Array = join.accumulate(values, axis=-1)
     return result
@@ -93,7 +93,7 @@ def until(left: Array, right: Array, first: int = 0, last: int | None = None) ->
     if not first:
         return best
     result = np.full_like(right, -np.inf)
-    before = sliding(np.minimum, left, 0, first - 1)
+    before = sliding(left, np.minimum, 0, first - 1)
     np.minimum(best, before[..., :-first], out=result[..., :-first])
     return result
 
@@ -136,7 +136,6 @@ class Frame:
         shape: ``(n,)`` or ``(traces, n)``.
         time_step: Seconds from sample to sample.
         times: Seconds of each sample, shape ``(n,)``; ``None`` if they begin at zero.
-        beyond: True behind the end of the shorter rows, or ``None`` if all have ``n`` samples.
         rows: Number of the trace in each row, or ``None`` if they are numbered as they stand.
     """
 
@@ -144,12 +143,7 @@ class Frame:
     shape: tuple[int, ...]
     time_step: float
     times: Array | None = None
-    beyond: NDArray[np.bool_] | None = None
     rows: NDArray[np.intp] | None = None
-
-    def ended(self, values: Array, neutral: float) -> Array:
-        """The values, with ``neutral`` behind the end of each row."""
-        return values if self.beyond is None else np.where(self.beyond, neutral, values)
 
     def place(self, index: tuple[int, ...]) -> str:
         """Time, and trace, of a sample, for messages."""

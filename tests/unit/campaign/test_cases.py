@@ -237,8 +237,9 @@ def test_short_names_of_roles(role: str) -> None:
             "aggressive",
             "use one of: alert, emergency_brake, ignore_untrusted, replan, safe_stop",
         ),
-        ("safety_monitor", "safe_stop", "use one of: stl"),
-        ("performance_oracle", "safe_stop", "write package.module:Name"),
+        ("safety_monitor", "safe_stop", "use one of: separation, stl"),
+        ("performance_oracle", "safe_stop", "use one of: driving"),
+        ("watch", "safe_stop", "write package.module:Name"),
     ],
 )
 def test_a_short_name_is_of_one_role(role: str, slip: str, meant: str) -> None:
@@ -300,10 +301,10 @@ def test_a_simulator_given_from_outside_replaces_the_scenarios() -> None:
     assert spec.simulator.path == "thermostat:Thermostat"
 
 
-@pytest.mark.parametrize("domain", DOMAINS.values(), ids=DOMAINS)
+@pytest.mark.parametrize("domain", dict(DOMAINS.items()).values(), ids=list(DOMAINS))
 def test_everything_that_a_domain_names_can_be_built(domain: Any) -> None:
     assert RoleSpec(domain.simulator).create()
-    for path in domain.roles.values():
+    for path in domain.default_roles.values():
         assert RoleSpec(path).create()
     needed = {"stl": {"formula": "historically[0:0.5] (gap > 0.5)"}}
     for role, names in domain.short_names.items():

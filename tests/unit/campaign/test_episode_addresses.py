@@ -268,6 +268,11 @@ def test_imports_that_go_around_in_a_circle_end(tmp_path, monkeypatch):
         ("from \\\n    aside.inner import one", True),
         ("__import__('aside')", True),
         ("import_module(\n    'aside.inner')", True),
+        ("import importlib\nimportlib.import_module('aside')", True),
+        ("def late():\n    if 0: import aside.inner as one", True),
+        ("import aside\npattern = '\\d'", True),  # Python warns of it
+        ("'import aside'\n# import aside", False),
+        ("import aside\ndef (", False),  # which nothing can import
         ("from . import aside", False),
         ("from .inner import aside", False),
         ("from ..inner.most import aside, two", False),
@@ -287,6 +292,17 @@ def test_what_is_imported_is_found_and_what_is_called_alike_is_not(
     first = user_code(package / "using.py", "packed.using")
     aside.write_text("2")
     assert (user_code(package / "using.py", "packed.using") != first) == counts
+
+
+def test_a_file_that_is_no_python_of_this_version_counts_by_its_content(tmp_path):
+    (tmp_path / "packed").mkdir()
+    (tmp_path / "packed/__init__.py").touch()
+    file = tmp_path / "packed/old.py"
+    found = set()
+    for text in (b"print 'one'", b"print 'two'", b"\0", b"# coding: none\n", b"(" * 10_000):
+        file.write_bytes(text)
+        found.add(user_code(tmp_path / "packed/__init__.py", "packed").digest)
+    assert len(found) == 5
 
 
 def test_a_module_with_letters_of_any_alphabet_counts(tmp_path, monkeypatch):

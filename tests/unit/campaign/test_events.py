@@ -8,7 +8,7 @@ import pytest
 
 from pytest_dura.campaign import EventStream, MonitorsMeasured, Progress, RunningCampaign
 
-PROGRESS = Progress(RunningCampaign("room/warm", "T-1", 9), 2, 9)
+PROGRESS = Progress("room/warm", "T-1", 2, 9)
 
 
 def test_subscribers_are_called_in_the_order_of_their_subscriptions():

@@ -91,7 +91,7 @@ def test_progress_is_told(bench):
     told = []
 
     def tell(event):
-        told.append((event.campaign.case, event.done, event.budget, event.ended))
+        told.append((event.case, event.done, event.budget, event.ended))
 
     bench.events.subscribe(Progress, tell)
     assert len(bench.campaign("room/warm").episodes) == 3

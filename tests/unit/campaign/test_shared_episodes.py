@@ -328,7 +328,7 @@ def test_nobody_waits_for_ever_for_an_episode_that_another_process_has(tmp_path,
 
 def test_a_claim_whose_file_somebody_closed_closes_nothing_else(tmp_path):
     claim = EpisodeCache(tmp_path / "shelf", "s").claim(Addresses().of(counted_task(tmp_path, 1)))
-    number = claim._handle.number
+    number = claim._number
     with (tmp_path / "other").open("w") as other:
         os.dup2(other.fileno(), number)  # as if it were closed, and its number given away
         assert not claim.is_held

@@ -16,7 +16,7 @@ from pytest_dura.core import ConfigurationError, Proposal
 from pytest_dura.driving import Aggressive
 from pytest_dura.faults import FAULT_TYPES, default_fault, fault_class, load_fault
 
-OWN = [name for name, path in FAULT_TYPES.items() if path.startswith("pytest_dura.driving")]
+OWN = [name for name in FAULT_TYPES if FAULT_TYPES.path(name).startswith("pytest_dura.driving")]
 WORLD: dict[str, Any] = {
     "ego": {"distance": 50.0, "speed": 8.0},
     "traffic": {"headway": 8.0},

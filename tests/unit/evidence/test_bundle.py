@@ -127,13 +127,13 @@ def test_a_record_without_episodes_is_none(tmp_path):
 
 def test_every_file_of_a_bundle_is_known_to_whoever_clears_it():
     known = {MANIFEST_FILE, "evidence.schema.json", *(one.FILE for one in all_formats())}
-    assert set(bundle.RENDERED_FILES) == known
+    assert set(bundle.rendered_files()) == known
 
 
 def test_a_session_that_begins_removes_what_is_left_of_the_last_one(tmp_path):
     folder, outside = tmp_path / "evidence", tmp_path / "outside"
     write(folder, RECORD)
-    own = [*bundle.RENDERED_FILES, ".evidence.json-x7", ".session-q",
+    own = [*bundle.rendered_files(), ".evidence.json-x7", ".session-q",
            "episodes/a-0123abcd.mcap", "episodes/.b-0123abcd.mcap-x7_y"]  # fmt: skip
     others = ["notes.txt", "report.html.bak", "episodes/notes.txt", "reduced/evidence.json",
               ".hidden", "episodes/drive.mcap", "episodes/.drive.mcap-x7"]  # fmt: skip

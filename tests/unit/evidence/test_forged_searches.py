@@ -9,7 +9,8 @@ from searches import entry
 from session_records import CASES, session_record
 
 from pytest_dura.evidence import record_problems
-from pytest_dura.evidence.verify_record import search_problems
+from pytest_dura.evidence.gate import judge_again
+from pytest_dura.evidence.verify_record import differences, search_problems
 
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
 WAIVER = {"kind": "xfail", "reason": "known"}
@@ -226,8 +227,8 @@ def test_a_verdict_on_what_a_search_chose():
 def gate_problems(*searches, **gate):
     verdicts = [one for one in session_record()["verdicts"] if one["verdict"] == "supported"]
     record = session_record(searches=list(searches), verdicts=verdicts, gate={**PASSED, **gate})
-    told = record_problems(record)
-    return [one.partition(": ")[2] for one in told if ": gate: " in one]
+    again = judge_again(record.head).to_json()
+    return list(differences("/gate", record["gate"], again))
 
 
 AGAINST = "SAF-1 on a/clear is falsified by a search"
@@ -235,7 +236,7 @@ AGAINST = "SAF-1 on a/clear is falsified by a search"
 
 def test_a_gate_that_passed_over_a_counterexample():
     assert gate_problems(entry("nothing found")) == []
-    assert gate_problems(entry("falsified")) == [f"gate: passed, although {AGAINST} (exit code 0)"]
+    assert gate_problems(entry("falsified"))[0] == '/gate/result: found "passed", expected "failed"'
     assert gate_problems(entry("falsified", waiver=WAIVER)) == []
     assert gate_problems(entry("falsified"), warn_undecided=True) != []
     assert gate_problems(entry("not repeatable")) != []
@@ -244,7 +245,8 @@ def test_a_gate_that_passed_over_a_counterexample():
 def test_a_gate_that_failed_for_something_else():
     failed = {"result": "failed", "exit_code": 1}
     assert gate_problems(entry("falsified"), **failed, reasons=["it rained"]) == [
-        f"gate: {AGAINST}, which is no reason of it"
+        "/gate/reasons: found 1 entries, expected 2",
+        f'/gate/reasons/0: found "it rained", expected "{AGAINST}"',
     ]
     assert gate_problems(entry("falsified"), **failed, reasons=[AGAINST]) == []
 

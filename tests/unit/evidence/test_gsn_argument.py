@@ -49,7 +49,7 @@ def test_a_violation_defeats_its_goal_its_requirement_and_the_top():
     assert found[against["challenges"]] == goal
     assert counterexample["replay"] == "pytest --dura-replay='a/clear+ghost#1'"
     assert counterexample["text"] == (
-        "Episode a/clear+ghost#1 violates it at 0.9 s, margin -0.5, seed 1001."
+        "Episode a/clear+ghost#1 violates it at t = 0.90 s, margin -0.5, seed 1001."
     )
     assert found["G-SAF-1"]["defeated"]
     assert found["GTop"]["defeated"]

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
 
+import filelock
 import pytest
 
 from pytest_dura import ConfigurationError
@@ -48,16 +51,14 @@ def test_a_killed_session_blocks_nobody(tmp_path):
 
 def test_a_file_that_was_removed_by_its_holder_is_no_lock(tmp_path, monkeypatch):
     """The holder releases it between the moments at which another one opens and locks it."""
-    from pytest_dura.evidence import files as module
-
     first = DirectoryLock(tmp_path)
-    really = module.lock
+    really = filelock.lock_descriptor
 
-    def released_meanwhile(handle):
+    def released_meanwhile(number, **options):
         first.release()
-        really(handle)
+        return really(number, **options)
 
-    monkeypatch.setattr(module, "lock", released_meanwhile)
+    monkeypatch.setattr(filelock, "lock_descriptor", released_meanwhile)
     second = DirectoryLock(tmp_path)
     monkeypatch.undo()
     with pytest.raises(ConfigurationError, match="another session"):
@@ -74,3 +75,23 @@ def test_a_link_in_its_place_is_not_followed(tmp_path):
     with pytest.raises(ConfigurationError, match="cannot be written"):
         DirectoryLock(folder)
     assert outside.read_text() == "mine"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system does not fork")
+def test_a_copy_of_the_process_holds_no_lock(tmp_path):
+    """A simulator's own process may outlive the session that started it."""
+    lock = DirectoryLock(tmp_path)
+    copy = os.fork()
+    if copy == 0:
+        lock.release()  # is not the copy's to release
+        time.sleep(60.0)
+        os._exit(0)
+    try:
+        time.sleep(0.2)
+        with pytest.raises(ConfigurationError, match="another session"):
+            DirectoryLock(tmp_path)
+        lock.release()
+        DirectoryLock(tmp_path).release()
+    finally:
+        os.kill(copy, signal.SIGKILL)
+        os.waitpid(copy, 0)

@@ -234,7 +234,8 @@ def test_a_replay_command_names_the_directory_of_the_evidence():
 
 
 def test_a_command_that_cannot_be_shown_as_it_is_is_not_shown():
-    bad = VIOLATED | {"counterexamples": [{"episode": "a\x1b#0", "time": None, "margin": None}]}
+    worst = {"episode": "a\x1b#0", "time": None, "margin": None, "valid": True}
+    bad = VIOLATED | {"counterexamples": [worst]}
     text = summary.render(session_record(verdicts=[bad]))
     assert "--dura-replay" not in text
     assert "replay by its id in the record" in text

@@ -374,7 +374,9 @@ def many_episodes(count):
             else:
                 yield plain[run % 90] | {"id": f"a/clear#{run}"}
 
-    return replace(session_record(episodes=[]), read_episodes=read)
+    record = session_record(episodes=[])
+    head = {**record.head, "totals": {**record["totals"], "episodes": count}}
+    return replace(record, head=head, read_episodes=read)
 
 
 def test_many_episodes_are_counted_and_the_remarkable_ones_listed():

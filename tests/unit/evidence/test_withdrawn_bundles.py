@@ -8,7 +8,7 @@ import pytest
 from session_records import session_record
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence import RENDERED_FILES, bundle, files, read_session_record, write_record
+from pytest_dura.evidence import bundle, files, read_session_record, write_record
 
 
 def passing(folder, **changes):
@@ -41,7 +41,7 @@ def test_a_disk_that_is_full_leaves_no_pass(tmp_path, monkeypatch, number):
     disk_full_from(monkeypatch, number)
     with pytest.raises(ConfigurationError, match="ENOSPC"):
         bundle.write_bundle(passing(tmp_path))
-    assert not {*RENDERED_FILES} & {file.name for file in tmp_path.iterdir()}
+    assert not {*bundle.rendered_files()} & {file.name for file in tmp_path.iterdir()}
     if number == 0:
         assert read_session_record(tmp_path)["status"] == "running"
     else:

@@ -265,14 +265,15 @@ def test_the_limit_leaves_the_component_its_time():
 
 def test_executors_are_chosen_by_name():
     assert ExecutorChoice.parse(None) == ExecutorChoice.parse("in-process") == ExecutorChoice()
-    assert ExecutorChoice.parse("processes") == ExecutorChoice("processes")
-    assert ExecutorChoice.parse("processes:3") == ExecutorChoice("processes", 3)
-    assert ExecutorChoice.parse("dask://host:8786") == ExecutorChoice(
-        "dask", address="tcp://host:8786"
-    )
-    assert ExecutorChoice.parse("dask://[::1]:1/").address == "tcp://[::1]:1"
+    assert ExecutorChoice.parse("processes").processes == usable_cores()
+    assert ExecutorChoice.parse("processes:3").processes == 3
+    dask = ExecutorChoice.parse("dask://host:8786")
+    assert (dask.name, dask.processes, vars(dask.kind)["address"]) == (
+        "dask", None, "tcp://host:8786"
+    )  # fmt: skip
+    assert vars(ExecutorChoice.parse("dask://[::1]:1/").kind)["address"] == "tcp://[::1]:1"
     assert ExecutorChoice().execution().inside
-    execution = ExecutorChoice("processes", seconds=5.0).execution()
+    execution = replace(ExecutorChoice.parse("processes"), seconds=5.0).execution()
     assert (execution.name, execution.width, execution.seconds) == ("processes", usable_cores(), 5)
     execution.close()
 

@@ -54,7 +54,7 @@ def test_defaults_are_filled_in() -> None:
     "change, key, told",
     [
         ({"type": "ghost-obstcle"}, "type", ["unknown fault", "did you mean 'ghost-obstacle'?"]),
-        ({"type": "meteor"}, "type", ["package.module:Class, or one of", "catalogue"]),
+        ({"type": "meteor"}, "type", ["package.module:Class, or one of bias", "use one of: bias"]),
         ({"type": None}, "type", ["unknown fault None"]),
         ({"duraton": 3.0}, "duraton", ["did you mean 'duration'?"]),
         ({"duration": -1.0}, "duration", ["greater than 0", "found:    -1.0"]),

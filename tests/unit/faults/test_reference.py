@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from pytest_dura.domains import DOMAINS
 from pytest_dura.driving import FAULT_TARGETS
 from pytest_dura.faults import FAULT_TYPES, Activation, fault_class
-from pytest_dura.faults.reference import PAGE, domain_targets, reference_page, write_page
+from pytest_dura.library.fault_reference import PAGE, reference_page, write_page
 
 DOCS = Path(__file__).parents[3] / "docs"
 
@@ -21,7 +22,7 @@ def page() -> str:
 
 def test_the_committed_page_is_up_to_date(page: str) -> None:
     committed = (DOCS / PAGE).read_text("utf-8")
-    assert committed == page, "run `python -m pytest_dura.faults.reference`"
+    assert committed == page, "run `python -m pytest_dura.library.fault_reference`"
 
 
 @pytest.mark.parametrize("name", sorted(FAULT_TYPES))
@@ -80,6 +81,6 @@ def test_without_a_domain_there_are_the_types_own_defaults_alone() -> None:
 
 
 def test_writing_is_reproducible(tmp_path: Path) -> None:
-    write_page(tmp_path / "docs" / "a", domain_targets())
-    write_page(tmp_path / "docs" / "b", domain_targets())
+    write_page(tmp_path / "docs" / "a", DOMAINS["driving"].fault_targets)
+    write_page(tmp_path / "docs" / "b", DOMAINS["driving"].fault_targets)
     assert (tmp_path / "docs" / "a").read_bytes() == (tmp_path / "docs" / "b").read_bytes()

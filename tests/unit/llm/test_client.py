@@ -115,7 +115,6 @@ def test_the_environment_changes_nothing(client, monkeypatch, tmp_path) -> None:
         "accept": "application/json",
         "accept-encoding": "identity",
         "authorization": f"Bearer {KEY}",
-        "connection": "close",
         "content-type": "application/json",
     }
 

@@ -82,15 +82,14 @@ def test_a_look_up_that_hangs_ends_with_the_budget(monkeypatch) -> None:
 
 def test_every_address_of_a_host_is_tried(client, monkeypatch) -> None:
     one = client(script.answers("ok"))
-    open_port = int(one.server.base_url.rpartition(":")[2].partition("/")[0])
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        closed_port = taken.getsockname()[1]
-    addresses = [
-        (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port))
-        for port in (closed_port, open_port)
-    ]
-    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: addresses)
-    two = OpenAiClient(Endpoint("http://some.host/v1", "m"))
+    really = socket.getaddrinfo
+
+    def look_up(host, port, *args, **options):
+        names = ["127.0.0.2", "127.0.0.1"] if host == "some.host" else [host]  # the first is closed
+        return [entry for name in names for entry in really(name, port, *args, **options)]
+
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+    two = OpenAiClient(Endpoint(one.server.base_url.replace("127.0.0.1", "some.host"), "m"))
     assert two.ask(REQUEST, BUDGET).text == "ok"
 
 

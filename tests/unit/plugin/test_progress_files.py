@@ -6,11 +6,11 @@ from dataclasses import asdict
 
 import pytest
 
-from pytest_dura.campaign import CampaignProgress, RunningCampaign
+from pytest_dura.campaign import Progress, RunningCampaign
 from pytest_dura.plugin.progress import WRITE_INTERVAL, WorkerFile, read_files, remove_files
 
 TOKEN, OTHER = "0123456789abcdef", "fedcba9876543210"
-PROGRESS = CampaignProgress(
+PROGRESS = Progress(
     "room/warm", "T-1", 3, 9, True, taken_over=2, violations=1, upper=0.5, confidence=0.95
 )
 
@@ -27,11 +27,12 @@ class Worker:
         self.now = 7.0
         self.running = RunningCampaign("room/warm", "T-1", 9)
         self.file = WorkerFile(folder, TOKEN, name, lambda: self.now)
-        self.file.expect()
+        self.file.begin()
 
     def tell(self, done, after=0.0):
         self.now += after
-        self.file.write(self.running.reach(done, 9, simulated=done))
+        self.last = self.running.reach(done, 9, simulated=done)
+        self.file.update(self.last)
 
 
 def test_a_short_campaign_writes_nothing(folder):
@@ -47,9 +48,9 @@ def test_what_a_worker_tells_is_read_until_its_campaign_ends(folder):
         one.tell(0)
         one.tell(2, after=1.01 * WRITE_INTERVAL)
     found = read_files(folder, TOKEN)
-    assert found == {"gw0": worker.running.progress(), "gw1": worker.running.progress()}
+    assert found == {"gw0": worker.last, "gw1": worker.last}
     assert found["gw0"].done == 2
-    worker.file.write(worker.running.end())
+    worker.file.update(worker.running.end())
     assert list(read_files(folder, TOKEN)) == ["gw1"]
 
 
@@ -68,7 +69,7 @@ def test_where_nothing_can_be_written_there_is_no_progress_and_no_error(folder):
     worker = Worker(folder)
     for done in range(5):
         worker.tell(done, after=1.0)
-    worker.file.write(worker.running.end())
+    worker.file.update(worker.running.end())
     assert read_files(folder, TOKEN) == {}
     assert folder.read_text() == "a file"
 
@@ -81,8 +82,11 @@ def test_a_session_reads_its_own_files_alone(folder):
 
 
 def test_plain_data_comes_back_as_it_went(folder):
-    put(folder, json.dumps(asdict(PROGRESS)))
+    put(folder, json.dumps(PLAIN))
     assert read_files(folder, TOKEN) == {"gw0": PROGRESS}
+
+
+PLAIN = {name: value for name, value in asdict(PROGRESS).items() if name not in ("ended", "judge")}
 
 
 def put(folder, text, name=f"{TOKEN}.gw0.json"):
@@ -112,8 +116,8 @@ def put(folder, text, name=f"{TOKEN}.gw0.json"):
     ids=str,
 )
 def test_what_makes_no_sense_is_passed_over(folder, change):
-    put(folder, json.dumps(asdict(PROGRESS) | change))
-    put(folder, json.dumps(asdict(PROGRESS)), f"{TOKEN}.gw1.json")
+    put(folder, json.dumps(PLAIN | change))
+    put(folder, json.dumps(PLAIN), f"{TOKEN}.gw1.json")
     assert read_files(folder, TOKEN) == {"gw1": PROGRESS}
 
 
@@ -124,7 +128,7 @@ def test_damaged_files_are_passed_over(folder, text):
 
 
 def test_a_great_file_is_passed_over_though_it_is_sound(folder):
-    put(folder, json.dumps(asdict(PROGRESS)) + " " * 5000)
+    put(folder, json.dumps(PLAIN) + " " * 5000)
     assert read_files(folder, TOKEN) == {}
 
 
@@ -132,9 +136,9 @@ def test_what_is_no_file_is_passed_over_and_nothing_waits_for_it(folder, tmp_pat
     folder.mkdir(parents=True)
     os.mkfifo(folder / f"{TOKEN}.gw0.json")
     (folder / f"{TOKEN}.gw1.json").mkdir()
-    (tmp_path / "sound").write_text(json.dumps(asdict(PROGRESS)))
+    (tmp_path / "sound").write_text(json.dumps(PLAIN))
     (folder / f"{TOKEN}.gw2.json").symlink_to(tmp_path / "sound")
-    put(folder, json.dumps(asdict(PROGRESS)), f"{TOKEN}.gw3\x1b[J.json")
+    put(folder, json.dumps(PLAIN), f"{TOKEN}.gw3\x1b[J.json")
     assert read_files(folder, TOKEN) == {}
     assert read_files(folder / "none", TOKEN) == {}
 
@@ -154,7 +158,7 @@ def test_what_is_left_of_any_session_is_removed_and_nothing_else(folder):
 
 def test_of_a_worker_that_died_its_own_files_go(folder):
     for worker in ("gw1", "gw11"):
-        put(folder, json.dumps(asdict(PROGRESS)), f"{TOKEN}.{worker}.json")
+        put(folder, json.dumps(PLAIN), f"{TOKEN}.{worker}.json")
     remove_files(folder, "gw1")
     assert list(read_files(folder, TOKEN)) == ["gw11"]
 

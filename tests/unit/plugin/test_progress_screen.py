@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 from terminals import Terminal
 
-from pytest_dura.campaign import CampaignProgress
+from pytest_dura.campaign import Progress
 from pytest_dura.plugin import progress_display
 from pytest_dura.plugin.progress_display import (
     LiveScreen,
@@ -59,7 +59,7 @@ def display(terminal, writer, monkeypatch):
 
 
 def row(done=3, place="gw0"):
-    return Row(place, CampaignProgress("room/warm", "T-1", done, 9), 2.0, 3.0)
+    return Row(place, Progress("room/warm", "T-1", done, 9), 2.0, 3.0)
 
 
 def shown(done, place="gw0"):
@@ -220,7 +220,7 @@ def test_the_name_of_a_single_result_is_written_again_below_a_line(lines_of):
 
 
 def test_a_look_shows_what_is_found_at_the_rate_it_was_seen_at():
-    rows, progress, now = [], [CampaignProgress("room/warm", "T-1", 0, 9)], [0.0]
+    rows, progress, now = [], [Progress("room/warm", "T-1", 0, 9)], [0.0]
     surface = SimpleNamespace(show=lambda found, _: rows.append(found))
     showing = ProgressView(surface, lambda: {"": progress[0]}, lambda: now[0])
     showing.refresh()

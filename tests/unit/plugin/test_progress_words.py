@@ -2,10 +2,11 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
-from pytest_dura.campaign import CampaignProgress
+from pytest_dura.campaign import Progress
 from pytest_dura.plugin.progress import BOUND_SHARE, LONGEST_BOUND_AGE, Snapshots
 from pytest_dura.plugin.progress_display import (
     LEAST_SAMPLES,
@@ -20,14 +21,14 @@ from pytest_dura.plugin.progress_display import (
     terminal_line,
 )
 
-PROGRESS = CampaignProgress(
+PROGRESS = Progress(
     "intersection/congested", "SAF-2", 120, 400, True, violations=1, upper=0.046, confidence=0.95
 )
 ROW = Row("", PROGRESS, 6.2, 45.2)
 
 
 def at(done, budget=100, taken_over=0, subject="T-1"):
-    return CampaignProgress("room/warm", subject, done, budget, taken_over=taken_over)
+    return Progress("room/warm", subject, done, budget, taken_over=taken_over)
 
 
 def test_a_sentence_says_everything():
@@ -149,19 +150,19 @@ class Clock:
 
 
 class Running:
-    """A campaign whose bound takes its time."""
+    """A campaign whose bound takes its time: the judge of its progress."""
+
+    requirement = SimpleNamespace(confidence=0.95)
 
     def __init__(self, clock, cost):
         self.clock, self.cost, self.bounds = clock, cost, 0
-        self.told = replace(PROGRESS, upper=None, confidence=None, done=0, violations=0)
+        self.told = replace(PROGRESS, upper=None, confidence=None, done=0, violations=0, judge=self)
 
-    def progress(self):
-        return self.told
-
-    def bounded(self, progress):
+    @property
+    def upper(self):
         self.clock.now += self.cost
         self.bounds += 1
-        return replace(progress, upper=1.0 / (1 + progress.done), confidence=0.95)
+        return 1.0 / (1 + self.told.done)
 
 
 def test_a_bound_is_made_as_seldom_as_its_cost_asks_for():
@@ -169,7 +170,7 @@ def test_a_bound_is_made_as_seldom_as_its_cost_asks_for():
     snapshots, running = Snapshots(clock), Running(clock, cost=0.001)
     begun = clock.now
     while clock.now < begun + 50.0:
-        snapshots.of(running)
+        snapshots.of(running.told)
         clock.now += 0.2
     assert running.bounds * running.cost <= 1.1 * BOUND_SHARE * 50.0
     assert running.bounds > 50
@@ -178,13 +179,13 @@ def test_a_bound_is_made_as_seldom_as_its_cost_asks_for():
 def test_a_bound_of_fewer_runs_is_shown_while_it_still_holds():
     clock = Clock()
     snapshots, running = Snapshots(clock), Running(clock, cost=100.0)
-    assert snapshots.of(running).upper == 1.0
+    assert snapshots.of(running.told).upper == 1.0
     running.told = replace(running.told, done=9)
-    assert (snapshots.of(running).done, snapshots.of(running).upper) == (9, 1.0)
+    assert (snapshots.of(running.told).done, snapshots.of(running.told).upper) == (9, 1.0)
     running.told = replace(running.told, violations=1)
-    assert snapshots.of(running).upper is None
+    assert snapshots.of(running.told).upper is None
     clock.now += LONGEST_BOUND_AGE
-    assert snapshots.of(running).upper == 0.1
+    assert snapshots.of(running.told).upper == 0.1
     assert running.bounds == 2
 
 
@@ -192,6 +193,6 @@ def test_a_bound_is_of_its_own_campaign():
     clock = Clock()
     snapshots = Snapshots(clock)
     first, second = Running(clock, cost=100.0), Running(clock, cost=100.0)
-    snapshots.of(first)
+    snapshots.of(first.told)
     second.told = replace(second.told, done=3)
-    assert snapshots.of(second).upper == 0.25
+    assert snapshots.of(second.told).upper == 0.25

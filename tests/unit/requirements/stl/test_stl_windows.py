@@ -16,8 +16,8 @@ INF = np.inf
 def test_sliding_windows_are_cut_at_the_ends(first, last, size, join, of) -> None:
     values = np.random.default_rng(size).normal(size=(3, size))
     empty = INF if of is min else -INF
-    ahead = windows.sliding(join, values, first, last)
-    back = windows.sliding_past(join, values, first, last)
+    ahead = windows.sliding(values, join, first, last)
+    back = windows.sliding_past(values, join, first, last)
     for row in range(3):
         for t in range(size):
             later = values[row, t + first : t + last + 1].tolist()
@@ -41,10 +41,10 @@ def test_until_needs_its_left_side_before_the_right_one_and_not_with_it(first, l
 
 def test_running_windows() -> None:
     values = np.array([3.0, 1.0, 2.0])
-    assert windows.running(np.minimum, values).tolist() == [1, 1, 2]
-    assert windows.running(np.maximum, values).tolist() == [3, 2, 2]
-    assert windows.running_past(np.minimum, values).tolist() == [3, 1, 1]
-    assert windows.running_past(np.maximum, values).tolist() == [3, 3, 3]
+    assert windows.running(values, np.minimum).tolist() == [1, 1, 2]
+    assert windows.running(values, np.maximum).tolist() == [3, 2, 2]
+    assert windows.running_past(values, np.minimum).tolist() == [3, 1, 1]
+    assert windows.running_past(values, np.maximum).tolist() == [3, 3, 3]
 
 
 def test_neighbours_and_unknown_tails() -> None:
@@ -59,8 +59,8 @@ def test_neighbours_and_unknown_tails() -> None:
 def test_no_input_is_changed() -> None:
     values = np.array([3.0, 1.0, 2.0])
     values.flags.writeable = False
-    windows.sliding(np.minimum, values, 0, 2)
-    windows.sliding_past(np.maximum, values, 1, 2)
+    windows.sliding(values, np.minimum, 0, 2)
+    windows.sliding_past(values, np.maximum, 1, 2)
     windows.until(values, values, 1, 2)
     windows.since(values, values)
     windows.open_tail(values, 2, INF)

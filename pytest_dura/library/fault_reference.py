@@ -1,10 +1,9 @@
-"""Reference page of the catalogue; ``python -m pytest_dura.faults.reference`` writes it."""
+"""Reference page of the catalogue; ``python -m pytest_dura.library.fault_reference`` writes it."""
 
 from __future__ import annotations
 
 import importlib
 import inspect
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from pytest_dura.core.state import NOTHING
+from pytest_dura.domains import DOMAINS
 from pytest_dura.faults.activation import (
     Activation,
     After,
@@ -32,9 +32,6 @@ from pytest_dura.faults.parts import (
 )
 
 PAGE = "faults.md"
-_DOMAIN = "pytest_dura.driving.sensors:FAULT_TARGETS"
-"""Default targets of the committed page."""
-
 _ACTS_ON: Mapping[Kind, str] = {
     "number": "a number",
     "any": "any channel, any field, `command`",
@@ -56,12 +53,12 @@ def reference_page(targets: Mapping[str, str] = NOTHING) -> str:
         targets: A domain's default target of each kind that a type can act on.
     """
     families: dict[str, list[str]] = {}
-    for name, path in FAULT_TYPES.items():
-        families.setdefault(path.partition(":")[0], []).append(name)
+    for name in FAULT_TYPES:
+        families.setdefault(FAULT_TYPES.path(name).partition(":")[0], []).append(name)
     lines = [
         "# Faults",
         "",
-        "<!-- Written by `python -m pytest_dura.faults.reference`; do not edit. -->",
+        "<!-- Written by `python -m pytest_dura.library.fault_reference`; do not edit. -->",
         "",
         "A fault is a type, an `id`, a `target`, an `activation`, a `duration` and `parameters`.",
         "At magnitude 0 a fault leaves everything as it is. A channel delivers one message per",
@@ -70,7 +67,7 @@ def reference_page(targets: Mapping[str, str] = NOTHING) -> str:
         "`search` says what a search or a strategy gives a parameter of a fault that it adds, in",
         "the unit that its meaning states; `each` is one of its values.",
     ]
-    for module, names in families.items():
+    for module, names in sorted(families.items()):
         lines += ["", *_family(module, names, targets)]
     return "\n".join([*lines, "", *_when_and_where(), ""])
 
@@ -79,13 +76,6 @@ def write_page(path: Path, targets: Mapping[str, str] = NOTHING) -> None:
     """Write the page to a file; see :func:`reference_page`."""
     path.parent.mkdir(exist_ok=True)
     path.write_text(reference_page(targets), "utf-8")
-
-
-def domain_targets(path: str = _DOMAIN) -> Mapping[str, str]:
-    """Import a domain's default targets by the path of the mapping."""
-    module, _, name = path.partition(":")
-    targets: Mapping[str, str] = getattr(importlib.import_module(module), name)
-    return targets
 
 
 def _family(module: str, names: list[str], targets: Mapping[str, str]) -> Iterator[str]:
@@ -222,6 +212,5 @@ def _cell(text: str) -> str:
 
 if __name__ == "__main__":
     write_page(
-        Path(__file__).resolve().parents[2] / "docs" / PAGE,
-        domain_targets(*sys.argv[1:2]),
+        Path(__file__).resolve().parents[2] / "docs" / PAGE, DOMAINS["driving"].fault_targets
     )

@@ -1,0 +1,115 @@
+"""A package of somebody else that registers one of each thing, installed from its own folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "third_party"
+SCENARIO = """
+name: shaft/up
+simulator: lift
+duration: 20
+world: {floor: 4.0}
+requirements: [TOP-1, UP-1]
+campaigns: [none, {type: slip, activation: {at: 1.0}}]
+"""
+REQUIREMENTS = """
+requirements:
+  - {id: TOP-1, text: It stops in time., kind: safety, check: always (height < 6)}
+  - {id: UP-1, text: It arrives., kind: performance, check: eventually (arrived > 0)}
+"""
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """A folder like ``site-packages`` with the package alone; it is first on the import path."""
+    folder = tmp_path_factory.mktemp("lift") / "site-packages"
+    pip = ["-m", "pip", "install", "--no-deps", "--no-index", "--no-build-isolation", "--quiet"]
+    command = [sys.executable, *pip, "--target", str(folder), str(PACKAGE)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def python(installed, tmp_path_factory):
+    """Runs Python in a project that uses the package."""
+    project = tmp_path_factory.mktemp("project")
+    (project / "pytest.ini").write_text("[pytest]\n")
+    (project / "scenarios").mkdir()
+    (project / "scenarios" / "up.yaml").write_text(SCENARIO)
+    (project / "scenarios" / "requirements.yaml").write_text(REQUIREMENTS)
+    kept = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
+    path = os.pathsep.join(filter(None, [str(installed), os.environ.get("PYTHONPATH")]))
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", *arguments],
+            cwd=project,
+            env={**kept, "PYTHONPATH": path},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=120,
+        )
+
+    run.project = project
+    return run
+
+
+@pytest.fixture(scope="module")
+def session(python):
+    """A session whose episodes are simulated by the package's executor."""
+    chosen = ["--dura-select=shaft/*", "--dura-executor=fresh", "--dura-runs=1"]
+    return python("pytest", "-p", "no:cacheprovider", "--dura-scenarios", *chosen)
+
+
+def test_what_the_package_registers_is_listed(python):
+    done = python("pytest", "--dura-list", "--dura-select=shaft/*")
+    assert done.returncode == 0, done.stdout + done.stderr
+    for line in (
+        "  slip (number): The encoder slipped: it shows ``metres`` too little.",
+        "roles of the domain lift (override the fixture of that name)",
+        "  generator: lift_dura.domain:Steady",
+        "  steady: lift_dura.domain:Steady",
+        "  lift: lift_dura.domain:Lift (lift-dura 1.2)",
+        "  fresh: lift_dura.outputs:Fresh (lift-dura 1.2)",
+        "  verdicts.csv: lift_dura.outputs (lift-dura 1.2)",
+    ):
+        assert line in done.stdout.splitlines(), done.stdout
+
+
+def test_a_session_uses_domain_simulator_role_fault_and_executor(python, session):
+    record = json.loads((python.project / "dura-evidence" / "evidence.json").read_text())
+    assert "dura: episodes are simulated in a fresh process each" in session.stdout
+    assert record["execution"] == {"executor": "fresh", "processes": None}
+    verdicts = {(v["case"], v["requirement"]): v["verdict"] for v in record["verdicts"]}
+    assert verdicts["shaft/up", "TOP-1"] == "supported", session.stdout
+    assert verdicts["shaft/up+slip", "TOP-1"] == "violated", session.stdout
+    assert {episode["component"] for episode in record["episodes"]} == {"Steady"}
+
+
+def test_the_report_of_the_package_is_in_the_bundle_and_verified(python, session):
+    bundle = python.project / "dura-evidence"
+    assert "verdicts.csv" in json.loads((bundle / "manifest.json").read_text())["files"]
+    report = (bundle / "verdicts.csv").read_text()
+    assert "shaft/up+slip,TOP-1,violated\n" in report
+    assert python("pytest_dura", "verify", str(bundle)).returncode == 0
+    (bundle / "verdicts.csv").write_text(report.replace("violated", "supported"))
+    done = python("pytest_dura", "verify", str(bundle))
+    assert done.returncode != 0
+    assert "verdicts.csv: not as it is rendered from the record" in done.stdout + done.stderr
+    (bundle / "verdicts.csv").write_text(report)
+
+
+def test_the_catalogue_of_a_domain_has_the_package_s_faults(python):
+    done = python("pytest", "--dura-list", "--dura-select=shaft/*", "--dura-faults=catalogue")
+    assert "  shaft/up+slip::TOP-1" in done.stdout.splitlines(), done.stdout
+    assert "  shaft/up+bias::TOP-1" in done.stdout.splitlines()
+    assert "  shaft/up+object-miss::TOP-1" not in done.stdout.splitlines()

@@ -1,0 +1,1 @@
+"""A lift: one of each thing that a package can register."""

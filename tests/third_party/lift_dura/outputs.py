@@ -1,0 +1,62 @@
+"""An executor with a fresh process for each episode, and a table of the verdicts as a file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from typing import Any
+
+from pytest_dura import ExecutorKind
+
+CALL = (
+    "import importlib, json, sys; module, name, args = json.load(sys.stdin); "
+    "sys.stdout.buffer.write(getattr(importlib.import_module(module), name)(*args))"
+)
+
+
+class FreshProcesses(Executor):
+    """Carries out each call at once, in a process of its own."""
+
+    def submit(self, fn: Callable[..., bytes], /, *args: Any, seconds: float) -> Future[bytes]:
+        """Return the future of a call that is over."""
+        future: Future[bytes] = Future()
+        done = subprocess.run(
+            [sys.executable, "-c", CALL],
+            input=json.dumps([fn.__module__, fn.__name__, args]).encode(),
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
+            capture_output=True,
+            timeout=seconds,
+            check=False,
+        )
+        if done.returncode:
+            future.set_exception(RuntimeError(done.stderr.decode()))
+        else:
+            future.set_result(done.stdout)
+        return future
+
+
+class Fresh(ExecutorKind):
+    """``--dura-executor=fresh``."""
+
+    form = "fresh"
+    where = "in a fresh process each"
+
+    def start(self) -> FreshProcesses:
+        """Make the executor."""
+        return FreshProcesses()
+
+
+def render(record: Any) -> str:
+    """Render a row for each verdict."""
+    table = io.StringIO()
+    rows = csv.writer(table, lineterminator="\n")
+    rows.writerow(["case", "requirement", "verdict"])
+    for verdict in record["verdicts"]:
+        rows.writerow([verdict["case"], verdict["requirement"], verdict["verdict"]])
+    return table.getvalue()
