@@ -31,6 +31,7 @@ from mcap.reader import NonSeekingReader
 
 from pytest_dura.__main__ import main
 from pytest_dura.evidence import all_formats, read_trace, verify_bundle, write_bundle
+from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.terminal import summary
 from pytest_dura.reports import rule_problems
 
@@ -302,11 +303,12 @@ def check_terminal(bundle):
     """Nothing acts on a terminal, or reads as another line of ours."""
     config = SimpleNamespace(
         args_source=None, ArgsSource=SimpleNamespace(ARGS=1),
-        option=SimpleNamespace(inifilename=None, rootdir=None, verbose=0, dura_trust_code=False),
-        invocation_params=SimpleNamespace(dir=bundle.root),
+        option=SimpleNamespace(inifilename=None, rootdir=None, verbose=0),
+        invocation_params=SimpleNamespace(dir=bundle.root), rootpath=bundle.root,
+        getoption=lambda *_: None, getini=lambda _: None,
     )  # fmt: skip
     session = SimpleNamespace(
-        config=config, active=True, cassette=None, options=SimpleNamespace(runs=None, given=()),
+        config=config, active=True, options=Options(config),
     )  # fmt: skip
     terminal = Terminal()
     summary(
