@@ -14,20 +14,18 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+from characteristics import Boundaries, Characteristics, operating_characteristics, simulate
 from machine import machine, table
 from scipy.stats import binom
 
 from pytest_dura.requirements import (
-    Boundaries,
     EProcess,
     FixedN,
     SequentialTest,
     Sprt,
-    operating_characteristics,
     runs_needed,
-    simulate,
 )
-from pytest_dura.requirements.sequential import Characteristics, Decision
+from pytest_dura.requirements.sequential import Decision
 
 LIMIT, P0, LEVEL = 0.05, 0.01, 0.05
 RATES = (0.0, 0.005, 0.01, 0.02, 0.0258, 0.05, 0.1, 0.3)

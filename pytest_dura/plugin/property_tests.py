@@ -13,6 +13,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -222,6 +223,7 @@ class PropertyTests:
 
     def _store(self, item: pytest.Item, case: SearchedCase, objective: Objective) -> Iterator[str]:
         from pytest_dura.plugin.context import rerun_command
+        from pytest_dura.reports.searches import kept_lines
         from pytest_dura.search.counterexamples import (
             confirm_violation,
             store_counterexample,
@@ -253,10 +255,7 @@ class PropertyTests:
         )
         command = rerun_command(self.context, f"{counterexample.name}::{written[0].requirement.id}")
         yield f"{case.id} violates {name}, confirmed by replay with an equal digest"
-        for change in counterexample.changes:
-            yield f"          {change.path}: {change.value} instead of {change.nominal}"
-        yield f"kept in:  {counterexample.file}, which --dura-scenarios runs from now on"
-        yield f"rerun:    {command}"
+        yield from kept_lines(asdict(counterexample), command)
 
 
 def _leaves(error: BaseException) -> Iterator[BaseException]:

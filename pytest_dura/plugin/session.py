@@ -204,8 +204,8 @@ class DuraSession(SessionContext):
             self.make_plan()
             self.models.resolve_parameters()
             self.evidence.given.read()
+            self.formulas.check()
             if self.active:
-                self.formulas.check()
                 self.executor.connect()
                 self.evidence.start()
 

@@ -103,19 +103,23 @@ def outcome_entries(outcome: Data, most_changes: int) -> Iterator[tuple[str, str
     """
     counterexample = outcome["counterexample"]
     if outcome["check"] not in ("", outcome["requirement"]):
-        yield "check", outcome["check"]
+        yield "check", one_line(outcome["check"])
     if counterexample is None:
         return
     yield "worst", counterexample_text(counterexample, outcome["check"])
     if counterexample["shrinking"] is not None:
         yield "simpler", shrinking_text(counterexample)
-    changes = [
-        f"{path}: {change}" for path, change in parameter_changes(counterexample, most_changes)
-    ]
+    yield from _change_entries(counterexample, most_changes, ", in evidence.json")
+
+
+def _change_entries(
+    counterexample: Data, most: int, rest_is: str = ""
+) -> Iterator[tuple[str, str]]:
+    changes = [f"{path}: {change}" for path, change in parameter_changes(counterexample, most)]
     for number, change in enumerate(changes or ["in nothing: the case violates it as it stands"]):
         yield "" if number else "differs", change
-    if len(counterexample["changes"]) > most_changes:
-        yield "", f"and {len(counterexample['changes']) - most_changes} more, in evidence.json"
+    if len(counterexample["changes"]) > most:
+        yield "", f"and {len(counterexample['changes']) - most} more{rest_is}"
 
 
 def baseline_note(search: Data, outcome: Data) -> str:
@@ -132,6 +136,7 @@ def kept_text(outcome: Data) -> str:
 
 _MOST_CHANGES = 12
 """Changed parameters that the message of a failing test names."""
+_KEPT_FOR = ", which --dura-scenarios runs from now on"
 
 
 def failure_lines(search: Data) -> Iterator[str]:
@@ -145,9 +150,25 @@ def failure_lines(search: Data) -> Iterator[str]:
         if search["baselines"]:
             entries.append(("baselines", baselines_text(search, outcome["requirement"])))
         if kept := kept_text(outcome):
-            entries.append(("kept", f"{kept}, which --dura-scenarios runs from now on"))
-        for label, text in entries:
-            yield f"{f'{label}:' if label else '':<11}{one_line(text)}"
+            entries.append(("kept", f"{kept}{_KEPT_FOR}"))
+        yield from map(_entry_line, entries)
+
+
+def kept_lines(counterexample: Data, rerun: str) -> Iterator[str]:
+    """Lines on a counterexample that a property test kept.
+
+    Args:
+        counterexample: Plain data, as a search's.
+        rerun: The command that runs it again.
+    """
+    entries = [*_change_entries(counterexample, _MOST_CHANGES)]
+    entries += [("kept", f"{one_line(counterexample['file'])}{_KEPT_FOR}"), ("rerun", rerun)]
+    yield from map(_entry_line, entries)
+
+
+def _entry_line(entry: tuple[str, str]) -> str:
+    label, text = entry
+    return f"{f'{label}:' if label else '':<11}{text}"
 
 
 def search_coverage_text(search: Data) -> str:

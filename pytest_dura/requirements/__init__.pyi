@@ -30,14 +30,13 @@ from .pairs import (
 )
 from .rate_tests import EProcess, FixedN, Sprt, lower_bound, make_test, runs_needed, upper_bound
 from .second_engine import EnginesDisagreeError, SecondEngine
-from .sequential import Boundaries, SequentialTest, operating_characteristics, simulate
+from .sequential import SequentialTest
 from .stl.evaluation import (
     Ending,
     Evaluation,
     evaluate,
     robustness,
     robustness_batch,
-    robustness_interval,
 )
 from .stl.formula import (
     Arithmetic,
@@ -64,7 +63,6 @@ __all__ = [
     "METHODS",
     "Arithmetic",
     "Boolean",
-    "Boundaries",
     "CampaignJudge",
     "CampaignVerdict",
     "Change",
@@ -123,14 +121,11 @@ __all__ = [
     "measured",
     "monitor_timeline",
     "node_text",
-    "operating_characteristics",
     "pair_verdict",
     "parse",
     "read_formula",
     "robustness",
     "robustness_batch",
-    "robustness_interval",
     "runs_needed",
-    "simulate",
     "upper_bound",
 ]

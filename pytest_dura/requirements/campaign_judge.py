@@ -30,7 +30,7 @@ from pytest_dura.requirements.rate_tests import (
     runs_needed,
     upper_bound,
 )
-from pytest_dura.requirements.sequential import SequentialTest
+from pytest_dura.requirements.sequential import SequentialTest, require_between
 
 
 def method_of(requirement: Requirement, *, until_decided: bool = False) -> str:
@@ -51,22 +51,6 @@ def method_of(requirement: Requirement, *, until_decided: bool = False) -> str:
                 remedy=f"add `at_most`, or leave `{key}` out",
             )
     return EVERY_EPISODE
-
-
-def _check_share(key: str, value: float, *, above: float) -> None:
-    """Refuse a rate or a confidence that makes no sense.
-
-    Raises:
-        ConfigurationError: If it does not lie strictly between ``above`` and 1.
-    """
-    if not above < value < 1.0:
-        raise ConfigurationError(
-            f"{key} lies strictly between {above:g} and 1",
-            key=key,
-            found=value,
-            expected="a share such as 0.05" if above == 0 else "a share such as 0.95",
-            remedy=f"correct {key}",
-        )
 
 
 def _rate_test(requirement: Requirement, method: str, planned: int) -> SequentialTest | None:
@@ -179,9 +163,9 @@ class CampaignJudge:
         self.situation: Situation | None = None
         """What the runs are, if all are equal; set by the caller, who has their trajectories."""
         self._counts: Counter[str] = Counter()
-        _check_share("confidence", requirement.confidence, above=0.5)
+        require_between("confidence", requirement.confidence, 0.5, 1.0)
         if requirement.at_most is not None:
-            _check_share("at_most", requirement.at_most, above=0.0)
+            require_between("at_most", requirement.at_most, 0.0, 1.0)
         self.method = method_of(requirement, until_decided=until_decided)
         self.test = _rate_test(requirement, self.method, planned)
         """Decides whether the rate is supported; an open episode counts as a violation."""

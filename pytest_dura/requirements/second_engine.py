@@ -23,6 +23,7 @@ from typing import Any
 from pytest_dura.core.errors import ConfigurationError, DuraError, type_name
 from pytest_dura.requirements.stl.evaluation import Evaluation
 from pytest_dura.requirements.stl.formula import (
+    ON_BOUND,
     Arithmetic,
     Boolean,
     Comparison,
@@ -150,26 +151,20 @@ class SecondEngine:
         }
         size = len(next(iter(columns.values())))
 
-        def rewritten(node: Any) -> Any:
+        def readable(node: Any) -> Any:
             if isinstance(node, Signal):
                 return Signal(names[node.name])
-            changed = {
-                name: rewritten(getattr(node, name))
-                for name in ("left", "right", "operand")
-                if hasattr(node, name)
-            }
             if getattr(node, "window", None) is not None:
                 bounds = in_samples(node.window, time_step)
                 first, last = (float(min(bound, size)) for bound in bounds)
-                changed["window"] = Window(first, last)
-            node = replace(node, **changed)
+                return replace(node, window=Window(first, last))
             if not (isinstance(node, Boolean) and node.operator in ("iff", "xor")):
                 return node
             there = Boolean("implies", node.left, node.right)
             both = Boolean("and", there, Boolean("implies", node.right, node.left))
             return both if node.operator == "iff" else Not(both)
 
-        text = node_text(rewritten(root)).replace("!=", "!==")
+        text = node_text(_rewritten(root, readable)).replace("!=", "!==")
         return self.evaluated(text, {names[name]: columns[name] for name in names})
 
     def evaluated(self, text: str, columns: Columns) -> list[float]:
@@ -227,23 +222,24 @@ class SecondEngine:
         """
         truths: dict[str, list[float]] = {}
 
-        def rewritten(node: Any) -> Any:
-            if isinstance(node, Comparison):
-                on_bound = node.operator in (">=", "<=", "==")
-                name = f"truth_{len(truths)}"
-                truths[name] = [
-                    1.0 if margin > 0 or (on_bound and margin == 0) else -1.0
-                    for margin in self.robustness(node, columns, time_step)
-                ]
-                return Comparison(">", Signal(name), Constant(0.0))
-            changed = {
-                name: rewritten(getattr(node, name))
-                for name in ("left", "right", "operand")
-                if hasattr(node, name)
-            }
-            return replace(node, **changed)
+        def truth(node: Any) -> Any:
+            if not isinstance(node, Comparison):
+                return node
+            name = f"truth_{len(truths)}"
+            truths[name] = [
+                1.0 if margin > 0 or (node.operator in ON_BOUND and margin == 0) else -1.0
+                for margin in self.robustness(node, columns, time_step)
+            ]
+            return Comparison(">", Signal(name), Constant(0.0))
 
-        return self.robustness(rewritten(part), truths, time_step)[0] > 0
+        return self.robustness(_rewritten(part, truth), truths, time_step)[0] > 0
+
+
+def _rewritten(node: Any, change: Callable[[Any], Any]) -> Any:
+    """A tree with each node replaced by what ``change`` makes of it, leaves first."""
+    parts = [name for name in ("left", "right", "operand") if hasattr(node, name)]
+    below = {name: _rewritten(getattr(node, name), change) for name in parts}
+    return change(replace(node, **below))
 
 
 def _key(*about: object) -> str:

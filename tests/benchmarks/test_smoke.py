@@ -62,7 +62,7 @@ SMALLEST = {
     "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
 }
-NOT_A_SCRIPT = {"machine.py", "reads.py", "stl_alarms.py"}
+NOT_A_SCRIPT = {"characteristics.py", "machine.py", "reads.py", "stl_alarms.py"}
 TAKES_MINUTES = {"same_results.py"}
 """Runs whole sessions of another checkout."""
 HEADERS = {

@@ -77,8 +77,8 @@ def test_a_failure_is_found_shrunk_kept_and_collected_from_then_on(properties):
     assert kept["seed"] == 0
     assert kept["requirements"] == ["GAP-1"]
     text = output(result)
-    assert f"kept in:  scenarios/found/{file.name}" in text
-    assert "world.wall: 10.3 instead of 10.0" in text
+    assert f"kept:      scenarios/found/{file.name}" in text
+    assert "differs:   world.wall: 10.3 instead of 10" in text
     assert "violates GAP-1, confirmed by replay with an equal digest" in text
     assert "INTERNALERROR" not in text
 
@@ -158,7 +158,7 @@ def test_under_xdist_the_worker_keeps_the_file_and_tells_the_profile(properties)
     result = run(properties, "test_property.py", "-n", "1", alone=True)
     assert result.ret == 1
     (file,) = found_files(properties)
-    assert f"kept in:  scenarios/found/{file.name}" in output(result)
+    assert f"kept:      scenarios/found/{file.name}" in output(result)
     assert properties.evidence()["environment"]["hypothesis"]["profile"] == "dura"
 
 

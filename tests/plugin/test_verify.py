@@ -388,6 +388,41 @@ def test_formats_of_another_version_are_not_rendered_again_and_it_says_so(bundle
     assert main(["verify", str(bundle)]) == 1
 
 
+def test_a_bundle_of_another_version_is_concluded_all_the_same(bundle, capsys):
+    of_another_version(bundle)
+    statement = (bundle / "test-result.intoto.json").read_text()
+    alter(bundle, lambda record: record["cases"][0]["metrics"].update(alerts=99))
+    assert main(["verify", str(bundle)]) == 1
+    told = capsys.readouterr().out
+    assert "evidence.json: /cases/0/metrics/alerts: found 99, expected " in told
+    assert (bundle / "test-result.intoto.json").read_text() == statement
+    assert "test-result.intoto.json: a statement on another evidence.json" in told
+
+
+def test_a_record_of_another_form_is_refused_with_its_version(bundle, capsys):
+    alter(bundle, lambda record: record.update(schema_version="1"))
+    assert main(["verify", str(bundle)]) == 1
+    told = capsys.readouterr().out
+    assert "this evidence was written by another version of pytest-dura" in told
+    assert "found: '1'" in " ".join(told.split())
+
+
+@pytest.mark.parametrize(
+    "broken, told",
+    [
+        ("pytest_dura.evidence.verify.measure_cases", "evidence.json: damaged (ZeroDivisionError"),
+        ("pytest_dura.evidence.verify.verdict_problems", "evidence.json: damaged (ZeroDivision"),
+        ("pytest_dura.reports.summary.render", "summary.md: cannot be rendered again (ZeroDiv"),
+        ("pytest_dura.evidence.verify.read_trace", "cannot be read as the trace of corridor/"),
+    ],
+)
+def test_whatever_fails_while_a_bundle_is_verified_is_a_problem(made, monkeypatch, broken, told):
+    monkeypatch.setattr(broken, lambda *_, **__: 1 / 0)
+    found = verify_bundle(made)
+    assert any(told in problem for problem in found.problems), found.problems
+    assert not found.intact
+
+
 def test_the_digest_of_a_component_is_that_of_its_files(bundle):
     under_test = json.loads((bundle / "evidence.json").read_text())["component_under_test"]
     assert under_test["sources"][under_test["digest"]].keys() == {"corridor.py"}

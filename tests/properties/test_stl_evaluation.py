@@ -12,6 +12,7 @@ import stl_oracle
 from formulas import formulas, traces
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stl_intervals import robustness_interval
 
 from pytest_dura.requirements import (
     Boolean,
@@ -29,7 +30,6 @@ from pytest_dura.requirements import (
     node_text,
     robustness,
     robustness_batch,
-    robustness_interval,
 )
 from pytest_dura.requirements.stl.formula import children, walk
 

@@ -312,6 +312,14 @@ def test_a_proxy_that_declines_is_named_and_gets_no_key(tunnel, monkeypatch) -> 
     assert KEY not in str(proxy.asked)
 
 
+def test_a_handshake_that_hangs_ends_with_the_budget() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"https://127.0.0.1:{silent.getsockname()[1]}/v1"
+        answer = OpenAiClient(Endpoint(url, "m", KEY)).ask(REQUEST, 0.3)
+    assert answer.failure == "timeout"
+    assert answer.seconds < 0.8
+
+
 def test_a_proxy_that_does_not_answer_ends_with_the_budget(monkeypatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as proxy:
         monkeypatch.setenv("HTTPS_PROXY", f"http://127.0.0.1:{proxy.getsockname()[1]}")

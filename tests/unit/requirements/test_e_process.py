@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from characteristics import operating_characteristics
 from scipy.integrate import quad
 
 from pytest_dura.core import ConfigurationError
-from pytest_dura.requirements import EProcess, operating_characteristics
+from pytest_dura.requirements import EProcess
 from pytest_dura.requirements.rate_tests import log_e_value
 
 

@@ -9,17 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from characteristics import Boundaries, operating_characteristics, simulate
 from scipy.stats import binom
 
-from pytest_dura.requirements import (
-    METHODS,
-    Boundaries,
-    lower_bound,
-    make_test,
-    operating_characteristics,
-    simulate,
-    upper_bound,
-)
+from pytest_dura.requirements import METHODS, lower_bound, make_test, upper_bound
 from pytest_dura.requirements.sequential import error_level
 
 CAMPAIGNS, BUDGET = 10_000, 600

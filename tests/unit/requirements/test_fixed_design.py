@@ -5,10 +5,11 @@ from __future__ import annotations
 from itertools import product
 
 import pytest
+from characteristics import operating_characteristics
 from scipy.stats import binom
 
 from pytest_dura.core import ConfigurationError
-from pytest_dura.requirements import FixedN, lower_bound, operating_characteristics, upper_bound
+from pytest_dura.requirements import FixedN, lower_bound, upper_bound
 
 
 def full_design(violations, planned, limit, confidence):

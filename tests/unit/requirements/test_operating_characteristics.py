@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from characteristics import Boundaries, operating_characteristics, simulate
 from scipy.stats import binom
 
-from pytest_dura.requirements import Boundaries, make_test, operating_characteristics, simulate
+from pytest_dura.requirements import make_test
 from pytest_dura.requirements.sequential import walk
 
 BUDGET = 120

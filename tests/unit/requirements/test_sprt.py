@@ -6,9 +6,10 @@ from dataclasses import FrozenInstanceError
 from fractions import Fraction
 
 import pytest
+from characteristics import operating_characteristics
 
 from pytest_dura.core import ConfigurationError
-from pytest_dura.requirements import Sprt, operating_characteristics, rate_tests
+from pytest_dura.requirements import Sprt, rate_tests
 from pytest_dura.requirements.rate_tests import _Ratio
 from pytest_dura.requirements.sequential import decimal_fraction
 

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from stl_intervals import robustness_interval
 from stl_judging import judge
 
-from pytest_dura.requirements import parse, robustness, robustness_batch, robustness_interval
+from pytest_dura.requirements import parse, robustness, robustness_batch
 
 INF = math.inf
 
