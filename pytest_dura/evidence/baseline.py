@@ -13,7 +13,12 @@ from typing import Any, Literal
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import RECORD_FILE, load_record
+from pytest_dura.evidence.case_model import RequirementEntry
+from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.episode_model import SpecEntry
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.schema import check_record
+from pytest_dura.evidence.verdict_model import BaselineEntry, VerdictEntry
 from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 from pytest_dura.requirements.comparison import (
     ComparisonStatus,
@@ -40,19 +45,12 @@ class Conditions:
     values: Mapping[str, Any]
 
     @classmethod
-    def of(cls, spec: Mapping[str, Any]) -> Conditions:
-        """Read them from an episode's spec.
-
-        Raises:
-            AttributeError, KeyError, TypeError: For a damaged spec.
-        """
-        values = {key: spec[key] for key in _CONDITION_KEYS}
+    def of(cls, spec: SpecEntry) -> Conditions:
+        """Read them from an episode's spec."""
+        values = {key: plain_data(getattr(spec, key)) for key in _CONDITION_KEYS}
         # The role that puts the faults into effect belongs to the faults.
-        values["fault_injector"] = spec["roles"].get("fault_injector")
-        seed = spec["seed"]
-        if isinstance(seed, bool) or not isinstance(seed, int):
-            raise TypeError(f"{seed!r} is no seed")
-        return cls(seed, dict(_leaves("", values)))
+        values["fault_injector"] = plain_data(spec.roles.get("fault_injector"))
+        return cls(spec.seed, dict(_leaves("", values)))
 
 
 def _changed_conditions(
@@ -108,7 +106,6 @@ def _varying(runs: Collection[Conditions]) -> set[str]:
     return {path for run in runs for path in _different(first, run.values)}
 
 
-Data = Mapping[str, Any]
 _MAX_COUNT = 10**9
 """More runs than any session has; the tests on counts compute in floating point."""
 
@@ -163,80 +160,70 @@ def claims_of(record: SessionRecord) -> list[Claim]:
     """Read the claims of a record, in its order.
 
     Raises:
-        AttributeError, KeyError, TypeError, ValueError: For a damaged record.
+        ValueError: For counts that contradict each other.
     """
-    requirements = {requirement["id"]: requirement for requirement in record["requirements"]}
+    requirements = {requirement.id: requirement for requirement in record.head.requirements}
     conditions: dict[tuple[str, str], dict[int, Conditions]] = {}
     for episode in record.episodes():
-        if episode["planned"]:
-            runs = conditions.setdefault((episode["case"], episode["component"]), {})
-            runs.setdefault(_count(episode["spec"]["run"]), Conditions.of(episode["spec"]))
-    return [_claim(verdict, requirements, conditions) for verdict in record["verdicts"]]
+        if episode.planned:
+            runs = conditions.setdefault((episode.case, episode.component), {})
+            runs.setdefault(episode.spec.run, Conditions.of(episode.spec))
+    return [_claim(verdict, requirements, conditions) for verdict in record.head.verdicts]
 
 
 def _claim(
-    verdict: Data,
-    requirements: Mapping[str, Data],
+    verdict: VerdictEntry,
+    requirements: Mapping[str, RequirementEntry],
     conditions: Mapping[tuple[str, str], Mapping[int, Conditions]],
 ) -> Claim:
-    run, episodes, violations = (_count(verdict[key]) for key in ("run", "episodes", "violations"))
+    run, episodes, violations = verdict.run, verdict.episodes, verdict.violations
+    if max(run, verdict.planned) >= _MAX_COUNT:
+        raise ValueError(f"{run} runs of {verdict.planned} are too many")
     if not violations <= episodes <= run:
         raise ValueError(f"{violations} violations, {episodes} valid and {run} run contradict")
-    confidence = verdict["bound"]["confidence"]
+    confidence = verdict.bound.confidence
     if not 0.5 < confidence < 1.0:
         raise ValueError(f"{confidence!r} is no confidence")
-    requirement, case, component = (
-        _text(verdict[key]) for key in ("requirement", "case", "component")
-    )
     return Claim(
-        requirement=requirement,
-        case=case,
-        component=component,
-        item=_text(verdict["item"]),
-        check=_check(verdict, requirements.get(requirement, {})),
-        method=_text(verdict["method"]),
+        requirement=verdict.requirement,
+        case=verdict.case,
+        component=verdict.component,
+        item=verdict.item,
+        check=_check(verdict, requirements.get(verdict.requirement)),
+        method=verdict.method,
         confidence=confidence,
-        planned=_count(verdict["planned"]),
+        planned=verdict.planned,
         run=run,
-        saved=_count(verdict["saved"]),
+        saved=verdict.saved,
         episodes=episodes,
         violations=violations,
         violating=frozenset(
-            _run(counterexample["episode"])
-            for counterexample in verdict["counterexamples"]
-            if counterexample["valid"]
+            _run(counterexample.episode)
+            for counterexample in verdict.counterexamples
+            if counterexample.valid
         ),
-        conditions=conditions.get((case, component), {}),
+        conditions=conditions.get((verdict.case, verdict.component), {}),
     )
 
 
-def _check(verdict: Data, requirement: Data) -> str:
+def _check(verdict: VerdictEntry, requirement: RequirementEntry | None) -> str:
     """Describe what was judged; for a test on single episodes, its node id."""
-    check = _text(verdict["check"])
+    check = verdict.check
     if not check:
-        check = f"{_text(requirement.get('check', ''))} in {_text(verdict['item'])}".lstrip()
-    if verdict["pairs"] is None:
+        stated = "" if requirement is None else requirement.check
+        check = f"{stated} in {verdict.item}".lstrip()
+    if verdict.pairs is None:
         return check
-    paired = verdict["paired"] or {}
-    limits = {key: paired.get(key) for key in ("measure", "change_at_most")}
-    details = [f"{key} {value}" for key, value in limits.items() if value not in (None, "")]
-    return ", ".join([check, f"pairs without {_text(verdict['pairs']['without'])}", *details])
+    details, paired = [f"pairs without {verdict.pairs.without}"], verdict.paired
+    if paired is not None and paired.measure:
+        details.append(f"measure {paired.measure}")
+    if paired is not None and paired.change_at_most is not None:
+        details.append(f"change_at_most {paired.change_at_most}")
+    return ", ".join([check, *details])
 
 
-def _run(episode: Any) -> int:
-    return int(_text(episode).rpartition("#")[2])
-
-
-def _count(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _MAX_COUNT:
-        raise TypeError(f"{value!r} is no count")
-    return value
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"{value!r} is no text")
-    return value
+def _run(episode: str) -> int:
+    return int(episode.rpartition("#")[2])
 
 
 _SEQUENTIAL = ("sprt", "e-process")
@@ -479,29 +466,27 @@ class Baseline:
         file = relative_to / path
         if file.is_dir():
             file /= RECORD_FILE
-        record, digest = load_record(file, _BASELINE_OPTION)
+        data, digest = load_record(file, _BASELINE_OPTION)
+        for problem in check_record(data):
+            raise _damaged_baseline(file, problem)
+        record = SessionRecord.of(data, file.parent)
+        head = record.head
+        # The files of the component are in the baseline's own record.
+        component = head.component_under_test.to_json()
+        component.pop("sources", None)
         try:
-            # The files of the component are in the baseline's own record.
-            component = {"name": None, **record["component_under_test"]}
-            component.pop("sources", None)
-            baseline = cls(
-                path=path,
-                sha256=digest,
-                created=str(record["created"]),
-                status=str(record["status"]),
-                base_seed=_seed(record["base_seed"]),
-                component=component,
-                claims=tuple(claims_of(SessionRecord.of(record, file.parent))),
-            )
-        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-            raise ConfigurationError(
-                "the baseline is damaged",
-                file=str(file),
-                key=_BASELINE_OPTION,
-                found=f"{type(error).__name__}: {error}",
-                expected="a record as pytest-dura wrote it",
-                remedy="restore the file, or run the baseline's session again",
-            ) from None
+            claims = tuple(claims_of(record))
+        except (ValueError, RecursionError) as error:
+            raise _damaged_baseline(file, f"{type(error).__name__}: {error}") from None
+        baseline = cls(
+            path=path,
+            sha256=digest,
+            created=head.created,
+            status=head.status,
+            base_seed=head.base_seed,
+            component=component,
+            claims=claims,
+        )
         if baseline.status not in ("complete", "interrupted"):
             raise ConfigurationError(
                 "the baseline's session was killed, or is still running",
@@ -532,24 +517,29 @@ class Baseline:
         }
 
 
-def regression_objections(baseline: Mapping[str, Any]) -> list[str]:
+def regression_objections(baseline: BaselineEntry) -> list[str]:
     """List the reasons to fail a gate that is to fail where a rate got worse.
 
     Args:
         baseline: Of :meth:`Baseline.to_json` of a finished session.
     """
-    comparisons = baseline["comparisons"]
-    if all(comparison["test"] is None for comparison in comparisons):
+    comparisons = baseline.comparisons
+    if all(comparison.test is None for comparison in comparisons):
         return ["the gate fails: nothing in this session can be compared with the baseline"]
     return [
-        f"the gate fails: {comparison['requirement']} on {comparison['case']} is worse"
+        f"the gate fails: {comparison.requirement} on {comparison.case} is worse"
         " than in the baseline"
         for comparison in comparisons
-        if comparison["word"] == "worse"
+        if comparison.word == "worse"
     ]
 
 
-def _seed(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError(f"{value!r} is no seed")
-    return value
+def _damaged_baseline(file: Path, found: str) -> ConfigurationError:
+    return ConfigurationError(
+        "the baseline is damaged",
+        file=str(file),
+        key=_BASELINE_OPTION,
+        found=found,
+        expected="a record as pytest-dura wrote it",
+        remedy="restore the file, or run the baseline's session again",
+    )

@@ -404,8 +404,8 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
 
 
 def _write_all(record: SessionRecord) -> SessionRecord:
-    entries = (episode["trace"] for episode in record.episodes() if episode["trace"] is not None)
-    traces = {e["file"]: {"sha256": e["sha256"], "bytes": e["bytes"]} for e in entries}
+    entries = (episode.trace for episode in record.episodes() if episode.trace is not None)
+    traces = {entry.file: {"sha256": entry.sha256, "bytes": entry.bytes} for entry in entries}
     _clear_traces(record.directory, traces)
     broken = {
         file: "it is not there as it was written"
@@ -484,18 +484,15 @@ def _with_broken_files(record: SessionRecord, broken: Mapping[str, str]) -> Sess
     """Put the files that could not be made into the gate of a record."""
     if not broken:
         return record
-    result = record["gate"]["result"]
+    result = record.head.gate.result
     reasons = [f"infrastructure: {file} could not be made: {why}" for file, why in broken.items()]
     return _with_gate(record, "failed" if result == "passed" else result, reasons)
 
 
 def _with_gate(record: SessionRecord, result: str, reasons: Sequence[str]) -> SessionRecord:
     """Change the gate of a record, which then has not passed."""
-    gate = {
-        **record["gate"],
-        "result": result,
-        "exit_code": record["gate"]["exit_code"] or 1,
-        "reasons": [*record["gate"]["reasons"], *reasons],
-    }
-    totals = {**record["totals"], "gate": result}
-    return record.changed(gate=gate, totals=totals)
+    gate = record.head.gate
+    changed = gate.replace(
+        result=result, exit_code=gate.exit_code or 1, reasons=[*gate.reasons, *reasons]
+    )
+    return record.changed(gate=changed, totals=record.head.totals.replace(gate=result))

@@ -348,8 +348,8 @@ class RepeatEntry(Entry):
     """Why it failed or was skipped, in words."""
 
 
-class CaseEntry(Entry):
-    """A scenario with faults, for one component."""
+class CasePlan(Entry):
+    """A scenario with faults, for one component, before it is run."""
 
     order: Positive | None
     """Place of its scenario in tables, from 1, as the scenario file gives it; null for none, which
@@ -375,6 +375,11 @@ class CaseEntry(Entry):
     """Planned episodes, or the most that may be run."""
     runs_override: Count | None
     """`--dura-runs`, which replaced what the scenario plans."""
+
+
+class CaseEntry(CasePlan):
+    """A scenario with faults, for one component."""
+
     metrics: CaseMetricsEntry
     """What its planned episodes come to."""
     repeat: RepeatEntry | None

@@ -13,6 +13,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from typing import Any, TypeAlias
 
+from pytest_dura.evidence.case_model import CaseEntry, CasePlan, ChoicesEntry, RangeEntry
+from pytest_dura.evidence.entry import JsonObject
+from pytest_dura.evidence.episode_model import EpisodeEntry, SpecEntry
 from pytest_dura.evidence.metrics import (
     CaseMetrics,
     PooledMetrics,
@@ -21,11 +24,10 @@ from pytest_dura.evidence.metrics import (
     missing_runs,
     verdicts_on_cases,
 )
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.model import SessionRecord, Totals
 from pytest_dura.evidence.redaction import count_redactions
 from pytest_dura.evidence.sessions import origin_counts
-
-Data = Mapping[str, Any]
+from pytest_dura.evidence.verdict_model import MonitorEntry, PairsEntry, VerdictEntry
 
 _BINS = 10
 """Equal parts of a range, in which values are counted."""
@@ -40,24 +42,25 @@ class ParameterCoverage:
         cases: The record's cases; ``variation`` holds the ranges.
     """
 
-    def __init__(self, cases: Iterable[Data]) -> None:
+    def __init__(self, cases: Iterable[CasePlan]) -> None:
         self._scenarios: dict[str, dict[str, _Spread | _Choices]] = {}
         self._counted: set[tuple[str, str, int]] = set()
         for case in cases:
-            spreads = self._scenarios.setdefault(case["scenario"], {})
-            for path, variation in case.get("variation", {}).items():
-                spreads.setdefault(
-                    path, _Choices(variation) if "choice" in variation else _Spread(variation)
-                )
+            spreads = self._scenarios.setdefault(case.scenario, {})
+            for path, variation in case.variation.items():
+                if path not in spreads and isinstance(variation, RangeEntry):
+                    spreads[path] = _Spread(variation)
+                elif path not in spreads and isinstance(variation, ChoicesEntry):
+                    spreads[path] = _Choices(variation)
 
-    def add(self, episode: Data) -> None:
+    def add(self, episode: EpisodeEntry) -> None:
         """Add an episode, if it is a planned and valid one."""
-        if not episode["planned"] or episode["validity"] != "valid":
+        if not episode.planned or episode.validity != "valid":
             return
-        spec = episode["spec"]
-        scenario = spec["scenario"]["name"]
+        spec = episode.spec
+        scenario = spec.scenario.name
         for path, spread in self._scenarios.get(scenario, {}).items():
-            key = scenario, path, spec["seed"]
+            key = scenario, path, spec.seed
             if key not in self._counted:
                 value = _drawn_value(spec, path)
                 if value is not _ABSENT and spread.accepts(value):
@@ -80,8 +83,8 @@ class ParameterCoverage:
 class _Spread:
     """Values drawn from an interval."""
 
-    def __init__(self, variation: Data) -> None:
-        self.low, self.high = float(variation["min"]), float(variation["max"])
+    def __init__(self, variation: RangeEntry) -> None:
+        self.low, self.high = float(variation.min), float(variation.max)
         self.least, self.greatest = math.inf, -math.inf
         self.bins = [0] * _BINS
 
@@ -117,9 +120,9 @@ class _Spread:
 class _Choices:
     """Values drawn from a list."""
 
-    def __init__(self, variation: Data) -> None:
+    def __init__(self, variation: ChoicesEntry) -> None:
         self.values: list[Any] = []
-        for value in variation["choice"]:
+        for value in variation.choice:
             if not any(_same_value(value, known) for known in self.values):
                 self.values.append(value)
         self.counts = [0] * len(self.values)
@@ -151,13 +154,13 @@ class _Choices:
 _ABSENT = object()
 
 
-def _drawn_value(spec: Data, path: str) -> Any:
+def _drawn_value(spec: SpecEntry, path: str) -> Any:
     """Look up a path of a variation, ``world.x.y`` or ``faults.id.x``, in an episode's spec."""
     head, _, rest = path.partition(".")
-    data: Any = spec["scenario"]["world"]
+    data: Any = spec.scenario.world
     if head == "faults":
         name, _, rest = rest.partition(".")
-        data = next((fault for fault in spec["faults"] if fault["id"] == name), _ABSENT)
+        data = next((fault.to_json() for fault in spec.faults if fault.id == name), _ABSENT)
     for key in rest.split("."):
         if isinstance(data, Mapping):
             data = data.get(key, _ABSENT)
@@ -187,7 +190,7 @@ WORST_FIRST = ("violated", "undecided", "supported")
 
 
 def coverage(
-    cases: Sequence[Data], verdicts: Iterable[Data], episodes: Iterable[Data]
+    cases: Sequence[CasePlan], verdicts: Iterable[VerdictEntry], episodes: Iterable[EpisodeEntry]
 ) -> dict[str, Any]:
     """Compute the record's key ``coverage``.
 
@@ -227,30 +230,30 @@ class _Grid:
         verdicts: The record's verdicts.
     """
 
-    def __init__(self, cases: Sequence[Data], verdicts: Iterable[Data]) -> None:
-        whole = [case for case in cases if not case["without"]]
-        self.components = sorted({case["component"] for case in whole})
+    def __init__(self, cases: Sequence[CasePlan], verdicts: Iterable[VerdictEntry]) -> None:
+        whole = [case for case in cases if not case.without]
+        self.components = sorted({case.component for case in whole})
         self.faults = sorted({"", *map(faults_of, whole)})
         self.ids: dict[tuple[str, str], str] = {}
         """Ids of cases, by scenario and faults."""
         self.applies: dict[tuple[str, str], str] = {}
         """Where each requirement is declared, by scenario and requirement."""
-        by_id: dict[str, Data] = {}
+        by_id: dict[str, CasePlan] = {}
         for case in whole:
-            scenario, by_id[case["id"]] = case["scenario"], case
-            self.ids[scenario, faults_of(case)] = case["id"]
-            for requirement in case["requirements"]:
+            scenario, by_id[case.id] = case.scenario, case
+            self.ids[scenario, faults_of(case)] = case.id
+            for requirement in case.requirements:
                 self.applies[scenario, requirement] = "scenario"
         self.statuses: dict[Place, str] = {}
         """The worst verdict at each place."""
         for verdict in verdicts:
-            if verdict["case"] not in by_id:
+            if verdict.case not in by_id:
                 continue
-            case = by_id[verdict["case"]]
-            place = case["scenario"], faults_of(case)
-            self.applies.setdefault((place[0], verdict["requirement"]), "test")
-            key = *place, verdict["requirement"], verdict["component"]
-            candidates = self.statuses.get(key, verdict["verdict"]), verdict["verdict"]
+            case = by_id[verdict.case]
+            place = case.scenario, faults_of(case)
+            self.applies.setdefault((place[0], verdict.requirement), "test")
+            key = *place, verdict.requirement, verdict.component
+            candidates = self.statuses.get(key, verdict.verdict), verdict.verdict
             self.statuses[key] = min(candidates, key=WORST_FIRST.index)
 
     def untested_count(self) -> int:
@@ -298,9 +301,9 @@ class _Grid:
         return self.ids.get((scenario, faults), f"{scenario}+{faults or NO_FAULTS}")
 
 
-def faults_of(case: Data) -> str:
+def faults_of(case: CasePlan) -> str:
     """Join the ids of a case's faults as in case ids; empty without any."""
-    return "+".join(str(fault["id"]) for fault in case["faults"])
+    return "+".join(str(fault.id) for fault in case.faults)
 
 
 Key = tuple[str, str, int]
@@ -318,24 +321,24 @@ class PairedCourses:
     they took the same time. Decisions are left out: they differ wherever recovery acts.
     """
 
-    def __init__(self, verdicts: Iterable[Data]) -> None:
+    def __init__(self, verdicts: Iterable[VerdictEntry]) -> None:
         pairs = (
-            (verdict["pairs"]["case"], verdict["case"], verdict["component"])
+            (verdict.pairs.case, verdict.case, verdict.component)
             for verdict in verdicts
-            if verdict["pairs"] and verdict["pairs"]["without"] == RECOVERY_ROLE
+            if verdict.pairs and verdict.pairs.without == RECOVERY_ROLE
         )
         self._twins = {(twin, who): (own, who) for twin, own, who in pairs}
         self._own = set(self._twins.values())
         self._acted: dict[Key, int] = {}
         self._without: dict[Key, int] = {}
 
-    def add(self, episode: Data) -> None:
+    def add(self, episode: EpisodeEntry) -> None:
         """Add a planned episode of the record."""
-        key = episode["case"], episode["component"]
-        if episode["validity"] != "valid" or not episode["metrics"]["performance"]:
+        key = episode.case, episode.component
+        if episode.validity != "valid" or not episode.metrics.performance:
             return
-        run = episode["spec"]["run"]
-        if key in self._own and episode["outcome"]["switching"]["takeovers"]:
+        run = episode.spec.run
+        if key in self._own and episode.outcome.switching.takeovers:
             self._acted[key[0], key[1], run] = _course(episode)
         elif (own := self._twins.get(key)) is not None:
             self._without[own[0], own[1], run] = _course(episode)
@@ -352,33 +355,35 @@ class PairedCourses:
         )
 
 
-def _course(episode: Data) -> int:
+def _course(episode: EpisodeEntry) -> int:
     """Hash the course of a run."""
     values = {
-        name: tuple(sorted(spread.items()))
-        for name, spread in episode["metrics"]["performance"].items()
+        name: (spread.last, spread.min, spread.max)
+        for name, spread in episode.metrics.performance.items()
         if name != "response_time"
     }
-    return hash((episode["timings"]["simulated_seconds"], tuple(sorted(values.items()))))
+    return hash((episode.timings.simulated_seconds, tuple(sorted(values.items()))))
 
 
 def effectiveness(
-    verdicts: Sequence[Data], monitors: Sequence[Data], courses: PairedCourses
+    verdicts: Sequence[VerdictEntry], monitors: Sequence[MonitorEntry], courses: PairedCourses
 ) -> list[dict[str, Any]]:
     """Compute the record's key ``effectiveness``: recovery first, then each monitor, by name."""
     return [*_recovery_effects(verdicts, courses), *_monitor_effects(monitors)]
 
 
-def _recovery_effects(verdicts: Sequence[Data], courses: PairedCourses) -> Iterator[dict[str, Any]]:
+def _recovery_effects(
+    verdicts: Sequence[VerdictEntry], courses: PairedCourses
+) -> Iterator[dict[str, Any]]:
     sums: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     cases: dict[tuple[str, str], set[str]] = defaultdict(set)
     for verdict in verdicts:
-        pairs = verdict["pairs"]
-        if pairs and pairs["without"] == RECOVERY_ROLE and "only_with" in pairs:
-            key = verdict["component"], verdict["requirement"]
-            if verdict["case"] not in cases[key]:  # several tests may ask the same of a case
-                cases[key].add(verdict["case"])
-                sums[key].update({name: pairs[name] for name in _SUMS})
+        pairs = verdict.pairs
+        if isinstance(pairs, PairsEntry) and pairs.without == RECOVERY_ROLE:
+            key = verdict.component, verdict.requirement
+            if verdict.case not in cases[key]:  # several tests may ask the same of a case
+                cases[key].add(verdict.case)
+                sums[key].update({name: getattr(pairs, name) for name in _SUMS})
     for (component, requirement), counts in sorted(sums.items()):
         runs = courses.compared(component, cases[component, requirement])
         finding, detail = _recovery_finding(requirement, counts, runs)
@@ -413,13 +418,13 @@ def _recovery_finding(
     return "never acted", f"acted in none {what}"
 
 
-def _monitor_effects(monitors: Sequence[Data]) -> Iterator[dict[str, Any]]:
+def _monitor_effects(monitors: Sequence[MonitorEntry]) -> Iterator[dict[str, Any]]:
     by_target: dict[tuple[str, str], dict[str, Counter[str]]] = defaultdict(dict)
     for quality in monitors:
-        targets = by_target[quality["component"], quality["monitor"]]
-        sums = targets.setdefault(quality["target"], Counter())
+        targets = by_target[quality.component, quality.monitor]
+        sums = targets.setdefault(quality.target, Counter())
         names = ("true_positives", "false_negatives", "false_positives", "true_negatives")
-        sums.update({name: quality[name] for name in names})
+        sums.update({name: getattr(quality, name) for name in names})
     for (component, monitor), targets in sorted(by_target.items()):
         finding, detail = _monitor_finding(targets)
         # An assessor speaks by alerts, which are judged as a monitor of their own.
@@ -466,43 +471,38 @@ def measure_cases(record: SessionRecord) -> SessionRecord:
     Args:
         record: With its verdicts, its monitors, and its cases in any order.
     """
-    verdicts, cases = record["verdicts"], sorted(record["cases"], key=case_order)
+    verdicts = record.head.verdicts
+    cases: Sequence[CaseEntry] = sorted(record.head.cases, key=case_order)
     shared, courses = SharedViolations(verdicts), PairedCourses(verdicts)
     pooled = PooledMetrics(cases, verdicts)
-    metrics = {_case_key(case): CaseMetrics() for case in cases}
+    metrics = {(case.id, case.component): CaseMetrics() for case in cases}
     reported: dict[tuple[str, str], set[int]] = {key: set() for key in metrics}
     for episode in record.episodes():
-        key = episode["case"], episode["component"]
-        if episode["planned"] and key in metrics:
+        key = episode.case, episode.component
+        if episode.planned and key in metrics:
             metrics[key].add(episode)
-            reported[key].add(episode["spec"]["run"])
+            reported[key].add(episode.spec.run)
             for summary in (pooled, shared, courses):
                 summary.add(episode)
     judged = verdicts_on_cases(verdicts)
     measured = [
-        {
-            **{name: value for name, value in case.items() if name != "repeat"},
-            "metrics": metrics[key].to_json(case["planned"]),
-            "repeat": case["repeat"],
+        case.replace(
+            metrics=metrics[key].to_json(case.planned),
             **missing_runs(case, judged.get(key, []), reported[key]),
-        }
-        for key, case in ((_case_key(case), case) for case in cases)
+        )
+        for key, case in zip(metrics, cases, strict=True)
     ]
     counts = zip(verdicts, shared.to_json(), strict=True)
     return record.changed(
         cases=measured,
-        verdicts=[{**verdict, "also_without": count} for verdict, count in counts],
+        verdicts=[verdict.replace(also_without=count) for verdict, count in counts],
         overall=pooled.to_json(),
-        effectiveness=effectiveness(verdicts, record["monitors"], courses),
+        effectiveness=effectiveness(verdicts, record.head.monitors, courses),
     )
 
 
-def _case_key(case: Data) -> tuple[str, str]:
-    return case["id"], case["component"]
-
-
 def timings(
-    episodes: Iterable[Mapping[str, Any]], *, wall_seconds: float, evidence_seconds: float
+    episodes: Iterable[EpisodeEntry], *, wall_seconds: float, evidence_seconds: float
 ) -> dict[str, Any]:
     """Sum up the times of the recorded episodes.
 
@@ -514,8 +514,8 @@ def timings(
     """
     simulated, processing = 0.0, Counter[str]()
     for episode in episodes:
-        simulated += episode["timings"]["simulated_seconds"]
-        processing.update(episode["timings"]["processing_seconds"])
+        simulated += episode.timings.simulated_seconds
+        processing.update(episode.timings.processing_seconds)
     return {
         "wall_seconds": wall_seconds,
         "evidence_seconds": evidence_seconds,
@@ -524,27 +524,30 @@ def timings(
     }
 
 
-def verdict_counts(verdicts: Iterable[Data]) -> dict[str, int]:
+def verdict_counts(verdicts: Iterable[VerdictEntry]) -> dict[str, int]:
     """Count verdicts by status; ``waived`` ones also count under their own status."""
     known = list(verdicts)
-    statuses = Counter(verdict["verdict"] for verdict in known)
+    statuses = Counter(verdict.verdict for verdict in known)
     return {
         **{status: statuses[status] for status in ("supported", "violated", "undecided")},
-        "waived": sum(verdict["waiver"] is not None for verdict in known),
+        "waived": sum(verdict.waiver is not None for verdict in known),
     }
 
 
-def totals(record: SessionRecord) -> dict[str, Any]:
+def totals(record: SessionRecord) -> Totals:
     """Compute the record's key ``totals``, which every format states."""
-    validity = Counter(episode["validity"] for episode in record.episodes())
-    return {
-        "gate": record["gate"]["result"],
-        "requirements": len(record["requirements"]),
-        "cases": len(record["cases"]),
-        "episodes": validity.total(),
-        **{name: validity[name] for name in ("valid", "invalid", "missing")},
-        **verdict_counts(record["verdicts"]),
-    }
+    head = record.head
+    validity = Counter(episode.validity for episode in record.episodes())
+    return Totals(
+        gate=head.gate.result,
+        requirements=len(head.requirements),
+        cases=len(head.cases),
+        episodes=validity.total(),
+        valid=validity["valid"],
+        invalid=validity["invalid"],
+        missing=validity["missing"],
+        **verdict_counts(head.verdicts),
+    )
 
 
 _AFTERWARDS = ("redacted", "totals")
@@ -555,8 +558,8 @@ def conclude_record(
     record: SessionRecord,
     *,
     finished: str | None,
-    gate: Mapping[str, Any],
-    inputs: Sequence[Mapping[str, Any]],
+    gate: JsonObject,
+    inputs: Sequence[JsonObject],
     wall_seconds: float,
     evidence_seconds: float,
     redact: Callable[[Any], Any],
@@ -572,21 +575,20 @@ def conclude_record(
         evidence_seconds: Part of them that was spent on gathering the evidence.
         redact: Removes secrets from plain data; episodes lost theirs where they were run.
     """
-    head = {
-        **record.head,
-        "finished": finished,
-        "gate": dict(gate),
-        "inputs": list(inputs),
-        "reuse": {**record["reuse"], **origin_counts(record.episodes())},
-        "coverage": coverage(record["cases"], record["verdicts"], record.episodes()),
-        "timings": timings(
+    origins = origin_counts(episode.origin for episode in record.episodes())
+    whole = record.changed(
+        finished=finished,
+        gate=gate,
+        inputs=inputs,
+        reuse=record.head.reuse.replace(**origins._asdict()),
+        coverage=coverage(record.head.cases, record.head.verdicts, record.episodes()),
+        timings=timings(
             record.episodes(), wall_seconds=wall_seconds, evidence_seconds=evidence_seconds
         ),
-    }
-    head = redact(head)
+    )
+    head = redact(whole.head.to_json())
     redactions = count_redactions({key: head[key] for key in head if key not in _AFTERWARDS})
     for episode in record.episodes():
-        redactions += count_redactions(episode)
-    head["redacted"] = dict(sorted(Counter(redactions).items()))
-    concluded = record.changed(**head)
+        redactions += count_redactions(episode.to_json())
+    concluded = record.changed(**{**head, "redacted": dict(sorted(redactions.items()))})
     return concluded.changed(totals=totals(concluded))

@@ -18,6 +18,7 @@ JsonObject = dict[str, Any]
 
 
 if TYPE_CHECKING:  # transitional
+    from typing_extensions import Self
 
     class _Base(BaseModel, Mapping[str, Any]):  # type: ignore[misc]
         pass
@@ -32,9 +33,21 @@ class Entry(_Base):
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True
     )
 
-    def to_json(self) -> JsonObject:
-        """Convert to plain data, in the order of the fields; what is absent stays absent."""
-        return self.model_dump(exclude_unset=True)
+    def to_json(
+        self, *, include: set[str] | None = None, exclude: set[str] | None = None
+    ) -> JsonObject:
+        """Convert to plain data, in the order of the fields; what is absent stays absent.
+
+        Args:
+            include: Fields to convert; default: all.
+            exclude: Fields to leave out.
+        """
+        return self.model_dump(include=include, exclude=exclude, exclude_unset=True)
+
+    def replace(self, **changes: Any) -> Self:
+        """Copy with other values, which are validated."""
+        present = {name: self.__dict__[name] for name in self.model_fields_set & vars(self).keys()}
+        return self.model_validate({**present, **(self.model_extra or {}), **changes})
 
     # transitional: the methods below serve consumers that look keys up by string.
     def __getitem__(self, key: str) -> Any:

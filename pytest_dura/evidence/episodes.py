@@ -21,7 +21,9 @@ import numpy as np
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
-from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence.entry import JsonObject, plain_data
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import with_chains
 from pytest_dura.evidence.sessions import OWN_ORIGIN
 from pytest_dura.requirements.campaign_verdicts import Situations, varies
@@ -98,9 +100,9 @@ def outcome_figures(episode: Episode) -> dict[str, Any]:
     }
 
 
-def case_situations(case: Mapping[str, Any]) -> Situations:
+def case_situations(case: CasePlan) -> Situations:
     """Make the counter of distinct situations for the runs of a recorded case."""
-    return Situations(varies=varies(case["variation"], {fault["id"] for fault in case["faults"]}))
+    return Situations(varies=varies(case.variation, {fault.id for fault in case.faults}))
 
 
 def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
@@ -113,8 +115,6 @@ def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
         drawn=episode["drawn"],
     )
 
-
-JsonObject = dict[str, Any]
 
 EPISODES_PER_PART = 64
 """Episodes that a report holds unpacked; see :meth:`ItemReport.split`."""
@@ -214,7 +214,6 @@ def unpack_report(part: str) -> JsonObject:
 SPOOL_PREFIX = ".session-"
 """Prefix of the file's name, which is seen only where open files cannot be removed."""
 
-Data = Mapping[str, Any]
 _T = TypeVar("_T")
 
 # Keys are bytes: SQLite knows neither lone surrogates nor large integers.
@@ -253,7 +252,7 @@ class EpisodeSpool:
         self._directory = directory
         self._connection = self._guarded(self._open)
 
-    def add(self, episode: Data) -> str:
+    def add(self, episode: JsonObject) -> str:
         """Add an episode, and return the digest of the first one that had the same inputs.
 
         The first entry stays, but becomes ``planned`` as soon as any of them is.
@@ -287,7 +286,7 @@ class EpisodeSpool:
             )
         return str(digest)
 
-    def add_chain(self, chain: Data) -> None:
+    def add_chain(self, chain: JsonObject) -> None:
         """Add how far a fault of an episode got; the last report holds.
 
         Raises:
@@ -296,7 +295,7 @@ class EpisodeSpool:
         keys = _key(chain["component"]), _key(chain["episode"]), _key(chain["id"])
         self._execute("INSERT OR REPLACE INTO chains VALUES (?, ?, ?, ?)", *keys, _packed(chain))
 
-    def add_trace(self, trace: Data) -> None:
+    def add_trace(self, trace: JsonObject) -> None:
         """Add the file of an episode's trace: ``{id, component, digest, trace}``.
 
         Several workers may report one, in any order; the weightiest reason to keep it stays.
@@ -314,7 +313,7 @@ class EpisodeSpool:
         values = *keys, _packed(trace["trace"])
         self._execute("INSERT OR REPLACE INTO traces VALUES (?, ?, ?, ?)", *values)
 
-    def __iter__(self) -> Iterator[dict[str, Any]]:
+    def __iter__(self) -> Iterator[EpisodeEntry]:
         """Iterate by case, component, run and seed; each episode has its chains and its trace."""
         query = """
             SELECT episodes.data, episodes.planned, traces.data, episodes.component, episodes.name
@@ -328,9 +327,10 @@ class EpisodeSpool:
                 if trace is not None:
                     episode["trace"] = _unpacked(trace)
                 traced = bool(planned and episode["faults"])
-                yield with_chains(episode, self._chains_of(*key) if traced else {})
+                chains = self._chains_of(*key) if traced else {}
+                yield EpisodeEntry.model_validate(with_chains(episode, chains))
 
-    def _chains_of(self, component: bytes, name: bytes) -> dict[str, Data]:
+    def _chains_of(self, component: bytes, name: bytes) -> dict[str, JsonObject]:
         """How far the faults of the planned episode of this name got, by fault id."""
         rows = self._execute(
             "SELECT data FROM chains WHERE component = ? AND name = ?", component, name
@@ -397,7 +397,7 @@ def _unpacked(data: bytes) -> Any:
     return json.loads(zlib.decompress(data))
 
 
-def _weight(trace: Data) -> int:
+def _weight(trace: JsonObject) -> int:
     """Weight of the reason for which a trace is kept."""
     reasons = ("all", "sample", "missing", "violation")
     return reasons.index(trace.get("kept_for", reasons[0]))

@@ -6,71 +6,72 @@ Every pytest run loads this module: it imports the standard library alone.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
-Data = Mapping[str, Any]
+if TYPE_CHECKING:
+    from pytest_dura.evidence.case_model import CaseEntry, RepeatEntry
+    from pytest_dura.evidence.model import RecordHead
+    from pytest_dura.evidence.search_model import SearchEntry
+    from pytest_dura.evidence.verdict_model import VerdictEntry
+
 REPEAT_KEYS = ("episode", "digest", "repeated_digest", "result", "detail")
 """Keys of a case's repetition."""
 _REPEAT_RESULTS = ("different", "failed", "equal", "skipped")
 """Results of a repetition. Of several the first in this order counts."""
 
 
-def worse_repeat(repeat: Data | None, other: Data | None) -> Data | None:
+def worse_repeat(repeat: RepeatEntry | None, other: RepeatEntry | None) -> RepeatEntry | None:
     """Choose, of two repetitions of a case by two processes or shards, the worse result."""
     if repeat is None or other is None:
         return repeat or other
-    return min(repeat, other, key=lambda repeat: _REPEAT_RESULTS.index(repeat["result"]))
+    return min(repeat, other, key=lambda repeat: _REPEAT_RESULTS.index(repeat.result))
 
 
-def not_repeatable_lines(cases: Iterable[Data]) -> Iterator[str]:
+def not_repeatable_lines(cases: Iterable[CaseEntry]) -> Iterator[str]:
     """Yield a line for each case whose repeated episode differs from the first one."""
     for case in cases:
-        repeat = case["repeat"]
-        if repeat is None or repeat["result"] not in ("different", "failed"):
+        repeat = case.repeat
+        if repeat is None or repeat.result not in ("different", "failed"):
             continue
-        name = f"not repeatable: {repeat['episode']} ({case['component']})"
-        if repeat["result"] == "failed":
-            yield f"{name}: the repetition failed: {repeat['detail']}"
+        name = f"not repeatable: {repeat.episode} ({case.component})"
+        if repeat.result == "failed":
+            yield f"{name}: the repetition failed: {repeat.detail}"
         else:
             yield (
                 f"{name}: run again in this session it came out differently, digests "
-                f"{repeat['digest'][:12]} and {repeat['repeated_digest'][:12]}"
+                f"{repeat.digest[:12]} and {(repeat.repeated_digest or '')[:12]}"
             )
 
 
-def repeat_objections(cases: Iterable[Data]) -> Iterator[str]:
+def repeat_objections(cases: Iterable[CaseEntry]) -> Iterator[str]:
     """Yield what fails a session that requires its cases to be repeatable.
 
     A case in which a live language model answers is exempt.
     """
     for case in cases:
         yield from not_repeatable_lines([case])
-        if case["repeat"] is None and case["planned"] and case["metrics"]["run"]:
-            yield f"not repeatable: no episode of {case['id']} ({case['component']}) was repeated"
+        if case.repeat is None and case.planned and case.metrics.run:
+            yield f"not repeatable: no episode of {case.id} ({case.component}) was repeated"
 
 
-def repeat_problems(case: Data, digests: Iterable[str]) -> Iterator[str]:
+def repeat_problems(case: CaseEntry, digests: Iterable[str]) -> Iterator[str]:
     """Yield the contradictions in a case's repetition.
 
     Args:
         case: Of the record.
         digests: Of the recorded episodes that have the id of the repeated one.
     """
-    repeat = case["repeat"]
+    repeat = case.repeat
     if repeat is None:
         return
-    if repeat["digest"] not in set(digests):
-        yield f"{repeat['episode']} was repeated, and is not recorded with that digest"
-    equal = repeat["digest"] == repeat["repeated_digest"]
-    if repeat["result"] in ("equal", "different") and equal != (repeat["result"] == "equal"):
+    if repeat.digest not in set(digests):
+        yield f"{repeat.episode} was repeated, and is not recorded with that digest"
+    equal = repeat.digest == repeat.repeated_digest
+    if repeat.result in ("equal", "different") and equal != (repeat.result == "equal"):
         yield f"the digests of its repetition are {'' if equal else 'not '}equal"
 
-
-VerdictKey = tuple[str, str, str]
-"""Node id, requirement and case."""
 
 VIOLATED_OUTCOMES = ("falsified", "not repeatable")
 """Statuses of an outcome with a violation; no option accepts them."""
@@ -82,55 +83,9 @@ OBJECTIONABLE_OUTCOMES = {
     "undecided": "undecided by a search",
 }
 """Wording of the outcomes that the gate does not accept; the worst first."""
-_SORT_KEYS = ("case", "component", "item", "seed")
 
 
-@dataclass
-class SearchRecords:
-    """Collects the searches of a session.
-
-    A search is a function of its case, its seed and its budget: if it is reported twice, it is
-    recorded once. Of one that came out differently the second time, both results are recorded.
-    """
-
-    _searches: dict[str, dict[str, Any]] = field(default_factory=dict)
-
-    def add(self, item: str, searches: Iterable[Data]) -> None:
-        """Take in the searches that an item reports."""
-        for search in searches:
-            self.adopt({**search, "item": item, "waiver": None})
-
-    def adopt(self, entry: Data) -> None:
-        """Take over a search of another session, with its item and its waiver."""
-        question = {key: value for key, value in entry.items() if key != "waiver"}
-        self._searches.setdefault(json.dumps(question, sort_keys=True), dict(entry))
-
-    @property
-    def answered(self) -> set[VerdictKey]:
-        """Claims that items searched instead of deciding them: they get no verdict."""
-        return {
-            (search["item"], outcome["requirement"], search["case"])
-            for search in self._searches.values()
-            for outcome in search["outcomes"]
-        }
-
-    def to_json(self, waivers: Mapping[str, Data]) -> list[dict[str, Any]]:
-        """Convert to the record's key ``searches``, sorted.
-
-        Args:
-            waivers: By the node id of the item that each excuses.
-        """
-        ordered = sorted(
-            self._searches.items(),
-            key=lambda entry: (*(entry[1][name] for name in _SORT_KEYS), entry[0]),
-        )
-        return [
-            {**search, "waiver": waivers.get(search["item"], search["waiver"])}
-            for _, search in ordered
-        ]
-
-
-def _search_objections(searches: Sequence[Data], *, warn_undecided: bool) -> list[str]:
+def _search_objections(searches: Sequence[SearchEntry], *, warn_undecided: bool) -> list[str]:
     """Write a sentence for every outcome that the gate does not accept; the worst first."""
     statuses = [
         status
@@ -138,24 +93,22 @@ def _search_objections(searches: Sequence[Data], *, warn_undecided: bool) -> lis
         if status in VIOLATED_OUTCOMES or not warn_undecided
     ]
     return [
-        outcome_objection(outcome["requirement"], search["case"], status)
+        outcome_objection(outcome.requirement, search.case, status)
         for status in statuses
         for search in searches
-        if search["waiver"] is None
-        for outcome in search["outcomes"]
+        if search.waiver is None
+        for outcome in search.outcomes
         if outcome_status(search, outcome) == status
     ]
 
 
-def outcome_status(search: Data, outcome: Data) -> str:
+def outcome_status(search: Any, outcome: Any) -> str:  # transitional: typed with its callers
     """Status of an outcome; ``baseline`` where a baseline alone met a violation."""
-    name = outcome["requirement"]
-    if outcome["word"] in VIOLATED_OUTCOMES:
-        return str(outcome["word"])
-    baseline_violates = any(
-        baseline["first"].get(name) is not None for baseline in search["baselines"]
-    )
-    return "baseline" if baseline_violates else str(outcome["word"])
+    name = outcome.requirement
+    if outcome.word in VIOLATED_OUTCOMES:
+        return str(outcome.word)
+    baseline_violates = any(baseline.first.get(name) is not None for baseline in search.baselines)
+    return "baseline" if baseline_violates else str(outcome.word)
 
 
 def outcome_objection(requirement: str, case: str, status: str) -> str:
@@ -204,10 +157,10 @@ class Gate:
     @classmethod
     def of(
         cls,
-        verdicts: Sequence[Data],
+        verdicts: Sequence[VerdictEntry],
         objections: Sequence[str],
         *,
-        searches: Sequence[Data],
+        searches: Sequence[SearchEntry],
         interrupted: bool,
         exit_code: int,
         failed: int,
@@ -242,42 +195,37 @@ class Gate:
         return cls("passed", exit_code, warn_undecided, failed, ())
 
 
-def judge_again(record: Mapping[str, Any]) -> Gate:
+def judge_again(head: RecordHead) -> Gate:
     """Judge a recorded session again.
 
     Reasons besides its verdicts, its searches and its tests are taken as recorded.
-
-    Args:
-        record: The record, of which no episodes are needed.
     """
-    gate = record["gate"]
-    others = other_objections(record)
-    if gate["result"] == "passed" and record["require_repeatable"]:
-        others += repeat_objections(record["cases"])
-    return _gate_of(record, others)
+    others = other_objections(head)
+    if head.gate.result == "passed" and head.require_repeatable:
+        others += repeat_objections(head.cases)
+    return _gate_of(head, others)
 
 
-def other_objections(record: Mapping[str, Any]) -> list[str]:
-    """Reasons against a recorded session besides its verdicts, its searches and its tests."""
-    by_rule = _gate_of(record, ()).reasons
-    return [reason for reason in record["gate"]["reasons"] if reason not in by_rule]
+def other_objections(head: RecordHead) -> list[str]:
+    """List reasons against a recorded session besides its verdicts, its searches and its tests."""
+    by_rule = _gate_of(head, ()).reasons
+    return [reason for reason in head.gate.reasons if reason not in by_rule]
 
 
-def _gate_of(record: Mapping[str, Any], objections: Sequence[str]) -> Gate:
-    gate = record["gate"]
+def _gate_of(head: RecordHead, objections: Sequence[str]) -> Gate:
     return Gate.of(
-        record["verdicts"],
+        head.verdicts,
         objections,
-        searches=record["searches"],
-        interrupted=record["status"] != "complete",
-        exit_code=gate["exit_code"],
-        failed=gate["failed"],
-        warn_undecided=gate["warn_undecided"],
+        searches=head.searches,
+        interrupted=head.status != "complete",
+        exit_code=head.gate.exit_code,
+        failed=head.gate.failed,
+        warn_undecided=head.gate.warn_undecided,
     )
 
 
 def verdict_objections(
-    verdicts: Sequence[Data], searches: Sequence[Data], *, warn_undecided: bool
+    verdicts: Sequence[VerdictEntry], searches: Sequence[SearchEntry], *, warn_undecided: bool
 ) -> list[str]:
     """Write a sentence for every verdict and search that the gate does not accept, worst first.
 
@@ -290,11 +238,10 @@ def verdict_objections(
     objectionable = [
         verdict
         for verdict in verdicts
-        if verdict["verdict"] not in accepted and verdict["waiver"] is None
+        if verdict.verdict not in accepted and verdict.waiver is None
     ]
-    objectionable.sort(key=lambda verdict: verdict["verdict"] != "violated")
+    objectionable.sort(key=lambda verdict: verdict.verdict != "violated")
     sentences = [
-        f"{verdict['requirement']} on {verdict['case']} is {verdict['verdict']}"
-        for verdict in objectionable
+        f"{verdict.requirement} on {verdict.case} is {verdict.verdict}" for verdict in objectionable
     ]
     return [*sentences, *_search_objections(searches, warn_undecided=warn_undecided)]

@@ -6,33 +6,43 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from operator import itemgetter
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.core.episode import canonical
+from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
 from pytest_dura.evidence.conclude import measure_cases
-from pytest_dura.evidence.entry import Entry
+from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episodes import EpisodeSpool, add_episode, case_situations, unpack_report
-from pytest_dura.evidence.gate import REPEAT_KEYS, SearchRecords, worse_repeat
-from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.sessions import NO_REUSE, ReuseRecord
+from pytest_dura.evidence.gate import REPEAT_KEYS, Gate, worse_repeat
+from pytest_dura.evidence.metrics import CaseMetrics
+from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
+from pytest_dura.evidence.search_model import SearchRecords
+from pytest_dura.evidence.sessions import ReuseRecord
+from pytest_dura.evidence.verdict_model import (
+    AssertionEntry,
+    AttemptEntry,
+    FailedAssertion,
+    FalseCheck,
+    MonitorEntry,
+    VerdictEntry,
+    WaiverEntry,
+)
 from pytest_dura.requirements.campaign_judge import judge_campaign
-from pytest_dura.requirements.campaign_verdicts import Situation, Situations
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situation, Situations
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
-
-Data = Mapping[str, Any]
 
 
 class Components:
     """Descriptions of components by name, of which one may have several sets of parameters."""
 
     def __init__(self) -> None:
-        self._known: dict[str, dict[bytes, Data]] = {}
+        self._known: dict[str, dict[bytes, JsonObject]] = {}
         self._sources: dict[str, Mapping[str, str]] = {}
 
-    def add(self, component: Data) -> None:
+    def add(self, component: JsonObject) -> None:
         """Add a description: ``name``, ``path``, ``params`` and others."""
         key = canonical([component.get("path"), component.get("params"), component])
         self._known.setdefault(component["name"], {}).setdefault(key, component)
@@ -68,8 +78,6 @@ class Components:
             first["sources"] = {key: self._sources[key] for key in sorted(self._sources)}
         return first
 
-
-JsonObject = dict[str, Any]
 
 _COUNTS = ("asked", "reused", "injected", "missed")
 _NAMES = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
@@ -114,13 +122,13 @@ def test_function(item: str) -> str:
     return item.partition("[")[0]
 
 
-def question_key(item: str, verdict: JsonObject) -> tuple[str, ...]:
+def question_key(item: str, verdict: AttemptEntry) -> tuple[str, ...]:
     """Identify what a verdict answers: the item, requirement, case, component and question."""
-    question = [verdict["check"], verdict["paired"], verdict["method"]]
-    question += [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
-    names = ("requirement", "case", "component")
-    text = json.dumps(question, sort_keys=True, default=Entry.to_json)
-    return item, *(verdict[name] for name in names), text
+    paired = None if verdict.paired is None else verdict.paired.to_json()
+    bound = verdict.bound
+    question = [verdict.check, paired, verdict.method, bound.at_most, bound.confidence]
+    about = verdict.requirement, verdict.case, verdict.component
+    return item, *about, json.dumps(question, sort_keys=True)
 
 
 def _final_outcomes(outcomes: Sequence[JsonObject]) -> list[JsonObject]:
@@ -155,8 +163,8 @@ def _judge_test(
     component: str,
     outcomes: Sequence[JsonObject],
     situation: Situation | None = None,
-) -> JsonObject:
-    """Judge a test that looks at one episode at a time, as plain data.
+) -> CampaignVerdict:
+    """Judge a test that looks at one episode at a time.
 
     Args:
         requirement: The requirement; its rate and confidence come from the test.
@@ -185,10 +193,10 @@ def _judge_test(
         planned=planned,
         component=component,
         situation=situation if whole else None,
-    ).to_json()
+    )
 
 
-def _assertion_summary(final: Sequence[JsonObject]) -> JsonObject:
+def _assertion_summary(final: Sequence[JsonObject]) -> AssertionEntry:
     """Summarise the assertions of a test over all episodes that it looked at.
 
     Args:
@@ -198,15 +206,15 @@ def _assertion_summary(final: Sequence[JsonObject]) -> JsonObject:
     false = Counter(check for _, assertion in assertions for check in assertion["false"])
     observed = {name for _, assertion in assertions for name in assertion["observed"]}
     failed = sorted((name, entry["failed"]) for name, entry in assertions if entry["failed"])
-    return {
-        "alone": all(assertion["alone"] for _, assertion in assertions),
-        "by_check": sum(assertion["by_check"] for _, assertion in assertions),
-        "observed": sorted(observed)[:_MAX_OBSERVED],
-        "false": [
-            {"check": name, "episodes": false[name]} for name in sorted(false)[:_MAX_OBSERVED]
+    return AssertionEntry(
+        alone=all(assertion["alone"] for _, assertion in assertions),
+        by_check=sum(assertion["by_check"] for _, assertion in assertions),
+        observed=sorted(observed)[:_MAX_OBSERVED],
+        false=[
+            FalseCheck(check=name, episodes=false[name]) for name in sorted(false)[:_MAX_OBSERVED]
         ],
-        "failed": [{"episode": name, "message": why} for name, why in failed[:_MAX_FAILED]],
-    }
+        failed=[FailedAssertion(episode=name, message=why) for name, why in failed[:_MAX_FAILED]],
+    )
 
 
 def _run_number(episode: str) -> tuple[str, int]:
@@ -215,10 +223,54 @@ def _run_number(episode: str) -> tuple[str, int]:
 
 
 SCHEMA_VERSION = "2"
-_NO_QUESTION = {"check": "", "paired": None}
-"""Question of a verdict that rests on no campaign."""
 UNKNOWN_COMPONENT = "unknown"
 """Name of a component that a conftest defines, until the first episode reports it."""
+
+_UNCONCLUDED: JsonObject = {
+    "overall": [],
+    "effectiveness": [],
+    "baseline": None,
+    "finished": None,
+    "gate": Gate.running(warn_undecided=False).to_json(),
+    "inputs": [],
+    "coverage": {"cells": [], "left_out": 0, "parameters": []},
+    "timings": {"wall_seconds": 0, "evidence_seconds": 0, "simulated_seconds": 0,
+                "processing_seconds": {}},
+    "redacted": {},
+    "totals": {"gate": "incomplete", **dict.fromkeys(COUNTED, 0)},
+}  # fmt: skip
+"""What follows from the rest of the record, until :func:`conclude_record` computes it."""
+_NO_EPISODES: JsonObject = {"taken_over": 0, "sessions": [], "outdated": []}
+
+
+def _unmeasured(case: CasePlan) -> JsonObject:
+    """Return what :func:`measure_cases` computes of a case, before it does."""
+    metrics = CaseMetrics().to_json(case.planned)
+    return {"metrics": metrics, "missing_runs": [], "missing_runs_total": 0}
+
+
+def _attempt(verdict: CampaignVerdict) -> AttemptEntry:
+    """Make the entry of a verdict that rests on no campaign."""
+    return AttemptEntry.model_validate({**verdict.to_json(), "check": "", "paired": None})
+
+
+def _verdict(
+    attempt: AttemptEntry,
+    item: str,
+    *,
+    waiver: WaiverEntry | None = None,
+    attempts: Sequence[AttemptEntry] = (),
+    assertion: AssertionEntry | None = None,
+) -> VerdictEntry:
+    return VerdictEntry(
+        **vars(attempt),
+        item=item,
+        waiver=waiver,
+        attempts=list(attempts),
+        assertion=assertion,
+        also_without=None,
+    )
+
 
 Status = Literal["running", "complete", "interrupted"]
 
@@ -242,16 +294,16 @@ class RecordBuilder:
     objections: dict[str, None] = field(default_factory=dict, init=False)
     """Reasons of items why the session does not pass, in order."""
     _components: Components = field(default_factory=Components)
-    _requirements: dict[str, JsonObject] = field(default_factory=dict)
-    _cases: dict[tuple[str, str], JsonObject] = field(default_factory=dict)
+    _requirements: dict[str, RequirementEntry] = field(default_factory=dict)
+    _cases: dict[tuple[str, str], CasePlan] = field(default_factory=dict)
     _components_of: dict[str, list[str]] = field(default_factory=dict)
     """Names of components by the id of a case."""
     _spool: EpisodeSpool = field(init=False)
-    _verdicts: dict[tuple[str, ...], JsonObject] = field(default_factory=dict)
+    _verdicts: dict[tuple[str, ...], VerdictEntry] = field(default_factory=dict)
     _outcomes: dict[tuple[str, ...], dict[str, JsonObject]] = field(default_factory=dict)
-    _monitors: dict[tuple[str, ...], JsonObject] = field(default_factory=dict)
-    _expected: dict[tuple[str, str, str], JsonObject] = field(default_factory=dict)
-    _waivers: dict[str, JsonObject] = field(default_factory=dict)
+    _monitors: dict[tuple[str, ...], MonitorEntry] = field(default_factory=dict)
+    _expected: dict[tuple[str, str, str], CasePlan] = field(default_factory=dict)
+    _waivers: dict[str, WaiverEntry] = field(default_factory=dict)
     _first_waived: dict[str, str] = field(default_factory=dict)
     """First waived item of each test."""
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -260,7 +312,7 @@ class RecordBuilder:
     _reuse: ReuseRecord = field(default_factory=ReuseRecord)
     _ran: set[str] = field(default_factory=set)
     """Cases with any episode."""
-    _repeats: dict[tuple[str, str], JsonObject] = field(default_factory=dict)
+    _repeats: dict[tuple[str, str], RepeatEntry] = field(default_factory=dict)
     _situations: dict[tuple[str, str], Situations] = field(default_factory=dict)
     """Situations of the planned episodes, by case and component."""
 
@@ -274,10 +326,15 @@ class RecordBuilder:
 
     def expect(self, item: str, requirement: JsonObject, case: JsonObject) -> None:
         """Announce an item of a campaign; if it never reports, its verdict is undecided."""
-        self._expected[item, requirement["id"], case["id"]] = case
-        self._requirements.setdefault(requirement["id"], requirement)
+        plan = CasePlan.model_validate(case)
+        self._expected[item, requirement["id"], plan.id] = plan
+        self._add_requirement(requirement)
 
-    def add(self, report: Mapping[str, Any]) -> None:
+    def _add_requirement(self, requirement: JsonObject) -> None:
+        if requirement["id"] not in self._requirements:
+            self._requirements[requirement["id"]] = RequirementEntry.model_validate(requirement)
+
+    def add(self, report: JsonObject) -> None:
         """Add the report of an item, an :class:`ItemReport` as plain data.
 
         Raises:
@@ -287,29 +344,31 @@ class RecordBuilder:
             self.add(unpack_report(part))
         item = report["item"]
         for claim in report["claims"]:
-            case, decides = claim["case"], test_function(item) if claim["each_run"] else item
-            self._expected.setdefault((decides, claim["requirement"], case["id"]), case)
+            case = CasePlan.model_validate(claim["case"])
+            decides = test_function(item) if claim["each_run"] else item
+            self._expected.setdefault((decides, claim["requirement"], case.id), case)
         for component in report["components"]:
             self._components.add(component)
         self._components.add_sources(report.get("sources", {}))
         for requirement in report["requirements"]:
-            self._requirements.setdefault(requirement["id"], requirement)
+            self._add_requirement(requirement)
         for case in report["cases"]:
-            self._add_case(case)
+            self._add_case(CasePlan.model_validate(case))
         self._add_episodes(report)
         for repeat in report["repeats"]:
             about = repeat["case"], repeat["component"]
-            entry = {name: repeat[name] for name in REPEAT_KEYS}
-            self._repeats[about] = dict(worse_repeat(self._repeats.get(about), entry) or entry)
+            entry = RepeatEntry.model_validate({name: repeat[name] for name in REPEAT_KEYS})
+            self._repeats[about] = worse_repeat(self._repeats.get(about), entry) or entry
         self._models.add(report["models"])
         self._problems.update(report["problems"])
         self.objections.update(dict.fromkeys(report["objections"]))
         self._reuse.add(report)
         for verdict in report["verdicts"]:
-            self._add_verdict(item, verdict)
+            self._add_verdict(item, AttemptEntry.model_validate(verdict))
         self.searches.add(item, report["searches"])
-        for monitor in report["monitors"]:
-            key = tuple(monitor[name] for name in ("case", "component", "target", "monitor"))
+        for data in report["monitors"]:
+            monitor = MonitorEntry.model_validate(data)
+            key = monitor.case, monitor.component, monitor.target, monitor.monitor
             self._monitors[key] = monitor
         for outcome in report["outcomes"]:
             # Two tests on one episode give two verdicts, not two attempts at one.
@@ -326,13 +385,13 @@ class RecordBuilder:
         for trace in traces:
             self._spool.add_trace(trace)
 
-    def adopt(self, verdict: JsonObject) -> None:
+    def adopt(self, verdict: VerdictEntry) -> None:
         """Take over a verdict of another session, with its item, its waiver and its attempts."""
-        self._verdicts[question_key(verdict["item"], verdict)] = verdict
+        self._verdicts[question_key(verdict.item, verdict)] = verdict
 
     def waive(self, item: str, kind: str, reason: str) -> None:
         """Record that an item's failure is excused: ``xfail``, ``rerun`` or ``skip``."""
-        self._waivers[item] = {"kind": kind, "reason": reason}
+        self._waivers[item] = WaiverEntry.model_validate({"kind": kind, "reason": reason})
         self._first_waived.setdefault(test_function(item), item)
 
     @property
@@ -347,44 +406,46 @@ class RecordBuilder:
             ConfigurationError: If the episodes cannot be read.
         """
         self._add_unreported_cases()
-        head = {
-            "schema_version": SCHEMA_VERSION,
-            "status": status,
-            **self.header,
-            "reuse": self._reuse.to_json(self.header.get("reuse", NO_REUSE)),
-            "component_under_test": self._components.to_json(),
-            "models": self._models.to_json(),
-            "requirements": [self._requirements[name] for name in sorted(self._requirements)],
-            "cases": [
-                {**case, "repeat": self._repeats.get(key)} for key, case in self._cases.items()
-            ],
-            "verdicts": self.verdicts(),
-            "searches": self.searches.to_json(self._waivers),
-            "monitors": [self._monitors[key] for key in sorted(self._monitors)],
-        }
-        record = SessionRecord.of_head(head, self.directory or Path(), self._spool.__iter__)
+        head = RecordHead.model_validate(
+            {
+                **_UNCONCLUDED,
+                **self.header,
+                "schema_version": SCHEMA_VERSION,
+                "status": status,
+                "reuse": {**_NO_EPISODES, **self._reuse.to_json(self.header["reuse"])},
+                "component_under_test": self._components.to_json(),
+                "models": self._models.to_json(),
+                "requirements": [self._requirements[name] for name in sorted(self._requirements)],
+                "cases": [
+                    {**case.to_json(), **_unmeasured(case), "repeat": self._repeats.get(key)}
+                    for key, case in self._cases.items()
+                ],
+                "verdicts": self.verdicts(),
+                "searches": self.searches.entries(self._waivers),
+                "monitors": [self._monitors[key] for key in sorted(self._monitors)],
+            }
+        )
+        record = SessionRecord(head, self.directory or Path(), self._spool.__iter__)
         return measure_cases(record)
 
-    def verdicts(self) -> list[JsonObject]:
+    def verdicts(self) -> list[VerdictEntry]:
         """List all verdicts, also on what never reported, sorted by case and requirement."""
-        verdicts = [dict(verdict) for verdict in self._verdicts.values()]
+        verdicts = list(self._verdicts.values())
         for key, outcomes in self._outcomes.items():
             verdicts.append(self._of_outcomes(key, list(outcomes.values())))
-        reported = {(entry["item"], entry["requirement"], entry["case"]) for entry in verdicts}
+        reported = {(entry.item, entry.requirement, entry.case) for entry in verdicts}
         for claim, case in self._unsearched():
             if claim not in reported:
                 verdicts.append(self._not_run(*claim[:2], case))
-        for verdict in verdicts:
-            self._qualify(verdict)
-        return sorted(verdicts, key=itemgetter("case", "requirement", "item"))
+        return sorted(map(self._qualified, verdicts), key=attrgetter("case", "requirement", "item"))
 
-    def _add_case(self, case: JsonObject) -> None:
-        key = case["id"], case["component"]
-        if key not in self._cases:
-            self._cases[key] = dict(case)
-            self._components_of.setdefault(case["id"], []).append(case["component"])
-        known = self._cases[key]
-        known["planned"] = max(known["planned"], case["planned"])
+    def _add_case(self, case: CasePlan) -> None:
+        key = case.id, case.component
+        known = self._cases.get(key)
+        if known is None:
+            self._components_of.setdefault(case.id, []).append(case.component)
+        if known is None or known.planned < case.planned:
+            self._cases[key] = case if known is None else known.replace(planned=case.planned)
 
     def _add_episodes(self, report: Mapping[str, Any]) -> None:
         for episode in report["episodes"]:
@@ -408,92 +469,96 @@ class RecordBuilder:
             self._situations[key] = case_situations(self._cases[key])
         add_episode(self._situations[key], episode)
 
-    def _add_verdict(self, item: str, verdict: JsonObject) -> None:
+    def _add_verdict(self, item: str, attempt: AttemptEntry) -> None:
         # An item may ask several questions; the same question again is another attempt.
-        key = question_key(item, verdict)
+        key = question_key(item, attempt)
         before = self._verdicts.get(key)
-        new = {**verdict, "item": item, "waiver": None, "attempts": [], "assertion": None}
         if before is None:
-            self._verdicts[key] = new
+            self._verdicts[key] = _verdict(attempt, item)
             return
-        previous = {name: value for name, value in before.items() if name in verdict}
-        if previous == verdict:
+        previous = AttemptEntry.model_validate(
+            before.to_json(include=set(AttemptEntry.model_fields))
+        )
+        if previous == attempt:
             return
         # Of several attempts a violation counts before anything else; all of them are kept.
-        new["attempts"] = [*before["attempts"], previous]
-        if before["verdict"] == "violated":
-            new = {**before, "attempts": [*before["attempts"], verdict]}
-        self._verdicts[key] = new
+        if before.verdict == "violated":
+            self._verdicts[key] = before.replace(attempts=[*before.attempts, attempt])
+        else:
+            self._verdicts[key] = _verdict(attempt, item, attempts=[*before.attempts, previous])
 
-    def _of_outcomes(self, key: tuple[str, ...], outcomes: list[JsonObject]) -> JsonObject:
+    def _of_outcomes(self, key: tuple[str, ...], outcomes: list[JsonObject]) -> VerdictEntry:
         """Verdict of a test that looks at one episode at a time."""
         test, requirement, case, component = key
         final = _final_outcomes(outcomes)
         known = self._situations.get((case, component))
         situation = None if known is None else known.situation
-        verdict = _judge_test(self._requirement(requirement), case, component, outcomes, situation)
-        waiver = self._waiver_of(final, verdict)
-        details: JsonObject = {
-            "item": test,
-            "waiver": waiver,
-            "attempts": [],
-            "assertion": _assertion_summary(final),
-        }
-        return {**verdict, **_NO_QUESTION, **details}
+        verdict = _attempt(
+            _judge_test(self._requirement(requirement), case, component, outcomes, situation)
+        )
+        return _verdict(
+            verdict,
+            test,
+            waiver=self._waiver_of(final, verdict),
+            assertion=_assertion_summary(final),
+        )
 
-    def _waiver_of(self, final: list[JsonObject], verdict: JsonObject) -> JsonObject | None:
+    def _waiver_of(self, final: list[JsonObject], verdict: AttemptEntry) -> WaiverEntry | None:
         """Waiver of a verdict, if all that is bad about it comes from waived items."""
         waivers = [
             self._waivers[outcome["item"]] for outcome in final if outcome["item"] in self._waivers
         ]
         bad = {outcome["item"] for outcome in final if outcome["verdict"] != "satisfied"}
-        excused = bad <= self._waivers.keys() and verdict["run"] >= verdict["planned"]
+        excused = bad <= self._waivers.keys() and verdict.run >= verdict.planned
         return waivers[0] if waivers and excused else None
 
     def _add_unreported_cases(self) -> None:
         """Add the cases that are expected, and of which nothing was reported."""
         reported = set(self._components_of)
         for _, case in self._unsearched():
-            if case["id"] not in reported:
+            if case.id not in reported:
                 self._add_case(self._with_component(case))
 
-    def _unsearched(self) -> list[tuple[tuple[str, str, str], JsonObject]]:
+    def _unsearched(self) -> list[tuple[tuple[str, str, str], CasePlan]]:
         """Expected claims, apart from those that items searched instead of deciding them."""
         answered = self.searches.answered
         return [claim for claim in self._expected.items() if claim[0] not in answered]
 
-    def _with_component(self, case: JsonObject) -> JsonObject:
+    def _with_component(self, case: CasePlan) -> CasePlan:
         """Put the component's name into an expected case, if it is known by now."""
-        if case["component"] != UNKNOWN_COMPONENT:
+        if case.component != UNKNOWN_COMPONENT:
             return case
-        names = self._components_of.get(case["id"]) or self._components.names
-        return {**case, "component": names[0]} if len(names) == 1 else case
+        names = self._components_of.get(case.id) or self._components.names
+        return case.replace(component=names[0]) if len(names) == 1 else case
 
-    def _not_run(self, item: str, requirement: str, case: JsonObject) -> JsonObject:
+    def _not_run(self, item: str, requirement: str, case: CasePlan) -> VerdictEntry:
         case = self._with_component(case)
-        verdict = judge_campaign(
-            self._requirement(requirement),
-            case["id"],
-            [],
-            planned=case["planned"],
-            component=case["component"],
-        ).to_json()
-        if item != f"{case['id']}::{requirement}":
+        verdict = _attempt(
+            judge_campaign(
+                self._requirement(requirement),
+                case.id,
+                [],
+                planned=case.planned,
+                component=case.component,
+            )
+        )
+        if item != f"{case.id}::{requirement}":
             # Its episodes may have run: what was not made is the verdict.
-            verdict["reason"] = "the test ended without a verdict on it"
-        elif case["id"] in self._ran:
-            verdict["reason"] = "episodes of the case ran, and no verdict was made on them"
+            verdict = verdict.replace(reason="the test ended without a verdict on it")
+        elif case.id in self._ran:
+            reason = "episodes of the case ran, and no verdict was made on them"
+            verdict = verdict.replace(reason=reason)
         waived = self._first_waived.get(item)
-        waiver = None if waived is None else self._waivers[waived]
-        details: JsonObject = {"item": item, "waiver": waiver, "attempts": [], "assertion": None}
-        return {**verdict, **_NO_QUESTION, **details}
+        return _verdict(verdict, item, waiver=None if waived is None else self._waivers[waived])
 
     def _requirement(self, name: str) -> Requirement:
-        return Requirement.from_json(self._requirements.get(name, {"id": name}))
+        known = self._requirements.get(name)
+        return Requirement.from_json({"id": name} if known is None else known.to_json())
 
-    def _qualify(self, verdict: JsonObject) -> None:
+    def _qualified(self, verdict: VerdictEntry) -> VerdictEntry:
         """Apply waivers, and doubts about the case's episodes."""
-        verdict["waiver"] = self._waivers.get(verdict["item"], verdict["waiver"])
-        clash = self._clashes.get((verdict["case"], verdict["component"]))
-        if clash is not None and verdict["verdict"] == "supported":
-            verdict["verdict"], verdict["reason"] = "undecided", clash
+        waiver = self._waivers.get(verdict.item, verdict.waiver)
+        clash = self._clashes.get((verdict.case, verdict.component))
+        if clash is not None and verdict.verdict == "supported":
+            return verdict.replace(waiver=waiver, verdict="undecided", reason=clash)
+        return verdict.replace(waiver=waiver)

@@ -122,18 +122,18 @@ def junit_problems(record: SessionRecord, file: Path) -> Iterator[str]:
         yield f"{file.name}: cannot be read back ({type(error).__name__}: {error})"
         return
     held: dict[JunitKey, list[str]] = defaultdict(list)
-    for verdict in record["verdicts"]:
-        key = junit_key(verdict["case"], verdict["requirement"], verdict["item"])
-        name = f"{file.name}: {verdict['requirement']} on {verdict['case']}"
+    for verdict in record.head.verdicts:
+        key = junit_key(verdict.case, verdict.requirement, verdict.item)
+        name = f"{file.name}: {verdict.requirement} on {verdict.case}"
         if key in outcomes:
             violated, run = outcomes[key]["violated"], outcomes[key].total()
-            if (violated, run) != (verdict["violations"], verdict["run"]):
+            if (violated, run) != (verdict.violations, verdict.run):
                 yield (
                     f"{name}: {violated} of {run} violated it, and the record says "
-                    f"{verdict['violations']} of {verdict['run']}"
+                    f"{verdict.violations} of {verdict.run}"
                 )
         else:
-            held[key].append(verdict["verdict"])
+            held[key].append(verdict.verdict)
     for key in sorted({*stated, *held}):
         in_file, recorded = stated.get(key, ()), sorted(held.get(key, []))
         decided = [status for status in recorded if status != "undecided"]

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.baseline import Baseline, regression_objections
 from pytest_dura.evidence.bundle import begin_bundle, write_bundle
+from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclude import conclude_record
-from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
 from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate, other_objections
@@ -28,15 +29,16 @@ from pytest_dura.evidence.merge_checks import (
     check_complete,
     check_consistent,
     read_parts,
-    without_keys,
 )
 from pytest_dura.evidence.metrics import UNTRACED_FAULT
-from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.model import SessionRecord, Totals, components_under_test
+from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.session_model import LanguageModelEntry, MergedShard, ShardEntry
 from pytest_dura.evidence.sessions import merged_reuse
 from pytest_dura.evidence.traces import is_trace_path
+from pytest_dura.evidence.verdict_model import VerdictEntry
 
-Data = Mapping[str, Any]
-_KEYS_MADE_ANEW = {"metrics", "missing_runs", "missing_runs_total", "repeat"}
+_PLANNED_KEYS = set(CasePlan.model_fields)
 _TRACE_REASONS = ("all", "sample", "missing", "violation")
 """Reasons to keep a trace; of several the last one is recorded."""
 
@@ -48,23 +50,23 @@ def _merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]
         parts: Ordered by their numbers.
         output: Where the merged evidence goes.
     """
-    first = parts[0].record
-    dirty = [part.record["environment"]["git"]["dirty"] for part in parts]
-    git = {**first["environment"]["git"], "dirty": True if any(dirty) else dirty[0]}
+    first = parts[0].record.head
+    dirty = [part.record.head.environment.git.dirty for part in parts]
+    git = first.environment.git.replace(dirty=True if any(dirty) else dirty[0])
     return {
-        "created": min(part.record["created"] for part in parts),
-        "tool": first["tool"],
-        "command": merged_command(first["command"], output),
-        "base_seed": first["base_seed"],
-        "evidence_level": first["evidence_level"],
-        "require_repeatable": first["require_repeatable"],
-        "environment": {**first["environment"], "git": git},
-        "execution": first["execution"],
+        "created": min(part.record.head.created for part in parts),
+        "tool": first.tool,
+        "command": merged_command(first.command, output),
+        "base_seed": first.base_seed,
+        "evidence_level": first.evidence_level,
+        "require_repeatable": first.require_repeatable,
+        "environment": first.environment.replace(git=git),
+        "execution": first.execution,
         **_merged_second_engine(parts),
-        "argument": first["argument"],
-        "reuse": merged_reuse(part.record["reuse"] for part in parts),
+        "argument": first.argument,
+        "reuse": merged_reuse(part.record.head.reuse for part in parts),
         "shard": None,
-        "selection": first["selection"],
+        "selection": first.selection,
         "merged_from": [_shard_summary(part) for part in parts],
     }
 
@@ -82,19 +84,24 @@ def _merged_second_engine(parts: Sequence[ShardBundle]) -> dict[str, Any]:
     return {"second_engine": {**entries[0].to_json(), **counts}}
 
 
-def _shard_summary(part: ShardBundle) -> dict[str, Any]:
-    record, gate = part.record, part.record["gate"]
-    return {
-        "index": part.index,
-        "count": part.shard["count"],
-        "plan": part.shard["plan"],
-        "units": len(part.units),
-        **{key: record[key] for key in ("created", "finished", "command", "environment")},
-        "gate": gate["result"],
-        "exit_code": gate["exit_code"],
-        "wall_seconds": record["timings"]["wall_seconds"],
-        "record": part.sha256,
-    }
+def _shard_summary(part: ShardBundle) -> MergedShard:
+    head, shard = part.record.head, cast("ShardEntry", part.shard)
+    return MergedShard.model_validate(
+        {
+            "index": part.index,
+            "count": shard.count,
+            "plan": shard.plan,
+            "units": len(part.units),
+            "created": head.created,
+            "finished": head.finished,
+            "command": head.command,
+            "environment": head.environment,
+            "gate": head.gate.result,
+            "exit_code": head.gate.exit_code,
+            "wall_seconds": head.timings.wall_seconds,
+            "record": part.sha256,
+        }
+    )
 
 
 def merged_command(command: str, output: Path) -> str:
@@ -124,36 +131,36 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
         ConfigurationError: If the episodes cannot be written.
     """
     for part in parts:
-        shard = part.record
+        head = part.record.head
         report = ItemReport("")
         report.components += [
-            without_keys(component, KEYS_OF_ALL_COMPONENTS)
-            for component in components_under_test(shard)
-            if component["name"]
+            component.to_json(exclude=KEYS_OF_ALL_COMPONENTS)
+            for component in components_under_test(part.record)
+            if component.name
         ]
-        report.sources.update(shard["component_under_test"].get("sources", {}))
-        report.cases += [without_keys(case, _KEYS_MADE_ANEW) for case in shard["cases"]]
+        report.sources.update(head.component_under_test.sources or {})
+        report.cases += [case.to_json(include=_PLANNED_KEYS) for case in head.cases]
         report.repeats += [
-            {**case["repeat"], "case": case["id"], "component": case["component"]}
-            for case in shard["cases"]
-            if case["repeat"] is not None
+            {**case.repeat.to_json(), "case": case.id, "component": case.component}
+            for case in head.cases
+            if case.repeat is not None
         ]
-        report.requirements += map(dict, shard["requirements"])
-        report.monitors += map(dict, shard["monitors"])
-        report.models += [{**model, "process": part.name} for model in shard["models"]]
-        report.notes += shard["reuse"]["problems"]
-        record.add(plain_data(report.to_json()))
-        for verdict in shard["verdicts"]:
-            record.adopt(plain_data(verdict))
-        for search in shard["searches"]:
-            record.searches.adopt(plain_data(search))
+        report.requirements += [requirement.to_json() for requirement in head.requirements]
+        report.monitors += [monitor.to_json() for monitor in head.monitors]
+        report.models += [{**model.to_json(), "process": part.name} for model in head.models]
+        report.notes += head.reuse.problems
+        record.add(report.to_json())
+        for verdict in head.verdicts:
+            record.adopt(verdict)
+        for search in head.searches:
+            record.searches.adopt(search)
     traced = _trace_owners(parts)
     # The first report of an episode holds, so that the owners of traces come first.
     for with_trace in (True, False):
         for part in parts:
             for episode in part.record.episodes():
                 if (traced.get(_identity(episode)) == part.index) == with_trace:
-                    report = _report_of(plain_data(episode), with_trace=with_trace)
+                    report = _report_of(episode, with_trace=with_trace)
                     record.add(report.to_json())
 
 
@@ -162,28 +169,27 @@ def _trace_owners(parts: Iterable[ShardBundle]) -> dict[tuple[str, ...], int]:
     owners: dict[tuple[str, ...], tuple[int, int]] = {}
     for part in parts:
         for episode in part.record.episodes():
-            if episode["trace"] is not None:
-                candidate = -_TRACE_REASONS.index(episode["trace"]["kept_for"]), part.index
+            if episode.trace is not None:
+                candidate = -_TRACE_REASONS.index(episode.trace.kept_for), part.index
                 key = _identity(episode)
                 owners[key] = min(candidate, owners.get(key, candidate))
     return {key: index for key, (_, index) in owners.items()}
 
 
-def _identity(episode: Data) -> tuple[str, ...]:
-    return episode["id"], episode["component"], episode["digest"]
+def _identity(episode: EpisodeEntry) -> tuple[str, ...]:
+    return episode.id, episode.component, episode.digest
 
 
-def _report_of(episode: Data, *, with_trace: bool) -> ItemReport:
+def _report_of(episode: EpisodeEntry, *, with_trace: bool) -> ItemReport:
     """Rebuild the report of an episode, with the chains of its faults apart."""
-    report = ItemReport("", episodes=[{**episode, "trace": None}])
-    about = {"component": episode["component"], "episode": episode["id"], "case": episode["case"]}
-    for fault in episode["faults"]:
-        followed = {key: fault[key] for key in UNTRACED_FAULT}
+    report = ItemReport("", episodes=[{**episode.to_json(), "trace": None}])
+    about = {"component": episode.component, "episode": episode.id, "case": episode.case}
+    for fault in episode.faults:
+        followed = fault.to_json(include=set(UNTRACED_FAULT))
         if followed != UNTRACED_FAULT:
-            report.chains.append({**about, "id": fault["id"], **followed})
+            report.chains.append({**about, "id": fault.id, **followed})
     if with_trace:
-        trace = {key: episode[key] for key in ("id", "component", "digest", "trace")}
-        report.traces.append(trace)
+        report.traces.append(episode.to_json(include={"id", "component", "digest", "trace"}))
     return report
 
 
@@ -191,28 +197,29 @@ def _merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
     """List the input files of all parts; ``changed`` if they changed while any part ran."""
     entries: dict[tuple[str, str], dict[str, Any]] = {}
     for part in parts:
-        for entry in part.record["inputs"]:
-            known = entries.setdefault((entry["path"], entry["kind"]), dict(entry))
-            known["changed"] |= entry["changed"]
+        for entry in part.record.head.inputs:
+            known = entries.setdefault((entry.path, entry.kind), entry.to_json())
+            known["changed"] |= entry.changed
     return [entries[key] for key in sorted(entries)]
 
 
 def _merged_cassettes(parts: Iterable[ShardBundle]) -> dict[tuple[Any, ...], Any]:
     return {
-        _model_key(model): model["cassette"] for part in parts for model in part.record["models"]
+        _model_key(model): model.cassette for part in parts for model in part.record.head.models
     }
 
 
-def _model_key(model: Data) -> tuple[Any, ...]:
+def _model_key(model: LanguageModelEntry) -> tuple[Any, ...]:
     """Identify a model of a record."""
-    names = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
-    return tuple(model[name] for name in names)
+    return (
+        model.component, model.model, model.fingerprint, model.prompts, model.base_url, model.mode
+    )  # fmt: skip
 
 
 def _merged_gate(
     parts: Sequence[ShardBundle],
-    verdicts: Sequence[Data],
-    searches: Sequence[Data],
+    verdicts: Sequence[VerdictEntry],
+    searches: Sequence[SearchEntry],
     objections: Sequence[str],
 ) -> Gate:
     """Judge the whole by the rules of a session.
@@ -223,11 +230,11 @@ def _merged_gate(
         searches: Of the merged record.
         objections: Reasons against the merged record itself.
     """
-    codes = {part.record["gate"]["exit_code"] for part in parts}
+    codes = {part.record.head.gate.exit_code for part in parts}
     against = [reason for part in parts for reason in other_objections(part.record.head)]
     code = NO_TESTS
     if codes != {NO_TESTS}:
-        empty = [part for part in parts if part.record["gate"]["exit_code"] == NO_TESTS]
+        empty = [part for part in parts if part.record.head.gate.exit_code == NO_TESTS]
         against += [f"{part.name}: no test was run" for part in empty]
         failures = codes - {OK, NO_TESTS}
         code = failures.pop() if len(failures) == 1 else TESTS_FAILED if failures else OK
@@ -237,8 +244,8 @@ def _merged_gate(
         searches=searches,
         interrupted=False,
         exit_code=code,
-        failed=sum(part.record["gate"]["failed"] for part in parts),
-        warn_undecided=parts[0].record["gate"]["warn_undecided"],
+        failed=sum(part.record.head.gate.failed for part in parts),
+        warn_undecided=parts[0].record.head.gate.warn_undecided,
     )
 
 
@@ -282,19 +289,19 @@ def _copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
         ConfigurationError: If one differs from its record, or cannot be written.
     """
     places: dict[tuple[str, str], Path] = {
-        (episode["trace"]["file"], episode["trace"]["sha256"]): part.record.directory
+        (episode.trace.file, episode.trace.sha256): part.record.directory
         for part in parts
         for episode in part.record.episodes()
-        if episode["trace"] is not None
+        if episode.trace is not None
     }
     for episode in record.episodes():
-        if episode["trace"] is not None:
-            trace = episode["trace"]
-            _copy(places[trace["file"], trace["sha256"]], record.directory, trace)
+        if episode.trace is not None:
+            trace = episode.trace
+            _copy(places[trace.file, trace.sha256], record.directory, trace)
 
 
-def _copy(source: Path, target: Path, trace: Mapping[str, Any]) -> None:
-    name = trace["file"]
+def _copy(source: Path, target: Path, trace: TraceEntry) -> None:
+    name = trace.file
     file = source / name
     # The bundle was verified, but may have changed since.
     if not is_trace_path(name) or file.is_symlink() or file.parent.is_symlink():
@@ -303,7 +310,7 @@ def _copy(source: Path, target: Path, trace: Mapping[str, Any]) -> None:
         written = write_file(target / name, read_chunks(file))
     except OSError as error:
         raise _damaged_trace(file, error.strerror or str(error)) from None
-    if (written.sha256, written.bytes) != (trace["sha256"], trace["bytes"]):
+    if (written.sha256, written.bytes) != (trace.sha256, trace.bytes):
         raise _damaged_trace(file, "another file than the record names")
 
 
@@ -329,13 +336,13 @@ class MergeResult:
     """
 
     shards: int
-    totals: dict[str, Any]
+    totals: Totals
     reasons: tuple[str, ...]
 
     @property
     def passed(self) -> bool:
         """Whether the gate of the whole passed."""
-        return bool(self.totals["gate"] == "passed")
+        return self.totals.gate == "passed"
 
 
 @dataclass(frozen=True)
@@ -352,13 +359,14 @@ class MergeComparison:
 
     def compared(self, record: SessionRecord) -> SessionRecord:
         """Add the comparison to a record."""
-        finished = None if record["status"] == "running" else record
+        finished = None if record.head.status == "running" else record
         baseline = None if self.baseline is None else self.baseline.to_json(finished)
         return record.changed(baseline=baseline)
 
     def objections(self, record: SessionRecord) -> list[str]:
         """Reasons against a record that was compared."""
-        return regression_objections(record["baseline"]) if self.fail_worse else []
+        baseline = record.head.baseline
+        return regression_objections(baseline) if self.fail_worse and baseline else []
 
     def inputs(self) -> list[dict[str, Any]]:
         """Entry of the baseline's file among the record's inputs."""
@@ -403,13 +411,13 @@ def merge_bundles(
             record.close()
     finally:
         lock.release()
-    return MergeResult(len(parts), dict(written["totals"]), tuple(written["gate"]["reasons"]))
+    return MergeResult(len(parts), written.head.totals, tuple(written.head.gate.reasons))
 
 
 def _write_merged(
     record: RecordBuilder, parts: Sequence[ShardBundle], comparison: MergeComparison
 ) -> SessionRecord:
-    warn_undecided = parts[0].record["gate"]["warn_undecided"]
+    warn_undecided = parts[0].record.head.gate.warn_undecided
     running = Gate.running(warn_undecided=warn_undecided)
     begin_bundle(
         _conclude_merged(comparison.compared(record.record("running")), parts, running, comparison)
@@ -417,26 +425,26 @@ def _write_merged(
     _join_records(record, parts)
     whole = record.record("complete")
     tapes = _merged_cassettes(parts)
-    models = [{**model, "cassette": tapes[_model_key(model)]} for model in whole["models"]]
+    models = [model.replace(cassette=tapes[_model_key(model)]) for model in whole.head.models]
     whole = comparison.compared(whole.changed(models=models))
     _copy_traces(whole, parts)
     against = [*record.problems, *comparison.objections(whole)]
-    gate = _merged_gate(parts, whole["verdicts"], whole["searches"], against)
+    gate = _merged_gate(parts, whole.head.verdicts, whole.head.searches, against)
     return write_bundle(_conclude_merged(whole, parts, gate, comparison))
 
 
 def _conclude_merged(
     record: SessionRecord, parts: Sequence[ShardBundle], gate: Gate, comparison: MergeComparison
 ) -> SessionRecord:
-    timings = [part.record["timings"] for part in parts]
-    finished = max(part.record["finished"] for part in parts)
+    timings = [part.record.head.timings for part in parts]
+    finished = max(part.record.head.finished or "" for part in parts)
     return conclude_record(
         record,
-        finished=None if record["status"] == "running" else finished,
+        finished=None if record.head.status == "running" else finished,
         gate=gate.to_json(),
         inputs=[*_merged_inputs(parts), *comparison.inputs()],
-        wall_seconds=sum(timing["wall_seconds"] for timing in timings),
-        evidence_seconds=sum(timing["evidence_seconds"] for timing in timings),
+        wall_seconds=sum(timing.wall_seconds for timing in timings),
+        evidence_seconds=sum(timing.evidence_seconds for timing in timings),
         # The shards took out the secrets of the machines on which they ran.
         redact=lambda same: same,
     )

@@ -10,13 +10,20 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from pytest_dura.core.metrics import DISCOMFORT
+from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence.entry import JsonObject
+from pytest_dura.evidence.episode_model import (
+    EpisodeEntry,
+    EpisodeMetricsEntry,
+    FaultEntry,
+    SwitchingEntry,
+)
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.requirements.rate_tests import upper_bound
 
 CONFIDENCE = 0.95
 """Confidence of the bound on the rate of episodes in which a failure mode shows."""
 _FAILURE_MODE_COUNTS = ("hits", "of", "null_hits", "null_of")
-
-Data = Mapping[str, Any]
 
 
 class FailureModes:
@@ -31,16 +38,16 @@ class FailureModes:
         self._seconds = array("d")
         self._ages = array("d")
 
-    def add(self, metrics: Data) -> None:
+    def add(self, metrics: EpisodeMetricsEntry) -> None:
         """Add the metrics of an episode's entry."""
-        for name, tally in metrics["tallies"].items():
-            self._kinds.setdefault(name, tally["kind"])
+        for name, tally in metrics.tallies.items():
+            self._kinds.setdefault(name, tally.kind)
             counts = self._counts.setdefault(name, Counter())
-            counts.update({key: tally[key] for key in _FAILURE_MODE_COUNTS})
-            counts["episodes"] += tally["hits"] > 0
-            counts["of_episodes"] += tally["of"] > 0
-        self._seconds.extend(metrics["answer_seconds"])
-        self._ages.extend(metrics["answer_ages"])
+            counts.update({key: getattr(tally, key) for key in _FAILURE_MODE_COUNTS})
+            counts["episodes"] += tally.hits > 0
+            counts["of_episodes"] += tally.of > 0
+        self._seconds.extend(metrics.answer_seconds)
+        self._ages.extend(metrics.answer_ages)
 
     def to_json(self) -> list[dict[str, Any]]:
         """Convert to plain data: an entry for each failure mode, in the order of appearance.
@@ -98,7 +105,7 @@ def _percentile(ordered: list[float], rank: float) -> float:
     return ordered[max(math.ceil(rank * len(ordered)) - 1, 0)]
 
 
-UNTRACED_FAULT: Data = {
+UNTRACED_FAULT: Mapping[str, Any] = {
     "propagation": None,
     "propagated_at": None,
     "unknown": "",
@@ -125,7 +132,7 @@ _CHAIN_STEPS = (
 _LATENCIES = ("detection_latency", "recovery_latency", "time_to_recover")
 
 
-def with_chains(episode: Data, chains: Mapping[str, Data]) -> dict[str, Any]:
+def with_chains(episode: JsonObject, chains: Mapping[str, Mapping[str, Any]]) -> JsonObject:
     """Add what is known of each fault, by its id, to an episode's entry."""
     faults = []
     for fault in episode["faults"]:
@@ -145,16 +152,17 @@ class FaultMetrics:
         self._counts: dict[str, Counter[str]] = {}
         self._times: dict[tuple[str, str], array[float]] = {}
 
-    def add(self, episode: Data) -> None:
+    def add(self, episode: EpisodeEntry) -> None:
         """Add an episode of :func:`with_chains`."""
-        for fault in episode["faults"]:
-            name = fault["id"]
-            self._targets.setdefault(name, fault["target"])
+        for fault in episode.faults:
+            name = fault.id
+            self._targets.setdefault(name, fault.target)
             self._counts.setdefault(name, Counter()).update(_passed_steps(fault))
-            if fault["manifested_at"] is not None:
+            if fault.manifested_at is not None:
                 for latency in _LATENCIES:
-                    if fault[latency] is not None:
-                        self._times.setdefault((name, latency), array("d")).append(fault[latency])
+                    seconds = getattr(fault, latency)
+                    if seconds is not None:
+                        self._times.setdefault((name, latency), array("d")).append(seconds)
 
     def to_json(self) -> list[dict[str, Any]]:
         """Convert to plain data, fault by fault.
@@ -196,26 +204,26 @@ class SharedViolations:
         verdicts: Of the record.
     """
 
-    def __init__(self, verdicts: Sequence[Data]) -> None:
+    def __init__(self, verdicts: Sequence[VerdictEntry]) -> None:
         self._counts: list[int | None] = [None] * len(verdicts)
         self._claims: dict[tuple[str, str], list[tuple[int, str]]] = {}
         for place, verdict in enumerate(verdicts):
             valid = [
-                counterexample["episode"]
-                for counterexample in verdict["counterexamples"]
-                if counterexample["valid"]
+                counterexample.episode
+                for counterexample in verdict.counterexamples
+                if counterexample.valid
             ]
             for episode in valid:
-                key = verdict["component"], episode
-                self._claims.setdefault(key, []).append((place, verdict["requirement"]))
+                key = verdict.component, episode
+                self._claims.setdefault(key, []).append((place, verdict.requirement))
 
-    def add(self, episode: Data) -> None:
+    def add(self, episode: EpisodeEntry) -> None:
         """Add a planned episode of :func:`with_chains`."""
-        for place, requirement in self._claims.get((episode["component"], episode["id"]), ()):
+        for place, requirement in self._claims.get((episode.component, episode.id), ()):
             known = [
-                requirement in fault["violated_without"]
-                for fault in episode["faults"]
-                if requirement in fault["violated"] and fault["violated_without"] is not None
+                requirement in fault.violated_without
+                for fault in episode.faults
+                if requirement in fault.violated and fault.violated_without is not None
             ]
             if known:
                 self._counts[place] = (self._counts[place] or 0) + any(known)
@@ -225,21 +233,21 @@ class SharedViolations:
         return self._counts
 
 
-def _passed_steps(fault: Data) -> list[str]:
+def _passed_steps(fault: FaultEntry) -> list[str]:
     """List the steps that a fault passed in one episode."""
-    reached = fault["manifested_at"] is not None
+    reached = fault.manifested_at is not None
     passed = {
         "run": True,
-        "activated": fault["activated_at"] is not None,
+        "activated": fault.activated_at is not None,
         "manifested": reached,
-        "followed": reached and fault["propagation"] in ("propagated", "contained"),
-        "propagated": reached and fault["propagation"] == "propagated",
-        "detected": reached and fault["detected_at"] is not None,
-        "recovery": reached and fault["recovery_at"] is not None,
-        "recovered": reached and fault["recovered_at"] is not None,
-        "judged": fault["outcome"] not in (None, "missing"),
-        "violated": fault["outcome"] == "violated",
-        "violated_without": fault["outcome"] == "violated also without it",
+        "followed": reached and fault.propagation in ("propagated", "contained"),
+        "propagated": reached and fault.propagation == "propagated",
+        "detected": reached and fault.detected_at is not None,
+        "recovery": reached and fault.recovery_at is not None,
+        "recovered": reached and fault.recovered_at is not None,
+        "judged": fault.outcome not in (None, "missing"),
+        "violated": fault.outcome == "violated",
+        "violated_without": fault.outcome == "violated also without it",
     }
     return [step for step in _CHAIN_STEPS if passed[step]]
 
@@ -276,40 +284,40 @@ class CaseMetrics:
         self._faults = FaultMetrics()
         self._failure_modes = FailureModes()
 
-    def add(self, episode: Data) -> None:
+    def add(self, episode: EpisodeEntry) -> None:
         """Add an episode.
 
         Args:
             episode: Of :func:`episode_record`.
         """
-        outcome = episode["outcome"]
-        known = {**{key: outcome[key] for key in _COUNTED_OUTCOMES}, **_derived(episode)}
+        outcome = episode.outcome
+        known = {key: getattr(outcome, key) for key in _COUNTED_OUTCOMES} | _derived(episode)
         raised = [key for key, value in known.items() if value]
-        self._validity[episode["validity"]] += 1
-        self._early += episode["termination"] == "decided"
+        self._validity[episode.validity] += 1
+        self._early += episode.termination == "decided"
         self._known.update(key for key, value in known.items() if value is not None)
         self._in_run.update(raised)
         self._faults.add(episode)
-        if episode["validity"] != "valid":
+        if episode.validity != "valid":
             return
         self._in_valid.update(raised)
-        self._sums.update({key: outcome[key] for key in ("recoveries", "alerts")})
-        self._reactions.update(episode["metrics"]["reactions"])
-        self._clears |= outcome["gridlock"] is not None
-        if outcome["clearance_time"] is not None:
-            self._times.append(outcome["clearance_time"])
-        self._failure_modes.add(episode["metrics"])
-        if outcome["switching"]["decisions"]:
-            self._add_switching(outcome["switching"])
-        for name, value in episode["metrics"]["user"].items():
+        self._sums.update(recoveries=outcome.recoveries, alerts=outcome.alerts)
+        self._reactions.update(episode.metrics.reactions)
+        self._clears |= outcome.gridlock is not None
+        if outcome.clearance_time is not None:
+            self._times.append(outcome.clearance_time)
+        self._failure_modes.add(episode.metrics)
+        if outcome.switching.decisions:
+            self._add_switching(outcome.switching)
+        for name, value in episode.metrics.user.items():
             column = self._user.setdefault(name, array("d"))
             if value is not None:
                 column.append(value)
 
-    def _add_switching(self, switching: Data) -> None:
+    def _add_switching(self, switching: SwitchingEntry) -> None:
         self._switching["episodes"] += 1
-        self._switching.update({key: switching[key] for key in _SUMMED_METRICS})
-        self._times_to_safe.extend(time for time in switching["time_to_safe"] if time is not None)
+        self._switching.update({key: getattr(switching, key) for key in _SUMMED_METRICS})
+        self._times_to_safe.extend(time for time in switching.time_to_safe if time is not None)
 
     def to_json(self, planned: int) -> dict[str, Any]:
         """Convert to plain data.
@@ -378,10 +386,10 @@ class CaseMetrics:
         }
 
 
-def case_order(case: Data) -> tuple[float, str, str]:
+def case_order(case: CasePlan) -> tuple[float, str, str]:
     """Sort key of cases: the place that the scenario gives, then their names."""
-    place = math.inf if case["order"] is None else case["order"]
-    return place, case["id"], case["component"]
+    place = math.inf if case.order is None else case.order
+    return place, case.id, case.component
 
 
 class PooledMetrics:
@@ -392,25 +400,25 @@ class PooledMetrics:
         verdicts: Of the record.
     """
 
-    def __init__(self, cases: Iterable[Data], verdicts: Iterable[Data] = ()) -> None:
+    def __init__(self, cases: Iterable[CasePlan], verdicts: Iterable[VerdictEntry] = ()) -> None:
         self._planned: Counter[str] = Counter()
         self._cases: dict[str, set[str]] = {}
         judged, twins = set(), set()
         for verdict in verdicts:
-            judged.add(verdict["case"])
-            if verdict["pairs"]:
-                twins.add(verdict["pairs"]["case"])
+            judged.add(verdict.case)
+            if verdict.pairs:
+                twins.add(verdict.pairs.case)
         for case in cases:
             # A case without faults may be a twin, or be judged for its own sake.
-            if not case["without"] and case["id"] not in twins - judged:
-                self._planned[case["component"]] += case["planned"]
-                self._cases.setdefault(case["component"], set()).add(case["id"])
+            if not case.without and case.id not in twins - judged:
+                self._planned[case.component] += case.planned
+                self._cases.setdefault(case.component, set()).add(case.id)
         self._metrics = {component: CaseMetrics() for component in self._cases}
 
-    def add(self, episode: Data) -> None:
+    def add(self, episode: EpisodeEntry) -> None:
         """Add a planned episode of any of the record's cases."""
-        component = episode["component"]
-        if episode["case"] in self._cases.get(component, ()):
+        component = episode.component
+        if episode.case in self._cases.get(component, ()):
             self._metrics[component].add(episode)
 
     def to_json(self) -> list[dict[str, Any]]:
@@ -425,13 +433,13 @@ class PooledMetrics:
         ]
 
 
-def _derived(episode: Data) -> dict[str, bool | None]:
+def _derived(episode: EpisodeEntry) -> dict[str, bool | None]:
     """Derive outcomes from an episode's measures; ``None`` where they are not measured."""
-    discomfort = episode["metrics"]["performance"].get(DISCOMFORT)
-    switching = episode["outcome"]["switching"]
+    discomfort = episode.metrics.performance.get(DISCOMFORT)
+    switching = episode.outcome.switching
     return {
-        "comfort_failed": None if discomfort is None else discomfort["max"] > 1.0,
-        "rescued": switching["takeovers"] > 0 if switching["decisions"] else None,
+        "comfort_failed": None if discomfort is None else (discomfort.max or 0.0) > 1.0,
+        "rescued": switching.takeovers > 0 if switching.decisions else None,
     }
 
 
@@ -439,18 +447,20 @@ _MAX_LISTED_RUNS = 100
 """Greatest number of runs that are listed of a case."""
 
 
-def verdicts_on_cases(verdicts: Iterable[Data]) -> Mapping[tuple[str, str], list[Data]]:
+def verdicts_on_cases(
+    verdicts: Iterable[VerdictEntry],
+) -> Mapping[tuple[str, str], list[VerdictEntry]]:
     """Group verdicts by case and component; a comparison of pairs rests on two cases."""
-    by_case: dict[tuple[str, str], list[Data]] = defaultdict(list)
+    by_case: dict[tuple[str, str], list[VerdictEntry]] = defaultdict(list)
     for verdict in verdicts:
-        for case in dict.fromkeys(
-            [verdict["case"], (verdict["pairs"] or {}).get("case", verdict["case"])]
-        ):
-            by_case[case, verdict["component"]].append(verdict)
+        for case in {verdict.case, verdict.pairs.case if verdict.pairs else verdict.case}:
+            by_case[case, verdict.component].append(verdict)
     return by_case
 
 
-def missing_runs(case: Data, verdicts: Iterable[Data], reported: Collection[int]) -> dict[str, Any]:
+def missing_runs(
+    case: CasePlan, verdicts: Iterable[VerdictEntry], reported: Collection[int]
+) -> dict[str, Any]:
     """Count the planned runs of a case that never reported, and list the first of them.
 
     A run that a campaign did not need for its decision is not missing.
@@ -462,9 +472,9 @@ def missing_runs(case: Data, verdicts: Iterable[Data], reported: Collection[int]
     """
     needed = planned = 0
     for verdict in verdicts:
-        needed = max(needed, verdict["planned"] - verdict["saved"])
-        planned = max(planned, verdict["planned"])
-    if case["planned"] > planned:
-        needed = case["planned"]  # more than any verdict needs
+        needed = max(needed, verdict.planned - verdict.saved)
+        planned = max(planned, verdict.planned)
+    if case.planned > planned:
+        needed = case.planned  # more than any verdict needs
     missing = [run for run in range(needed) if run not in reported]
     return {"missing_runs": missing[:_MAX_LISTED_RUNS], "missing_runs_total": len(missing)}

@@ -64,6 +64,10 @@ class Totals(Entry):
     """Verdicts that a waiver excuses."""
 
 
+COUNTED = tuple(name for name in Totals.model_fields if name != "gate")
+"""Names of the counts."""
+
+
 class RecordHead(Entry):
     """What a session leaves behind, its episodes apart, which are read one at a time.
 

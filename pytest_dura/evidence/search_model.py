@@ -1,7 +1,11 @@
-"""Models of searches for violations in the record."""
+"""Models of searches for violations in the record, and their collection in a session."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -161,21 +165,11 @@ class SearchEntry(Entry):
     rate can be made of them.
     """
 
-    item: str
-    """Node id of the test that searched."""
-    waiver: WaiverEntry | None
-    """What excused its failure; null if nothing did."""
     case: str
     """Id of the case: the scenario, then `+` and its faults where they differ from the scenario's
     own, then `~` and a role that is switched off."""
-    scenario: str
-    """Name of the scenario of the case."""
     component: str
     """Name of the component under test."""
-    simulator: str
-    """Import path of the simulator."""
-    roles: dict[str, str]
-    """Import path of each role."""
     seed: Count
     """From which all draws follow."""
     budget: Count
@@ -202,3 +196,61 @@ class SearchEntry(Entry):
     """Which part of the space was simulated."""
     outcomes: list[SearchOutcomeEntry]
     """Requirement by requirement."""
+    scenario: str
+    """Name of the scenario of the case."""
+    simulator: str
+    """Import path of the simulator."""
+    roles: dict[str, str]
+    """Import path of each role."""
+    item: str
+    """Node id of the test that searched."""
+    waiver: WaiverEntry | None
+    """What excused its failure; null if nothing did."""
+
+
+_sort_key = attrgetter("case", "component", "item", "seed")
+
+
+@dataclass
+class SearchRecords:
+    """Collects the searches of a session.
+
+    A search is a function of its case, its seed and its budget: if it is reported twice, it is
+    recorded once. Of one that came out differently the second time, both results are recorded.
+    """
+
+    _searches: dict[str, SearchEntry] = field(default_factory=dict)
+
+    def add(self, item: str, searches: Iterable[Mapping[str, Any]]) -> None:
+        """Take in the searches that an item reports."""
+        for search in searches:
+            entry = SearchEntry.model_validate({**search, "item": item, "waiver": None})
+            self.adopt(entry)
+
+    def adopt(self, entry: SearchEntry) -> None:
+        """Take over a search of another session, with its item and its waiver."""
+        question = entry.to_json(exclude={"waiver"})
+        self._searches.setdefault(json.dumps(question, sort_keys=True), entry)
+
+    @property
+    def answered(self) -> set[tuple[str, str, str]]:
+        """Claims that items searched instead of deciding them: they get no verdict."""
+        return {
+            (search.item, outcome.requirement, search.case)
+            for search in self._searches.values()
+            for outcome in search.outcomes
+        }
+
+    def entries(self, waivers: Mapping[str, WaiverEntry]) -> list[SearchEntry]:
+        """List the entries of the record's key ``searches``, sorted.
+
+        Args:
+            waivers: By the node id of the item that each excuses.
+        """
+        ordered = sorted(
+            self._searches.items(),
+            key=lambda entry: (*_sort_key(entry[1]), entry[0]),
+        )
+        return [
+            search.replace(waiver=waivers.get(search.item, search.waiver)) for _, search in ordered
+        ]

@@ -327,11 +327,11 @@ class ComponentUnderTest(Entry):
     """Those files; the defining one alone where they are more than 50 or installed."""
     opaque: Absent[bool] = None
     """Whether it was a bare instance, which no other process can build again."""
+    others: Absent[list[ComponentEntry]] = None
+    """Further components of the session."""
     sources: Absent[dict[Sha256, dict[str, Sha256]]] = None
     """By the digest of each component of the session: the SHA-256 of every file that it covers, by
     name, relative to the folder of its package."""
-    others: Absent[list[ComponentEntry]] = None
-    """Further components of the session."""
 
 
 class CassetteEntry(Entry):

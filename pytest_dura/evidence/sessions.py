@@ -5,18 +5,24 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from heapq import heapreplace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
+from pytest_dura.evidence.entry import JsonObject
+from pytest_dura.evidence.episode_model import OriginEntry
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.session_model import (
+    EarlierSession,
+    OutdatedEpisodes,
+    ReuseEntry,
+    SearchReuse,
+)
 
-Data = Mapping[str, Any]
-
-OWN_ORIGIN: Data = {"session": None, "changed": None}
+OWN_ORIGIN: JsonObject = {"session": None, "changed": None}
 """The origin of an episode that was simulated by the session itself, for the first time."""
-NO_REUSE: Data = {"mode": "none", "session": None, "searched": None}
+NO_REUSE: JsonObject = {"mode": "none", "session": None, "searched": None}
 """Reuse of a session that knows of no earlier one."""
 _REUSE_MODES = ("none", "resume", "reuse")
 
@@ -26,15 +32,15 @@ class ReuseRecord:
 
     def __init__(self) -> None:
         self._notes: set[str] = set()
-        self._searched: dict[str, Data] = {}
+        self._searched: dict[str, JsonObject] = {}
 
-    def add(self, report: Data) -> None:
+    def add(self, report: JsonObject) -> None:
         """Take in an item's ``notes``, and the origins of the simulations that it ``searched``."""
         self._notes.update(report["notes"])
         for simulation in report["searched"]:
             self._searched.setdefault(simulation["run"], simulation)
 
-    def to_json(self, header: Data) -> dict[str, Any]:
+    def to_json(self, header: JsonObject) -> JsonObject:
         """Build the record's key ``reuse``, apart from what follows from its episodes.
 
         Args:
@@ -46,65 +52,70 @@ class ReuseRecord:
         return {"searched": searched, **header, "problems": sorted(self._notes)}
 
 
-def _search_origin_counts(runs: Iterable[Data]) -> dict[str, Any]:
-    known = list(runs)
-    return {"simulations": len(known), **origin_counts(known)}
+def _search_origin_counts(runs: Collection[JsonObject]) -> JsonObject:
+    origins = (OriginEntry.model_validate(run["origin"]) for run in runs)
+    return {"simulations": len(runs), **origin_counts(origins)._asdict()}
 
 
-def origin_counts(episodes: Iterable[Data]) -> dict[str, Any]:
-    """Count the origins of episodes, fault-free twins apart.
+class OriginCounts(NamedTuple):
+    """Counts of the origins of episodes, for the record's key ``reuse``.
 
     Args:
-        episodes: Of the record, or others with an ``origin``.
-
-    Returns:
-        ``taken_over``, ``sessions`` with their ``episodes``, and ``outdated``: what ``changed``
-        since an earlier session simulated so many ``episodes``.
+        taken_over: Episodes that an earlier session simulated.
+        sessions: The earlier sessions.
+        outdated: Episodes that were simulated again, by the reason.
     """
+
+    taken_over: int
+    sessions: list[EarlierSession]
+    outdated: list[OutdatedEpisodes]
+
+    @classmethod
+    def of(cls, sessions: Counter[str], changes: Counter[tuple[str, ...]]) -> OriginCounts:
+        """Sort the counts by session, and by what changed."""
+        return cls(
+            sessions.total(),
+            [EarlierSession(session=name, episodes=sessions[name]) for name in sorted(sessions)],
+            [
+                OutdatedEpisodes(changed=list(change), episodes=changes[change])
+                for change in sorted(changes)
+            ],
+        )
+
+
+def origin_counts(origins: Iterable[OriginEntry]) -> OriginCounts:
+    """Count the origins of episodes, fault-free twins apart."""
     sessions: Counter[str] = Counter()
     changes: Counter[tuple[str, ...]] = Counter()
-    for episode in episodes:
-        session, changed = episode["origin"]["session"], episode["origin"]["changed"]
-        if session is not None:
-            sessions[session] += 1
-        elif changed is not None:
-            changes[tuple(changed)] += 1
-    return _origin_summary(sessions, changes)
+    for origin in origins:
+        if origin.session is not None:
+            sessions[origin.session] += 1
+        elif origin.changed is not None:
+            changes[tuple(origin.changed)] += 1
+    return OriginCounts.of(sessions, changes)
 
 
-def _origin_summary(sessions: Counter[str], changes: Counter[tuple[str, ...]]) -> dict[str, Any]:
-    return {
-        "taken_over": sessions.total(),
-        "sessions": [
-            {"session": session, "episodes": sessions[session]} for session in sorted(sessions)
-        ],
-        "outdated": [
-            {"changed": list(change), "episodes": changes[change]} for change in sorted(changes)
-        ],
-    }
-
-
-def merged_reuse(parts: Iterable[Data]) -> dict[str, Any]:
+def merged_reuse(parts: Iterable[ReuseEntry]) -> dict[str, Any]:
     """Merge what shards, each a session of its own, say of reuse."""
     shards = list(parts)
-    searched = [shard["searched"] for shard in shards if shard["searched"] is not None]
+    searched = [shard.searched for shard in shards if shard.searched is not None]
     return {
-        "mode": max((shard["mode"] for shard in shards), key=_REUSE_MODES.index),
+        "mode": max((shard.mode for shard in shards), key=_REUSE_MODES.index),
         "session": None,
         "searched": _summed_origins(searched) if searched else None,
     }
 
 
-def _summed_origins(counts: Sequence[Data]) -> dict[str, Any]:
+def _summed_origins(counts: Sequence[SearchReuse]) -> dict[str, Any]:
     """Sum of several :func:`_search_origin_counts`; no two shards make the same search."""
     sessions: Counter[str] = Counter()
     changes: Counter[tuple[str, ...]] = Counter()
     for count in counts:
-        sessions.update({each["session"]: each["episodes"] for each in count["sessions"]})
-        changes.update({tuple(each["changed"]): each["episodes"] for each in count["outdated"]})
+        sessions.update({each.session: each.episodes for each in count.sessions})
+        changes.update({tuple(each.changed): each.episodes for each in count.outdated})
     return {
-        "simulations": sum(count["simulations"] for count in counts),
-        **_origin_summary(sessions, changes),
+        "simulations": sum(count.simulations for count in counts),
+        **OriginCounts.of(sessions, changes)._asdict(),
     }
 
 
@@ -116,37 +127,36 @@ def outdated_reason(changed: Iterable[str]) -> str:
 
 def reuse_problems(record: SessionRecord) -> Iterator[str]:
     """Yield the contradictions in what a record says of earlier sessions."""
-    reuse = record["reuse"]
-    if reuse["mode"] == "none" and (reuse["taken_over"] or reuse["outdated"]):
+    reuse = record.head.reuse
+    if reuse.mode == "none" and (reuse.taken_over or reuse.outdated):
         yield "reuse: episodes of earlier sessions, though none was asked for"
-    if reuse["session"] in {session["session"] for session in reuse["sessions"]}:
+    if reuse.session in {session.session for session in reuse.sessions}:
         yield "reuse: the session took over episodes from itself"
-    if (reuse["session"] is None) != (record["merged_from"] is not None):
+    if (reuse.session is None) != (record.head.merged_from is not None):
         yield "reuse: a session has an id, and merged shards have none"
-    yield from _searched_problems(reuse["mode"], reuse["session"], reuse["searched"])
+    yield from _searched_problems(reuse.mode, reuse.session, reuse.searched)
     for episode in record.episodes():
-        if episode["origin"]["session"] is not None and episode["validity"] == "missing":
-            yield f"episode {episode['id']}: it was taken over, and it is missing"
+        if episode.origin.session is not None and episode.validity == "missing":
+            yield f"episode {episode.id}: it was taken over, and it is missing"
 
 
 def _searched_problems(
-    mode: str, session: str | None, searched: Mapping[str, Any] | None
+    mode: str, session: str | None, searched: SearchReuse | None
 ) -> Iterator[str]:
     """Yield the contradictions in the counts of searches, whose episodes are in no record."""
     if (mode == "none") != (searched is None):
         yield "reuse: searches are counted where earlier sessions are asked, and only there"
     if searched is None:
         return
-    taken_over, outdated = (
-        sum(entry["episodes"] for entry in searched[key]) for key in ("sessions", "outdated")
-    )
-    if searched["taken_over"] != taken_over:
-        runs = f"{searched['taken_over']} runs of searches"
+    taken_over = sum(session.episodes for session in searched.sessions)
+    outdated = sum(reason.episodes for reason in searched.outdated)
+    if searched.taken_over != taken_over:
+        runs = f"{searched.taken_over} runs of searches"
         yield f"reuse: {runs}, and their sessions say {taken_over}"
-    if taken_over + outdated > searched["simulations"]:
-        runs = f"{searched['simulations']} runs of searches"
+    if taken_over + outdated > searched.simulations:
+        runs = f"{searched.simulations} runs of searches"
         yield f"reuse: {runs}, and {taken_over + outdated} origins"
-    if session in {session["session"] for session in searched["sessions"]}:
+    if session in {session.session for session in searched.sessions}:
         yield "reuse: the session took over runs of searches from itself"
 
 
@@ -236,48 +246,48 @@ def shard_problems(record: SessionRecord) -> Iterator[str]:
 
 
 def _shard_part_problems(record: SessionRecord) -> Iterator[str]:
-    shard = record["shard"]
+    shard = record.head.shard
     if shard is None:
         return
-    if record["merged_from"] is not None:
+    if record.head.merged_from is not None:
         yield "shard: it is a shard, and merged from shards"
-    if shard["index"] > shard["count"]:
-        yield f"shard: {shard['index']} of {shard['count']}"
-    units = [ShardUnit.from_json(hold) for hold in shard["holds"]]
+    if shard.index > shard.count:
+        yield f"shard: {shard.index} of {shard.count}"
+    units = [ShardUnit.from_json(hold.to_json()) for hold in shard.holds]
     keys = [unit.key for unit in units]
     if keys != sorted(set(keys)):
         yield "shard: its units are not sorted, or one is listed twice"
-    if shard["plan"] is None:
-        if units or shard["units"] is not None:
+    if shard.plan is None:
+        if units or shard.units is not None:
             yield "shard: it holds units of no plan"
         return
-    if shard["units"] is None or len(units) > shard["units"]:
-        yield f"shard: it holds {len(units)} units, and the whole session {shard['units']}"
-    elif len(units) == shard["units"] and plan_digest(units) != shard["plan"]:
+    if shard.units is None or len(units) > shard.units:
+        yield f"shard: it holds {len(units)} units, and the whole session {shard.units}"
+    elif len(units) == shard.units and plan_digest(units) != shard.plan:
         yield "shard: it holds all units of the session, and they are not its plan"
-    elif shard["count"] == 1 and len(units) != shard["units"]:
-        yield f"shard: the only one holds {len(units)} of {shard['units']} units"
+    elif shard.count == 1 and len(units) != shard.units:
+        yield f"shard: the only one holds {len(units)} of {shard.units} units"
 
 
 def _merged_problems(record: SessionRecord) -> Iterator[str]:
-    parts = record["merged_from"]
+    parts = record.head.merged_from
     if parts is None:
         return
     if (
         not parts
-        or len(parts) != parts[0]["count"]
-        or any(part["index"] != number for number, part in enumerate(parts, 1))
+        or len(parts) != parts[0].count
+        or any(part.index != number for number, part in enumerate(parts, 1))
     ):
         yield "merged_from: not every shard once"
         return
-    if len({(part["count"], part["plan"]) for part in parts}) > 1:
+    if len({(part.count, part.plan) for part in parts}) > 1:
         yield "merged_from: shards of several plans"
-    if record["created"] != min(part["created"] for part in parts):
+    if record.head.created != min(part.created for part in parts):
         yield "created: not when the first of its shards began"
-    if record["status"] == "complete" and record["finished"] != max(
-        part["finished"] for part in parts
+    if record.head.status == "complete" and record.head.finished != max(
+        part.finished for part in parts
     ):
         yield "finished: not when the last of its shards ended"
-    failed = [part["index"] for part in parts if part["gate"] != "passed" or part["exit_code"]]
-    if failed and record["gate"]["result"] == "passed":
+    failed = [part.index for part in parts if part.gate != "passed" or part.exit_code]
+    if failed and record.head.gate.result == "passed":
         yield f"gate: passed, although shard {failed[0]} did not pass"

@@ -167,7 +167,7 @@ class _VerdictCheck:
 
     verdict: Data
     requirement: Data
-    case: Data
+    case: Any
     own: _CaseRuns
     twins: _CaseRuns | None
     on_traces: Mapping[str, EpisodeVerdict]

@@ -308,7 +308,7 @@ def _search_outcomes(record: SessionRecord, requirement: str) -> Counter[str]:
 
 
 def _conformance(
-    record: SessionRecord, requirement: str, verdicts: list[JsonObject], untested: int
+    record: SessionRecord, requirement: str, verdicts: list[Any], untested: int
 ) -> JsonObject:
     """The score where it is decided: 1 or 0, see the package; and the reason, always."""
     counts = verdict_counts(verdicts)

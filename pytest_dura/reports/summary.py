@@ -353,7 +353,7 @@ def _verdict_row(verdict: JsonObject) -> str:
 
 
 def _requirement_rows(record: SessionRecord) -> Iterator[str]:
-    of_each: dict[str, list[JsonObject]] = defaultdict(list)
+    of_each: dict[str, list[Any]] = defaultdict(list)
     for verdict in record["verdicts"]:
         of_each[verdict["requirement"]].append(verdict)
     counts = {each["id"]: verdict_counts(of_each[each["id"]]) for each in record["requirements"]}

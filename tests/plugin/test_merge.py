@@ -21,8 +21,10 @@ from pytest_dura.evidence import (
     DirectoryLock,
     SessionRecord,
     ShardUnit,
+    check_record,
     file_entry,
     files_below,
+    manifest_text,
     merge_bundles,
     plan_digest,
     read_session_record,
@@ -32,6 +34,7 @@ from pytest_dura.evidence import (
     write_bundle,
 )
 from pytest_dura.evidence import bundle as bundle_directory
+from pytest_dura.evidence.files import listed_files
 
 PROJECT = Path(__file__).with_name("project")
 TESTS = """
@@ -150,7 +153,13 @@ def rewritten(folder, change):
     """The bundle after a change to its record, with everything rendered from it anew."""
     record = json.loads((folder / "evidence.json").read_text())
     change(record)
-    write_bundle(SessionRecord.of(record, folder))
+    if not check_record(record):
+        write_bundle(SessionRecord.of(record, folder))
+        return
+    names = listed_files(folder)  # what is not valid cannot be rendered
+    (folder / "evidence.json").write_text(json.dumps(record, indent=1))
+    entries = {name: file_entry(folder / name) for name in names}
+    (folder / "manifest.json").write_text(manifest_text(entries))
 
 
 def refused(bundles, output, *words):

@@ -19,6 +19,7 @@ from forging import forgeries
 from pytest_dura.core import ConfigurationError
 from pytest_dura.evidence import (
     SessionRecord,
+    check_record,
     read_session_record,
     record_problems,
     record_schema,
@@ -287,7 +288,8 @@ def test_what_follows_from_the_rest_is_computed_again(made, change):
     before = json.dumps(record)
     change(record)
     assert json.dumps(record) != before
-    record["totals"] = totals(SessionRecord.of(record, made))
+    if not check_record(record):  # else there is nothing to count
+        record["totals"] = totals(SessionRecord.of(record, made)).to_json()
     problems = problems_of(made, record)
     assert problems
     cut_short = (",", " the", " say", " valid", " planned")
@@ -373,7 +375,9 @@ def is_refuted(made, record, on_traces):
 
     What is slow comes last: reading the traces, whose verdicts ``on_traces`` has.
     """
-    record["totals"] = totals(SessionRecord.of(record, made))
+    if check_record(record):
+        return True
+    record["totals"] = totals(SessionRecord.of(record, made)).to_json()
     read = SessionRecord.of(record, made)
     checks = (
         lambda: record_problems(read),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
+from entries import make
 
 from pytest_dura.evidence import SCHEMA_VERSION
+from pytest_dura.evidence.model import WholeRecord
 from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
 
 
@@ -49,8 +50,8 @@ def record(*verdicts, seed=0, walls=None, **changes):
     told = {
         "schema_version": SCHEMA_VERSION,
         "status": "complete", "created": "2026-01-02T03:04:05+00:00",
-        "base_seed": seed, "component_under_test": {"name": "C", "digest": "d"},
+        "base_seed": seed, "component_under_test": {"name": "C", "digest": "d" * 64},
         "requirements": [{"id": "R", "check": "gap > 0", "paired": None}],
         "episodes": episodes, "verdicts": list(verdicts),
     }  # fmt: skip
-    return json.loads(json.dumps(told | changes))
+    return make(WholeRecord, **told | changes).to_json()

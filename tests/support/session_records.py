@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 from baseline_records import spec
+from entries import make
+from pydantic import ValidationError
 
 from pytest_dura.evidence import SCHEMA_VERSION, SessionRecord
 from pytest_dura.evidence.entry import Entry
+from pytest_dura.evidence.model import RecordHead, WholeRecord
 from pytest_dura.provenance import digest_of
 from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
 
@@ -191,7 +195,21 @@ def session_record(directory=Path("nowhere"), **changes):
     }  # fmt: skip
     told |= changes
     told["totals"] = totals(told)
-    return SessionRecord.of(json.loads(json.dumps(told, default=Entry.to_json)), directory)
+    plain = json.loads(json.dumps(told, default=Entry.to_json))
+    with suppress(ValidationError):  # a test may want a record that is not valid
+        plain = make(WholeRecord, **plain).to_json()
+    return SessionRecord.of(plain, directory)
+
+
+HEADER = {
+    name: session_value
+    for name, session_value in make(RecordHead, base_seed=0, status="complete").to_json().items()
+    if name in (
+        "created", "tool", "command", "base_seed", "evidence_level", "require_repeatable",
+        "environment", "execution", "argument", "shard", "merged_from", "selection",
+    )
+} | {"reuse": {"mode": "none", "session": None, "searched": None}}  # fmt: skip
+"""Header of a session, as a :class:`RecordBuilder` takes it."""
 
 
 def totals(told):

@@ -187,10 +187,11 @@ def test_what_varies_between_the_runs_may_differ_between_campaigns_of_other_seed
 
 
 @pytest.mark.parametrize("path, value, told", [
-    (("faults",), [{"id": "ghost"}], "faults, faults.0.id"),
+    (("faults",), [{"id": "ghost", "target": "lidar"}], "faults, faults.0.id, faults.0.target"),
     (("simulator", "path"), "m:Other", "simulator.path"),
     (("termination", "violation"), True, "termination.violation"),
-    (("roles", "fault_injector"), {"path": "m:I"}, "fault_injector, fault_injector.path"),
+    (("roles", "fault_injector"), {"path": "m:I", "params": {}},
+     "fault_injector, fault_injector.params, fault_injector.path"),
 ])  # fmt: skip
 def test_other_conditions_are_named(path, value, told):
     new = record(verdict(3))

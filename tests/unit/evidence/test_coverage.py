@@ -1,22 +1,26 @@
 import json
 
 import pytest
+from entries import make
 from session_records import episode, session_record
 
 from pytest_dura.evidence import conclude as module
 from pytest_dura.evidence import coverage
+from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.verdict_model import VerdictEntry
 
 
 def case(name, *faults, component="C", requirements=("R",), variation=None, without=()):
-    return {
-        "id": name, "scenario": name.partition("+")[0].partition("~")[0], "component": component,
-        "faults": [{"id": one, "type": one} for one in faults], "without": list(without),
-        "requirements": list(requirements), "variation": variation or {},
-    }  # fmt: skip
+    return make(
+        CasePlan, id=name, scenario=name.partition("+")[0].partition("~")[0], component=component,
+        faults=[{"id": one, "type": one} for one in faults], without=list(without),
+        requirements=list(requirements), variation=variation or {},
+    )  # fmt: skip
 
 
 def verdict(name, word="supported", requirement="R", component="C"):
-    return {"case": name, "requirement": requirement, "component": component, "verdict": word}
+    return make(VerdictEntry, case=name, requirement=requirement, component=component, verdict=word)
 
 
 def cells(cases, verdicts, *keys):
@@ -99,7 +103,8 @@ def drawn(value, seed=0, name="a", **changes):
 
 
 def parameters(spread, episodes, path="world.wall", name="a"):
-    (found,) = coverage([case(name, variation={path: spread})], [], episodes)["parameters"]
+    entries = (make(EpisodeEntry, **one) for one in episodes)
+    (found,) = coverage([case(name, variation={path: spread})], [], entries)["parameters"]
     return found
 
 

@@ -5,36 +5,43 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from entries import make
 
 from pytest_dura.evidence import PairedCourses, effectiveness
+from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.verdict_model import MonitorEntry, VerdictEntry
 
 OWN, TWIN = "a/b", "a/b~recovery_planner"
 
 
-def verdict(case: str = OWN, component: str = "C", **counts: int) -> dict[str, Any]:
+def verdict(
+    case: str = OWN, component: str = "C", without: str = "recovery_planner", **counts: int
+) -> VerdictEntry:
     names = ("only_with", "only_without", "both", "neither")
     table = {name: 0 for word in names for name in (word, f"acted_{word}")} | counts
-    pairs = {"without": "recovery_planner", "case": f"{case}~recovery_planner", **table}
-    return {"requirement": "R", "case": case, "component": component, "pairs": pairs}
+    pairs = {"case": f"{case}~recovery_planner", "without": without, **table}
+    return make(VerdictEntry, requirement="R", case=case, component=component, pairs=pairs)
 
 
-def episode(case: str, run: int, *, acted: bool = False, jerk: float = 1.0) -> dict[str, Any]:
-    return {
-        "case": case, "component": "C", "validity": "valid", "spec": {"run": run},
-        "outcome": {"switching": {"takeovers": int(acted)}},
-        "metrics": {"performance": {"jerk": {"last": 0.0, "min": -jerk, "max": jerk}}},
-        "timings": {"simulated_seconds": 9.0},
-    }  # fmt: skip
+def episode(case: str, run: int, *, acted: bool = False, jerk: float = 1.0) -> EpisodeEntry:
+    return make(
+        EpisodeEntry, case=case, component="C", spec={"run": run},
+        outcome={"switching": {"takeovers": int(acted)}},
+        metrics={"performance": {"jerk": {"last": 0.0, "min": -jerk, "max": jerk}}},
+        timings={"simulated_seconds": 9.0},
+    )  # fmt: skip
 
 
-def monitor(target: str, tp: int = 0, fn: int = 0, fp: int = 0, tn: int = 0) -> dict[str, Any]:
-    return {
-        "case": TWIN, "component": "C", "monitor": "watch", "target": target,
-        "true_positives": tp, "false_negatives": fn, "false_positives": fp, "true_negatives": tn,
-    }  # fmt: skip
+def monitor(
+    target: str, *, tp: int = 0, fn: int = 0, fp: int = 0, tn: int = 0, name: str = "watch"
+) -> MonitorEntry:
+    return make(
+        MonitorEntry, case=TWIN, component="C", monitor=name, target=target,
+        true_positives=tp, false_negatives=fn, false_positives=fp, true_negatives=tn,
+    )  # fmt: skip
 
 
-def of_recovery(*verdicts: dict[str, Any], episodes: Any = ()) -> dict[str, Any]:
+def of_recovery(*verdicts: VerdictEntry, episodes: Any = ()) -> dict[str, Any]:
     courses = PairedCourses(verdicts)
     for one in episodes:
         courses.add(one)
@@ -99,8 +106,7 @@ def test_one_run_that_went_otherwise_is_enough() -> None:
 
 
 def test_pairs_without_something_else_say_nothing_of_recovery() -> None:
-    other = verdict(only_without=1)
-    other["pairs"]["without"] = "faults"
+    other = verdict(only_without=1, without="faults")
     assert effectiveness([other], [], PairedCourses([other])) == []
 
 
@@ -122,7 +128,7 @@ def test_what_runs_without_recovery_show_of_a_monitor(told: Any, finding: str, d
 
 
 def test_an_assessor_that_speaks_by_alerts_alone_is_no_silent_monitor() -> None:
-    told = [{**monitor("R", fn=2), "monitor": "security_assessor"}]
+    told = [monitor("R", fn=2, name="security_assessor")]
     assert effectiveness([], told, PairedCourses([])) == []
-    told = [{**monitor("R", tp=2), "monitor": "security_assessor"}]
+    told = [monitor("R", tp=2, name="security_assessor")]
     assert effectiveness([], told, PairedCourses([]))[0]["finding"] == "warned"

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+from entries import make
+
 from pytest_dura.core import FaultRecord
 from pytest_dura.evidence import UNTRACED_FAULT
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import FaultMetrics, with_chains
 from pytest_dura.plugin.terminal_tables import chain_line, fault_table
 
@@ -14,7 +17,7 @@ from pytest_dura.plugin.terminal_tables import chain_line, fault_table
 def fault_metrics(episodes):
     metrics = FaultMetrics()
     for one in episodes:
-        metrics.add(one)
+        metrics.add(make(EpisodeEntry, **one))
     return metrics.to_json()
 
 

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from entries import make
 from session_records import session_record
 from stated_counts import stated_counts
 
 from pytest_dura.evidence import SessionRecord
+from pytest_dura.evidence.case_model import ShareEntry
 from pytest_dura.reports import case_anchor, verdict_anchor
 from pytest_dura.reports.gsn import yaml_file
 from pytest_dura.reports.html import contents
@@ -37,7 +39,7 @@ def passing(number: int, changes: Mapping[int, Any] | None = None) -> SessionRec
         changes: By the number of a case, what to do with its case and verdict.
     """
     found = session_record()
-    head = copy.deepcopy(dict(found.head))
+    head = found.head.to_json()
     case = next(one for one in head["cases"] if one["id"] == CASE)
     verdict = next(one for one in head["verdicts"] if one["case"] == CASE)
     for place in range(number):
@@ -111,7 +113,7 @@ REMARKABLE = {
     "waived": verdict_with(waiver={"kind": "xfail", "reason": "known"}),
     "an invalid episode": metrics_with(invalid=1),
     "a missing episode": metrics_with(missing=1),
-    "a collision": metrics_with(collided={"valid": 0, "run": 1}),
+    "a collision": metrics_with(collided=make(ShareEntry, run=1).to_json()),
     "never run": lambda case, _: case.update(missing_runs=[1], missing_runs_total=1),
     "not judged": lambda case, _: case.update(requirements=[VERDICT, "PERF-1"]),
 }

@@ -119,7 +119,7 @@ def test_a_trace_that_is_not_there_is_found(tmp_path):
 @pytest.mark.parametrize("gate", ["incomplete", "failed"])
 def test_an_incomplete_session_claims_nothing(gate):
     changes = {
-        "status": "incomplete",
+        "status": "interrupted",
         "gate": {"result": gate, "exit_code": 1, "reasons": ["the session was killed"]},
     }
     record = session_record(**changes)
@@ -145,7 +145,8 @@ def test_monitors_are_known_only_from_violations_that_they_could_miss():
 
 def test_a_session_without_anything_has_an_argument_too():
     nothing = session_record(
-        requirements=[], cases=[], episodes=[], verdicts=[], monitors=[], component_under_test=None,
+        requirements=[], cases=[], episodes=[], verdicts=[], monitors=[],
+        component_under_test={"name": None, "version": None},
         coverage={"cells": [], "left_out": 0, "parameters": []},
     )  # fmt: skip
     text = yaml_file.render(nothing)

@@ -106,7 +106,7 @@ def test_a_hostile_id_is_harmless_in_the_picture(user):
 
 
 def test_an_incomplete_session_challenges_the_users_goal(user):
-    found = rendered(user(GOOD), status="incomplete")
+    found = rendered(user(GOOD), status="interrupted")
     assert found["CGIncomplete"]["challenges"] == "G1"
     assert "INCOMPLETE SESSION" in found["CGIncomplete"]["text"]
 

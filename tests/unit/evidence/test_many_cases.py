@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from session_records import session_record
+from entries import make
+from session_records import HEADER, session_record
 
 from pytest_dura.evidence import (
     RECORD_FILE,
@@ -20,7 +20,9 @@ from pytest_dura.evidence import (
     all_formats,
     coverage,
 )
+from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
 from pytest_dura.evidence.conclude import missing_runs, verdicts_on_cases
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.plugin.xdist import MOST, shares
 
 SIZES = (20, 40, 80)
@@ -44,29 +46,28 @@ def steps(work: Callable[[], object]) -> int:
     return count
 
 
-def assert_linear(make: Callable[[int], Any], work: Callable[[Any], object]) -> None:
+def assert_linear(build: Callable[[int], Any], work: Callable[[Any], object]) -> None:
     """Twice as many more cases take no more than twice as many more steps, and a little."""
-    work(make(SIZES[0]))  # what is done once
-    made = [make(size) for size in SIZES]
+    work(build(SIZES[0]))  # what is done once
+    made = [build(size) for size in SIZES]
     few, some, many = (steps(partial(work, one)) for one in made)
     assert many - some <= 2.2 * max(0, some - few) + 0.05 * few
 
 
 def requirement() -> dict[str, Any]:
-    return {"id": "R", "text": "t", "kind": "safety", "source": "", "check": "", "reason": ""}
+    return make(RequirementEntry, id="R", text="t", confidence=0.95).to_json()
 
 
 def case(number: int, component: str) -> dict[str, Any]:
-    return {
-        "id": f"a/b+f{number}", "scenario": "a/b", "component": component, "without": [], "off": [],
-        "faults": [{"id": f"f{number}"}], "requirements": ["R"], "planned": 2,
-        "runs_override": None, "variation": {}, "order": None,
-    }  # fmt: skip
+    return make(
+        CasePlan, id=f"a/b+f{number}", scenario="a/b", component=component,
+        faults=[{"id": f"f{number}"}], requirements=["R"], planned=2,
+    ).to_json()  # fmt: skip
 
 
 def gathered(number: int) -> RecordBuilder:
     """A session that stopped early: half of its items were excused, and the others never ran."""
-    made = RecordBuilder({"created": "now"})
+    made = RecordBuilder(HEADER)
     for one in range(number):
         name = f"t.py::test_{one}" if one % 4 == 0 else f"a/b+f{one}::R"
         made.expect(name, requirement(), case(one, UNKNOWN_COMPONENT))
@@ -82,7 +83,7 @@ def test_the_record_of_a_session_that_ran_little() -> None:
 def many_cases(number: int) -> Any:
     """The record of the support module, with copies of its cases and verdicts under other ids."""
     found = session_record()
-    head = copy.deepcopy(dict(found.head))
+    head = found.head.to_json()
     (one, *_), (verdict, *_) = (
         [one for one in head["cases"] if one["id"] == "a/clear+ghost"],
         [one for one in head["verdicts"] if one["case"] == "a/clear+ghost"],
@@ -93,8 +94,9 @@ def many_cases(number: int) -> Any:
         head["cases"].append({**one, "id": name, "faults": faults})
         item = f"{name}::{verdict['requirement']}"
         head["verdicts"].append({**verdict, "case": name, "item": item})
-    again = coverage(head["cases"], head["verdicts"], found.episodes())
-    return replace(found, head={**head, "coverage": again})
+    whole = found.changed(**head)
+    again = coverage(whole.head.cases, whole.head.verdicts, found.episodes())
+    return whole.changed(coverage=again)
 
 
 @pytest.mark.parametrize("form", list(all_formats()), ids=lambda form: form.FILE)
@@ -103,26 +105,33 @@ def test_each_format_of_the_bundle(form: Any, tmp_path: Path) -> None:
     assert_linear(lambda number: replace(many_cases(number), directory=tmp_path), form.render)
 
 
+def placed(number: int) -> list[CasePlan]:
+    """Cases in as many scenarios."""
+    return [make(CasePlan, **case(one, "C") | {"scenario": f"a/{one}"}) for one in range(number)]
+
+
 def test_coverage_of_scenarios_with_faults_of_their_own() -> None:
     """Each scenario crosses with the faults of all others: too many cells to go through."""
 
     def work(number: int) -> Callable[[], object]:
-        cases = [{**case(one, "C"), "scenario": f"a/{one}"} for one in range(number)]
+        cases = placed(number)
         return lambda: coverage(cases, [], [])
 
     most = 300  # squared, this is more than can be listed
-    found = coverage([{**case(n, "C"), "scenario": f"a/{n}"} for n in range(most)], [], [])
+    found = coverage(placed(most), [], [])
     assert len(found["cells"]) == most, "one for each scenario and requirement"
     assert found["left_out"] == most * (most + 1) - most
     assert steps(work(2 * most)) <= 2.2 * steps(work(most))
 
 
 def test_missing_runs_of_a_comparison_are_those_of_both_its_cases() -> None:
-    told = {"case": "a", "component": "C", "planned": 3, "saved": 0, "pairs": {"case": "a~x"}}
+    told = make(
+        VerdictEntry, case="a", component="C", planned=3, pairs={"case": "a~x", "without": "x"}
+    )
     found = verdicts_on_cases([told])
     for name in ("a", "a~x"):
         assert found[name, "C"] == [told]
-        missing = missing_runs({"id": name, "planned": 1}, found[name, "C"], {0})
+        missing = missing_runs(make(CasePlan, id=name, planned=1), found[name, "C"], {0})
         assert missing == {"missing_runs": [1, 2], "missing_runs_total": 2}
 
 

@@ -2,37 +2,31 @@ from __future__ import annotations
 
 import copy
 
+from entries import make
+from session_records import HEADER
+
 from pytest_dura.evidence import UNKNOWN_COMPONENT, CaseMetrics, PooledMetrics, RecordBuilder
+from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.session_model import ComponentEntry
+from pytest_dura.evidence.verdict_model import PairsEntry, VerdictEntry
 from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
 
-REQUIREMENT = {"id": "R", "text": "t", "kind": "safety", "source": "", "check": "", "reason": ""}
+REQUIREMENT = make(RequirementEntry, id="R", text="t", confidence=0.95).to_json()
 
 
 def case(component="C", planned=2):
-    return {
-        "id": "a/b", "scenario": "a/b", "faults": [], "component": component,
-        "requirements": ["R"], "planned": planned, "runs_override": None, "variation": {},
-        "order": None, "without": [],
-    }  # fmt: skip
+    return make(
+        CasePlan, id="a/b", scenario="a/b", component=component, requirements=["R"], planned=planned
+    ).to_json()
 
 
 def episode(run=0, digest="d", validity="valid", termination="goal", **outcome):
-    told = {
-        "flagged": False, "collided": None, "clearance_time": None, "gridlock": None,
-        "recoveries": 0, "alerts": 0, "switching": {"decisions": 0, "time_to_safe": []},
-    }  # fmt: skip
-    return {
-        "id": f"a/b#{run}", "case": "a/b", "component": "C", "seed": run, "planned": True,
-        "validity": validity, "digest": digest, "outcome": told | outcome,
-        "trajectory": f"{run}", "drawn": False,
-        "termination": termination,
-        "metrics": {
-            "user": {}, "tallies": {}, "answer_seconds": [], "answer_ages": [],
-            "performance": {}, "reactions": {},
-        },
-        "faults": [],
-        "spec": {"run": run, "timeouts": []},
-    }  # fmt: skip
+    return make(
+        EpisodeEntry, id=f"a/b#{run}", case="a/b", component="C", seed=run, planned=True,
+        validity=validity, digest=digest * 64, outcome=outcome, trajectory=f"{run:064d}",
+        termination=termination, spec={"run": run},
+    ).to_json()  # fmt: skip
 
 
 def verdict(word="satisfied", run=0, component="C"):
@@ -79,7 +73,7 @@ def looked_at(told, planned=2):
 
 
 def record():
-    return RecordBuilder({"created": "now"})
+    return RecordBuilder(HEADER)
 
 
 def evidence(made, status="complete"):
@@ -90,7 +84,7 @@ def evidence(made, status="complete"):
 def case_metrics(episodes, planned):
     metrics = CaseMetrics()
     for one in episodes:
-        metrics.add(one)
+        metrics.add(make(EpisodeEntry, **one))
     return metrics.to_json(planned)
 
 
@@ -137,7 +131,7 @@ def test_two_digests_do_not_excuse_a_violation():
 def test_other_inputs_are_another_episode():
     made = record()
     other = episode(0, digest="e")
-    other["spec"] = {"run": 0, "seed": 7, "timeouts": []}
+    other["spec"]["seed"] = 7
     made.add(report(cases=[case()], episodes=[episode(0), other]))
     assert made.problems == []
     assert len(evidence(made)["episodes"]) == 2
@@ -169,7 +163,7 @@ def test_an_expected_item_takes_the_components_name_when_it_is_known():
     assert evidence(made, "running")["verdicts"][0]["component"] == UNKNOWN_COMPONENT
     made = record()
     made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN_COMPONENT))
-    made.add(report("other", components=[{"name": "C"}]))
+    made.add(report("other", components=[make(ComponentEntry, name="C").to_json()]))
     assert evidence(made)["verdicts"][0]["component"] == "C"
 
 
@@ -346,10 +340,13 @@ def test_where_nothing_measures_comfort_nothing_is_said_of_it():
 def test_all_cases_of_a_component_are_pooled_without_their_twins():
     twin = {**case(), "id": "a/b~recovery_planner", "without": ["recovery_planner"]}
     free = {**case(), "id": "c/d+none"}
-    cases = [case(planned=3), {**case(), "id": "c/d"}, twin, free, {**case("D"), "id": "a/b"}]
+    cases = [
+        make(CasePlan, **one)
+        for one in (case(planned=3), {**case(), "id": "c/d"}, twin, free, case("D"))
+    ]
     verdicts = [
-        {"case": "a/b", "pairs": {"case": twin["id"]}},
-        {"case": "c/d", "pairs": {"case": free["id"]}},
+        make(VerdictEntry, case="a/b", pairs={"case": twin["id"], "without": "faults"}),
+        make(VerdictEntry, case="c/d", pairs={"case": free["id"], "without": "faults"}),
     ]
     pooled = PooledMetrics(cases, verdicts)
     runs = [
@@ -360,12 +357,12 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
         {**episode(0, clearance_time=5.0, gridlock=False), "component": "D"},
     ]
     for one in runs:
-        pooled.add(one)
+        pooled.add(make(EpisodeEntry, **one))
     own, other = pooled.to_json()
     assert (own["component"], own["cases"], own["metrics"]["planned"]) == ("C", 2, 5)
     assert own["metrics"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
     assert (other["component"], other["metrics"]["valid"]) == ("D", 1)
-    judged = PooledMetrics(cases, [*verdicts, {"case": free["id"], "pairs": None}])
+    judged = PooledMetrics(cases, [*verdicts, make(VerdictEntry, case=free["id"])])
     assert judged.to_json()[0]["cases"] == 3, "who is judged for its own sake is no mere twin"
 
 
@@ -411,7 +408,7 @@ def test_runs_that_a_campaign_was_decided_without_are_not_missing():
 def test_twins_are_missing_as_their_pairs_are():
     made = record()
     pairs = campaign("satisfied") | {"planned": 3, "saved": 1, "case": "a/b+f"}
-    pairs["pairs"] = {"case": "a/b", "without": "faults"}
+    pairs["pairs"] = make(PairsEntry, case="a/b", without="faults").to_json()
     made.add(report(cases=[case(planned=3)], episodes=[episode(0)], verdicts=[pairs]))
     assert missing(made) == ([1], 1)
 
@@ -419,8 +416,8 @@ def test_twins_are_missing_as_their_pairs_are():
 def test_traces_are_attached_to_their_episodes():
     made = record()
     made.add(report(cases=[case()], episodes=[episode(0), episode(1, digest="e")]))
-    trace = {"file": "episodes/x.mcap", "sha256": "0", "bytes": 1, "kept_for": "all"}
-    made.add_traces([{"id": "a/b#1", "component": "C", "digest": "e", "trace": trace}])
+    trace = {"file": "episodes/x.mcap", "sha256": "0" * 64, "bytes": 1, "kept_for": "all"}
+    made.add_traces([{"id": "a/b#1", "component": "C", "digest": "e" * 64, "trace": trace}])
     assert [one.get("trace") for one in evidence(made)["episodes"]] == [None, trace]
 
 

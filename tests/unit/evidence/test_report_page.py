@@ -320,7 +320,7 @@ def test_players_show_the_worst_of_each_verdict_before_the_second_of_one():
         verdict("PERF-1", "a/clear", ("violated", "satisfied")),
         verdict("SAF-1", "a/clear+ghost", ("violated",) * 2),
     ]
-    trace = {"file": "x", "sha256": "0", "bytes": 1, "kept_for": "violation"}
+    trace = {"file": "episodes/x.mcap", "sha256": "0" * 64, "bytes": 1, "kept_for": "violation"}
     episodes = [
         episode(case, run, trace=trace) for case in ("a/clear", "a/clear+ghost") for run in range(6)
     ]

@@ -6,8 +6,9 @@ import json
 from dataclasses import fields
 
 import pytest
+from entries import make
 from searches import ITEM, entry, falsification, told
-from session_records import session_record, verdict
+from session_records import HEADER, session_record, verdict
 from test_record import case, report
 
 from pytest_dura.campaign import (
@@ -28,6 +29,8 @@ from pytest_dura.evidence import (
     plain_data,
     record_schema,
 )
+from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.verdict_model import VerdictEntry
 
 WAIVER = {"kind": "xfail", "reason": "ticket 7"}
 
@@ -37,7 +40,7 @@ def search(*words, **changes):
 
 
 def searches_of(*reports, waived=None):
-    record = RecordBuilder({})
+    record = RecordBuilder(HEADER)
     for one in reports:
         record.add(one)
     if waived:
@@ -79,7 +82,7 @@ def test_what_excuses_a_test_excuses_its_searches_and_changes_no_word():
 
 
 def test_a_search_makes_no_verdict_no_case_and_no_episode():
-    record = RecordBuilder({})
+    record = RecordBuilder(HEADER)
     record.add(report(ITEM, searches=[search("nothing found")]))
     made = record.record("complete")
     assert (made["verdicts"], made["cases"], list(made.episodes())) == ([], [], [])
@@ -88,7 +91,7 @@ def test_a_search_makes_no_verdict_no_case_and_no_episode():
 def test_what_an_item_searched_it_was_not_to_decide():
     claim = {"requirement": "SAF-1", "case": case(), "each_run": False}
     asked = search("nothing found", case="a/b")
-    left = RecordBuilder({})
+    left = RecordBuilder(HEADER)
     left.add(report(ITEM, claims=[claim]))
     assert [one["verdict"] for one in left.verdicts()] == ["undecided"]
     left.add(report(ITEM, searches=[asked]))
@@ -103,7 +106,7 @@ def test_what_it_did_not_search_stays_undecided(changes):
     name = changes.pop("requirement", "SAF-1")
     item = changes.pop("item", ITEM)
     claim = {"requirement": name, "case": case(), "each_run": False}
-    record = RecordBuilder({})
+    record = RecordBuilder(HEADER)
     record.add(report(ITEM, claims=[claim]))
     record.add(report(item, searches=[search("nothing found", **{"case": "a/b", **changes})]))
     assert [one["verdict"] for one in record.verdicts()] == ["undecided"]
@@ -111,8 +114,9 @@ def test_what_it_did_not_search_stays_undecided(changes):
 
 def gate(*searches, warn=False, verdicts=()):
     return Gate.of(
-        verdicts, (), searches=searches, interrupted=False, exit_code=0, failed=0,
-        warn_undecided=warn,
+        [make(VerdictEntry, **one) for one in verdicts], (),
+        searches=[make(SearchEntry, **plain_data(one)) for one in searches],
+        interrupted=False, exit_code=0, failed=0, warn_undecided=warn,
     )  # fmt: skip
 
 

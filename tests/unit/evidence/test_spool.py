@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import pytest
+from entries import make
 
 from pytest_dura import ConfigurationError
 from pytest_dura.evidence import UNTRACED_FAULT
+from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.episodes import EpisodeSpool
+
+DIGEST = "d" * 64
+TRACE = make(TraceEntry, file="episodes/x.mcap").to_json()
 
 
 def episode(run=0, case="a/b", component="C", seed=None, faults=(), **changes):
     told = {
         "id": f"{case}#{run}", "case": case, "component": component, "planned": True,
-        "seed": run if seed is None else seed, "digest": "d", "trace": None,
-        "faults": [{"id": name} for name in faults], "spec": {"run": run, "seed": seed},
+        "seed": run if seed is None else seed, "digest": DIGEST,
+        "faults": [{"id": name} for name in faults], "spec": {"run": run, "seed": seed or 0},
     }  # fmt: skip
-    return told | changes
+    return make(EpisodeEntry, **told | changes).to_json()
 
 
 def test_episodes_come_back_by_case_component_run_and_seed():
@@ -33,14 +38,14 @@ def test_episodes_come_back_by_case_component_run_and_seed():
 
 def test_the_first_of_equal_inputs_stays_and_planned_holds_once_it_was_true():
     spool = EpisodeSpool()
-    assert spool.add(episode(digest="d", planned=False)) == "d"
-    assert spool.add(episode(digest="e", planned=True)) == "d"
-    assert spool.add(episode(digest="f", planned=False)) == "d"
-    late = episode(digest="g")
+    assert spool.add(episode(digest="d" * 64, planned=False)) == DIGEST
+    assert spool.add(episode(digest="e" * 64, planned=True)) == DIGEST
+    assert spool.add(episode(digest="f" * 64, planned=False)) == DIGEST
+    late = episode(digest="f" * 64)
     late["spec"]["timeouts"] = [3]
-    assert spool.add(late) == "d", "recorded timeouts are no inputs of it"
+    assert spool.add(late) == DIGEST, "recorded timeouts are no inputs of it"
     (found,) = spool
-    assert (found["digest"], found["planned"]) == ("d", True)
+    assert (found["digest"], found["planned"]) == (DIGEST, True)
 
 
 def test_chains_are_told_of_planned_episodes_whichever_comes_first():
@@ -49,8 +54,8 @@ def test_chains_are_told_of_planned_episodes_whichever_comes_first():
     spool.add_chain({**told, "id": "f"})
     spool.add_chain({**told, "id": "f", "outcome": "violated"})
     spool.add_chain({**told, "id": "f", "component": "D"})
-    spool.add(episode(faults=("f", "g"), digest="d"))
-    spool.add(episode(faults=("f",), digest="e", seed=7, planned=False))
+    spool.add(episode(faults=("f", "g"), digest="d" * 64))
+    spool.add(episode(faults=("f",), digest="e" * 64, seed=7, planned=False))
     planned, by_hand = spool
     assert [fault["outcome"] for fault in planned["faults"]] == ["violated", None]
     assert [fault["outcome"] for fault in by_hand["faults"]] == [None]
@@ -58,21 +63,21 @@ def test_chains_are_told_of_planned_episodes_whichever_comes_first():
 
 def test_a_trace_belongs_to_one_digest_and_may_be_told_before_the_episode():
     spool = EpisodeSpool()
-    told = {"id": "a/b#0", "component": "C", "digest": "d", "trace": {"file": "x.mcap"}}
+    told = {"id": "a/b#0", "component": "C", "digest": DIGEST, "trace": TRACE}
     spool.add_trace(told)
-    spool.add(episode(digest="d"))
-    spool.add(episode(digest="e", seed=7))
-    assert [one["trace"] for one in spool] == [{"file": "x.mcap"}, None]
+    spool.add(episode(digest="d" * 64))
+    spool.add(episode(digest="e" * 64, seed=7))
+    assert [one["trace"] for one in spool] == [TRACE, None]
 
 
 def test_of_what_workers_tell_of_a_trace_the_violation_stays_whoever_tells_it_first():
     reasons = "all", "violation", "sample", "missing"
     for order in (reasons, reasons[::-1]):
         spool = EpisodeSpool()
-        spool.add(episode(digest="d"))
+        spool.add(episode(digest="d" * 64))
         for reason in order:
-            trace = {"file": "x.mcap", "kept_for": reason}
-            spool.add_trace({"id": "a/b#0", "component": "C", "digest": "d", "trace": trace})
+            trace = TRACE | {"kept_for": reason}
+            spool.add_trace({"id": "a/b#0", "component": "C", "digest": DIGEST, "trace": trace})
         assert [one["trace"]["kept_for"] for one in spool] == ["violation"]
 
 
