@@ -225,7 +225,7 @@ def _verify(options: argparse.Namespace) -> int:
         verdicts = sum(totals[status] for status in ("supported", "violated", "undecided"))
         print(
             f"{bundle.files} files, {totals['episodes']} episodes, {verdicts} verdicts, "
-            f"{bundle.rejudged.judged} of their judgements made again on traces; "
+            f"{len(bundle.rejudged)} of their judgements made again on traces; "
             f"gate {totals['gate']}"
         )
     if bundle.intact and bundle.not_rendered is not None:

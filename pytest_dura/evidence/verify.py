@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, fields
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError, describe_error
@@ -49,6 +49,8 @@ from pytest_dura.requirements.model import Requirement
 
 Data = Mapping[str, Any]
 _RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")
+JudgedOnTraces: TypeAlias = "dict[tuple[int, str], EpisodeVerdict]"
+"""Verdicts on traces, by the number of the verdict in the record and the episode's id."""
 _STATEMENT_FILE = "test-result.intoto.json"
 _MOST_DIFFERENCES = 10
 """Greatest number of differences that are listed of one key of the record."""
@@ -76,23 +78,8 @@ def hash_problems(directory: Path, record: SessionRecord, names: Iterable[str]) 
             yield f"{_STATEMENT_FILE}: a statement on another {RECORD_FILE}"
 
 
-@dataclass
-class RejudgedCount:
-    """Verdicts on single episodes that were judged again on their traces.
-
-    Args:
-        judged: How many, violations or not.
-        left_out: Violations without a trace, of pairs, or by a function, which is not run here.
-        verdicts: By the number of the verdict in the record and the episode's id.
-    """
-
-    judged: int = 0
-    left_out: int = 0
-    verdicts: dict[tuple[int, str], EpisodeVerdict] = field(default_factory=dict)
-
-
-def trace_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[str]:
-    """Yield the differences between traces and record; collect what was judged again."""
+def trace_problems(record: SessionRecord, judged: JudgedOnTraces) -> Iterator[str]:
+    """Yield the differences between traces and record, and collect what was judged again."""
     requirements = {requirement["id"]: requirement for requirement in record["requirements"]}
     verdicts: dict[tuple[str, str], list[tuple[int, Data]]] = defaultdict(list)
     for number, verdict in enumerate(record["verdicts"]):
@@ -108,11 +95,10 @@ def trace_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[s
         for problem in _retention_problems(record, episode, violated=violated):
             yield f"{RECORD_FILE}: episode {episode['id']}: {problem}"
         if episode["trace"] is None:
-            rejudged.left_out += sum(claim.counterexample is not None for claim in claims)
             continue
         name = episode["trace"]["file"]
         try:
-            for problem in _problems_of_trace(record, episode, claims, rejudged):
+            for problem in _problems_of_trace(record, episode, claims, judged):
                 yield f"{name}: {problem}"
         except Exception as error:  # whatever a damaged trace does to its readers
             yield f"{name}: cannot be read as the trace of {episode['id']} ({error})"
@@ -165,7 +151,7 @@ class _Claim:
 
 
 def _problems_of_trace(
-    record: SessionRecord, episode: Data, claims: list[_Claim], rejudged: RejudgedCount
+    record: SessionRecord, episode: Data, claims: list[_Claim], judged: JudgedOnTraces
 ) -> Iterator[str]:
     entry, file = episode["trace"], record.directory / episode["trace"]["file"]
     if file_entry(file) != {"sha256": entry["sha256"], "bytes": entry["bytes"]}:
@@ -185,12 +171,9 @@ def _problems_of_trace(
         if plain_data(measured[key]) != episode["outcome"][key]:
             yield f"its {key} is {measured[key]}, and the record says {episode['outcome'][key]}"
     for claim in claims:
-        if claim.requirement is None:
-            rejudged.left_out += claim.counterexample is not None
-        else:
-            rejudged.judged += 1
+        if claim.requirement is not None:
             verdict = judge_episode(claim.requirement, traced)
-            rejudged.verdicts[claim.number, episode["id"]] = verdict
+            judged[claim.number, episode["id"]] = verdict
             yield from _rejudged_problems(verdict, claim.counterexample)
 
 
@@ -232,14 +215,14 @@ def _trace_episode(trace: Trace, episode: Data) -> JudgedEpisode:
     )
 
 
-def conclusion_problems(record: SessionRecord, rejudged: RejudgedCount) -> Iterator[str]:
+def conclusion_problems(record: SessionRecord, judged: JudgedOnTraces) -> Iterator[str]:
     """Conclude from the recorded episodes again, and yield the differences.
 
     Args:
         record: The record.
-        rejudged: Verdicts on traces, of :func:`trace_problems`.
+        judged: Verdicts on traces, of :func:`trace_problems`.
     """
-    for problem in verdict_problems(record, rejudged.verdicts):
+    for problem in verdict_problems(record, judged):
         yield f"{RECORD_FILE}: {problem}"
     again = conclude_again(record).head
     for key in dict.fromkeys([*record.head, *again]):
@@ -316,7 +299,7 @@ class Verification:
         problems: Every difference, as ``file: what``; an intact bundle has none.
         files: Number of files that were checked.
         totals: Those of the record, if it could be read.
-        rejudged: Verdicts that were judged again on traces.
+        rejudged: Verdicts on single episodes that were judged again on their traces.
         not_rendered: Version that wrote the bundle, if it is not this one: the third sentence was
             not checked then.
     """
@@ -324,7 +307,7 @@ class Verification:
     problems: list[str]
     files: int = 0
     totals: Data | None = None
-    rejudged: RejudgedCount = field(default_factory=RejudgedCount)
+    rejudged: JudgedOnTraces = field(default_factory=dict)
     not_rendered: str | None = None
 
     @property

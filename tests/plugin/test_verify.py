@@ -83,7 +83,7 @@ def test_the_bundle_of_a_session_is_intact(made):
     counts = found.totals
     assert (counts["gate"], counts["waived"]) == ("failed", 1)
     assert all(counts[key] > 0 for key in ("supported", "violated", "undecided", "missing"))
-    assert found.rejudged.judged > 0
+    assert found.rejudged
 
 
 def test_the_command_says_so(made, capsys):

@@ -26,7 +26,7 @@ from pytest_dura.evidence import (
     totals,
     verify_bundle,
 )
-from pytest_dura.evidence.verify import RejudgedCount, conclusion_problems, trace_problems
+from pytest_dura.evidence.verify import conclusion_problems, trace_problems
 from pytest_dura.requirements import upper_bound
 
 PROJECT = Path(__file__).with_name("project")
@@ -140,7 +140,7 @@ def made(tmp_path_factory, forked_workers):
 
 def problems_of(made, record):
     """What a record and the traces say against it."""
-    found, rejudged = SessionRecord.of(record, made), RejudgedCount()
+    found, rejudged = SessionRecord.of(record, made), {}
     told = list(record_problems(found))
     told += trace_problems(found, rejudged)
     return told + list(conclusion_problems(found, rejudged))
@@ -382,7 +382,7 @@ def is_refuted(made, record, on_traces):
     checks = (
         lambda: record_problems(read),
         lambda: conclusion_problems(read, on_traces),
-        lambda: trace_problems(read, RejudgedCount()),
+        lambda: trace_problems(read, {}),
     )
     try:
         return any(True for check in checks for _ in check())
@@ -406,7 +406,7 @@ def test_one_forged_field_is_found_whatever_field_it_is(made):
         for key, names in free.items()
         if not names and key[0].partition(".")[0] != "totals"  # a forger counts anew
     ]
-    on_traces, intact = RejudgedCount(), SessionRecord.of(json.loads(text), made)
+    on_traces, intact = {}, SessionRecord.of(json.loads(text), made)
     assert [*trace_problems(intact, on_traces)] == []
     assert {name for names in free.values() for name in names} == {*free_names()}
     assert len(claims) > 350
