@@ -15,6 +15,7 @@ from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import (
     ArgumentEntry,
+    ComponentEntry,
     ComponentUnderTest,
     EnvironmentEntry,
     ExecutionEntry,
@@ -220,7 +221,7 @@ def _typed(model: type[Entry], data: Any) -> Any:  # transitional
         return data
 
 
-def components_under_test(record: SessionRecord) -> list[Any]:
+def components_under_test(record: SessionRecord) -> list[ComponentUnderTest | ComponentEntry]:
     """List the components under test that the record describes, the first one first."""
-    first = record["component_under_test"]
-    return [first, *first.get("others", ())]
+    first = record.head.component_under_test
+    return [first, *(first.others or ())]

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.files import DirectoryLock
     from pytest_dura.evidence.gather import RecordBuilder, Status
     from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.evidence.session_model import ArgumentEntry
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.inputs import SessionInputs
@@ -71,7 +72,7 @@ class GivenFiles:
         self.context = context
         self.baseline: Baseline | None = None
         """The earlier evidence that the session is compared with."""
-        self.argument: dict[str, Any] | None = None
+        self.argument: ArgumentEntry | None = None
         """Over which the assurance case is built; as the record has it."""
 
     def read(self) -> None:
@@ -92,7 +93,8 @@ class GivenFiles:
             from pytest_dura.reports.gsn.user_argument import read_user_argument
 
             name = recorded_path(options.argument, config.rootpath)
-            self.argument = {**read_user_argument(options.argument), "path": name}
+            argument = read_user_argument(options.argument)
+            self.argument = argument.model_copy(update={"path": name})
 
     def check_argument(self) -> None:
         """Check that the requirements to which the user's argument refers are in the session.
@@ -250,7 +252,7 @@ class SessionEvidence:
                     "require_repeatable": options.require_repeatable,
                     "environment": describe_environment(config.rootpath, options.evidence),
                     "execution": self._executor.to_json(),
-                    "argument": self.given.argument,
+                    "argument": self.given.argument and self.given.argument.to_json(),
                     "reuse": self._shared.to_json(),
                     "shard": self._shard_json(),
                     "merged_from": None,

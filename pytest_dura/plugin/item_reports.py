@@ -173,9 +173,7 @@ def ending_events(
         episode = runner().fetch(result.case, run)
     if episode is None:
         return []
-    return [
-        redact(event_text(event.to_json())) for event in episode.events if event.kind == "critical"
-    ]
+    return [redact(event_text(event)) for event in episode.events if event.kind == "critical"]
 
 
 def seed_of(context: SessionContext, result: ItemResult, episode: str) -> int | None:

@@ -129,10 +129,13 @@ def failure_text(error: DuraError) -> str:
     falsification = getattr(error, "falsification", None)
     if falsification is None:
         return str(error)
+    from pytest_dura.evidence.entry import plain_data
+    from pytest_dura.evidence.search_model import SearchEntry
     from pytest_dura.reports.searches import failure_lines
 
+    data = plain_data({**falsification.to_json(), "item": "", "waiver": None})
     not_kept = [f"not kept: {reason}" for reason in getattr(error, "not_kept", ())]
-    return "\n".join([*failure_lines(falsification.to_json()), *not_kept])
+    return "\n".join([*failure_lines(SearchEntry.model_validate(data)), *not_kept])
 
 
 class usage_errors:  # noqa: N801 - reads like a statement

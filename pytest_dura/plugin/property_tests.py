@@ -222,6 +222,8 @@ class PropertyTests:
         return None
 
     def _store(self, item: pytest.Item, case: SearchedCase, objective: Objective) -> Iterator[str]:
+        from pytest_dura.evidence.entry import plain_data
+        from pytest_dura.evidence.search_model import FoundCounterexample
         from pytest_dura.plugin.context import rerun_command
         from pytest_dura.reports.searches import kept_lines
         from pytest_dura.search.counterexamples import (
@@ -255,7 +257,8 @@ class PropertyTests:
         )
         command = rerun_command(self.context, f"{counterexample.name}::{written[0].requirement.id}")
         yield f"{case.id} violates {name}, confirmed by replay with an equal digest"
-        yield from kept_lines(asdict(counterexample), command)
+        entry = FoundCounterexample.model_validate(plain_data(asdict(counterexample)))
+        yield from kept_lines(entry, command)
 
 
 def _leaves(error: BaseException) -> Iterator[BaseException]:

@@ -30,11 +30,14 @@ from typing import Any
 from urllib.parse import quote
 
 from pytest_dura.evidence.bundle import RECORD_FILE
+from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.conclude import verdict_counts
-from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.gate import NOTHING_FOUND, OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.session_model import ComponentEntry, ComponentUnderTest
 from pytest_dura.evidence.text import name, one_line, visible
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.verdicts import rate_bound, sample_text
 from pytest_dura.reports.wording import (
     NAME_LIMIT,
@@ -45,8 +48,6 @@ from pytest_dura.reports.wording import (
 )
 
 _PREFIX = "pytest-dura:"
-Data = Mapping[str, Any]
-JsonObject = dict[str, Any]
 
 
 def _requirement_ref(number: int) -> str:
@@ -59,19 +60,19 @@ def _property_entries(properties: Mapping[str, str]) -> list[JsonObject]:
     return [{"name": f"{_PREFIX}{key}", "value": value} for key, value in properties.items()]
 
 
-def _component_entry(component: Mapping[str, Any], ref: str) -> JsonObject:
+def _component_entry(component: ComponentUnderTest | ComponentEntry, ref: str) -> JsonObject:
     """A component under test, with version and digest as far as the record has them."""
     entry: JsonObject = {
         "type": "application",
         "bom-ref": ref,
-        "name": name(component["name"] or "unknown", NAME_LIMIT),
+        "name": name(component.name or "unknown", NAME_LIMIT),
     }
-    if component.get("version"):
-        entry["version"] = name(str(component["version"]), NAME_LIMIT)
-    if digest := valid_sha256(component.get("digest")):
+    if component.version:
+        entry["version"] = name(str(component.version), NAME_LIMIT)
+    if digest := valid_sha256(component.digest):
         entry["hashes"] = [{"alg": "SHA-256", "content": digest}]
-    properties = {"path": visible(component["path"])} if component.get("path") else {}
-    if component.get("opaque"):
+    properties = {"path": visible(component.path)} if component.path else {}
+    if component.opaque:
         properties["opaque"] = "true"
     return entry | ({"properties": _property_entries(properties)} if properties else {})
 
@@ -84,10 +85,10 @@ _PREDICATES = {
     "violated": "The evidence refutes that {what}",
     "undecided": "The evidence does not decide whether {what}",
 }
-_FIGURES = (
+_FIGURES = {
     "verdict", "planned", "run", "episodes", "violations", "open", "without_effect", "invalid",
     "missing", "bound",
-)  # fmt: skip
+}  # fmt: skip
 
 
 def declarations(record: SessionRecord) -> JsonObject:
@@ -98,29 +99,29 @@ def declarations(record: SessionRecord) -> JsonObject:
     """
     targets = _Targets.of(record)
     places = _counterexample_places(record)
-    texts = {requirement["id"]: requirement["text"] for requirement in record["requirements"]}
+    texts = {requirement.id: requirement.text for requirement in record.head.requirements}
     claims, evidence = [], []
-    for number, verdict in enumerate(record["verdicts"]):
-        if verdict["requirement"] not in texts:
-            requirement = name(verdict["requirement"])
+    for number, verdict in enumerate(record.head.verdicts):
+        if verdict.requirement not in texts:
+            requirement = name(verdict.requirement)
             raise ValueError(f"a verdict is on {requirement}, which is not among the requirements")
         entries = list(_evidence(number, verdict, places))
         for entry in entries:
-            entry["created"] = record["finished"] or record["created"]
+            entry["created"] = record.head.finished or record.head.created
         evidence += entries
-        claims.append(_claim(number, verdict, texts, targets.refs[verdict["component"]], entries))
+        claims.append(_claim(number, verdict, texts, targets.refs[verdict.component], entries))
     return {
         "assessors": [
             {
                 "bom-ref": "assessor",
                 "thirdParty": False,
-                "organization": {"name": name(record["tool"]["name"], NAME_LIMIT)},
+                "organization": {"name": name(record.head.tool.name, NAME_LIMIT)},
             }
         ],
         "attestations": [
             {
                 "summary": f"By a test tool, {UNREVIEWED}. The gate of {_component_names(record)}: "
-                f"{record['gate']['result']}.",
+                f"{record.head.gate.result}.",
                 "assessor": "assessor",
                 "map": list(_attestation_map(record)),
             }
@@ -141,15 +142,17 @@ class _Targets:
     """Targets of the claims: every component that the record describes or a verdict names."""
 
     described: list[JsonObject]
-    refs: Mapping[str, str]
+    refs: Mapping[str | None, str]
 
     @classmethod
     def of(cls, record: SessionRecord) -> _Targets:
-        known: dict[str, Any] = {}
+        known: dict[str | None, ComponentUnderTest | ComponentEntry] = {}
         for component in components_under_test(record):
-            known.setdefault(component["name"], component)
-        for verdict in record["verdicts"]:
-            known.setdefault(verdict["component"], {"name": verdict["component"]})
+            known.setdefault(component.name, component)
+        for verdict in record.head.verdicts:
+            known.setdefault(
+                verdict.component, ComponentUnderTest(name=verdict.component, version=None)
+            )
         refs = {component: f"target/{number}" for number, component in enumerate(known)}
         return cls(
             [_component_entry(known[component], ref) for component, ref in refs.items()], refs
@@ -159,36 +162,35 @@ class _Targets:
 def _counterexample_places(record: SessionRecord) -> dict[tuple[str, str], tuple[int, str | None]]:
     """Index and trace of each episode that will be listed as a counterexample."""
     listed = {
-        (counterexample["episode"], verdict["component"])
-        for verdict in record["verdicts"]
-        for counterexample in verdict["counterexamples"][:MAX_LISTED]
+        (counterexample.episode, verdict.component)
+        for verdict in record.head.verdicts
+        for counterexample in verdict.counterexamples[:MAX_LISTED]
     }
     places: dict[tuple[str, str], tuple[int, str | None]] = {}
     for number, episode in enumerate(record.episodes()):
-        key = episode["id"], episode["component"]
-        if key in listed and (episode["planned"] or key not in places):
-            places[key] = number, episode["trace"] and episode["trace"]["file"]
+        key = episode.id, episode.component
+        if key in listed and (episode.planned or key not in places):
+            places[key] = number, episode.trace.file if episode.trace else None
     return places
 
 
 def _claim(
     number: int,
-    verdict: JsonObject,
+    verdict: VerdictEntry,
     texts: Mapping[str, str],
     target: str,
     entries: list[JsonObject],
 ) -> JsonObject:
-    status = verdict["verdict"]
-    requirement = name(verdict["requirement"], NAME_LIMIT)
-    what = f"{requirement} holds on {name(verdict['case'], NAME_LIMIT)}"
-    text = one_line(texts[verdict["requirement"]])
+    status = verdict.verdict
+    requirement = name(verdict.requirement, NAME_LIMIT)
+    what = f"{requirement} holds on {name(verdict.case, NAME_LIMIT)}"
+    text = one_line(texts[verdict.requirement])
     first, *counterexamples = (entry["bom-ref"] for entry in entries)
     claim = {
         "bom-ref": f"claim/{number}",
         "target": target,
         "predicate": _PREDICATES[status].format(what=what) + (f": {text}" if text else ""),
-        "reasoning": f"{visible(verdict['reason'])} ({sample_text(verdict)};"
-        f" {rate_bound(verdict)})",
+        "reasoning": f"{visible(verdict.reason)} ({sample_text(verdict)}; {rate_bound(verdict)})",
         "evidence": [first],
     }
     # A counterexample is what a counter claim rests on, and speaks against any other.
@@ -199,35 +201,36 @@ def _claim(
     return claim
 
 
-def _evidence(number: int, verdict: JsonObject, places: Mapping[Any, Any]) -> Iterator[JsonObject]:
+def _evidence(
+    number: int, verdict: VerdictEntry, places: Mapping[Any, Any]
+) -> Iterator[JsonObject]:
     data = [
         {
             "name": "verdict",
-            "contents": _json_text({key: verdict[key] for key in _FIGURES})
+            "contents": _json_text(verdict.model_dump(include=_FIGURES))
             | {"url": f"{RECORD_FILE}#/verdicts/{number}"},
         }
     ]
-    if verdict["waiver"] is not None:
-        waiver = {key: visible(str(text)) for key, text in verdict["waiver"].items()}
+    if verdict.waiver is not None:
+        waiver = {key: visible(str(text)) for key, text in verdict.waiver.to_json().items()}
         data.append({"name": "waiver", "contents": _json_text(waiver)})
     yield {
         "bom-ref": f"evidence/{number}",
-        "propertyName": f"{_PREFIX}verdict:{verdict['verdict']}",
-        "description": f"{sample_text(verdict)}; {rate_bound(verdict)}"
-        f" ({verdict['bound']['method']})",
+        "propertyName": f"{_PREFIX}verdict:{verdict.verdict}",
+        "description": f"{sample_text(verdict)}; {rate_bound(verdict)} ({verdict.bound.method})",
         "data": data,
     }
-    if verdict["counterexamples"]:
+    if verdict.counterexamples:
         yield _counterexamples(number, verdict, places)
 
 
-def _counterexamples(number: int, verdict: JsonObject, places: Mapping[Any, Any]) -> JsonObject:
-    counterexamples = verdict["counterexamples"]
+def _counterexamples(number: int, verdict: VerdictEntry, places: Mapping[Any, Any]) -> JsonObject:
+    counterexamples = verdict.counterexamples
     data = []
     for counterexample in counterexamples[:MAX_LISTED]:
-        index, trace = places.get((counterexample["episode"], verdict["component"]), (None, None))
-        shown = name(counterexample["episode"], NAME_LIMIT)
-        contents = _json_text({key: counterexample[key] for key in ("time", "margin", "valid")})
+        index, trace = places.get((counterexample.episode, verdict.component), (None, None))
+        shown = name(counterexample.episode, NAME_LIMIT)
+        contents = _json_text(counterexample.model_dump(exclude={"episode"}))
         if index is not None:
             contents["url"] = f"{RECORD_FILE}#/episodes/{index}"
         data.append({"name": shown, "contents": contents})
@@ -246,29 +249,29 @@ def _counterexamples(number: int, verdict: JsonObject, places: Mapping[Any, Any]
 
 
 def _json_text(data: Mapping[str, Any]) -> JsonObject:
-    content = json.dumps(plain_data(data))
+    content = json.dumps(data)
     return {"attachment": {"contentType": "application/json", "content": content}}
 
 
 def _attestation_map(record: SessionRecord) -> Iterator[JsonObject]:
     """Each requirement with its claims, also one on which there is none."""
-    verdicts: dict[str, list[tuple[int, JsonObject]]] = defaultdict(list)
-    for number, verdict in enumerate(record["verdicts"]):
-        verdicts[verdict["requirement"]].append((number, verdict))
+    verdicts: dict[str, list[tuple[int, VerdictEntry]]] = defaultdict(list)
+    for number, verdict in enumerate(record.head.verdicts):
+        verdicts[verdict.requirement].append((number, verdict))
     untested = _declared_and_untested(record)
-    for number, requirement in enumerate(record["requirements"]):
-        own = verdicts[requirement["id"]]
-        against = [f"claim/{place}" for place, verdict in own if verdict["verdict"] == "violated"]
-        claims = [f"claim/{place}" for place, verdict in own if verdict["verdict"] != "violated"]
+    for number, requirement in enumerate(record.head.requirements):
+        own = verdicts[requirement.id]
+        against = [f"claim/{place}" for place, verdict in own if verdict.verdict == "violated"]
+        claims = [f"claim/{place}" for place, verdict in own if verdict.verdict != "violated"]
         yield {
             "requirement": _requirement_ref(number),
             "claims": claims,
             "counterClaims": against,
             "conformance": _conformance(
                 record,
-                requirement["id"],
+                requirement.id,
                 [verdict for _, verdict in own],
-                untested[requirement["id"]],
+                untested[requirement.id],
             ),
         }
 
@@ -279,19 +282,16 @@ def _declared_and_untested(record: SessionRecord) -> Counter[str]:
     Other cells of the coverage table, a fault of one scenario in another one, nobody declared.
     """
     judged = {
-        (verdict["requirement"], verdict["case"], verdict["component"])
-        for verdict in record["verdicts"]
+        (verdict.requirement, verdict.case, verdict.component) for verdict in record.head.verdicts
     }
-    compared = {
-        verdict["pairs"]["case"] for verdict in record["verdicts"] if verdict["pairs"] is not None
-    }
+    compared = {verdict.pairs.case for verdict in record.head.verdicts if verdict.pairs is not None}
     compared -= {case for _, case, _ in judged}
     return Counter(
         requirement
-        for case in record["cases"]
-        if case["planned"] and not case["without"] and case["id"] not in compared
-        for requirement in case["requirements"]
-        if (requirement, case["id"], case["component"]) not in judged
+        for case in record.head.cases
+        if case.planned and not case.without and case.id not in compared
+        for requirement in case.requirements
+        if (requirement, case.id, case.component) not in judged
     )
 
 
@@ -299,22 +299,20 @@ def _search_outcomes(record: SessionRecord, requirement: str) -> Counter[str]:
     """Objections of searches to a requirement that no waiver excuses, counted by status."""
     return Counter(
         status
-        for search in record["searches"]
-        if search["waiver"] is None
-        for outcome in search["outcomes"]
-        if outcome["requirement"] == requirement
+        for search in record.head.searches
+        if search.waiver is None
+        for outcome in search.outcomes
+        if outcome.requirement == requirement
         and (status := outcome_status(search, outcome)) != NOTHING_FOUND
     )
 
 
 def _conformance(
-    record: SessionRecord, requirement: str, verdicts: list[Any], untested: int
+    record: SessionRecord, requirement: str, verdicts: list[VerdictEntry], untested: int
 ) -> JsonObject:
     """The score where it is decided: 1 or 0, see the package; and the reason, always."""
     counts = verdict_counts(verdicts)
-    refuted = any(
-        verdict["verdict"] == "violated" and verdict["waiver"] is None for verdict in verdicts
-    )
+    refuted = any(verdict.verdict == "violated" and verdict.waiver is None for verdict in verdicts)
     searched = _search_outcomes(record, requirement)
     doubts = [
         f"{counts[status]} {status}" for status in ("violated", "undecided") if counts[status]
@@ -359,8 +357,8 @@ def render(record: SessionRecord) -> str:
         "serialNumber": f"urn:uuid:{_serial_number(record)}",
         "version": 1,
         "metadata": _metadata(record),
-        "components": _packages(record["environment"]["packages"]),
-        "definitions": {"standards": [_standard(record["requirements"])]},
+        "components": _packages(record.head.environment.packages),
+        "definitions": {"standards": [_standard(record.head.requirements)]},
         "declarations": declarations(record),
     }
     return json.dumps(document, indent=1) + "\n"
@@ -370,30 +368,30 @@ def _serial_number(record: SessionRecord) -> uuid.UUID:
     """Serial number from the whole record, of episodes their digests: equal for equal records."""
     state = hashlib.sha256(json.dumps(plain_data(record.head), sort_keys=True).encode())
     for episode in record.episodes():
-        identity = [episode[key] for key in ("id", "component", "digest", "validity")]
+        identity = [episode.id, episode.component, episode.digest, episode.validity]
         state.update(json.dumps(identity).encode())
     return uuid.uuid5(_NAMESPACE, state.hexdigest())
 
 
 def _metadata(record: SessionRecord) -> JsonObject:
-    tool = record["tool"]
-    counts = {key: str(value) for key, value in record["totals"].items()}
+    tool = record.head.tool
+    counts = {key: str(value) for key, value in record.head.totals.to_json().items()}
     properties = {
         **counts,
-        "status": record["status"],
+        "status": record.head.status,
         "review": UNREVIEWED,
-        "command": visible(record["command"]),
-        "base_seed": str(record["base_seed"]),
+        "command": visible(record.head.command),
+        "base_seed": str(record.head.base_seed),
     }
     return {
-        "timestamp": record["created"],
+        "timestamp": record.head.created,
         "tools": {
             "components": [
                 {
                     "type": "application",
                     "bom-ref": "tool",
-                    "name": name(tool["name"], NAME_LIMIT),
-                    "version": name(tool["version"], NAME_LIMIT),
+                    "name": name(tool.name, NAME_LIMIT),
+                    "version": name(tool.version, NAME_LIMIT),
                 }
             ]
         },
@@ -423,7 +421,7 @@ def _packages(packages: Mapping[str, str]) -> list[JsonObject]:
     return components
 
 
-def _standard(requirements: list[JsonObject]) -> JsonObject:
+def _standard(requirements: list[RequirementEntry]) -> JsonObject:
     return {
         "bom-ref": "standard",
         "name": "Requirements of the session",
@@ -434,24 +432,23 @@ def _standard(requirements: list[JsonObject]) -> JsonObject:
     }
 
 
-def _requirement(number: int, requirement: JsonObject) -> JsonObject:
+def _requirement(number: int, requirement: RequirementEntry) -> JsonObject:
     at_most = "every valid episode satisfies it"
-    if requirement["at_most"] is not None:
+    if requirement.at_most is not None:
         at_most = (
-            f"at most {requirement['at_most']:g} of episodes violate it, "
-            f"at {requirement['confidence']:g}"
+            f"at most {requirement.at_most:g} of episodes violate it, at {requirement.confidence:g}"
         )
     texts = (
-        ("check", requirement["check"]),
+        ("check", requirement.check),
         ("criterion", at_most),
-        ("reason", requirement["reason"]),
-        ("source", requirement["source"]),
+        ("reason", requirement.reason),
+        ("source", requirement.source),
     )
     return {
         "bom-ref": _requirement_ref(number),
-        "identifier": name(requirement["id"], NAME_LIMIT),
-        "title": visible(requirement["text"] or requirement["id"], 200),
-        "text": visible(requirement["text"]),
+        "identifier": name(requirement.id, NAME_LIMIT),
+        "title": visible(requirement.text or requirement.id, 200),
+        "text": visible(requirement.text),
         "descriptions": [f"{label}: {visible(text)}" for label, text in texts if text],
-        "properties": [{"name": f"{_PREFIX}kind", "value": visible(requirement["kind"] or "")}],
+        "properties": [{"name": f"{_PREFIX}kind", "value": visible(requirement.kind or "")}],
     }

@@ -23,14 +23,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from typing import Any
 
 from pytest_dura.evidence.bundle import RECORD_FILE
-from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
 from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.session_model import InputEntry
 from pytest_dura.evidence.text import name, visible
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.wording import NAME_LIMIT, UNREVIEWED, shard_text, valid_sha256
 
 FILE = "test-result.intoto.json"
@@ -38,8 +39,7 @@ _STATEMENT = "https://in-toto.io/Statement/v1"
 _PREDICATE = "https://in-toto.io/attestation/test-result/v0.1"
 _MAX_REASONS = 20
 """Reasons of the gate that are annotated; the record has all of them."""
-JsonObject = dict[str, Any]
-_PLANNED = ("id", "scenario", "faults", "component", "without", "requirements", "planned")
+_PLANNED = {"id", "scenario", "faults", "component", "without", "requirements", "planned"}
 _LISTS = ("passedTests", "warnedTests", "failedTests")
 
 
@@ -49,9 +49,9 @@ def render(record: SessionRecord) -> str:
     Raises:
         ValueError: If ``evidence.json`` is not in the record's directory.
     """
-    names = _test_names(record["verdicts"])
+    names = _test_names(record.head.verdicts)
     lists: dict[str, list[str]] = {key: [] for key in _LISTS}
-    for test, verdict in zip(names, record["verdicts"], strict=True):
+    for test, verdict in zip(names, record.head.verdicts, strict=True):
         lists[_test_list(verdict)].append(test)
     statement = {
         "_type": _STATEMENT,
@@ -59,45 +59,45 @@ def render(record: SessionRecord) -> str:
         "predicateType": _PREDICATE,
         "predicate": {
             "result": _result(record),
-            "configuration": [_campaign(record, names), *map(_input_entry, record["inputs"])],
+            "configuration": [_campaign(record, names), *map(_input_entry, record.head.inputs)],
             **lists,
         },
     }
     return json.dumps(statement, indent=1) + "\n"
 
 
-def _test_list(verdict: JsonObject) -> str:
-    if verdict["waiver"] is not None:
+def _test_list(verdict: VerdictEntry) -> str:
+    if verdict.waiver is not None:
         return "warnedTests"
-    return "passedTests" if verdict["verdict"] == "supported" else "failedTests"
+    return "passedTests" if verdict.verdict == "supported" else "failedTests"
 
 
 def _result(record: SessionRecord) -> str:
-    if record["gate"]["result"] != "passed" or record["status"] != "complete":
+    if record.head.gate.result != "passed" or record.head.status != "complete":
         return "FAILED"
     # Without a verdict nothing was shown, and by one shard nothing of the whole.
-    clean = bool(record["verdicts"]) and not shard_text(record)
-    for verdict in record["verdicts"]:
-        if verdict["verdict"] == "violated" and verdict["waiver"] is None:
+    clean = bool(record.head.verdicts) and not shard_text(record)
+    for verdict in record.head.verdicts:
+        if verdict.verdict == "violated" and verdict.waiver is None:
             return "FAILED"  # no gate lets it through; what says so is damaged
         clean &= _test_list(verdict) == "passedTests"
-    for search in record["searches"]:
-        statuses = {outcome_status(search, outcome) for outcome in search["outcomes"]} - {
+    for search in record.head.searches:
+        statuses = {outcome_status(search, outcome) for outcome in search.outcomes} - {
             NOTHING_FOUND
         }
-        if statuses - {"undecided"} and search["waiver"] is None:
+        if statuses - {"undecided"} and search.waiver is None:
             return "FAILED"  # likewise
         clean &= not statuses
     return "PASSED" if clean else "WARNED"
 
 
-def _test_names(verdicts: list[JsonObject]) -> list[str]:
+def _test_names(verdicts: list[VerdictEntry]) -> list[str]:
     """``case::requirement`` of each verdict, with as much more as tells it from the others."""
     parts = [
         [
-            f"{verdict['case']}::{verdict['requirement']}",
-            f" [{verdict['component']}]",
-            f" ({verdict['item']})",
+            f"{verdict.case}::{verdict.requirement}",
+            f" [{verdict.component}]",
+            f" ({verdict.item})",
         ]
         for verdict in verdicts
     ]
@@ -126,22 +126,24 @@ def _subjects(record: SessionRecord) -> list[JsonObject]:
     if not file.is_file():
         raise ValueError(f"{RECORD_FILE} has to be written before the statement on it")
     components = [
-        {"name": name(component["name"] or "unknown", NAME_LIMIT), "digest": {"sha256": digest}}
+        {"name": name(component.name or "unknown", NAME_LIMIT), "digest": {"sha256": digest}}
         for component in components_under_test(record)
-        if (digest := valid_sha256(component.get("digest")))
+        if (digest := valid_sha256(component.digest))
     ]
     return [*components, {"name": RECORD_FILE, "digest": {"sha256": file_entry(file)["sha256"]}}]
 
 
 def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
     plan = {
-        "base_seed": record["base_seed"],
-        "requirements": record["requirements"],
-        "cases": [{key: case.get(key) for key in _PLANNED} for case in record["cases"]],
+        "base_seed": record.head.base_seed,
+        "requirements": record.head.requirements,
+        "cases": [
+            case.model_dump(include=_PLANNED, exclude_unset=True) for case in record.head.cases
+        ],
     }
     canonical = json.dumps(plain_data(plan), sort_keys=True, separators=(",", ":"))
-    counts = dict(record["totals"])
-    statuses = [verdict["verdict"] for verdict in record["verdicts"]]
+    counts = record.head.totals.to_json()
+    statuses = [verdict.verdict for verdict in record.head.verdicts]
     for status in ("supported", "violated", "undecided"):
         counts[status] = [
             test
@@ -154,26 +156,26 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
         "digest": {"sha256": hashlib.sha256(canonical.encode()).hexdigest()},
         "annotations": {
             **counts,
-            "status": record["status"],
+            "status": record.head.status,
             "part": shard_text(record) or "whole",
-            "reasons": [visible(reason) for reason in record["gate"]["reasons"][:_MAX_REASONS]],
+            "reasons": [visible(reason) for reason in record.head.gate.reasons[:_MAX_REASONS]],
             "components": [
-                name(component["name"] or "unknown", NAME_LIMIT)
+                name(component.name or "unknown", NAME_LIMIT)
                 for component in components_under_test(record)
             ],
-            "command": visible(record["command"]),
-            "base_seed": str(record["base_seed"]),  # as a number, JSON readers would round it
-            "created": record["created"],
+            "command": visible(record.head.command),
+            "base_seed": str(record.head.base_seed),  # as a number, JSON readers would round it
+            "created": record.head.created,
             "review": UNREVIEWED,
         },
     }
 
 
-def _input_entry(file: JsonObject) -> JsonObject:
+def _input_entry(file: InputEntry) -> JsonObject:
     entry: JsonObject = {
-        "name": name(file["path"], NAME_LIMIT),
-        "annotations": {"kind": visible(file["kind"])},
+        "name": name(file.path, NAME_LIMIT),
+        "annotations": {"kind": visible(file.kind)},
     }
-    if digest := valid_sha256(file["sha256"]):
+    if digest := valid_sha256(file.sha256):
         entry["digest"] = {"sha256": digest}
     return entry

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from pytest_dura.evidence.gate import (
     NOTHING_FOUND,
@@ -16,11 +16,14 @@ from pytest_dura.evidence.gate import (
     outcome_status,
 )
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.search_model import (
+    ChangeEntry,
+    FoundCounterexample,
+    SearchEntry,
+    SearchOutcomeEntry,
+)
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.requirements.campaign_verdicts import violation_text
-
-Data = Mapping[str, Any]
-"""A part of the record."""
 
 _LEARNS = "learns"
 _MOST_NAMES = 8
@@ -31,34 +34,32 @@ NOTHING_SUPPORTED = (
 )
 
 
-def outcome_rank(search: Data, outcome: Data) -> int:
+def outcome_rank(search: SearchEntry, outcome: SearchOutcomeEntry) -> int:
     """Place of an outcome in a list that begins with the worst."""
     return _OUTCOME_RANK.get(outcome_status(search, outcome), len(_OUTCOME_RANK))
 
 
-def simulations_text(search: Data) -> str:
+def simulations_text(search: SearchEntry) -> str:
     """Simulations that were run, of the budget: ``37 of 100 simulations``."""
-    text = f"{search['simulations']} of {counted(search['budget'], 'simulation')}"
-    if search["unknown"]:
-        text += f", {search['unknown']} without an answer"
-    if search["idle"]:
-        text += f", {search['idle']} with an added fault that never came to act"
-    if search["refused"]:
-        text += f"; {counted(search['refused'], 'point')} refused"
+    text = f"{search.simulations} of {counted(search.budget, 'simulation')}"
+    if search.unknown:
+        text += f", {search.unknown} without an answer"
+    if search.idle:
+        text += f", {search.idle} with an added fault that never came to act"
+    if search.refused:
+        text += f"; {counted(search.refused, 'point')} refused"
     return text
 
 
-def ordered_outcomes(record: SessionRecord) -> list[tuple[Data, Data]]:
+def ordered_outcomes(record: SessionRecord) -> list[tuple[SearchEntry, SearchOutcomeEntry]]:
     """Searches with their outcomes, the worst first."""
-    outcomes = [
-        (search, outcome) for search in record["searches"] for outcome in search["outcomes"]
-    ]
+    outcomes = [(search, outcome) for search in record.head.searches for outcome in search.outcomes]
     return sorted(outcomes, key=lambda pair: outcome_rank(*pair))
 
 
 def outcome_counts_text(record: SessionRecord) -> str:
     """Outcomes by status: ``1 falsified, 2 nothing found``; empty without a search."""
-    counts = Counter(outcome["word"] for _, outcome in ordered_outcomes(record))
+    counts = Counter[str](outcome.word for _, outcome in ordered_outcomes(record))
     return ", ".join(
         f"{counts[status]} {status}"
         for status in (*OBJECTIONABLE_OUTCOMES, NOTHING_FOUND)
@@ -66,7 +67,7 @@ def outcome_counts_text(record: SessionRecord) -> str:
     )
 
 
-def outcome_headline(search: Data, outcome: Data, where: str = "") -> str:
+def outcome_headline(search: SearchEntry, outcome: SearchOutcomeEntry, where: str = "") -> str:
     """The outcome, the requirement, and what the outcome rests on.
 
     Args:
@@ -74,26 +75,26 @@ def outcome_headline(search: Data, outcome: Data, where: str = "") -> str:
         outcome: One of its outcomes.
         where: What stands behind the requirement, such as `` on a/clear``.
     """
-    status, requirement = outcome["word"], f"{name(outcome['requirement'])}{where}"
-    counterexample = outcome["counterexample"]
+    status, requirement = outcome.word, f"{name(outcome.requirement)}{where}"
+    counterexample = outcome.counterexample
     if counterexample is not None:
-        repeats = counterexample["repeats"]
-        by = f"at simulation {outcome['simulations']}, by {one_line(outcome['searcher'])}"
+        repeats = counterexample.repeats
+        by = f"at simulation {outcome.simulations}, by {one_line(outcome.searcher or '')}"
         if status == "falsified":
-            again = f"confirmed by {counted(repeats['runs'], 'equal replay')}"
+            again = f"confirmed by {counted(repeats.runs, 'equal replay')}"
         else:
-            runs = counted(repeats["runs"], "replay")
-            again = f"and in {repeats['violated']} of {runs}, {repeats['equal']} of them equal"
+            runs = counted(repeats.runs, "replay")
+            again = f"and in {repeats.violated} of {runs}, {repeats.equal} of them equal"
         return f"{status}: {requirement} violated {by}; {again}"
-    least = "none measured" if outcome["best"] is None else f"{outcome['best']:.4g}"
+    least = "none measured" if outcome.best is None else f"{outcome.best:.4g}"
     start = f"{requirement}: " if status == NOTHING_FOUND else f"{status}: {requirement}: "
     return (
-        f"{start}nothing found in {counted(search['simulations'], 'simulation')}: "
+        f"{start}nothing found in {counted(search.simulations, 'simulation')}: "
         f"least robustness {least}, coverage {search_coverage_text(search)}"
     )
 
 
-def outcome_entries(outcome: Data, most_changes: int) -> Iterator[tuple[str, str]]:
+def outcome_entries(outcome: SearchOutcomeEntry, most_changes: int) -> Iterator[tuple[str, str]]:
     """Labels and texts on the check, and on the counterexample as far as there is one.
 
     Args:
@@ -101,37 +102,37 @@ def outcome_entries(outcome: Data, most_changes: int) -> Iterator[tuple[str, str
         most_changes: Parameters that are named; each is a text of its own, without a label but for
             the first.
     """
-    counterexample = outcome["counterexample"]
-    if outcome["check"] not in ("", outcome["requirement"]):
-        yield "check", one_line(outcome["check"])
+    counterexample = outcome.counterexample
+    if outcome.check not in ("", outcome.requirement):
+        yield "check", one_line(outcome.check)
     if counterexample is None:
         return
-    yield "worst", counterexample_text(counterexample, outcome["check"])
-    if counterexample["shrinking"] is not None:
+    yield "worst", counterexample_text(counterexample, outcome.check)
+    if counterexample.shrinking is not None:
         yield "simpler", shrinking_text(counterexample)
     yield from _change_entries(counterexample, most_changes, ", in evidence.json")
 
 
 def _change_entries(
-    counterexample: Data, most: int, rest_is: str = ""
+    counterexample: FoundCounterexample, most: int, rest_is: str = ""
 ) -> Iterator[tuple[str, str]]:
     changes = [f"{path}: {change}" for path, change in parameter_changes(counterexample, most)]
     for number, change in enumerate(changes or ["in nothing: the case violates it as it stands"]):
         yield "" if number else "differs", change
-    if len(counterexample["changes"]) > most:
-        yield "", f"and {len(counterexample['changes']) - most} more{rest_is}"
+    if len(counterexample.changes) > most:
+        yield "", f"and {len(counterexample.changes) - most} more{rest_is}"
 
 
-def baseline_note(search: Data, outcome: Data) -> str:
+def baseline_note(search: SearchEntry, outcome: SearchOutcomeEntry) -> str:
     """Note on an outcome that a baseline alone violated; empty for any other."""
     status = outcome_status(search, outcome)
     return OBJECTIONABLE_OUTCOMES[status] if status == "baseline" else ""
 
 
-def kept_text(outcome: Data) -> str:
+def kept_text(outcome: SearchOutcomeEntry) -> str:
     """The scenario file that keeps the counterexample; empty where none does."""
-    counterexample = outcome["counterexample"]
-    return one_line((counterexample or {}).get("file") or "")
+    counterexample = outcome.counterexample
+    return one_line((counterexample and counterexample.file) or "")
 
 
 _MOST_CHANGES = 12
@@ -139,26 +140,26 @@ _MOST_CHANGES = 12
 _KEPT_FOR = ", which --dura-scenarios runs from now on"
 
 
-def failure_lines(search: Data) -> Iterator[str]:
+def failure_lines(search: SearchEntry) -> Iterator[str]:
     """Lines of the message of a test that fails by its search."""
-    where = f" on {name(search['case'])} ({name(search['component'])})"
-    for outcome in search["outcomes"]:
+    where = f" on {name(search.case)} ({name(search.component)})"
+    for outcome in search.outcomes:
         yield outcome_headline(search, outcome, where)
-        if outcome["word"] == NOTHING_FOUND:
+        if outcome.word == NOTHING_FOUND:
             continue
         entries = [("searched", simulations_text(search)), *outcome_entries(outcome, _MOST_CHANGES)]
-        if search["baselines"]:
-            entries.append(("baselines", baselines_text(search, outcome["requirement"])))
+        if search.baselines:
+            entries.append(("baselines", baselines_text(search, outcome.requirement)))
         if kept := kept_text(outcome):
             entries.append(("kept", f"{kept}{_KEPT_FOR}"))
         yield from map(_entry_line, entries)
 
 
-def kept_lines(counterexample: Data, rerun: str) -> Iterator[str]:
+def kept_lines(counterexample: FoundCounterexample, rerun: str) -> Iterator[str]:
     """Lines on a counterexample that a property test kept.
 
     Args:
-        counterexample: Plain data, as a search's.
+        counterexample: As a search records it.
         rerun: The command that runs it again.
     """
     entries = [*_change_entries(counterexample, _MOST_CHANGES)]
@@ -171,24 +172,24 @@ def _entry_line(entry: tuple[str, str]) -> str:
     return f"{f'{label}:' if label else '':<11}{text}"
 
 
-def search_coverage_text(search: Data) -> str:
+def search_coverage_text(search: SearchEntry) -> str:
     """The share of the ranges that was simulated, on average, and of their pairs."""
-    shares, pairs = list(search["coverage"]["parameters"].values()), search["coverage"]["pairs"]
+    shares, pairs = list(search.coverage.parameters.values()), search.coverage.pairs
     text = f"{100 * sum(shares) / len(shares):.0f} % of each range" if shares else "unknown"
     return text if pairs is None else f"{text}, {100 * pairs:.0f} % of their pairs"
 
 
-def baselines_text(search: Data, requirement: str) -> str:
+def baselines_text(search: SearchEntry, requirement: str) -> str:
     """The simulation at which each trivial baseline violated the requirement by itself."""
     results = []
-    for baseline in search["baselines"]:
-        first = baseline["first"].get(requirement)
-        end = f"none in {baseline['simulations']}" if first is None else f"at {first}"
-        results.append(f"{name(baseline['name'])} {end}")
+    for baseline in search.baselines:
+        first = baseline.first.get(requirement)
+        end = f"none in {baseline.simulations}" if first is None else f"at {first}"
+        results.append(f"{name(baseline.name)} {end}")
     return "; ".join(results) or "none was run"
 
 
-def is_notable_outcome(search: Data, outcome: Data) -> bool:
+def is_notable_outcome(search: SearchEntry, outcome: SearchOutcomeEntry) -> bool:
     """Whether a search or a baseline violated it, so that its searchers are listed."""
     return outcome_status(search, outcome) in (*VIOLATED_OUTCOMES, "baseline")
 
@@ -197,55 +198,56 @@ SEARCHER_COLUMNS = ("simulations", "violated at", "robustness")
 SEARCHER_LEGEND = "violated at: after so many of its own simulations; robustness: its least"
 
 
-def searcher_rows(search: Data, requirement: str, kind: str) -> Iterator[tuple[str, list[str]]]:
+def searcher_rows(
+    search: SearchEntry, requirement: str, kind: Literal["searchers", "baselines"]
+) -> Iterator[tuple[str, list[str]]]:
     """The name and the cells of every searcher, or of every baseline.
 
     Args:
         search: Of the record.
         requirement: For which of its requirements.
-        kind: ``searchers`` or ``baselines``.
+        kind: Which of them.
     """
-    for searcher in search[kind]:
-        first, best = searcher["first"].get(requirement), searcher["best"].get(requirement)
-        shown = name(searcher["name"])
-        if kind == "searchers" and not searcher["trivial"]:
+    for searcher in search.searchers if kind == "searchers" else search.baselines:
+        first, best = searcher.first.get(requirement), searcher.best.get(requirement)
+        shown = name(searcher.name)
+        if kind == "searchers" and not searcher.trivial:
             shown = f"{shown} ({_LEARNS})"
-        cells = [str(searcher["simulations"]), "none" if first is None else str(first)]
+        cells = [str(searcher.simulations), "none" if first is None else str(first)]
         yield shown, [*cells, "-" if best is None else f"{best:.4g}"]
 
 
-def counterexample_text(counterexample: Data, check: str) -> str:
+def counterexample_text(counterexample: FoundCounterexample, check: str) -> str:
     """Time, margin and reason of a counterexample; a reason that repeats the check is left out."""
-    when = violation_text(counterexample["time"], counterexample["margin"]).lstrip(", ")
-    detail = "" if counterexample["detail"] == check else one_line(counterexample["detail"], 300)
+    when = violation_text(counterexample.time, counterexample.margin).lstrip(", ")
+    detail = "" if counterexample.detail == check else one_line(counterexample.detail, 300)
     return ": ".join(filter(None, [when, detail]))
 
 
-def shrinking_text(counterexample: Data) -> str:
+def shrinking_text(counterexample: FoundCounterexample) -> str:
     """Result of shrinking; empty where none was requested."""
-    shrinking = counterexample["shrinking"]
+    shrinking = counterexample.shrinking
     if shrinking is None:
         return ""
-    spent = counted(shrinking["simulations"], "simulation")
-    limit = "" if shrinking["finished"] else f", all of {shrinking['budget']} that it was allowed"
-    before, after = shrinking["before"], shrinking["after"]
+    spent = counted(shrinking.simulations, "simulation")
+    limit = "" if shrinking.finished else f", all of {shrinking.budget} that it was allowed"
+    before, after = shrinking.before, shrinking.after
     return f"from {before} to {after} parameters that differ ({spent}{limit})"
 
 
-def parameter_changes(counterexample: Data, most: int) -> Sequence[tuple[str, str]]:
+def parameter_changes(counterexample: FoundCounterexample, most: int) -> Sequence[tuple[str, str]]:
     """Path and change of each parameter: ``world.wall``, ``2 instead of 4``."""
     return [
-        (name(change["path"]), _parameter_change(change))
-        for change in counterexample["changes"][:most]
+        (name(change.path), _parameter_change(change)) for change in counterexample.changes[:most]
     ]
 
 
-def _parameter_change(change: Data) -> str:
-    if change["value"] is None:
+def _parameter_change(change: ChangeEntry) -> str:
+    if change.value is None:
         return "left out"
-    if change["nominal"] is None:
-        return f"{_value_text(change['value'])}, added"
-    return f"{_value_text(change['value'])} instead of {_value_text(change['nominal'])}"
+    if change.nominal is None:
+        return f"{_value_text(change.value)}, added"
+    return f"{_value_text(change.value)} instead of {_value_text(change.nominal)}"
 
 
 def _value_text(value: Any) -> str:
@@ -267,13 +269,15 @@ def _value_text(value: Any) -> str:
     return one_line(str(value), 120)
 
 
-def _outcomes_of(record: SessionRecord, statuses: tuple[str, ...]) -> list[tuple[Data, Data]]:
+def _outcomes_of(
+    record: SessionRecord, statuses: tuple[str, ...]
+) -> list[tuple[SearchEntry, SearchOutcomeEntry]]:
     """Searches and their outcomes of these statuses."""
     return [
         (search, outcome)
-        for search in record["searches"]
-        for outcome in search["outcomes"]
-        if outcome["word"] in statuses
+        for search in record.head.searches
+        for outcome in search.outcomes
+        if outcome.word in statuses
     ]
 
 
@@ -285,8 +289,8 @@ def violation_sentences(record: SessionRecord) -> Iterator[str]:
         search_outcomes = _outcomes_of(record, (violated_outcome,))
         if search_outcomes:
             claims = [
-                f"{name(verdict['requirement'])} on {name(search['case'])}"
-                for search, verdict in search_outcomes
+                f"{name(outcome.requirement)} on {name(search.case)}"
+                for search, outcome in search_outcomes
             ]
             names = ", ".join(dict.fromkeys(claims[:_MOST_NAMES]))
             more = f" and {len(claims) - _MOST_NAMES} more" if len(claims) > _MOST_NAMES else ""
@@ -297,7 +301,7 @@ def unviolated_sentences(record: SessionRecord) -> Iterator[str]:
     """Sentences on searches without a violation: how far they looked."""
     search_outcomes = _outcomes_of(record, (NOTHING_FOUND, "undecided"))
     if search_outcomes:
-        most = max(search["simulations"] for search, _ in search_outcomes)
+        most = max(search.simulations for search, _ in search_outcomes)
         yield (
             f"Searches found nothing against {counted(len(search_outcomes), 'requirement')}"
             " on a case, in up to "

@@ -8,14 +8,22 @@ mention, HTML or the end of a cell.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, groupby
-from typing import Any
 
+from pytest_dura.evidence.case_model import (
+    CaseEntry,
+    CaseMetricsEntry,
+    RequirementEntry,
+    ShareEntry,
+)
 from pytest_dura.evidence.conclude import verdict_counts
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
+from pytest_dura.evidence.session_model import LanguageModelEntry
 from pytest_dura.evidence.text import code, markdown, name
+from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
 from pytest_dura.reports.searches import (
     baselines_text,
     kept_text,
@@ -54,7 +62,7 @@ from pytest_dura.reports.wording import (
 from pytest_dura.requirements.campaign_verdicts import violation_text
 
 
-def _model_lines(models: Sequence[Mapping[str, Any]], most: int) -> Iterator[str]:
+def _model_lines(models: Sequence[LanguageModelEntry], most: int) -> Iterator[str]:
     """A line for each entry of the record's key ``models``.
 
     Args:
@@ -66,22 +74,22 @@ def _model_lines(models: Sequence[Mapping[str, Any]], most: int) -> Iterator[str
         yield f"- and {len(models) - most} more language models"
 
 
-def _model_line(model: Mapping[str, Any]) -> str:
-    capabilities = model["capabilities"] or {}
+def _model_line(model: LanguageModelEntry) -> str:
+    capabilities = model.capabilities or {}
     level = _name(str(capabilities.get("structured", "unknown")))
     enforcement = "enforced" if capabilities.get("enforced") else "not enforced"
-    about = f" ({_name(model['about'])})" if model["about"] else ""
+    about = f" ({_name(model.about)})" if model.about else ""
     text = (
-        f"- language model of {_name(model['component'])}: {_name(model['model'])}{about} at "
-        f"{_name(model['base_url'])}, {model['mode']}, structured output {level} ({enforcement}), "
-        f"fingerprint {_name(model['fingerprint'])}; {model['asked']} answers from the server, "
-        f"{model['reused']} from the cassette, {model['injected']} injected faults, "
-        f"{model['missed']} missed"
+        f"- language model of {_name(model.component)}: {_name(model.model)}{about} at "
+        f"{_name(model.base_url)}, {model.mode}, structured output {level} ({enforcement}), "
+        f"fingerprint {_name(model.fingerprint)}; {model.asked} answers from the server, "
+        f"{model.reused} from the cassette, {model.injected} injected faults, "
+        f"{model.missed} missed"
     )
-    cassette = model["cassette"]
+    cassette = model.cassette
     if cassette is None:
         return text
-    return f"{text}; cassette {_name(cassette['file'])}, SHA-256 {_name(cassette['sha256'])}"
+    return f"{text}; cassette {_name(cassette.file)}, SHA-256 {_name(cassette.sha256)}"
 
 
 def _name(text: str | None) -> str:
@@ -90,34 +98,25 @@ def _name(text: str | None) -> str:
 
 def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
     """The section on provenance, with at most so many components and models."""
-    git, tool, environment = (
-        record["environment"]["git"] or {},
-        record["tool"],
-        record["environment"],
-    )
-    commit = _name(git.get("commit")) + (" with local changes" if git.get("dirty") else "")
+    tool, environment = record.head.tool, record.head.environment
+    git = environment.git
+    commit = _name(git.commit) + (" with local changes" if git.dirty else "")
     yield from ["", "## Provenance", ""]
     for component in components_under_test(record)[:most]:
-        version = (
-            f", version {_name(str(component['version']))}" if component.get("version") else ""
-        )
-        digest = (
-            f", SHA-256 {_name(component['digest'])}" if component.get("digest") else ", no digest"
-        )
-        yield f"- component under test: {_name(component['name'])}{version}{digest}"
-    yield from _model_lines(record["models"], most)
+        version = f", version {_name(str(component.version))}" if component.version else ""
+        digest = f", SHA-256 {_name(component.digest)}" if component.digest else ", no digest"
+        yield f"- component under test: {_name(component.name)}{version}{digest}"
+    yield from _model_lines(record.head.models, most)
     yield from [f"- merged from {shards}"] if (shards := merge_text(record)) else []
     yield f"- commit: {commit}"
-    yield f"- tool: {_name(tool['name'])} {_name(tool['version'])}"
-    yield f"- Python {_name(environment['python'])} on {_name(environment['platform'])}"
+    yield f"- tool: {_name(tool.name)} {_name(tool.version)}"
+    yield f"- Python {_name(environment.python)} on {_name(environment.platform)}"
     yield from [f"- formulas: {markdown(text)}"] if (text := second_engine_text(record)) else []
-    yield f"- base seed: {record['base_seed']}"
-    yield f"- created {_name(record['created'])}, finished {_name(record['finished'])}"
-    yield f"- command: {code(record['command'], 1000) or '-'}"
+    yield f"- base seed: {record.head.base_seed}"
+    yield f"- created {_name(record.head.created)}, finished {_name(record.head.finished)}"
+    yield f"- command: {code(record.head.command, 1000) or '-'}"
     yield f"- {UNREVIEWED}"
 
-
-Data = Mapping[str, Any]
 
 _SEARCH_COLUMNS = ["search", "waiver", "requirement", "case", "component", "simulations",
            "robustness",
@@ -136,36 +135,36 @@ def _search_failures(record: SessionRecord) -> Iterator[str]:
     for search, outcome in ordered_outcomes(record):
         if outcome_status(search, outcome) in OBJECTIONABLE_OUTCOMES:
             yield (
-                f"- **search: {code(name(outcome['requirement']))}** on "
-                f"{code(name(search['case']))}, component {code(name(search['component']))}"
-                f"{waiver_note(search['waiver'], markdown)}: "
+                f"- **search: {code(name(outcome.requirement))}** on "
+                f"{code(name(search.case))}, component {code(name(search.component))}"
+                f"{waiver_note(search.waiver, markdown)}: "
                 f"{markdown(outcome_headline(search, outcome), 400)}"
             )
 
 
-def _search_cells(search: Data, outcome: Data) -> Iterator[str]:
+def _search_cells(search: SearchEntry, outcome: SearchOutcomeEntry) -> Iterator[str]:
     status = outcome_status(search, outcome)
     yield "violated by a baseline" if status == "baseline" else status
-    yield "-" if search["waiver"] is None else "waived"
-    for text in (outcome["requirement"], search["case"], search["component"]):
+    yield "-" if search.waiver is None else "waived"
+    for text in (outcome.requirement, search.case, search.component):
         yield code(name(text)) or "-"
-    yield f"{outcome['simulations']} of {search['budget']}"
-    yield "-" if outcome["best"] is None else f"{outcome['best']:.4g}"
-    yield "-" if outcome["searcher"] is None else markdown(outcome["searcher"], 100)
-    yield markdown(baselines_text(search, outcome["requirement"]), 1000)
+    yield f"{outcome.simulations} of {search.budget}"
+    yield "-" if outcome.best is None else f"{outcome.best:.4g}"
+    yield "-" if outcome.searcher is None else markdown(outcome.searcher, 100)
+    yield markdown(baselines_text(search, outcome.requirement), 1000)
     yield _search_counterexample(search, outcome)
 
 
-def _search_counterexample(search: Data, outcome: Data) -> str:
+def _search_counterexample(search: SearchEntry, outcome: SearchOutcomeEntry) -> str:
     """Its changes and its file; without a counterexample, how much the search covered."""
-    counterexample = outcome["counterexample"]
+    counterexample = outcome.counterexample
     if counterexample is None:
         return f"coverage {search_coverage_text(search)}"
     changes = [
         f"{code(path)} {markdown(how, 100)}"
         for path, how in parameter_changes(counterexample, MOST_CHANGES)
     ]
-    more = len(counterexample["changes"]) - len(changes)
+    more = len(counterexample.changes) - len(changes)
     text = ", ".join(changes) or "the case as it stands"
     text += f" and {more} more" if more > 0 else ""
     kept = kept_text(outcome)
@@ -176,7 +175,6 @@ FILE = "summary.md"
 MAX_BYTES = 1024 * 1024
 """Bytes that GitHub takes."""
 
-JsonObject = dict[str, Any]
 _KIB = 1024
 _SHARES = {"failures": 300 * _KIB, "verdicts": 320 * _KIB, "requirements": 100 * _KIB,
            "cases": 150 * _KIB, "failure modes": 30 * _KIB, "searches": 40 * _KIB}  # fmt: skip
@@ -188,8 +186,8 @@ _VERDICT_ORDER = ("violated", "undecided", "supported")
 
 def render(record: SessionRecord) -> str:
     """The page as text, of at most ``MAX_BYTES`` bytes in UTF-8."""
-    verdicts = sorted(record["verdicts"], key=_urgency)
-    failures = [verdict for verdict in verdicts if verdict["verdict"] != "supported"]
+    verdicts = sorted(record.head.verdicts, key=_urgency)
+    failures = [verdict for verdict in verdicts if verdict.verdict != "supported"]
     lines = [
         *_head_lines(record),
         *_conclusion_lines(record),
@@ -201,12 +199,12 @@ def render(record: SessionRecord) -> str:
         ),
         *(
             _section("Searches", _SEARCH_COLUMNS, _search_rows(record), "searches")
-            if record["searches"]
+            if record.head.searches
             else ()
         ),
         *_section("Verdicts", _VERDICT_COLUMNS, map(_verdict_row, verdicts), "verdicts"),
         *_section("Requirements", _REQUIREMENT_COLUMNS, _requirement_rows(record), "requirements"),
-        *_section("Cases", _CASE_COLUMNS, map(_case_row, record["cases"]), "cases"),
+        *_section("Cases", _CASE_COLUMNS, map(_case_row, record.head.cases), "cases"),
         *_overall_lines(record),
         *_failure_mode_section(record),
         *_coverage_lines(record),
@@ -215,30 +213,28 @@ def render(record: SessionRecord) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _urgency(verdict: JsonObject) -> tuple[bool, int]:
+def _urgency(verdict: VerdictEntry) -> tuple[bool, int]:
     """Sort key: what makes the gate fail comes first, violations before what is undecided."""
-    status = verdict["verdict"]
-    return status == "supported" or verdict["waiver"] is not None, _VERDICT_ORDER.index(status)
+    status = verdict.verdict
+    return status == "supported" or verdict.waiver is not None, _VERDICT_ORDER.index(status)
 
 
 def _head_lines(record: SessionRecord) -> Iterator[str]:
-    counts, gate = record["totals"], record["gate"]
+    counts, gate = record.head.totals.to_json(), record.head.gate
     shard = shard_text(record)
     if is_incomplete(record):
         subject = shard.capitalize() or "Session"
-        yield f"# {subject} incomplete ({record['status']}): this is no pass"
+        yield f"# {subject} incomplete ({record.head.status}): this is no pass"
     elif shard:
-        yield f"# Gate of {shard} {gate['result']}: a part of a session, not the whole"
+        yield f"# Gate of {shard} {gate.result}: a part of a session, not the whole"
     else:
-        yield f"# Gate {', '.join(filter(None, [gate['result'], selection_text(record)]))}"
+        yield f"# Gate {', '.join(filter(None, [gate.result, selection_text(record)]))}"
     yield from ["", f"| {' | '.join(counts)} |", f"|{' --- |' * len(counts)}"]
     yield f"| {' | '.join(map(str, counts.values()))} |"
     yield ""
-    yield from (
-        f"- {markdown(reason, 300) or 'no reason'}" for reason in gate["reasons"][:_REASONS]
-    )
-    if len(gate["reasons"]) > _REASONS:
-        yield f"- and {len(gate['reasons']) - _REASONS} more reasons"
+    yield from (f"- {markdown(reason, 300) or 'no reason'}" for reason in gate.reasons[:_REASONS])
+    if len(gate.reasons) > _REASONS:
+        yield f"- and {len(gate.reasons) - _REASONS} more reasons"
 
 
 def _conclusion_lines(record: SessionRecord) -> Iterator[str]:
@@ -276,34 +272,34 @@ def _section(heading: str, columns: list[str], rows: Iterable[str], share: str) 
         )
 
 
-def _failure_lines(record: SessionRecord, failures: list[JsonObject]) -> Iterator[str]:
+def _failure_lines(record: SessionRecord, failures: list[VerdictEntry]) -> Iterator[str]:
     """One row each; requirements of a case that are undecided for the same reason share one."""
     for (first, rest), same in groupby(failures, lambda failure: _failure_context(record, failure)):
-        names = ", ".join(_name(verdict["requirement"]) for verdict in same)
+        names = ", ".join(_name(verdict.requirement) for verdict in same)
         yield f"- **{first}: {names}{rest}"
 
 
-def _failure_context(record: SessionRecord, verdict: JsonObject) -> tuple[str, str]:
+def _failure_context(record: SessionRecord, verdict: VerdictEntry) -> tuple[str, str]:
     """The text on a verdict before and after the name of its requirement."""
     text = (
-        f" on {_name(verdict['case'])}, component {_name(verdict['component'])}: "
-        f"{markdown(verdict['reason'], 400) or 'no reason'}. "
+        f" on {_name(verdict.case)}, component {_name(verdict.component)}: "
+        f"{markdown(verdict.reason, 400) or 'no reason'}. "
         f"{sample_text(verdict)}; {rate_bound(verdict)}."
     )
     for line in assertion_sentences(verdict):
         text += f"\n  - {markdown(line, 600)}"
-    if verdict["counterexamples"]:
-        text += "\n  - " + _counterexample(record, verdict["counterexamples"])
-    return f"{verdict['verdict']}**{waiver_note(verdict['waiver'], markdown)}", text
+    if verdict.counterexamples:
+        text += "\n  - " + _counterexample(record, verdict.counterexamples)
+    return f"{verdict.verdict}**{waiver_note(verdict.waiver, markdown)}", text
 
 
-def _counterexample(record: SessionRecord, counterexamples: list[JsonObject]) -> str:
+def _counterexample(record: SessionRecord, counterexamples: list[CounterexampleEntry]) -> str:
     first = counterexamples[0]
-    when = violation_text(first["time"], first["margin"], valid=first["valid"])
-    text = f"counterexample {_name(first['episode'])}{when}"
+    when = violation_text(first.time, first.margin, valid=first.valid)
+    text = f"counterexample {_name(first.episode)}{when}"
     if len(counterexamples) > 1:
         text += f", and {len(counterexamples) - 1} more"
-    command = _replay(record["command"], first["episode"])
+    command = _replay(record.head.command, first.episode)
     return text + (f"; replay: {command}" if command else "; replay by its id in the record")
 
 
@@ -344,52 +340,62 @@ def _table_row(cells: Iterable[object]) -> str:
     return f"| {' | '.join(str(cell) for cell in cells)} |"
 
 
-def _verdict_row(verdict: JsonObject) -> str:
-    counts = [verdict["episodes"], verdict["violations"], len(verdict["open"])]
-    counts += [verdict[key] for key in ("without_effect", "invalid", "missing")]
-    waiver = "-" if verdict["waiver"] is None else "waived"
-    names = (_name(verdict[key]) for key in ("requirement", "case", "component"))
-    return _table_row([verdict["verdict"], waiver, *names, *counts, rate_bound(verdict)])
+def _verdict_row(verdict: VerdictEntry) -> str:
+    counts = [verdict.episodes, verdict.violations, len(verdict.open)]
+    counts += [verdict.without_effect, verdict.invalid, verdict.missing]
+    waiver = "-" if verdict.waiver is None else "waived"
+    names = map(_name, (verdict.requirement, verdict.case, verdict.component))
+    return _table_row([verdict.verdict, waiver, *names, *counts, rate_bound(verdict)])
 
 
 def _requirement_rows(record: SessionRecord) -> Iterator[str]:
-    of_each: dict[str, list[Any]] = defaultdict(list)
-    for verdict in record["verdicts"]:
-        of_each[verdict["requirement"]].append(verdict)
-    counts = {each["id"]: verdict_counts(of_each[each["id"]]) for each in record["requirements"]}
-    cells = record["coverage"]["cells"]
-    untested = Counter(cell["requirement"] for cell in cells if cell["verdict"] is None)
-    more = " or more" if record["coverage"]["left_out"] else ""
+    of_each: dict[str, list[VerdictEntry]] = defaultdict(list)
+    for verdict in record.head.verdicts:
+        of_each[verdict.requirement].append(verdict)
+    counts = {each.id: verdict_counts(of_each[each.id]) for each in record.head.requirements}
+    cells = record.head.coverage.cells
+    untested = Counter(cell.requirement for cell in cells if cell.verdict is None)
+    more = " or more" if record.head.coverage.left_out else ""
 
-    def failing(requirement: JsonObject) -> tuple[bool, bool]:
-        own = counts[requirement["id"]]
+    def failing(requirement: RequirementEntry) -> tuple[bool, bool]:
+        own = counts[requirement.id]
         return not own["violated"], not own["undecided"]
 
-    for requirement in sorted(record["requirements"], key=failing):
-        own = counts[requirement["id"]]
+    for requirement in sorted(record.head.requirements, key=failing):
+        own = counts[requirement.id]
         numbers = (own[status] for status in ("supported", "violated", "undecided"))
-        texts = (markdown(requirement[key] or "", 200) or "-" for key in ("kind", "text"))
+        texts = (markdown(text, 200) or "-" for text in (requirement.kind, requirement.text))
         yield _table_row(
-            [_name(requirement["id"]), *texts, *numbers, f"{untested[requirement['id']]}{more}"]
+            [_name(requirement.id), *texts, *numbers, f"{untested[requirement.id]}{more}"]
         )
 
 
-def _case_row(case: JsonObject) -> str:
-    metrics = case["metrics"]
+def _case_row(case: CaseEntry) -> str:
+    metrics = case.metrics
     rates = []
-    for key in ("flagged", "collided", "gridlock", "rescued", "comfort_failed"):
-        rate = metrics[key]
-        shown = "-" if rate is None else f"{rate['valid']} of {metrics['valid']}"
-        beyond = 0 if rate is None else rate["run"] - rate["valid"]
+    for rate in _rates(metrics).values():
+        shown = "-" if rate is None else f"{rate.valid} of {metrics.valid}"
+        beyond = 0 if rate is None else rate.run - rate.valid
         rates.append(f"{shown}, {beyond}*" if beyond else shown)
-    reactions = ", ".join(f"{_name(kind)} {n}" for kind, n in metrics["reactions"].items())
-    time = metrics["clearance_time"]
+    reactions = ", ".join(f"{_name(kind)} {n}" for kind, n in metrics.reactions.items())
+    time = metrics.clearance_time
     shown = "-"
-    if time is not None and time["mean"] is not None:
-        shown = f"{time['mean']:.2f} s (n = {time['runs']})"
-    counts = (metrics[key] for key in ("planned", "run", "valid", "invalid", "missing"))
-    names = (_name(case["id"]), _name(case["component"]))
+    if time is not None and time.mean is not None:
+        shown = f"{time.mean:.2f} s (n = {time.runs})"
+    counts = (metrics.planned, metrics.run, metrics.valid, metrics.invalid, metrics.missing)
+    names = (_name(case.id), _name(case.component))
     return _table_row([*names, *counts, *rates[:3], shown, *rates[3:], reactions or "-"])
+
+
+def _rates(metrics: CaseMetricsEntry) -> dict[str, ShareEntry | None]:
+    """Counts of episodes by label."""
+    return {
+        "flagged": metrics.flagged,
+        "collided": metrics.collided,
+        "gridlock": metrics.gridlock,
+        "rescued": metrics.rescued,
+        "comfort failed": metrics.comfort_failed,
+    }
 
 
 def _overall_lines(record: SessionRecord) -> Iterator[str]:
@@ -397,35 +403,33 @@ def _overall_lines(record: SessionRecord) -> Iterator[str]:
 
     No rows of a table: the rows of cases are counted.
     """
-    for total in record["overall"]:
-        metrics = total["metrics"]
+    for total in record.head.overall:
+        metrics = total.metrics
         counts = [
-            f"{metrics[key]['valid']} {key.replace('_', ' ')}"
-            for key in ("flagged", "collided", "gridlock", "rescued", "comfort_failed")
-            if metrics[key] is not None
+            f"{rate.valid} {label}" for label, rate in _rates(metrics).items() if rate is not None
         ]
-        runs = f"{metrics['valid']} valid of {metrics['planned']} planned runs"
-        whose = f"all {total['cases']} cases of {_name(total['component'])}"
+        runs = f"{metrics.valid} valid of {metrics.planned} planned runs"
+        whose = f"all {total.cases} cases of {_name(total.component)}"
         yield from ["", f"- {whose}: {', '.join([runs, *counts])}"]
-    effectiveness = record["effectiveness"]
+    effectiveness = record.head.effectiveness
     if effectiveness:
         yield ""
     for effect in effectiveness[:_MAX_CELLS]:
-        whose = f"{_name(effect['role'])} with {_name(effect['component'])}"
-        yield f"- {whose}: {markdown(effect['detail'], 400)}"
+        whose = f"{_name(effect.role)} with {_name(effect.component)}"
+        yield f"- {whose}: {markdown(effect.detail, 400)}"
     if len(effectiveness) > _MAX_CELLS:
         yield f"- and {len(effectiveness) - _MAX_CELLS} more in the report"
 
 
 def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
     """Over all cases; nothing where no component gave accounts."""
-    cases = record["cases"]
+    cases = record.head.cases
     rows = [
         _table_row([
-            _name(failure_mode_text(mode["name"])), mode["kind"], _name(component),
-            f"{mode['hits']} of {mode['of']}", percent_text(mode["share"]),
-            percent_text(mode["null_share"]),
-            f"{mode['episodes']} of {mode['of_episodes']}",
+            _name(failure_mode_text(mode.name)), mode.kind, _name(component),
+            f"{mode.hits} of {mode.of}", percent_text(mode.share),
+            percent_text(mode.null_share),
+            f"{mode.episodes} of {mode.of_episodes}",
         ])
         for component, modes in failure_modes_by_component(cases).items()
         for mode in modes
@@ -442,14 +446,14 @@ def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
 
 
 def _coverage_lines(record: SessionRecord) -> Iterator[str]:
-    cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
-    untested = [cell for cell in cells if cell["verdict"] is None]
+    cells, left_out = record.head.coverage.cells, record.head.coverage.left_out
+    untested = [cell for cell in cells if cell.verdict is None]
     yield from ["", "## Coverage", ""]
     yield (
         f"{len(cells) - len(untested)} of {len(cells) + left_out} cells of requirement x scenario "
         f"x fault have a verdict; {len(untested) + left_out} untested."
     )
-    for verdict in untested[:_MAX_CELLS]:
-        yield f"- untested: {_name(verdict['requirement'])} on {_name(verdict['case'])}"
+    for cell in untested[:_MAX_CELLS]:
+        yield f"- untested: {_name(cell.requirement)} on {_name(cell.case)}"
     if len(untested) + left_out > _MAX_CELLS:
         yield f"- and {len(untested[_MAX_CELLS:]) + left_out} more"

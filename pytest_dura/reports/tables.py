@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 
+from pytest_dura.evidence.case_model import (
+    CaseEntry,
+    CaseMetricsEntry,
+    FailureModeEntry,
+    Percentiles,
+)
 from pytest_dura.evidence.metrics import share
 
-Data = Mapping[str, Any]
-
-_SUMMED_COUNTS = ("hits", "of", "null_hits", "null_of", "episodes", "of_episodes")
+_COUNTS = attrgetter("hits", "of", "null_hits", "null_of", "episodes", "of_episodes")
 FAILURE_MODE_HEADINGS = {
     "failure": "failure modes",
     "control": "negative control",
@@ -24,49 +28,54 @@ NULL_NOTE = (
 )
 
 
-def cases_with_accounts(cases: Sequence[Data]) -> list[Data]:
+def cases_with_accounts(cases: Sequence[CaseEntry]) -> list[CaseEntry]:
     """The cases whose component gave accounts; those without a role repeat others' decisions."""
-    return [case for case in cases if case["metrics"]["failure_modes"] and not case["without"]]
+    return [case for case in cases if case.metrics.failure_modes and not case.without]
 
 
-def failure_modes_by_component(cases: Sequence[Data]) -> dict[str, list[dict[str, Any]]]:
+def failure_modes_by_component(cases: Sequence[CaseEntry]) -> dict[str, list[FailureModeEntry]]:
     """Failure modes of each component over all cases, those that could show, by kind.
 
     Without a bound: cases are no sample of one kind of episode.
     """
-    components: dict[str, dict[str, dict[str, Any]]] = {}
+    components: dict[str, dict[str, list[FailureModeEntry]]] = {}
     for case in cases_with_accounts(cases):
-        modes = components.setdefault(case["component"], {})
-        for failure_mode in case["metrics"]["failure_modes"]:
-            empty = {
-                "name": failure_mode["name"],
-                "kind": failure_mode["kind"],
-                **dict.fromkeys(_SUMMED_COUNTS, 0),
-            }
-            mode = modes.setdefault(failure_mode["name"], empty)
-            for key in _SUMMED_COUNTS:
-                mode[key] += failure_mode[key]
+        modes = components.setdefault(case.component, {})
+        for mode in case.metrics.failure_modes:
+            modes.setdefault(mode.name, []).append(mode)
     return {
-        component: [
-            {
-                **failure_mode,
-                "share": share(failure_mode["hits"], failure_mode["of"]),
-                "null_share": share(failure_mode["null_hits"], failure_mode["null_of"]),
-            }
-            for failure_mode in measured_failure_modes(list(modes.values()))
-        ]
+        component: measured_failure_modes([_pooled_mode(same) for same in modes.values()])
         for component, modes in components.items()
     }
 
 
-def measured_failure_modes(modes: Sequence[Data]) -> list[Data]:
+def _pooled_mode(modes: Sequence[FailureModeEntry]) -> FailureModeEntry:
+    """A failure mode over several cases."""
+    sums = (sum(counts) for counts in zip(*map(_COUNTS, modes), strict=True))
+    hits, of, null_hits, null_of, episodes, of_episodes = sums
+    return FailureModeEntry(
+        name=modes[0].name,
+        kind=modes[0].kind,
+        hits=hits,
+        of=of,
+        share=share(hits, of),
+        null_hits=null_hits,
+        null_of=null_of,
+        null_share=share(null_hits, null_of),
+        episodes=episodes,
+        of_episodes=of_episodes,
+        upper=None,
+    )
+
+
+def measured_failure_modes(modes: Sequence[FailureModeEntry]) -> list[FailureModeEntry]:
     """Failure modes that could show, failures first, then the controls to be read with them.
 
     Those that could have shown of the null component alone are included: a reader is to see that a
     component gave nothing to measure, as where it failed on each variant of its prompt.
     """
-    measured = [mode for mode in modes if mode["of"] or mode["null_of"]]
-    return [mode for kind in FAILURE_MODE_HEADINGS for mode in measured if mode["kind"] == kind]
+    measured = [mode for mode in modes if mode.of or mode.null_of]
+    return [mode for kind in FAILURE_MODE_HEADINGS for mode in measured if mode.kind == kind]
 
 
 def failure_mode_text(name: str) -> str:
@@ -84,11 +93,11 @@ def percent_text(part: float | None) -> str:
     return ">99.9" if part < 1.0 and text == "100.0" else text
 
 
-def decision_time_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
+def decision_time_lines(cases: Sequence[CaseEntry]) -> Iterator[tuple[str, str]]:
     """Each component whose decisions took time, and a text on how much and how often too much."""
     late = _timeouts(cases)
-    for component, spreads in _metric_spreads(cases, "answer_times").items():
-        decisions = sum(spread["decisions"] for spread in spreads)
+    for component, spreads in _spreads(cases, attrgetter("answer_times")).items():
+        decisions = sum(spread.decisions for spread in spreads)
         text = f"{decisions} decisions, {_percentiles(spreads, 'longest', '.2f')}"
         hits, of = late.get(component, (0, 0))
         if of:
@@ -96,52 +105,48 @@ def decision_time_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
         yield component, text
 
 
-def decision_age_lines(cases: Sequence[Data]) -> Iterator[tuple[str, str]]:
+def decision_age_lines(cases: Sequence[CaseEntry]) -> Iterator[tuple[str, str]]:
     """Each component whose decisions came into force late, and a text on how old they were.
 
     Where the simulation waits for each decision, none is older than its percept: no line.
     """
-    for component, spreads in _metric_spreads(cases, "answer_ages").items():
-        if any(spread["max"] > 0.0 for spread in spreads):
+    for component, spreads in _spreads(cases, attrgetter("answer_ages")).items():
+        if any(spread.max > 0.0 for spread in spreads):
             yield component, _percentiles(spreads, "oldest", ".4g")
 
 
-def _timeouts(cases: Sequence[Data]) -> dict[str, tuple[int, int]]:
+def _timeouts(cases: Sequence[CaseEntry]) -> dict[str, tuple[int, int]]:
     """Decisions of each component without an answer in time, and all whose outcome is known."""
     timeouts: dict[str, tuple[int, int]] = {}
     for case in cases_with_accounts(cases):
-        for failure_mode in case["metrics"]["failure_modes"]:
-            if failure_mode["name"] == _TIMEOUT:
-                hits, of = timeouts.get(case["component"], (0, 0))
-                timeouts[case["component"]] = hits + failure_mode["hits"], of + failure_mode["of"]
+        for failure_mode in case.metrics.failure_modes:
+            if failure_mode.name == _TIMEOUT:
+                hits, of = timeouts.get(case.component, (0, 0))
+                timeouts[case.component] = hits + failure_mode.hits, of + failure_mode.of
     return timeouts
 
 
-def _metric_spreads(cases: Sequence[Data], key: str) -> dict[str, list[Data]]:
-    """Values of this key of the metrics for each component, of each case that has it."""
-    spreads: dict[str, list[Data]] = {}
+def _spreads(
+    cases: Sequence[CaseEntry], of: Callable[[CaseMetricsEntry], Percentiles | None]
+) -> dict[str, list[Percentiles]]:
+    """Percentiles of one metric for each component, of each case that has it."""
+    spreads: dict[str, list[Percentiles]] = {}
     for case in cases_with_accounts(cases):
-        if case["metrics"][key] is not None:
-            spreads.setdefault(case["component"], []).append(case["metrics"][key])
+        if (spread := of(case.metrics)) is not None:
+            spreads.setdefault(case.component, []).append(spread)
     return spreads
 
 
-def _percentiles(spreads: Sequence[Data], greatest: str, format_spec: str) -> str:
+def _percentiles(spreads: Sequence[Percentiles], greatest: str, format_spec: str) -> str:
     """Median, 95th percentile and greatest, in s."""
-    median, high = (
-        _percentile_range(label, key, spreads, format_spec)
-        for label, key in (("median", "p50"), ("95th percentile", "p95"))
-    )
-    return (
-        f"{median}, {high}, {greatest} {max(spread['max'] for spread in spreads):{format_spec}} s"
-    )
+    median = _range_text("median", [spread.p50 for spread in spreads], format_spec)
+    high = _range_text("95th percentile", [spread.p95 for spread in spreads], format_spec)
+    return f"{median}, {high}, {greatest} {max(spread.max for spread in spreads):{format_spec}} s"
 
 
-def _percentile_range(label: str, key: str, spreads: Sequence[Data], format_spec: str) -> str:
+def _range_text(label: str, values: Sequence[float], format_spec: str) -> str:
     """Percentiles of several cases do not add up: the text has the least and the greatest."""
-    least, greatest = (
-        f"{limit(spread[key] for spread in spreads):{format_spec}}" for limit in (min, max)
-    )
+    least, greatest = f"{min(values):{format_spec}}", f"{max(values):{format_spec}}"
     if least == greatest:
         return f"{label} {least} s"
     return f"{label} {least} to {greatest} s by case"

@@ -5,14 +5,12 @@ A rate never stands without its n and its confidence. Propositions are never of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
+from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.verdict_model import VerdictEntry, WaiverEntry
 from pytest_dura.requirements.campaign_verdicts import SITUATIONS
-
-Data = Mapping[str, Any]
-"""A part of the record."""
 
 MAX_TEXT = 400
 """Characters of a user's text in a sentence; the record has all of it."""
@@ -22,92 +20,92 @@ _MAX_OBSERVED_NAMES = 8
 """Names of what a test looked at, in a sentence."""
 
 
-def figures_text(verdict: Data) -> str:
+def figures_text(verdict: VerdictEntry) -> str:
     """The figures that a verdict rests on, on one line: ``n = 12, 0 violations, ...``."""
-    violations = counted(verdict["violations"], "violation") + fault_free_violations_text(verdict)
-    counts = f"n = {verdict['episodes']}, {violations}"
-    if verdict["pairs"]:
-        counts = f"pairs without {verdict['pairs']['without']}: {counts}"
+    violations = counted(verdict.violations, "violation") + fault_free_violations_text(verdict)
+    counts = f"n = {verdict.episodes}, {violations}"
+    if verdict.pairs:
+        counts = f"pairs without {verdict.pairs.without}: {counts}"
     others = [count for count in other_run_counts(verdict) if not count.endswith("vacuous")]
     counts = ", ".join([counts, *others])
-    bound = verdict["bound"]
-    if bound["upper"] is not None:
-        counts += f", rate <= {bound['upper']:.2g} at {bound['confidence']:g}"
-    if verdict["situation"] is not None:
-        counts += f", {SITUATIONS[verdict['situation']]}"
-    counts += f", {verdict['method']}"
-    if verdict["saved"]:
-        counts += f", {verdict['saved']} of {verdict['planned']} runs saved"
-    waiver = f" [{verdict['waiver']['kind']}]" if verdict["waiver"] else ""
+    bound = verdict.bound
+    if bound.upper is not None:
+        counts += f", rate <= {bound.upper:.2g} at {bound.confidence:g}"
+    if verdict.situation is not None:
+        counts += f", {SITUATIONS[verdict.situation]}"
+    counts += f", {verdict.method}"
+    if verdict.saved:
+        counts += f", {verdict.saved} of {verdict.planned} runs saved"
+    waiver = f" [{verdict.waiver.kind}]" if verdict.waiver else ""
     return counts + waiver
 
 
-def sample_text(verdict: Data) -> str:
+def sample_text(verdict: VerdictEntry) -> str:
     """Runs that a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
     text = (
-        f"{verdict['episodes']} valid of {verdict['run']} run, {verdict['planned']} planned; "
-        f"{counted(verdict['violations'], 'violation')}"
+        f"{verdict.episodes} valid of {verdict.run} run, {verdict.planned} planned; "
+        f"{counted(verdict.violations, 'violation')}"
         f"{fault_free_violations_text(verdict)}"
     )
     return ", ".join([text, *other_run_counts(verdict)])
 
 
-def other_run_counts(verdict: Data) -> list[str]:
+def other_run_counts(verdict: VerdictEntry) -> list[str]:
     """Other counts of a verdict's runs that are not zero: ``2 ended before it was decided``."""
     counts = {
-        "ended before it was decided": len(verdict["open"]),
-        "violated without effect of the fault": verdict["without_effect"],
-        **{status: verdict[status] for status in ("invalid", "missing", "vacuous")},
+        "ended before it was decided": len(verdict.open),
+        "violated without effect of the fault": verdict.without_effect,
+        "invalid": verdict.invalid,
+        "missing": verdict.missing,
+        "vacuous": verdict.vacuous,
     }
     return [f"{count} {what}" for what, count in counts.items() if count]
 
 
-def fault_free_violations_text(verdict: Data) -> str:
+def fault_free_violations_text(verdict: VerdictEntry) -> str:
     """Number of a verdict's violations that are not the faults' doing; empty if none is known."""
-    count = verdict["also_without"]
+    count = verdict.also_without
     return f" ({count} of them also without the faults)" if count else ""
 
 
-def rate_bound(verdict: Data) -> str:
+def rate_bound(verdict: VerdictEntry) -> str:
     """The bound on the rate of violations with its confidence, or that there is none."""
-    bound = verdict["bound"]
-    if bound["upper"] is None:
+    bound = verdict.bound
+    if bound.upper is None:
         return f"no bound{no_rate_reason(verdict)}"
-    return f"rate <= {bound['upper']:.3g} at {bound['confidence']:g} confidence"
+    return f"rate <= {bound.upper:.3g} at {bound.confidence:g} confidence"
 
 
-def no_rate_reason(verdict: Data) -> str:
+def no_rate_reason(verdict: VerdictEntry) -> str:
     """Reason for which there is no rate, after a colon: all runs are equal; else empty."""
-    situation = verdict.get("situation")
-    return "" if situation is None else f": {SITUATIONS[situation]}"
+    return "" if verdict.situation is None else f": {SITUATIONS[verdict.situation]}"
 
 
-def assertion_sentences(verdict: Data) -> list[str]:
+def assertion_sentences(verdict: VerdictEntry) -> list[str]:
     """Sentences on what a verdict rests on where assertions of a test decided it.
 
     There is none for a verdict by checks alone. Names in it are a user's, and have to be escaped.
     """
-    assertion = verdict["assertion"]
+    assertion = verdict.assertion
     if assertion is None:
         return []
-    seen = ", ".join(assertion["observed"][:_MAX_OBSERVED_NAMES]) or "nothing"
-    if len(assertion["observed"]) > _MAX_OBSERVED_NAMES:
-        seen += f" and {len(assertion['observed']) - _MAX_OBSERVED_NAMES} more"
+    seen = ", ".join(assertion.observed[:_MAX_OBSERVED_NAMES]) or "nothing"
+    if len(assertion.observed) > _MAX_OBSERVED_NAMES:
+        seen += f" and {len(assertion.observed) - _MAX_OBSERVED_NAMES} more"
     sentences = [
-        f"failed: {failure['message']}, in {failure['episode']}"
-        for failure in assertion["failed"][:1]
+        f"failed: {failure.message}, in {failure.episode}" for failure in assertion.failed[:1]
     ]
-    if assertion["alone"]:
+    if assertion.alone:
         sentences.append(f"by assertion: the test looked at {seen}")
-    elif assertion["observed"]:
+    elif assertion.observed:
         sentences.append(f"by its check, and by assertion: the test looked at {seen}")
-    for entry in assertion["false"]:
-        episodes = counted(entry["episodes"], "episode")
-        sentences.append(f"false in {episodes} with which the test passed: {entry['check']}")
+    for entry in assertion.false:
+        episodes = counted(entry.episodes, "episode")
+        sentences.append(f"false in {episodes} with which the test passed: {entry.check}")
     return sentences
 
 
-def reading_sentences(verdict: Data) -> list[str]:
+def reading_sentences(verdict: VerdictEntry) -> list[str]:
     """List what assertions decided and read; what failed is shown with the failure."""
     sentences = [one_line(sentence, _LONGEST_TEXT) for sentence in assertion_sentences(verdict)]
     return [
@@ -115,13 +113,11 @@ def reading_sentences(verdict: Data) -> list[str]:
     ]
 
 
-def waiver_note(waiver: Data | None, escape: Callable[[str, int], str]) -> str:
+def waiver_note(waiver: WaiverEntry | None, escape: Callable[[str, int], str]) -> str:
     """Kind and reason of a waiver: `` (waived, xfail: ticket 7)``; empty without one."""
     if waiver is None:
         return ""
-    return (
-        f" (waived, {escape(waiver['kind'], 200)}: {escape(waiver['reason'], 200) or 'no reason'})"
-    )
+    return f" (waived, {escape(waiver.kind, 200)}: {escape(waiver.reason, 200) or 'no reason'})"
 
 
 def part_text(share: float) -> str:
@@ -129,78 +125,73 @@ def part_text(share: float) -> str:
     return f"{100 * share:.4g} %"
 
 
-def requirement_text(requirement: Data) -> str:
+def requirement_text(requirement: RequirementEntry) -> str:
     """The requirement as a proposition, with its bound."""
-    return (
-        f"{name(requirement['id'])}: {as_sentence(requirement['text'])} {_bound_text(requirement)}"
-    )
+    return f"{name(requirement.id)}: {as_sentence(requirement.text)} {_bound_text(requirement)}"
 
 
-def _bound_text(requirement: Data) -> str:
+def _bound_text(requirement: RequirementEntry) -> str:
     """The bound that the requirement sets a campaign."""
-    pairs = requirement["paired"]
+    pairs = requirement.paired
     what = "episodes"
     if pairs is not None:
-        lacking = name(pairs["without"])
+        lacking = name(pairs.without)
         what = f"pairs of equal seeds, with and without {lacking},"
-    if requirement["at_most"] is None:
+    if requirement.at_most is None:
         return f"Asked for in all {what.rstrip(',')}."
     return (
-        f"Violated in at most {part_text(requirement['at_most'])} of {what.rstrip(',')}, "
-        f"confidence {part_text(requirement['confidence'])}."
+        f"Violated in at most {part_text(requirement.at_most)} of {what.rstrip(',')}, "
+        f"confidence {part_text(requirement.confidence)}."
     )
 
 
-def verdict_proposition(verdict: Data, where: str) -> str:
+def verdict_proposition(verdict: VerdictEntry, where: str) -> str:
     """The proposition that a verdict decides, on a case."""
-    bound = verdict["bound"]["at_most"]
+    bound = verdict.bound.at_most
     how = "holds in every valid episode of" if bound is None else "keeps its bound in"
-    if verdict["without_effect"]:
+    if verdict.without_effect:
         how = "is violated in no episode, valid or not, of"
-    return f"{name(verdict['requirement'])} {how} {where}."
+    return f"{name(verdict.requirement)} {how} {where}."
 
 
-def evidence_text(verdict: Data) -> str:
+def evidence_text(verdict: VerdictEntry) -> str:
     """The counts and the bound of a verdict, as they stand in the record."""
-    what = "pairs" if verdict["pairs"] is not None else "episodes"
-    runs = f"{verdict['run']} run, {verdict['planned']} planned"
+    what = "pairs" if verdict.pairs is not None else "episodes"
+    runs = f"{verdict.run} run, {verdict.planned} planned"
     parts = [
-        ", ".join(
-            [f"n = {verdict['episodes']} valid {what} of {runs}", *other_run_counts(verdict)]
-        ),
-        f"violations: {verdict['violations']}{fault_free_violations_text(verdict)}",
+        ", ".join([f"n = {verdict.episodes} valid {what} of {runs}", *other_run_counts(verdict)]),
+        f"violations: {verdict.violations}{fault_free_violations_text(verdict)}",
         _upper_text(verdict),
     ]
-    if verdict["margin"] is not None:
-        parts.append(f"least margin {verdict['margin']:.4g}")
+    if verdict.margin is not None:
+        parts.append(f"least margin {verdict.margin:.4g}")
     return "; ".join(parts) + "."
 
 
-def short_evidence_text(verdict: Data) -> list[str]:
+def short_evidence_text(verdict: VerdictEntry) -> list[str]:
     """Counts and bound in three lines of a few characters, for a circle of the picture."""
-    upper = verdict["bound"]["upper"]
+    upper = verdict.bound.upper
     bound = "no bound" if upper is None else f"≤ {part_text(upper)}"
-    return [f"n = {verdict['episodes']}", f"{verdict['violations']} violated", bound]
+    return [f"n = {verdict.episodes}", f"{verdict.violations} violated", bound]
 
 
-def _upper_text(verdict: Data) -> str:
-    bound = verdict["bound"]
-    method = one_line(str(bound["method"]))
-    if bound["upper"] is None:
+def _upper_text(verdict: VerdictEntry) -> str:
+    bound = verdict.bound
+    method = one_line(bound.method)
+    if bound.upper is None:
         return f"no bound on the rate of violations{no_rate_reason(verdict)} ({method})"
     return (
-        f"rate of violations at most {part_text(bound['upper'])} with confidence "
-        f"{part_text(bound['confidence'])} ({method})"
+        f"rate of violations at most {part_text(bound.upper)} with confidence "
+        f"{part_text(bound.confidence)} ({method})"
     )
 
 
-def waiver_text(verdict: Data) -> str:
-    """The doubt that a waiver leaves, with the reason given for it."""
-    waiver = verdict["waiver"]
-    reason = as_sentence(str(waiver["reason"] or "none was given"))
+def waiver_text(waiver: WaiverEntry, status: str) -> str:
+    """The doubt that a waiver leaves on a verdict, with the reason given for it."""
+    reason = as_sentence(waiver.reason or "none was given")
     return (
-        f"Waived ({name(str(waiver['kind']))}), reason: {reason} The verdict stays "
-        f"{verdict['verdict']}: a waiver accepts the doubt that remains, and takes none away."
+        f"Waived ({name(waiver.kind)}), reason: {reason} The verdict stays "
+        f"{status}: a waiver accepts the doubt that remains, and takes none away."
     )
 
 
@@ -210,30 +201,30 @@ def as_sentence(text: str) -> str:
     return line if not line or line[-1] in ".!?)" else f"{line}."
 
 
-def challenge_brief(verdict: Data) -> tuple[str, str]:
+def challenge_brief(verdict: VerdictEntry) -> tuple[str, str]:
     """The violations against a verdict's proposition, in two lines of a few characters."""
-    if verdict["without_effect"] and not verdict["violations"]:
-        return f"{verdict['without_effect']} violate it", "without effect"
-    return f"{verdict['violations']} of {verdict['episodes']}", "violate it"
+    if verdict.without_effect and not verdict.violations:
+        return f"{verdict.without_effect} violate it", "without effect"
+    return f"{verdict.violations} of {verdict.episodes}", "violate it"
 
 
-def challenge_text(verdict: Data, where: str, listed: int) -> str:
+def challenge_text(verdict: VerdictEntry, where: str, listed: int) -> str:
     """The violations against a verdict's proposition, and how many of them are not listed."""
     how = {
         "violated": "",
         "supported": ", as many as the bound allows",
         "undecided": ", which decide nothing yet",
-    }[verdict["verdict"]]
-    what = "pairs" if verdict["pairs"] is not None else "episodes"
-    place = f"{name(verdict['requirement'])} in {where}"
-    rest = len(verdict["counterexamples"]) - listed
+    }[verdict.verdict]
+    what = "pairs" if verdict.pairs is not None else "episodes"
+    place = f"{name(verdict.requirement)} in {where}"
+    rest = len(verdict.counterexamples) - listed
     more = f" {rest} more stand in the record." if listed and rest > 0 else ""
-    if verdict["without_effect"] and not verdict["violations"]:
+    if verdict.without_effect and not verdict.violations:
         return (
-            f"{verdict['without_effect']} of {verdict['invalid']} invalid {what} violate "
+            f"{verdict.without_effect} of {verdict.invalid} invalid {what} violate "
             f"{place}, without effect of the fault.{more}"
         )
     return (
-        f"{verdict['violations']} of {verdict['episodes']} valid {what} violate "
+        f"{verdict.violations} of {verdict.episodes} valid {what} violate "
         f"{place}{how}{fault_free_violations_text(verdict)}.{more}"
     )

@@ -8,18 +8,16 @@ import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
-from typing import Any
+from operator import itemgetter
 
-from pytest_dura.core.state import NOTHING
-from pytest_dura.evidence.entry import plain_data
+from pytest_dura.core.state import NOTHING, Event
+from pytest_dura.evidence.episode_model import EventEntry
 from pytest_dura.evidence.gate import not_repeatable_lines
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
-
-Data = Mapping[str, Any]
-"""A part of the record."""
 
 UNREVIEWED = "generated, unreviewed"
 NAME_LIMIT = 400
@@ -32,9 +30,9 @@ _MOST_NAMES = 8
 """Requirements that a sentence names."""
 
 
-def event_text(event: Data) -> str:
+def event_text(event: Event | EventEntry) -> str:
     """Text on the event that ended an episode: ``at t = 6.50 s the ego ran into VICTIM``."""
-    return f"at t = {event['time']:.2f} s {event['detail']}"
+    return f"at t = {event.time:.2f} s {event.detail}"
 
 
 def selection_text(record: SessionRecord) -> str:
@@ -42,20 +40,20 @@ def selection_text(record: SessionRecord) -> str:
 
     Such as ``1 of 2 planned verdicts asked for, 5 runs instead of 15``.
     """
-    selection = record["selection"]
+    selection = record.head.selection
     parts = []
-    if selection["asked"] < selection["planned"]:
-        parts.append(f"{selection['asked']} of {selection['planned']} planned verdicts asked for")
-    if selection["runs"] is not None:
-        declared = " to ".join(map(str, dict.fromkeys(selection["declared_runs"])))
-        parts.append(f"{counted(selection['runs'], 'run')} instead of {declared}")
+    if selection.asked < selection.planned:
+        parts.append(f"{selection.asked} of {selection.planned} planned verdicts asked for")
+    if selection.runs is not None:
+        declared = " to ".join(map(str, dict.fromkeys(selection.declared_runs)))
+        parts.append(f"{counted(selection.runs, 'run')} instead of {declared}")
     return ", ".join(parts)
 
 
 def roles_off_lines(record: SessionRecord) -> list[str]:
     """Lines on roles that are switched off, and in how many of the cases."""
-    cases = [case for case in record["cases"] if not case["without"]]
-    counts = Counter(role for case in cases for role in case["off"])
+    cases = [case for case in record.head.cases if not case.without]
+    counts = Counter(role for case in cases for role in case.off)
     return [
         f"{role} is OFF in {counts[role]} of {counted(len(cases), 'case')}"
         for role in sorted(counts)
@@ -64,17 +62,17 @@ def roles_off_lines(record: SessionRecord) -> list[str]:
 
 def shard_text(record: SessionRecord) -> str:
     """The part of a session that the record is, such as ``shard 2 of 5``; empty for a whole one."""
-    shard = record["shard"]
-    return "" if shard is None else f"shard {shard['index']} of {shard['count']}"
+    shard = record.head.shard
+    return "" if shard is None else f"shard {shard.index} of {shard.count}"
 
 
 def merge_text(record: SessionRecord) -> str:
     """Number and places of the shards that were merged; empty for a session's own record."""
-    shards = record["merged_from"]
+    shards = record.head.merged_from
     if shards is None:
         return ""
     # Which shards have property tests says nothing of where they ran.
-    places = [plain_data({**shard["environment"], "hypothesis": None}) for shard in shards]
+    places = [shard.environment.to_json() | {"hypothesis": None} for shard in shards]
     several = len({json.dumps(place, sort_keys=True) for place in places}) > 1
     count = counted(len(shards), "shard")
     return f"{count}, in environments that differ" if several else f"{count}, in one environment"
@@ -155,24 +153,24 @@ def names_text(names: list[str], most: int = _MOST_NAMES) -> str:
 
 def is_incomplete(record: SessionRecord) -> bool:
     """Whether the session ended before all was run."""
-    return bool(record["status"] != "complete" or record["gate"]["result"] == "incomplete")
+    return record.head.status != "complete" or record.head.gate.result == "incomplete"
 
 
 def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
     """Sentences on what the session shows. Names in them are a user's, and have to be escaped."""
-    verdicts = record["verdicts"]
+    verdicts = record.head.verdicts
     if not verdicts:
         yield "No requirement led to a verdict."
         yield from violation_sentences(record)
         return
-    violated = [verdict for verdict in verdicts if verdict["verdict"] == "violated"]
+    violated = [verdict for verdict in verdicts if verdict.verdict == "violated"]
     if violated:
-        ids = list(dict.fromkeys(verdict["requirement"] for verdict in violated))
+        ids = list(dict.fromkeys(verdict.requirement for verdict in violated))
         yield (
             f"{_share(violated, verdicts)} violated ({names_text(ids)}): the episodes "
             "are named and can be replayed."
         )
-    supported = [verdict for verdict in verdicts if verdict["verdict"] == "supported"]
+    supported = [verdict for verdict in verdicts if verdict.verdict == "supported"]
     if supported:
         yield f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
     else:
@@ -190,22 +188,22 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
             "merge` joins them all, and gates on the whole."
         )
     yield from _left_out(record)
-    verdicts, totals = record["verdicts"], record["totals"]
-    undecided = [verdict for verdict in verdicts if verdict["verdict"] == "undecided"]
+    verdicts, totals = record.head.verdicts, record.head.totals
+    undecided = [verdict for verdict in verdicts if verdict.verdict == "undecided"]
     if undecided:
-        without_valid = sum(verdict["episodes"] == 0 for verdict in undecided)
+        without_valid = sum(verdict.episodes == 0 for verdict in undecided)
         rest = f", {without_valid} of them without a single valid episode" if without_valid else ""
         yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
     yield from _one_situation(verdicts)
-    waived = [verdict for verdict in verdicts if verdict["waiver"] is not None]
+    waived = [verdict for verdict in verdicts if verdict.waiver is not None]
     if waived:
         yield f"{_share(waived, verdicts)} waived: let through by name, not by evidence."
     yield from unviolated_sentences(record)
     yield from _untested(record)
-    early = sum(case["metrics"]["ended_early"] for case in record["cases"])
+    early = sum(case.metrics.ended_early for case in record.head.cases)
     if early:
         yield (
-            f"{early} of {totals['episodes']} episodes ended early, once every requirement of "
+            f"{early} of {totals.episodes} episodes ended early, once every requirement of "
             "their case was decided: the margin of what one satisfies is the least that was still "
             "possible, that of a violation as it was by then; clearance, gridlock, recoveries, "
             "alerts, valid proposals and all other figures are of what was seen by then, and what "
@@ -213,24 +211,22 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
         )
     yield from _not_repeatable(record)
     yield from _taken_over(record)
-    excluded = totals["invalid"] + totals["missing"]
+    excluded = totals.invalid + totals.missing
     if excluded:
         yield (
-            f"{totals['invalid']} of {totals['episodes']} episodes are invalid and "
-            f"{totals['missing']} missing: they support nothing and enter no n. What one of them "
+            f"{totals.invalid} of {totals.episodes} episodes are invalid and "
+            f"{totals.missing} missing: they support nothing and enter no n. What one of them "
             "violates fails the gate all the same."
         )
-    if totals["supported"]:
+    if totals.supported:
         yield (
             "That no violation was seen does not mean that there can be none: the bound says how "
             "frequent they may still be."
         )
     yield from _by_assertion(verdicts)
-    if totals["supported"] > 1:
+    if totals.supported > 1:
         yield "Each bound holds by itself with its confidence; that all hold at once is less sure."
-    recoveries = sum(
-        case["metrics"]["recoveries"] for case in record["cases"] if not case["without"]
-    )
+    recoveries = sum(case.metrics.recoveries for case in record.head.cases if not case.without)
     if recoveries:
         yield (
             f"Recovery acted {recoveries} times in valid episodes: what is judged is the component "
@@ -246,24 +242,22 @@ def _left_out(record: SessionRecord) -> Iterator[str]:
     """Roles that are switched off, and what was planned and not asked for."""
     for line in roles_off_lines(record):
         yield f"{name(line)}: what it would have seen or done is in no verdict."
-    selection, part = record["selection"], selection_text(record)
+    selection, part = record.head.selection, selection_text(record)
     if not part:
         return
-    left_out = selection["planned"] - selection["asked"]
-    names = ", ".join(map(name, selection["left_out"][:_MOST_NAMES]))
+    left_out = selection.planned - selection.asked
+    names = ", ".join(map(name, selection.left_out[:_MOST_NAMES]))
     more = f" and {left_out - _MOST_NAMES} more" if left_out > _MOST_NAMES else ""
     yield f"Of its plan the session was asked for a part: {part}." + (
         f" Left out: {names}{more}." if names else ""
     )
 
 
-def _by_assertion(verdicts: list[Data]) -> Iterator[str]:
+def _by_assertion(verdicts: list[VerdictEntry]) -> Iterator[str]:
     asserted = [
         verdict
         for verdict in verdicts
-        if verdict["verdict"] == "supported"
-        and verdict["assertion"]
-        and verdict["assertion"]["alone"]
+        if verdict.verdict == "supported" and verdict.assertion and verdict.assertion.alone
     ]
     if asserted:
         yield (
@@ -273,8 +267,8 @@ def _by_assertion(verdicts: list[Data]) -> Iterator[str]:
         )
 
 
-def _one_situation(verdicts: list[Data]) -> Iterator[str]:
-    equal = [verdict for verdict in verdicts if verdict.get("situation") is not None]
+def _one_situation(verdicts: list[VerdictEntry]) -> Iterator[str]:
+    equal = [verdict for verdict in verdicts if verdict.situation is not None]
     if equal:
         rests = "rests" if len(equal) == 1 else "rest"
         yield (
@@ -284,7 +278,7 @@ def _one_situation(verdicts: list[Data]) -> Iterator[str]:
 
 
 def _not_repeatable(record: SessionRecord) -> Iterator[str]:
-    cases = [name(case["id"]) for case in record["cases"] if any(not_repeatable_lines([case]))]
+    cases = [name(case.id) for case in record.head.cases if any(not_repeatable_lines([case]))]
     if cases:
         names = ", ".join(dict.fromkeys(cases[:_MOST_NAMES]))
         more = f" and {len(cases) - _MOST_NAMES} more" if len(cases) > _MOST_NAMES else ""
@@ -296,54 +290,55 @@ def _not_repeatable(record: SessionRecord) -> Iterator[str]:
 
 def _taken_over(record: SessionRecord) -> Iterator[str]:
     """Sentences on what this session did not simulate itself."""
-    reuse, run = record["reuse"], record["totals"]["episodes"]
-    if reuse["mode"] == "none":
+    reuse, run = record.head.reuse, record.head.totals.episodes
+    if reuse.mode == "none":
         return
-    sessions = len(reuse["sessions"])
+    sessions = len(reuse.sessions)
     source = f" from {counted(sessions, 'earlier session')}" if sessions else ""
     yield (
-        f"{reuse['taken_over']} of {run} episodes were taken over{source}, since nothing that they "
+        f"{reuse.taken_over} of {run} episodes were taken over{source}, since nothing that they "
         "are known to rest on had changed: what their code reads or imports unseen is not known."
     )
-    for change in reuse["outdated"][:_MOST_NAMES]:
+    for change in reuse.outdated[:_MOST_NAMES]:
         yield (
-            f"{change['episodes']} of {run} episodes were simulated again: "
-            f"{outdated_reason(map(name, change['changed']))}."
+            f"{change.episodes} of {run} episodes were simulated again: "
+            f"{outdated_reason(map(name, change.changed))}."
         )
-    searched = reuse["searched"]
-    if searched is not None and searched["taken_over"]:
+    searched = reuse.searched
+    if searched is not None and searched.taken_over:
         yield (
-            f"{searched['taken_over']} of {searched['simulations']} simulations of searches were "
+            f"{searched.taken_over} of {searched.simulations} simulations of searches were "
             "taken over from earlier sessions, under the same conditions; replays never are."
         )
 
 
 def _untested(record: SessionRecord) -> Iterator[str]:
-    cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
-    untested = left_out + sum(cell["verdict"] is None for cell in cells)
+    cells, left_out = record.head.coverage.cells, record.head.coverage.left_out
+    untested = left_out + sum(cell.verdict is None for cell in cells)
     if untested:
         yield (
             f"{untested} of {len(cells) + left_out} combinations of requirement, scenario and "
             "faults were not tried."
         )
-    not_run = sum(case["missing_runs_total"] for case in record["cases"])
+    not_run = sum(case.missing_runs_total for case in record.head.cases)
     if not_run:
         yield f"{not_run} planned episodes were not run."
 
 
-def _share(part: list[Data], whole: list[Data]) -> str:
+def _share(part: list[VerdictEntry], whole: list[VerdictEntry]) -> str:
     return f"{len(part)} of {len(whole)} verdicts {'is' if len(part) == 1 else 'are'}"
 
 
-def _weakest_bound(supported: list[Data]) -> str:
+def _weakest_bound(supported: list[VerdictEntry]) -> str:
     """The greatest bound of them, with its confidence and its n."""
-    known = [verdict for verdict in supported if verdict["bound"]["upper"] is not None]
+    known = [
+        (verdict.bound.upper, verdict) for verdict in supported if verdict.bound.upper is not None
+    ]
     if not known:
         return ""
-    worst = max(known, key=lambda verdict: float(verdict["bound"]["upper"]))
-    bound = worst["bound"]
+    upper, worst = max(known, key=itemgetter(0))
     return (
-        f" The weakest bound among them: at most {100 * bound['upper']:.3g} % of such episodes "
-        f"violate the requirement, with {100 * bound['confidence']:.3g} % confidence "
-        f"(n = {worst['episodes']})."
+        f" The weakest bound among them: at most {100 * upper:.3g} % of such episodes "
+        f"violate the requirement, with {100 * worst.bound.confidence:.3g} % confidence "
+        f"(n = {worst.episodes})."
     )

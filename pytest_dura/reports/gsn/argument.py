@@ -10,14 +10,16 @@ one that bounds a rate is challenged by it, since no rate follows from where a s
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any
 
+from pytest_dura.evidence.case_model import CellEntry, RequirementEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
 from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.reports.gsn.element import Argument, Element, derived_id
 from pytest_dura.reports.gsn.verdicts import (
     EpisodeFacts,
@@ -37,7 +39,6 @@ from pytest_dura.reports.searches import (
 from pytest_dura.reports.verdicts import MAX_TEXT, requirement_text
 from pytest_dura.reports.wording import is_incomplete, merge_text, names_text, shard_text
 
-Data = Mapping[str, Any]
 REVIEW_ID, SESSION_ID = "CReview", "CSession"
 _REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
 """Keys that a reviewer fills in."""
@@ -58,11 +59,9 @@ def _argument_contexts(record: SessionRecord, facts: EpisodeFacts) -> list[Eleme
 
 def _scenario_contexts(record: SessionRecord) -> Iterator[Element]:
     """One context for each scenario, with its variation ranges."""
-    rows = sorted(
-        record["coverage"]["parameters"], key=lambda parameter: str(parameter["scenario"])
-    )
-    ranges = {key: list(group) for key, group in groupby(rows, lambda row: row["scenario"])}
-    for scenario in sorted({case["scenario"] for case in record["cases"]} | set(ranges)):
+    rows = sorted(record.head.coverage.parameters, key=lambda parameter: str(parameter.scenario))
+    ranges = {key: list(group) for key, group in groupby(rows, lambda row: row.scenario)}
+    for scenario in sorted({case.scenario for case in record.head.cases} | set(ranges)):
         yield Element(
             derived_id("C", "scenario", scenario),
             scenario_text(scenario, ranges.get(scenario, [])),
@@ -81,22 +80,22 @@ def _review() -> Element:
 
 
 def _session(record: SessionRecord) -> Element:
-    counts = record["totals"]
-    reasons = [one_line(reason, MAX_TEXT) for reason in record["gate"]["reasons"]]
+    counts = record.head.totals
+    reasons = [one_line(reason, MAX_TEXT) for reason in record.head.gate.reasons]
     more = f" and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     why = f" ({'; '.join(reasons[:3])}{more})" if reasons else ""
     return Element(
         SESSION_ID,
-        f"{_case_names(record)} {name(record['status'])}, gate {counts['gate']}{why}. "
-        f"{counts['episodes']} episodes of {counts['cases']} cases: {counts['valid']} valid, "
-        f"{counts['invalid']} invalid, {counts['missing']} missing. "
-        f"Verdicts: {counts['supported']} supported, {counts['violated']} violated, "
-        f"{counts['undecided']} undecided; {counts['waived']} of them waived.",
+        f"{_case_names(record)} {name(record.head.status)}, gate {counts.gate}{why}. "
+        f"{counts.episodes} episodes of {counts.cases} cases: {counts.valid} valid, "
+        f"{counts.invalid} invalid, {counts.missing} missing. "
+        f"Verdicts: {counts.supported} supported, {counts.violated} violated, "
+        f"{counts.undecided} undecided; {counts.waived} of them waived.",
         url="evidence.json#/gate",
         alias="context:session",
-        layers={
-            key: counts[key] for key in ("gate", "cases", "episodes", "valid", "invalid", "missing")
-        },
+        layers=counts.model_dump(
+            include={"gate", "cases", "episodes", "valid", "invalid", "missing"}
+        ),
     )
 
 
@@ -107,15 +106,15 @@ def _case_names(record: SessionRecord) -> str:
 
 
 def _component(record: SessionRecord, facts: EpisodeFacts) -> Element:
-    under_test: Mapping[str, Any] = record["component_under_test"] or {}
-    version, digest = under_test.get("version"), under_test.get("digest")
+    under_test = record.head.component_under_test
+    version, digest = under_test.version, under_test.digest
     parts = [
-        f"Component under test: {name(str(under_test.get('name', 'unknown')))}",
-        f"from {name(str(under_test.get('path', 'unknown')))}",
+        f"Component under test: {name(str(under_test.name))}",
+        f"from {name('unknown' if under_test.path is None else under_test.path)}",
         f"version {name(str(version))}" if version is not None else "no version",
         f"digest {name(str(digest))}" if digest is not None else "no digest",
     ]
-    if under_test.get("opaque"):
+    if under_test.opaque:
         parts.append("an instance whose state the record does not hold")
     policies = names_text(sorted(facts.policies)) or "unknown"
     return Element(
@@ -127,10 +126,10 @@ def _component(record: SessionRecord, facts: EpisodeFacts) -> Element:
 
 
 def _domain(record: SessionRecord) -> Element:
-    cells, left_out = record["coverage"]["cells"], record["coverage"]["left_out"]
-    untested = left_out + sum(cell["verdict"] is None for cell in cells)
-    scenarios = sorted({case["scenario"] for case in record["cases"]})
-    faults = sorted({fault["id"] for case in record["cases"] for fault in case["faults"]})
+    cells, left_out = record.head.coverage.cells, record.head.coverage.left_out
+    untested = left_out + sum(cell.verdict is None for cell in cells)
+    scenarios = sorted({case.scenario for case in record.head.cases})
+    faults = sorted({fault.id for case in record.head.cases for fault in case.faults})
     return Element(
         "CDomain",
         f"Operational domain as tested: {len(cells) + left_out} cells of requirement, scenario and "
@@ -142,16 +141,16 @@ def _domain(record: SessionRecord) -> Element:
 
 
 def _versions(record: SessionRecord) -> Element:
-    environment, tool = record["environment"], record["tool"]
-    git = environment["git"] or {}
-    dirty = " with changes that are not committed" if git.get("dirty") else ""
-    packages = [f"{key} {value}" for key, value in sorted(environment["packages"].items())]
+    environment, tool = record.head.environment, record.head.tool
+    git = environment.git
+    dirty = " with changes that are not committed" if git.dirty else ""
+    packages = [f"{key} {value}" for key, value in sorted(environment.packages.items())]
     return Element(
         "CVersions",
-        f"{name(tool['name'])} {name(tool['version'])}, Python {name(environment['python'])}, "
-        f"{name(environment['platform'])}, commit {name(str(git.get('commit') or 'unknown'))}"
+        f"{name(tool.name)} {name(tool.version)}, Python {name(environment.python)}, "
+        f"{name(environment.platform)}, commit {name(git.commit or 'unknown')}"
         f"{dirty}. Packages: {names_text(packages, 12) or 'unknown'}. "
-        f"{len(record['inputs'])} input files with their digests.",
+        f"{len(record.head.inputs)} input files with their digests.",
         url="evidence.json#/environment",
         alias="context:versions",
     )
@@ -162,8 +161,8 @@ def _seeds(record: SessionRecord, facts: EpisodeFacts) -> Element:
     span = f"{count} episodes with seeds from {least} to {greatest}" if count else "no episode"
     return Element(
         "CSeeds",
-        f"Base seed {record['base_seed']}: {span}."
-        f" Command: {one_line(record['command'], MAX_TEXT)}",
+        f"Base seed {record.head.base_seed}: {span}."
+        f" Command: {one_line(record.head.command, MAX_TEXT)}",
         url="evidence.json#/base_seed",
         alias="context:seeds",
     )
@@ -188,16 +187,16 @@ def _assumptions(facts: EpisodeFacts) -> Iterator[Element]:
 _MONITORS_ID = "GMonitors"
 
 
-def _monitor_elements(rows: Sequence[Data]) -> Iterator[Element]:
+def _monitor_elements(rows: Sequence[MonitorEntry]) -> Iterator[Element]:
     """A goal that the quality is known, and for each monitor and target what was measured.
 
     The goal is on what is known and not on how good it is: low figures are evidence as well.
     """
     if not rows:
         return
-    groups: dict[tuple[str, str, str], list[Data]] = {}
+    groups: dict[tuple[str, str, str], list[MonitorEntry]] = {}
     for row in rows:
-        groups.setdefault((row["component"], row["monitor"], row["target"]), []).append(row)
+        groups.setdefault((row.component, row.monitor, row.target), []).append(row)
     measured = [_quality(key, own) for key, own in groups.items()]
     yield Element(
         _MONITORS_ID,
@@ -210,9 +209,9 @@ def _monitor_elements(rows: Sequence[Data]) -> Iterator[Element]:
     yield from measured
 
 
-def _quality(key: tuple[str, str, str], rows: list[Data]) -> Element:
+def _quality(key: tuple[str, str, str], rows: list[MonitorEntry]) -> Element:
     _, monitor, target = key
-    known = any(row["true_positives"] or row["false_negatives"] for row in rows)
+    known = any(row.true_positives or row.false_negatives for row in rows)
     text = monitor_text(monitor, target, rows)
     return Element(
         derived_id("Sn" if known else "G", "monitor", monitor, target, apart=key[:1]),
@@ -250,57 +249,59 @@ class SearchElements:
     accepted: bool
 
 
-def _search_elements(record: SessionRecord, requirement: Data) -> SearchElements:
-    violations: list[tuple[int, int, Data, Data]] = []
-    unviolated: list[tuple[int, int, Data, Data]] = []
-    for number, search in enumerate(record["searches"]):
-        for place, outcome in enumerate(search["outcomes"]):
-            if outcome["requirement"] == requirement["id"]:
+def _search_elements(record: SessionRecord, requirement: RequirementEntry) -> SearchElements:
+    violations: list[tuple[int, int, SearchEntry, SearchOutcomeEntry]] = []
+    unviolated: list[tuple[int, int, SearchEntry, SearchOutcomeEntry]] = []
+    for number, search in enumerate(record.head.searches):
+        for place, outcome in enumerate(search.outcomes):
+            if outcome.requirement == requirement.id:
                 violated = outcome_status(search, outcome) not in (NOTHING_FOUND, "undecided")
                 entry = (number, place, search, outcome)
                 (violations if violated else unviolated).append(entry)
-    not_waived = [entry for entry in violations if entry[2]["waiver"] is None]
+    not_waived = [entry for entry in violations if entry[2].waiver is None]
     return SearchElements(
         tuple(_counter_solution(*entry) for entry in violations[:_MAX_SEARCH_ELEMENTS]),
         _search_contexts(requirement, [(search, outcome) for _, _, search, outcome in unviolated]),
         len(violations),
-        refuted=bool(not_waived) and requirement["at_most"] is None,
+        refuted=bool(not_waived) and requirement.at_most is None,
         accepted=not not_waived,
     )
 
 
-def _counter_solution(number: int, place: int, search: Data, outcome: Data) -> Element:
-    counterexample, case = outcome["counterexample"], name(search["case"])
-    text = (
-        f"A search of {case} with {name(search['component'])}: {outcome_headline(search, outcome)}."
-    )
+def _counter_solution(
+    number: int, place: int, search: SearchEntry, outcome: SearchOutcomeEntry
+) -> Element:
+    counterexample, case = outcome.counterexample, name(search.case)
+    text = f"A search of {case} with {name(search.component)}: {outcome_headline(search, outcome)}."
     layers = {}
     if counterexample is None:
         text += f" {baseline_note(search, outcome).capitalize()}."
     else:
         text += (
-            f" {one_line(counterexample_text(counterexample, outcome['check']), _MAX_SEARCH_TEXT)}."
+            f" {one_line(counterexample_text(counterexample, outcome.check), _MAX_SEARCH_TEXT)}."
         )
         layers = {"kept": kept} if (kept := kept_text(outcome)) else {}
-    if search["waiver"] is not None:
-        reason = one_line(search["waiver"]["reason"], _MAX_SEARCH_TEXT) or "none was given"
-        text += f" Waived ({name(search['waiver']['kind'])}), reason: {reason}."
+    if search.waiver is not None:
+        reason = one_line(search.waiver.reason, _MAX_SEARCH_TEXT) or "none was given"
+        text += f" Waived ({name(search.waiver.kind)}), reason: {reason}."
     apart = (str(number), str(place))
     return Element(
-        derived_id("CSn", "search", outcome["requirement"], search["case"], apart=apart),
+        derived_id("CSn", "search", outcome.requirement, search.case, apart=apart),
         text,
         url=f"evidence.json#/searches/{number}/outcomes/{place}",
-        alias=f"{COUNTEREXAMPLE_PREFIX}{name(outcome['requirement'])}@{case} ({number}.{place})",
+        alias=f"{COUNTEREXAMPLE_PREFIX}{name(outcome.requirement)}@{case} ({number}.{place})",
         layers=layers,
         brief=("search", name(outcome_status(search, outcome))),
     )
 
 
-def _search_contexts(requirement: Data, unviolated: list[tuple[Data, Data]]) -> tuple[Element, ...]:
+def _search_contexts(
+    requirement: RequirementEntry, unviolated: list[tuple[SearchEntry, SearchOutcomeEntry]]
+) -> tuple[Element, ...]:
     if not unviolated:
         return ()
     headlines = [
-        f"{name(search['case'])}: {outcome_headline(search, outcome)}"
+        f"{name(search.case)}: {outcome_headline(search, outcome)}"
         for search, outcome in unviolated[:_MAX_SEARCH_ELEMENTS]
     ]
     more = (
@@ -310,10 +311,10 @@ def _search_contexts(requirement: Data, unviolated: list[tuple[Data, Data]]) -> 
     )
     return (
         Element(
-            derived_id("C", "search", requirement["id"]),
+            derived_id("C", "search", requirement.id),
             f"Searched without a find: {'; '.join(headlines)}{more}. {NOTHING_SUPPORTED}",
             url="evidence.json#/searches",
-            alias=f"searched:{name(requirement['id'])}",
+            alias=f"searched:{name(requirement.id)}",
             brief=("searched,", "nothing found"),
         ),
     )
@@ -346,14 +347,12 @@ def _requirement_elements(
     record: SessionRecord, elements: list[VerdictElements]
 ) -> Iterator[RequirementElements]:
     """Each requirement of the record, in its order, with its elements."""
-    for index, requirement in enumerate(record["requirements"]):
-        own = [
-            element for element in elements if element.verdict["requirement"] == requirement["id"]
-        ]
+    for index, requirement in enumerate(record.head.requirements):
+        own = [element for element in elements if element.verdict.requirement == requirement.id]
         cells = [
             (i, cell)
-            for i, cell in enumerate(record["coverage"]["cells"])
-            if cell["requirement"] == requirement["id"] and cell["verdict"] is None
+            for i, cell in enumerate(record.head.coverage.cells)
+            if cell.requirement == requirement.id and cell.verdict is None
         ]
         yield _elements_of_requirement(
             requirement, index, own, cells, _search_elements(record, requirement)
@@ -361,16 +360,16 @@ def _requirement_elements(
 
 
 def _elements_of_requirement(
-    requirement: Data,
+    requirement: RequirementEntry,
     index: int,
     own: list[VerdictElements],
-    cells: list[tuple[int, Data]],
+    cells: list[tuple[int, CellEntry]],
     searches: SearchElements,
 ) -> RequirementElements:
-    requirement_id = requirement["id"]
+    requirement_id = requirement.id
     untested = [_untested_goal(i, cell) for i, cell in cells]
     goals = [element.goal for element in own] + [element.id for element in untested]
-    violated = [element for element in own if element.verdict["verdict"] == "violated"]
+    violated = [element for element in own if element.verdict.verdict == "violated"]
     accepted = searches.accepted and not any(element.refuted for element in violated)
     refuted = searches.refuted or any(element.refuted for element in violated)
     strategy = Element(
@@ -394,14 +393,14 @@ def _elements_of_requirement(
         url=url,
         alias=f"requirement:{name(requirement_id)}",
         layers={
-            "kind": requirement["kind"],
-            "source": one_line(requirement["source"], MAX_TEXT),
+            "kind": requirement.kind,
+            "source": one_line(requirement.source, MAX_TEXT),
             "report": f"report.html#{requirement_anchor(requirement_id)}",
         },
     )
     return RequirementElements(
         name(requirement_id),
-        requirement["kind"],
+        requirement.kind,
         goal.id,
         challenge[0].id if challenge else "",
         refuted,
@@ -418,16 +417,16 @@ def _elements_of_requirement(
     )
 
 
-def _justification(requirement: Data, index: int) -> list[Element]:
-    reason = one_line(requirement["reason"], MAX_TEXT)
+def _justification(requirement: RequirementEntry, index: int) -> list[Element]:
+    reason = one_line(requirement.reason, MAX_TEXT)
     if not reason:
         return []
     return [
         Element(
-            derived_id("J", requirement["id"]),
+            derived_id("J", requirement.id),
             reason,
             url=f"evidence.json#/requirements/{index}/reason",
-            alias=f"reason:{name(requirement['id'])}",
+            alias=f"reason:{name(requirement.id)}",
         )
     ]
 
@@ -437,19 +436,17 @@ def _strategy_text(own: list[VerdictElements], untested: list[Element]) -> str:
     return f"Argue over scenarios and faults: {counted(len(own), 'judged case')}{rest}."
 
 
-def _untested_goal(index: int, cell: Data) -> Element:
-    faults = f"under {name(cell['faults'])}" if cell["faults"] else "without faults"
-    apart = (cell["case"], str(index))
+def _untested_goal(index: int, cell: CellEntry) -> Element:
+    faults = f"under {name(cell.faults)}" if cell.faults else "without faults"
+    apart = (cell.case, str(index))
     return Element(
-        derived_id(
-            "G", cell["requirement"], cell["scenario"], cell["faults"], "untested", apart=apart
-        ),
-        f"{name(cell['requirement'])} holds in {name(cell['scenario'])} {faults}. "
+        derived_id("G", cell.requirement, cell.scenario, cell.faults, "untested", apart=apart),
+        f"{name(cell.requirement)} holds in {name(cell.scenario)} {faults}. "
         "Untested: no episode of this session says anything of it.",
         undeveloped=True,
         url=f"evidence.json#/coverage/cells/{index}",
-        alias=f"untested:{name(cell['requirement'])}@{name(cell['case'])}",
-        brief=(f"{name(cell['scenario'])} {faults}", "untested"),
+        alias=f"untested:{name(cell.requirement)}@{name(cell.case)}",
+        brief=(f"{name(cell.scenario)} {faults}", "untested"),
     )
 
 
@@ -495,12 +492,12 @@ def generated_argument(record: SessionRecord) -> Argument:
     Raises:
         ValueError: If a verdict is on a requirement that the record does not list.
     """
-    listed = {requirement["id"] for requirement in record["requirements"]}
-    for verdict in record["verdicts"]:
-        if verdict["requirement"] not in listed:
-            raise ValueError(f"a verdict is on {name(verdict['requirement'])}, which is not listed")
+    listed = {requirement.id for requirement in record.head.requirements}
+    for verdict in record.head.verdicts:
+        if verdict.requirement not in listed:
+            raise ValueError(f"a verdict is on {name(verdict.requirement)}, which is not listed")
     facts = EpisodeFacts.of(record)
-    components = sorted({verdict["component"] for verdict in record["verdicts"]})
+    components = sorted({verdict.component for verdict in record.head.verdicts})
     several = len(components) > 1
     verdicts = list(verdict_elements(record, facts, several=several))
     requirements = list(_requirement_elements(record, verdicts))
@@ -510,18 +507,18 @@ def generated_argument(record: SessionRecord) -> Argument:
         *_kinds_strategy(requirements, domain),
         *(element for requirement in requirements for element in requirement.elements),
         *(element for judged in verdicts for element in judged.elements),
-        *_monitor_elements(record["monitors"]),
+        *_monitor_elements(record.head.monitors),
         *domain,
         *around,
     ]
-    names = components or [str((record["component_under_test"] or {}).get("name", "unknown"))]
-    support = (KINDS_ID, *([_MONITORS_ID] if record["monitors"] else ()))
+    names = components or [str(record.head.component_under_test.name)]
+    support = (KINDS_ID, *([_MONITORS_ID] if record.head.monitors else ()))
     surrounding = tuple(element.id for element in around)
     top = _top_goal(names, sorted(facts.policies), requirements, shard_text(record))
     if is_incomplete(record):
         head = _incomplete_argument(record, top, support, surrounding)
     else:
-        searched = bool(record["searches"])
+        searched = bool(record.head.searches)
         head = [*_contested_top(top, requirements, support, surrounding, searched=searched)]
     return {element.id: element for element in [*head, *below]}
 
@@ -574,7 +571,7 @@ def _incomplete_argument(
     record: SessionRecord, top: Element, support: tuple[str, ...], surrounding: tuple[str, ...]
 ) -> list[Element]:
     """A root that claims nothing of the component; the top goal is undeveloped and says so."""
-    reasons = [one_line(reason, MAX_TEXT) for reason in record["gate"]["reasons"]]
+    reasons = [one_line(reason, MAX_TEXT) for reason in record.head.gate.reasons]
     root = Element(
         INCOMPLETE_ID,
         "INCOMPLETE SESSION. The record holds what was run before the session ended"

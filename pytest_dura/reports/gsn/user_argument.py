@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.session_model import ArgumentEntry
 from pytest_dura.evidence.text import name, one_line, visible
 from pytest_dura.reports.gsn.argument import (
     COUNTEREXAMPLE_PREFIX,
@@ -46,16 +47,9 @@ _REFUSED_KEYS = {
     "alias": "aliases belong to the generated elements; call the key otherwise",
 }
 
-UserArgument = Mapping[str, Any]
-"""Plain data, as it goes into the record: ``path``, ``sha256``, ``elements`` and ``lines``."""
 
-
-def read_user_argument(path: Path) -> dict[str, Any]:
+def read_user_argument(path: Path) -> ArgumentEntry:
     """Read and check a user's argument. What it refers to is checked when it is merged.
-
-    Returns:
-        ``path`` as given, ``sha256`` of the file, ``elements`` by id under the keys of gsn2x, and
-        ``lines`` of each ``id`` and ``id.key``.
 
     Raises:
         ConfigurationError: If the file cannot be read, is no YAML of elements, or uses anchors,
@@ -82,36 +76,36 @@ def read_user_argument(path: Path) -> dict[str, Any]:
         _file_error("the file is not UTF-8 text", file, line=line, expected="YAML in UTF-8")
     reader = _Reader(file)
     elements = reader.elements(text)
-    return {
-        "path": file,
-        "sha256": hashlib.sha256(raw).hexdigest(),
-        "elements": elements,
-        "lines": reader.lines,
-    }
+    return ArgumentEntry(
+        path=file,
+        sha256=hashlib.sha256(raw).hexdigest(),
+        elements=elements,
+        lines={**reader.lines},
+    )
 
 
 def _argument_error(
-    user: UserArgument, problem: str, key: str, *, found: str = "", expected: str, remedy: str = ""
+    user: ArgumentEntry, problem: str, key: str, *, found: str = "", expected: str, remedy: str = ""
 ) -> NoReturn:
     """The error of something in a user's argument, with its line.
 
     Raises:
         ConfigurationError: Always.
     """
-    line = user["lines"].get(key) or user["lines"].get(key.partition(".")[0])
+    line = user.lines.get(key) or user.lines.get(key.partition(".")[0])
     _file_error(
-        problem, user["path"], line=line, key=key, found=found, expected=expected, remedy=remedy
+        problem, user.path, line=line, key=key, found=found, expected=expected, remedy=remedy
     )
 
 
-def check_requirements(user: UserArgument, requirements: Iterable[str]) -> None:
+def check_requirements(user: ArgumentEntry, requirements: Iterable[str]) -> None:
     """Check what is known before anything runs: that the requirements referred to exist.
 
     Raises:
         ConfigurationError: For ``requirement:ID`` of an unknown requirement.
     """
     known = sorted(requirements)
-    for id_, node in user["elements"].items():
+    for id_, node in user.elements.items():
         for key in (*LIST_KEYS, "challenges"):
             for reference in [node[key]] if isinstance(node.get(key), str) else node.get(key, []):
                 requirement = reference.removeprefix("requirement:")
@@ -272,7 +266,6 @@ def _names(value: Any) -> bool:
     )
 
 
-_ARGUMENT_KEY = "argument"
 """Key of the record with the user's argument; it may be missing or null."""
 
 _KEPT_KINDS = ("context", "assumption", "scenario")
@@ -288,13 +281,13 @@ def session_argument(record: SessionRecord) -> Argument:
         ConfigurationError: If the user's argument does not fit.
     """
     argument = generated_argument(record)
-    user = record.head.get(_ARGUMENT_KEY)
-    if not user or shard_text(record):
+    user = record.head.argument
+    if user is None or shard_text(record):
         return argument
     return merge_user_argument(argument, user, whole=not is_incomplete(record))
 
 
-def merge_user_argument(argument: Argument, user: UserArgument, *, whole: bool = True) -> Argument:
+def merge_user_argument(argument: Argument, user: ArgumentEntry, *, whole: bool = True) -> Argument:
     """The user's elements, root first, then what they take up, then what tells of the rest.
 
     Args:
@@ -341,7 +334,7 @@ def merge_user_argument(argument: Argument, user: UserArgument, *, whole: bool =
     return merged
 
 
-def _check_rules(argument: Argument, user: UserArgument) -> None:
+def _check_rules(argument: Argument, user: ArgumentEntry) -> None:
     for problem in rule_problems({id_: element.to_yaml() for id_, element in argument.items()}):
         place, _, what = problem.partition(": ")
         _argument_error(
@@ -354,10 +347,10 @@ def _check_rules(argument: Argument, user: UserArgument) -> None:
         )
 
 
-def _user_elements(argument: Argument, user: UserArgument) -> Argument:
+def _user_elements(argument: Argument, user: ArgumentEntry) -> Argument:
     aliases = {element.alias: id_ for id_, element in reversed(argument.items()) if element.alias}
     own: Argument = {}
-    for id_, node in user["elements"].items():
+    for id_, node in user.elements.items():
         if id_ in argument:
             _argument_error(
                 user,
@@ -372,7 +365,7 @@ def _user_elements(argument: Argument, user: UserArgument) -> Argument:
 
 
 def _user_element(
-    id_: str, node: Mapping[str, Any], known: Mapping[str, str | None], user: UserArgument
+    id_: str, node: Mapping[str, Any], known: Mapping[str, str | None], user: ArgumentEntry
 ) -> Element:
     def resolved(names: Iterable[str], key: str) -> tuple[str, ...]:
         return tuple(_resolved_ids(reference, f"{id_}.{key}", known, user) for reference in names)
@@ -396,9 +389,9 @@ def _user_element(
 
 
 def _resolved_ids(
-    reference: str, key: str, known: Mapping[str, str | None], user: UserArgument
+    reference: str, key: str, known: Mapping[str, str | None], user: ArgumentEntry
 ) -> str:
-    if reference in user["elements"]:
+    if reference in user.elements:
         return reference
     # An alias has a requirement's id as it is shown, and the user writes it as it is.
     what, mark, named = reference.partition(":")

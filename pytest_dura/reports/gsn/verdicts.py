@@ -6,12 +6,20 @@ The wording is of propositions, never of praise.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from pytest_dura.evidence.case_model import ParameterEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name
+from pytest_dura.evidence.verdict_model import (
+    CounterexampleEntry,
+    MonitorEntry,
+    VerdictEntry,
+    WaiverEntry,
+)
 from pytest_dura.reports.gsn.element import Element, derived_id
 from pytest_dura.reports.html.contents import folded_cases, requirement_anchor, verdict_anchor
 from pytest_dura.reports.verdicts import (
@@ -27,37 +35,39 @@ from pytest_dura.reports.verdicts import (
 from pytest_dura.reports.wording import evidence_option, model_options, names_text, replay_command
 from pytest_dura.requirements.campaign_verdicts import violation_text
 
-Data = Mapping[str, Any]
-
 
 def _place_text(case: str, component: str, *, several: bool) -> str:
     """The case, and the component where the session has several."""
     return f"{name(case)} [{name(component)}]" if several else name(case)
 
 
-def scenario_text(scenario: str, parameters: list[Data]) -> str:
+def scenario_text(scenario: str, parameters: list[ParameterEntry]) -> str:
     """A scenario of the operational domain, with its variation ranges."""
     if not parameters:
         return f"Scenario {name(scenario)}: no parameter varies."
-    ranges = [
-        f"{name(parameter['parameter'])} {_range_text(parameter)}" for parameter in parameters
-    ]
+    ranges = [f"{name(parameter.parameter)} {_range_text(parameter)}" for parameter in parameters]
     return f"Scenario {name(scenario)}: {'; '.join(ranges)}."
 
 
-def _range_text(parameter: Data) -> str:
-    drawn, covered = parameter["drawn"], part_text(parameter["covered"])
-    if parameter["choices"] is None:
-        low, high = _figure_text(parameter["low"]), _figure_text(parameter["high"])
+def _range_text(parameter: ParameterEntry) -> str:
+    drawn, covered = parameter.drawn, part_text(parameter.covered)
+    if parameter.choices is None:
+        low, high = _figure_text(parameter.low), _figure_text(parameter.high)
         return f"in [{low}, {high}], {drawn} drawn, {covered} of its tenths reached"
-    choices = names_text([str(choice["value"]) for choice in parameter["choices"]])
+    choices = names_text([str(choice.value) for choice in parameter.choices])
     return f"one of {choices}; {drawn} drawn, {covered} of the choices reached"
 
 
-def monitor_text(monitor: str, target: str, rows: list[Data]) -> str:
+def monitor_text(monitor: str, target: str, rows: list[MonitorEntry]) -> str:
     """The quality of a monitor over all cases in which recovery did not act."""
-    names = ("true_positives", "false_negatives", "false_positives", "true_negatives")
-    hits, misses, alarms, quiet = (sum(row[key] for row in rows) for key in names)
+    hits, misses = (
+        sum(row.true_positives for row in rows),
+        sum(row.false_negatives for row in rows),
+    )
+    alarms, quiet = (
+        sum(row.false_positives for row in rows),
+        sum(row.true_negatives for row in rows),
+    )
     raised = (
         f"flagged {hits} of {hits + misses} episodes with a violation"
         if hits + misses
@@ -86,44 +96,47 @@ class EpisodeFacts:
         policies: Recovery policies of the cases on which there is a verdict.
         simulators: Import paths of the simulators.
         seeds: How many episodes have a seed, and the least and the greatest one.
-        counterexamples: Of the episodes that the argument shows, by id and component.
+        counterexamples: Seed and trace of the episodes that the argument shows, by id and
+            component.
     """
 
     policies: set[str] = field(default_factory=set)
     simulators: set[str] = field(default_factory=set)
     seeds: tuple[int, int, int] | None = None
-    counterexamples: dict[tuple[str, str], Data] = field(default_factory=dict)
+    counterexamples: dict[tuple[str, str], tuple[int, TraceEntry | None]] = field(
+        default_factory=dict
+    )
 
     @classmethod
     def of(cls, record: SessionRecord) -> EpisodeFacts:
         """One pass over the record's episodes."""
         facts = cls()
         shown = {
-            (counterexample["episode"], verdict["component"])
-            for verdict in record["verdicts"]
+            (counterexample.episode, verdict.component)
+            for verdict in record.head.verdicts
             for counterexample in _shown_counterexamples(verdict)
         }
-        judged = {verdict["case"] for verdict in record["verdicts"]}
+        judged = {verdict.case for verdict in record.head.verdicts}
         for episode in record.episodes():
-            facts._take(episode, judged=episode["case"] in judged)
-            key = (episode["id"], episode["component"])
+            facts._take(episode, judged=episode.case in judged)
+            key = (episode.id, episode.component)
             if key in shown:
-                facts.counterexamples[key] = {"seed": episode["seed"], "trace": episode["trace"]}
+                facts.counterexamples[key] = episode.seed, episode.trace
         return facts
 
-    def _take(self, episode: Data, *, judged: bool) -> None:
-        spec, seed = episode["spec"], episode["seed"]
+    def _take(self, episode: EpisodeEntry, *, judged: bool) -> None:
+        spec, seed = episode.spec, episode.seed
         if judged and len(self.policies) < _MOST_NAMES:
-            self.policies.add(str(spec["policy"]))
+            self.policies.add(spec.policy)
         if len(self.simulators) < _MOST_NAMES:
-            self.simulators.add(str(spec["simulator"]["path"]))
+            self.simulators.add(spec.simulator.path)
         count, least, greatest = self.seeds or (0, seed, seed)
         self.seeds = (count + 1, min(least, seed), max(greatest, seed))
 
 
-def _shown_counterexamples(verdict: Data) -> list[Data]:
+def _shown_counterexamples(verdict: VerdictEntry) -> list[CounterexampleEntry]:
     """The counterexamples of a verdict that become elements."""
-    return list(verdict["counterexamples"][:MAX_COUNTEREXAMPLES])
+    return verdict.counterexamples[:MAX_COUNTEREXAMPLES]
 
 
 @dataclass(frozen=True)
@@ -137,7 +150,7 @@ class VerdictElements:
         elements: All its elements, the goal first.
     """
 
-    verdict: Data
+    verdict: VerdictEntry
     goal: str
     challenge: str
     elements: tuple[Element, ...]
@@ -145,7 +158,7 @@ class VerdictElements:
     @property
     def refuted(self) -> bool:
         """Violated, and no waiver accepts that."""
-        return self.verdict["verdict"] == "violated" and self.verdict["waiver"] is None
+        return self.verdict.verdict == "violated" and self.verdict.waiver is None
 
 
 def verdict_elements(
@@ -154,15 +167,15 @@ def verdict_elements(
     """Each verdict of the record with its elements; ``several``: components are told apart."""
     seen: Counter[tuple[str, ...]] = Counter()
     folded = folded_cases(record)
-    for index, verdict in enumerate(record["verdicts"]):
+    for index, verdict in enumerate(record.head.verdicts):
         # Its item tells apart two tests of one requirement and case; two of one item have no
         # other difference than their order.
-        apart: tuple[str, ...] = (verdict["component"], str(verdict["item"]))
-        key = (verdict["requirement"], verdict["case"], *apart)
+        apart: tuple[str, ...] = (verdict.component, verdict.item)
+        key = (verdict.requirement, verdict.case, *apart)
         seen[key] += 1
         if seen[key] > 1:
             apart = (*apart, str(seen[key]))
-        shown = (verdict["case"], verdict["component"]) not in folded
+        shown = (verdict.case, verdict.component) not in folded
         yield _VerdictBuilder(record, facts, index, verdict, apart, several, shown).build()
 
 
@@ -173,7 +186,7 @@ class _VerdictBuilder:
     record: SessionRecord
     facts: EpisodeFacts
     index: int
-    verdict: Data
+    verdict: VerdictEntry
     apart: tuple[str, ...]
     several: bool
     shown: bool
@@ -185,15 +198,15 @@ class _VerdictBuilder:
 
     @property
     def where(self) -> str:
-        return _place_text(self.verdict["case"], self.verdict["component"], several=self.several)
+        return _place_text(self.verdict.case, self.verdict.component, several=self.several)
 
     @property
     def requirement(self) -> str:
-        return name(self.verdict["requirement"])
+        return name(self.verdict.requirement)
 
     def identifier(self, prefix: str, *more: str) -> str:
         """The id of the verdict's element of a kind."""
-        parts = (self.verdict["requirement"], self.verdict["case"], *more)
+        parts = (self.verdict.requirement, self.verdict.case, *more)
         return derived_id(prefix, *parts, apart=self.apart)
 
     def alias(self, what: str) -> str:
@@ -201,20 +214,20 @@ class _VerdictBuilder:
         return f"{what}:{self.requirement}@{self.where}{twin}"
 
     def layers(self) -> dict[str, Any]:
-        requirement = self.verdict["requirement"]
+        requirement = self.verdict.requirement
         anchor = requirement_anchor(requirement)
         if self.shown:
-            anchor = verdict_anchor(requirement, self.verdict["case"])
-        return {"report": f"report.html#{anchor}", "verdict": self.verdict["verdict"]}
+            anchor = verdict_anchor(requirement, self.verdict.case)
+        return {"report": f"report.html#{anchor}", "verdict": self.verdict.verdict}
 
     def build(self) -> VerdictElements:
         """The verdict with all its elements."""
-        undecided = self.verdict["verdict"] == "undecided"
-        waived = self.verdict["waiver"] is not None
+        undecided = self.verdict.verdict == "undecided"
         # Violations challenge a claim, also where its bound allows them or nothing is decided.
-        contested = bool(self.verdict["counterexamples"]) or self.verdict["verdict"] == "violated"
+        contested = bool(self.verdict.counterexamples) or self.verdict.verdict == "violated"
         support = [] if undecided else [self._solution()]
-        waiver = [self._waiver()] if waived else []
+        given = self.verdict.waiver
+        waiver = [] if given is None else [self._waiver(given)]
         challenge = list(self._challenge()) if contested else []
         goal = self._goal([element.id for element in support], [element.id for element in waiver])
         return VerdictElements(
@@ -225,12 +238,8 @@ class _VerdictBuilder:
         )
 
     def _goal(self, support: list[str], waivers: list[str]) -> Element:
-        verdict = self.verdict["verdict"]
-        why = (
-            f" Undecided: {as_sentence(str(self.verdict['reason']))}"
-            if verdict == "undecided"
-            else ""
-        )
+        verdict = self.verdict.verdict
+        why = f" Undecided: {as_sentence(self.verdict.reason)}" if verdict == "undecided" else ""
         return Element(
             self.identifier("G"),
             verdict_proposition(self.verdict, self.where) + why,
@@ -254,10 +263,10 @@ class _VerdictBuilder:
             brief=tuple(short_evidence_text(self.verdict)),
         )
 
-    def _waiver(self) -> Element:
+    def _waiver(self, waiver: WaiverEntry) -> Element:
         return Element(
             self.identifier("J", "waiver"),
-            waiver_text(self.verdict),
+            waiver_text(waiver, self.verdict.verdict),
             url=f"{self.url}/waiver",
             alias=self.alias("waiver"),
             brief=("waived",),
@@ -285,29 +294,29 @@ class _VerdictBuilder:
         )
         yield from evidence
 
-    def _counterexample(self, index: int, counterexample: Data) -> Element:
-        episode = counterexample["episode"]
+    def _counterexample(self, index: int, counterexample: CounterexampleEntry) -> Element:
+        episode = counterexample.episode
         when = violation_text(
-            counterexample["time"], counterexample["margin"], valid=counterexample["valid"]
+            counterexample.time, counterexample.margin, valid=counterexample.valid
         )
-        brief = violation_text(counterexample["time"], None).strip()
-        facts = self.facts.counterexamples.get((episode, self.verdict["component"]), {})
-        seed = f", seed {facts['seed']}" if facts else ""
-        trace = facts.get("trace")
-        evidence = evidence_option(self.record["command"])
+        brief = violation_text(counterexample.time, None).strip()
+        key = episode, self.verdict.component
+        seed, trace = self.facts.counterexamples.get(key, (None, None))
+        evidence = evidence_option(self.record.head.command)
         models = {
             key: name(model_option)
-            for key, model_option in model_options(self.record["command"]).items()
+            for key, model_option in model_options(self.record.head.command).items()
         }
         command = replay_command(
             name(episode), None if evidence is None else name(evidence), models
         )
         layers = {"replay": command}
         if trace is not None:
-            layers["trace"] = name(str(trace["file"]))
+            layers["trace"] = name(trace.file)
         return Element(
             self.identifier("CSn", str(index)),
-            f"Episode {name(episode)} violates it{when}{seed}.",
+            f"Episode {name(episode)} violates it{when}"
+            + ("." if seed is None else f", seed {seed}."),
             url=f"{self.url}/counterexamples/{index}",
             layers=layers,
             brief=("run " + name(episode).rpartition("#")[2][:10], brief),

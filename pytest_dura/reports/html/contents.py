@@ -10,11 +10,14 @@ import hashlib
 import heapq
 import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TypeVar
 
+from pytest_dura.evidence.case_model import CaseEntry, CellEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry, OutcomeEntry, TraceEntry
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.verdict_model import VerdictEntry
 
 _MAX_READABLE = 80
 """Readable characters of an anchor."""
@@ -62,9 +65,20 @@ def anchor(kind: str, *parts: str) -> str:
     return f"{kind}-{readable}-{hashlib.sha256(joined).hexdigest()[:10]}"
 
 
-Data = Mapping[str, Any]
 CaseKey = tuple[str, str]
 """Id of a case, and the component's name."""
+_Row = TypeVar("_Row")
+
+
+def case_key(case: CaseEntry) -> CaseKey:
+    """Key of a case."""
+    return case.id, case.component
+
+
+def verdict_key(verdict: VerdictEntry | CellEntry) -> CaseKey:
+    """Key of the case that a verdict is on."""
+    return verdict.case, verdict.component
+
 
 MAX_PLAIN_CASES = 1000
 """Cases without anything to report that have rows of their own."""
@@ -77,52 +91,50 @@ def folded_cases(record: SessionRecord) -> frozenset[CaseKey]:
     supported at the first attempt without a waiver or any violation; every planned episode was run
     and is valid, and none collided. Whatever else is there is shown, however much it is.
     """
-    judged: dict[CaseKey, list[Data]] = defaultdict(list)
-    for verdict in record["verdicts"]:
-        judged[verdict["case"], verdict["component"]].append(verdict)
+    judged: dict[CaseKey, list[VerdictEntry]] = defaultdict(list)
+    for verdict in record.head.verdicts:
+        judged[verdict_key(verdict)].append(verdict)
     plain = [
-        key
-        for case in record["cases"]
-        if _is_plain(case, judged.get(key := (case["id"], case["component"]), []))
+        key for case in record.head.cases if _is_plain(case, judged.get(key := case_key(case), []))
     ]
     return frozenset(plain[MAX_PLAIN_CASES:])
 
 
 def split_folded(
-    rows: Iterable[Data], folded: frozenset[CaseKey], case: str = "case"
-) -> tuple[Any, Any]:
+    rows: Iterable[_Row], folded: frozenset[CaseKey], key: Callable[[_Row], CaseKey]
+) -> tuple[list[_Row], list[_Row]]:
     """Rows that are shown, and those of folded cases.
 
     Args:
-        rows: Each with its component, and its case under the key ``case``.
+        rows: Of any kind.
         folded: Of :func:`folded_cases`.
-        case: That key.
+        key: Returns the case of a row.
     """
-    shown: list[Data] = []
-    rest: list[Data] = []
+    shown: list[_Row] = []
+    rest: list[_Row] = []
     for row in rows:
-        (rest if (row[case], row["component"]) in folded else shown).append(row)
+        (rest if key(row) in folded else shown).append(row)
     return shown, rest
 
 
-def _is_plain(case: Data, verdicts: list[Data]) -> bool:
-    metrics = case["metrics"]
-    collided = metrics["collided"]
-    missing_runs_total = case["missing_runs_total"] or metrics["invalid"] or metrics["missing"]
-    if missing_runs_total or (collided and collided["run"]):
+def _is_plain(case: CaseEntry, verdicts: list[VerdictEntry]) -> bool:
+    metrics = case.metrics
+    collided = metrics.collided
+    missing_runs_total = case.missing_runs_total or metrics.invalid or metrics.missing
+    if missing_runs_total or (collided and collided.run):
         return False
-    if case["without"]:  # a reference arm, the verdicts stand on the case it belongs to
+    if case.without:  # a reference arm, the verdicts stand on the case it belongs to
         return not verdicts
-    names = {verdict["requirement"] for verdict in verdicts}
-    return bool(verdicts) and names.issuperset(case["requirements"]) and all(map(_passed, verdicts))
+    names = {verdict.requirement for verdict in verdicts}
+    return bool(verdicts) and names.issuperset(case.requirements) and all(map(_passed, verdicts))
 
 
-def _passed(verdict: Data) -> bool:
+def _passed(verdict: VerdictEntry) -> bool:
     against = (
-        "violations", "open", "without_effect", "invalid", "missing", "waiver", "attempts",
-        "counterexamples",
+        verdict.violations, verdict.open, verdict.without_effect, verdict.invalid, verdict.missing,
+        verdict.waiver, verdict.attempts, verdict.counterexamples,
     )  # fmt: skip
-    return verdict["verdict"] == "supported" and not any(verdict[key] for key in against)
+    return verdict.verdict == "supported" and not any(against)
 
 
 MAX_LISTED = 1000
@@ -151,18 +163,60 @@ class CaseTally:
     cleared: int = 0
     outcomes: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
-    def add(self, episode: Data) -> None:
+    def add(self, episode: EpisodeEntry) -> None:
         """Count one more episode."""
-        self.validities[episode["validity"]] += 1
-        if not episode["planned"]:
+        self.validities[episode.validity] += 1
+        if not episode.planned:
             return
-        for fault in episode["faults"]:
-            self.outcomes[fault["id"]][fault["outcome"] or "not followed"] += 1
-        time = episode["outcome"]["clearance_time"]
-        if episode["validity"] == "valid" and time is not None:
+        for fault in episode.faults:
+            self.outcomes[fault.id][fault.outcome or "not followed"] += 1
+        time = episode.outcome.clearance_time
+        if episode.validity == "valid" and time is not None:
             self.cleared += 1
             if len(self.times) < _MAX_DOTS:
                 self.times.append(time)
+
+
+@dataclass(frozen=True)
+class BriefEpisode:
+    """The part of an episode that is shown: a thousand whole entries would take much memory."""
+
+    id: str
+    case: str
+    component: str
+    seed: int
+    run: int
+    planned: bool
+    validity: str
+    invalid_reason: str | None
+    failure: str | None
+    critical: str
+    """What the critical event says; empty without one."""
+    termination: str
+    digest: str
+    trace: TraceEntry | None
+    outcome: OutcomeEntry
+
+    @classmethod
+    def of(cls, episode: EpisodeEntry) -> BriefEpisode:
+        """Take this part of an entry."""
+        critical = (event.detail for event in episode.events if event.kind == "critical")
+        return cls(
+            id=episode.id,
+            case=episode.case,
+            component=episode.component,
+            seed=episode.seed,
+            run=episode.spec.run,
+            planned=episode.planned,
+            validity=episode.validity,
+            invalid_reason=episode.invalid_reason,
+            failure=episode.failure,
+            critical=next(critical, ""),
+            termination=episode.termination,
+            digest=episode.digest,
+            trace=episode.trace,
+            outcome=episode.outcome,
+        )
 
 
 @dataclass(frozen=True)
@@ -172,19 +226,19 @@ class ListedEpisode:
     Args:
         rank: 0 for violating ones, then missing, invalid, remarkable, and unremarkable ones.
         index: Its place in the record.
-        episode: Its record without specification, metrics and all events but the critical one.
+        episode: What is shown of it.
         violates: Ids of the requirements that it violated.
     """
 
     rank: int
     index: int
-    episode: Data
+    episode: BriefEpisode
     violates: tuple[str, ...]
 
     @property
     def key(self) -> CaseKey:
         """Id and component."""
-        return self.episode["id"], self.episode["component"]
+        return self.episode.id, self.episode.component
 
 
 @dataclass
@@ -213,17 +267,19 @@ class ReportContents:
         candidates: list[tuple[int, int, ListedEpisode]] = []
         sampled: Counter[CaseKey] = Counter()
         for index, episode in enumerate(record.episodes()):
-            cases.setdefault((episode["case"], episode["component"]), CaseTally()).add(episode)
+            cases.setdefault((episode.case, episode.component), CaseTally()).add(episode)
             # A verdict rests on planned episodes; one run by hand may bear the same id.
-            key = episode["id"], episode["component"]
-            violates = tuple(violating.get(key, ())) if episode["planned"] else ()
-            shown = ListedEpisode(_rank(episode, violates), index, _brief(episode), violates)
+            key = episode.id, episode.component
+            violates = tuple(violating.get(key, ())) if episode.planned else ()
+            shown = ListedEpisode(
+                _rank(episode, violates), index, BriefEpisode.of(episode), violates
+            )
             _keep_lowest(listed, shown.rank, shown, MAX_LISTED)
-            if episode["trace"] is not None:
+            if episode.trace is not None:
                 turn = turns.get(key)
                 if turn is None:
                     # One of each case after all that violate something, then a second one...
-                    of_case = episode["case"], episode["component"]
+                    of_case = episode.case, episode.component
                     turn = len(turns) + sampled[of_case]
                     sampled[of_case] += 1
                 _keep_lowest(candidates, turn, shown, _MAX_CANDIDATES)
@@ -233,13 +289,11 @@ class ReportContents:
 def _violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:
     """Requirements that each episode violated, by its id and component."""
     violations: dict[CaseKey, list[str]] = {}
-    for verdict in record["verdicts"]:
-        for counterexample in verdict["counterexamples"]:
-            requirements = violations.setdefault(
-                (counterexample["episode"], verdict["component"]), []
-            )
-            if verdict["requirement"] not in requirements:
-                requirements.append(verdict["requirement"])
+    for verdict in record.head.verdicts:
+        for counterexample in verdict.counterexamples:
+            requirements = violations.setdefault((counterexample.episode, verdict.component), [])
+            if verdict.requirement not in requirements:
+                requirements.append(verdict.requirement)
     return violations
 
 
@@ -247,35 +301,22 @@ def _worst_in_turn(record: SessionRecord) -> Iterator[CaseKey]:
     """The worst counterexample of each verdict, then each one's second, and so on."""
     seen: set[CaseKey] = set()
     for place in range(_MAX_CANDIDATES):
-        for verdict in record["verdicts"]:
-            if place < len(verdict["counterexamples"]):
-                key = verdict["counterexamples"][place]["episode"], verdict["component"]
+        for verdict in record.head.verdicts:
+            if place < len(verdict.counterexamples):
+                key = verdict.counterexamples[place].episode, verdict.component
                 if key not in seen:
                     seen.add(key)
                     yield key
 
 
-def _rank(episode: Data, violates: tuple[str, ...]) -> int:
+def _rank(episode: EpisodeEntry, violates: tuple[str, ...]) -> int:
     if violates:
         return 0
-    if episode["validity"] != "valid":
-        return 1 if episode["validity"] == "missing" else 2
-    outcome = episode["outcome"]
-    marked = outcome["flagged"] or outcome["collided"] or outcome["gridlock"]
+    if episode.validity != "valid":
+        return 1 if episode.validity == "missing" else 2
+    outcome = episode.outcome
+    marked = outcome.flagged or outcome.collided or outcome.gridlock
     return UNREMARKABLE - 1 if marked else UNREMARKABLE
-
-
-_SHOWN_KEYS = (
-    "id", "case", "component", "seed", "planned", "validity", "invalid_reason", "failure",
-    "termination", "digest", "trace", "outcome",
-)  # fmt: skip
-
-
-def _brief(episode: Data) -> Data:
-    """The part of an episode that is shown: a thousand whole records would take much memory."""
-    critical = [event["detail"] for event in episode["events"] if event["kind"] == "critical"]
-    kept = {key: episode[key] for key in _SHOWN_KEYS}
-    return {**kept, "run": episode["spec"]["run"], "critical": critical[0] if critical else ""}
 
 
 def _keep_lowest(

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pytest_dura.evidence.case_model import (
+    CaseEntry,
+    CellEntry,
+    FailureModeEntry,
+    ParameterEntry,
+    ShareEntry,
+)
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.html.contents import (
     UNREMARKABLE,
     CaseKey,
@@ -16,8 +24,10 @@ from pytest_dura.reports.html.contents import (
     ListedEpisode,
     ReportContents,
     case_anchor,
+    case_key,
     requirement_anchor,
     split_folded,
+    verdict_key,
 )
 from pytest_dura.reports.svg import Scale
 from pytest_dura.reports.tables import (
@@ -153,47 +163,52 @@ def scenario_section(record: SessionRecord, contents: ReportContents, _links: Ep
 
     Arms that lack a role come last: they are there to be compared with.
     """
-    cases = record["cases"]
+    cases = record.head.cases
     rows = []
     chart = []
     anchors: set[str] = set()
-    shown, rest = split_folded(cases, contents.folded, "id")
+    shown, rest = split_folded(cases, contents.folded, case_key)
     for case in shown:
-        anchor = case_anchor(case["id"])
-        tally = contents.cases.get((case["id"], case["component"]), CaseTally())
-        rows.append({**case, "anchor": None if anchor in anchors else anchor})
+        anchor = case_anchor(case.id)
+        tally = contents.cases.get(case_key(case), CaseTally())
+        rows.append({**dict(case), "anchor": None if anchor in anchors else anchor})
         anchors.add(anchor)
-        if tally.times and not case["without"]:
-            time = case["metrics"]["clearance_time"] or {"mean": None, "sd": None}
-            chart.append(
-                ClearanceRow(case["id"], tally.times, tally.cleared, time["mean"], time["sd"])
-            )
+        if tally.times and not case.without:
+            time = case.metrics.clearance_time
+            mean, sd = (time.mean, time.sd) if time is not None else (None, None)
+            chart.append(ClearanceRow(case.id, tally.times, tally.cleared, mean, sd))
     return {
         "groups": [
             {"arms": arms, "rows": group, "folded": _folded_sums(folded)}
             for arms in (False, True)
             if (group := [row for row in rows if bool(row["without"]) is arms])
-            + (folded := [row for row in rest if bool(row["without"]) is arms])
+            + (folded := [case for case in rest if bool(case.without) is arms])
         ],
-        "overall": [total for total in record["overall"] if total["cases"] > 1],
-        "several": len({case["component"] for case in cases}) > 1,
-        "users": sorted({name for case in cases for name in case["metrics"]["user"]}),
+        "overall": [total for total in record.head.overall if total.cases > 1],
+        "several": len({case.component for case in cases}) > 1,
+        "users": sorted({name for case in cases for name in case.metrics.user}),
         "chart": clearance_chart(chart) if chart else None,
     }
 
 
-def _folded_sums(cases: list[Data]) -> Data:
+def _folded_sums(cases: list[CaseEntry]) -> Data:
     """The sums of cases without rows."""
-    metrics = [case["metrics"] for case in cases]
-    shares = {
-        name: sum(metric[name]["valid"] for metric in metrics if metric[name])
-        for name in ("flagged", "gridlock", "rescued", "comfort_failed")
+    metrics = [case.metrics for case in cases]
+    return {
+        "number": len(cases),
+        "flagged": _valid_sum(of.flagged for of in metrics),
+        "gridlock": _valid_sum(of.gridlock for of in metrics),
+        "rescued": _valid_sum(of.rescued for of in metrics),
+        "comfort_failed": _valid_sum(of.comfort_failed for of in metrics),
+        "valid": sum(of.valid for of in metrics),
+        "planned": sum(of.planned for of in metrics),
+        "recoveries": sum(of.recoveries for of in metrics),
+        "alerts": sum(of.alerts for of in metrics),
     }
-    sums = {
-        name: sum(metric[name] for metric in metrics)
-        for name in ("valid", "planned", "recoveries", "alerts")
-    }
-    return {"number": len(cases), **shares, **sums}
+
+
+def _valid_sum(shares: Iterable[ShareEntry | None]) -> int:
+    return sum(share.valid for share in shares if share is not None)
 
 
 BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0
@@ -203,18 +218,18 @@ _MAX_BARS = 20
 
 def coverage_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
     """The matrix of cells, and the bars of each varied parameter."""
-    coverage = record["coverage"]
-    requirements = [requirement["id"] for requirement in record["requirements"]]
+    coverage = record.head.coverage
+    requirements = [requirement.id for requirement in record.head.requirements]
     places: dict[tuple[str, str], dict[str, list[str | None]]] = {}
-    shown, rest = _split_folded_cells(coverage["cells"], contents.folded)
+    shown, rest = _split_folded_cells(coverage.cells, contents.folded)
     for cell in shown:
-        row = places.setdefault((cell["scenario"], cell["faults"]), {})
-        row.setdefault(cell["requirement"], []).append(cell["verdict"])
-        if cell["requirement"] not in requirements:
-            requirements.append(cell["requirement"])
+        row = places.setdefault((cell.scenario, cell.faults), {})
+        row.setdefault(cell.requirement, []).append(cell.verdict)
+        if cell.requirement not in requirements:
+            requirements.append(cell.requirement)
     columns = sorted(places)
-    words = Counter(cell["verdict"] for cell in coverage["cells"])
-    judged = {_cell_key(verdict) for verdict in record["verdicts"] if verdict["run"]}
+    words = Counter(cell.verdict for cell in coverage.cells)
+    judged = {_cell_key(verdict) for verdict in record.head.verdicts if verdict.run}
     return {
         "matrix": matrix(
             [heading(name, anchor=requirement_anchor(name)) for name in requirements],
@@ -226,49 +241,46 @@ def coverage_section(record: SessionRecord, contents: ReportContents, _links: Ep
             lambda i, j: places[columns[j]].get(requirements[i]),
             "Scenario and faults",
         ),
-        "tested": sum(cell["verdict"] is not None for cell in coverage["cells"]),
+        "tested": sum(cell.verdict is not None for cell in coverage.cells),
         "words": {name: words[name] for name in ("supported", "violated", "undecided")},
         "not_run": sum(
-            cell["verdict"] is not None and _cell_key(cell) not in judged
-            for cell in coverage["cells"]
+            cell.verdict is not None and _cell_key(cell) not in judged for cell in coverage.cells
         ),
-        "cells": len(coverage["cells"]) + coverage["left_out"],
-        "left_out": coverage["left_out"],
+        "cells": len(coverage.cells) + coverage.left_out,
+        "left_out": coverage.left_out,
         "folded": len(set(map(_scenario_key, rest))),
-        "parameters": [_parameter_bars(parameter) for parameter in coverage["parameters"]],
+        "parameters": [_parameter_bars(parameter) for parameter in coverage.parameters],
     }
 
 
 def _split_folded_cells(
-    cells: list[Data], folded: frozenset[CaseKey]
-) -> tuple[list[Data], list[Data]]:
+    cells: list[CellEntry], folded: frozenset[CaseKey]
+) -> tuple[list[CellEntry], list[CellEntry]]:
     """The cells of places that are shown, and of those of which all cells are of folded cases."""
-    places = {
-        _scenario_key(cell) for cell in cells if (cell["case"], cell["component"]) not in folded
-    }
+    places = {_scenario_key(cell) for cell in cells if verdict_key(cell) not in folded}
     shown = [cell for cell in cells if _scenario_key(cell) in places]
     return shown, [cell for cell in cells if _scenario_key(cell) not in places]
 
 
-def _scenario_key(cell: Data) -> tuple[str, str]:
-    return cell["scenario"], cell["faults"]
+def _scenario_key(cell: CellEntry) -> tuple[str, str]:
+    return cell.scenario, cell.faults
 
 
-def _cell_key(verdict: Data) -> tuple[str, str, str]:
+def _cell_key(verdict: VerdictEntry | CellEntry) -> tuple[str, str, str]:
     """Key that a cell and the verdicts on it have in common."""
-    return verdict["requirement"], verdict["case"], verdict["component"]
+    return verdict.requirement, verdict.case, verdict.component
 
 
-def _parameter_bars(parameter: Data) -> Data:
-    choices = parameter["choices"]
-    counts = parameter["bins"] if choices is None else [choice["count"] for choice in choices]
+def _parameter_bars(parameter: ParameterEntry) -> Data:
+    choices = parameter.choices
+    counts = parameter.bins if choices is None else [choice.count for choice in choices]
     highest = max([*counts, 1])
     bars = []
     for place, count in enumerate(counts[:_MAX_BARS]):
         height = round(BIN_HEIGHT * count / highest, 1)
         bars.append({"x": place * BIN_WIDTH, "y": BIN_HEIGHT - height, "height": height})
     return {
-        **parameter,
+        **dict(parameter),
         "counts": counts,
         "bars": bars,
         "width": BIN_WIDTH * len(bars),
@@ -284,24 +296,24 @@ _HEAT_STEPS = (0.0, 0.05, 0.25, 0.5)
 def fault_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
     """The map of faults and requirements, and one row for each fault of each case."""
     chains = []
-    shown, rest = split_folded(record["cases"], contents.folded, "id")
+    shown, rest = split_folded(record.head.cases, contents.folded, case_key)
     for case in shown:
-        tally = contents.cases.get((case["id"], case["component"]), CaseTally())
-        for fault in case["metrics"]["faults"]:
-            outcomes = sorted(tally.outcomes.get(fault["id"], Counter()).items())
-            chains.append({**fault, "case": case, "outcomes": outcomes})
+        tally = contents.cases.get(case_key(case), CaseTally())
+        for fault in case.metrics.faults:
+            outcomes = sorted(tally.outcomes.get(fault.id, Counter()).items())
+            chains.append({**dict(fault), "case": case, "outcomes": outcomes})
     named = {name for case in shown for name in _fault_names(case)}
     left_out = {name for case in rest for name in _fault_names(case)} - named
     return {
         "heat": _heat_map(record, left_out),
         "left_out": len(left_out),
         "chains": chains,
-        "folded": sum(len(case["metrics"]["faults"]) for case in rest),
+        "folded": sum(len(case.metrics.faults) for case in rest),
     }
 
 
-def _fault_names(case: Data) -> list[str]:
-    return [fault["id"] for fault in case["faults"]] or [_NO_FAULT]
+def _fault_names(case: CaseEntry) -> list[str]:
+    return [fault.id for fault in case.faults] or [_NO_FAULT]
 
 
 def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
@@ -313,21 +325,18 @@ def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
         record: The record.
         left_out: Names of faults without a row; only folded cases have them.
     """
-    faults_of = {
-        (case["id"], case["component"]): [fault["id"] for fault in case["faults"]]
-        for case in record["cases"]
-    }
-    cells: dict[tuple[str, str], list[Data]] = defaultdict(list)
+    faults_of = {case_key(case): [fault.id for fault in case.faults] for case in record.head.cases}
+    cells: dict[tuple[str, str], list[VerdictEntry]] = defaultdict(list)
     names: dict[str, None] = {}
     for ids in faults_of.values():
         names.update(dict.fromkeys(ids or [_NO_FAULT]))
-    for verdict in record["verdicts"]:
-        ids = faults_of.get((verdict["case"], verdict["component"])) or [_NO_FAULT]
+    for verdict in record.head.verdicts:
+        ids = faults_of.get(verdict_key(verdict)) or [_NO_FAULT]
         for fault in ids:
             names.setdefault(fault)
-            cells[fault, verdict["requirement"]].append(verdict)
+            cells[fault, verdict.requirement].append(verdict)
     order = sorted(names.keys() - left_out, key=lambda name: (name != _NO_FAULT, name))
-    requirements = [requirement["id"] for requirement in record["requirements"]]
+    requirements = [requirement.id for requirement in record.head.requirements]
     return matrix(
         [heading(name, anchor=requirement_anchor(name)) for name in requirements],
         [heading(name) for name in order],
@@ -336,16 +345,16 @@ def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
     )
 
 
-def _heat_cell(verdicts: list[Data] | None) -> Data:
+def _heat_cell(verdicts: list[VerdictEntry] | None) -> Data:
     if not verdicts:
         return {"word": "untested"}
-    n = sum(verdict["episodes"] for verdict in verdicts)
-    violations = sum(verdict["violations"] for verdict in verdicts)
+    n = sum(verdict.episodes for verdict in verdicts)
+    violations = sum(verdict.violations for verdict in verdicts)
     if not n:
         return {"word": "no valid episode"}
     step = sum(violations / n > bound for bound in _HEAT_STEPS)
-    doubt = not violations and any(verdict["verdict"] == "undecided" for verdict in verdicts)
-    also = sum(verdict["also_without"] or 0 for verdict in verdicts)
+    doubt = not violations and any(verdict.verdict == "undecided" for verdict in verdicts)
+    also = sum(verdict.also_without or 0 for verdict in verdicts)
     counts = {"n": n, "violations": violations, "also_without": also}
     return {"word": "", "step": step, "doubt": doubt, **counts}
 
@@ -354,9 +363,9 @@ def episode_section(record: SessionRecord, contents: ReportContents, links: Epis
     """Rows of counts, which together count each episode once, and rows of single episodes."""
     remaining = dict(contents.cases)
     counts = []
-    folded: list[tuple[Data, int]] = []
-    for case in record["cases"]:
-        key = case["id"], case["component"]
+    folded: list[tuple[CaseEntry, int]] = []
+    for case in record.head.cases:
+        key = case_key(case)
         tally = remaining.pop(key, CaseTally())
         if key in contents.folded and tally.validities["valid"] == tally.validities.total():
             folded.append((case, tally.validities.total()))
@@ -369,11 +378,11 @@ def episode_section(record: SessionRecord, contents: ReportContents, links: Epis
         "counts": counts,
         "folded": {
             "number": len(folded),
-            "planned": sum(case["planned"] for case, _ in folded),
+            "planned": sum(case.planned for case, _ in folded),
             "run": sum(run for _, run in folded),
         },
         "several": len({key[1] for key in contents.cases}) > 1,
-        "total": record["totals"]["episodes"],
+        "total": record.head.totals.episodes,
         "shown": len(contents.listed),
         "rows": [
             _episode_row(episode, links, anchors)
@@ -385,19 +394,19 @@ def episode_section(record: SessionRecord, contents: ReportContents, links: Epis
             for episode in contents.listed
             if episode.rank == UNREMARKABLE
         ],
-        "left_out": record["totals"]["episodes"] - len(contents.listed),
+        "left_out": record.head.totals.episodes - len(contents.listed),
     }
 
 
-def _case_counts(key: CaseKey, tally: CaseTally, case: Data | None) -> Data:
+def _case_counts(key: CaseKey, tally: CaseTally, case: CaseEntry | None) -> Data:
     return {
         "case": key[0],
         "component": key[1],
         "listed": case is not None,
         "anchor": case_anchor(key[0]),
-        "planned": None if case is None else case["planned"],
-        "never": [] if case is None else case["missing_runs"],
-        "never_total": 0 if case is None else case["missing_runs_total"],
+        "planned": None if case is None else case.planned,
+        "never": [] if case is None else case.missing_runs,
+        "never_total": 0 if case is None else case.missing_runs_total,
         "run": tally.validities.total(),
         **{name: tally.validities[name] for name in ("valid", "invalid", "missing")},
     }
@@ -408,13 +417,13 @@ def _episode_row(episode: ListedEpisode, links: EpisodeLinks, anchors: set[str])
     anchor = None if own in anchors else own
     anchors.add(own)
     return {
-        **episode.episode,
+        **vars(episode.episode),
         "anchor": anchor,
         "violates": [{"id": name, "anchor": requirement_anchor(name)} for name in episode.violates],
         "player": links.players.get(episode.key),
-        "why": episode.episode["failure"]
-        or episode.episode["invalid_reason"]
-        or episode.episode["critical"],
+        "why": episode.episode.failure
+        or episode.episode.invalid_reason
+        or episode.episode.critical,
     }
 
 
@@ -426,11 +435,11 @@ def failure_mode_section(
     record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
     """A table over all cases for each component that gave accounts, and one of single cases."""
-    cases = record["cases"]
+    cases = record.head.cases
     rows = [
         {"case": case, **_failure_mode_row(failure_mode)}
         for case in cases_with_accounts(cases)
-        for failure_mode in measured_failure_modes(case["metrics"]["failure_modes"])
+        for failure_mode in measured_failure_modes(case.metrics.failure_modes)
     ]
     return {
         "components": [
@@ -448,13 +457,13 @@ def failure_mode_section(
     }
 
 
-def _failure_mode_row(mode: Data) -> dict[str, Any]:
+def _failure_mode_row(mode: FailureModeEntry) -> dict[str, Any]:
     return {
-        **mode,
-        "words": failure_mode_text(mode["name"]),
-        "percent": percent_text(mode["share"]),
-        "null_percent": percent_text(mode["null_share"]),
-        "at_most": percent_text(mode.get("upper")),
+        **dict(mode),
+        "words": failure_mode_text(mode.name),
+        "percent": percent_text(mode.share),
+        "null_percent": percent_text(mode.null_share),
+        "at_most": percent_text(mode.upper),
     }
 
 

@@ -11,16 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import describe_error
 from pytest_dura.core.roles import STANDARD_ROLES
+from pytest_dura.evidence.episode_model import TraceEntry
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import LINE, name, one_line, visible
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.html import episode_sections, verdict_sections
 from pytest_dura.reports.html.contents import (
+    BriefEpisode,
     CaseKey,
     EpisodeLinks,
     ListedEpisode,
     ReportContents,
     player_anchor,
+    verdict_key,
 )
 from pytest_dura.reports.html.player import content_hash
 from pytest_dura.reports.svg import tag
@@ -132,18 +136,25 @@ def embed_players(record: SessionRecord, candidates: Sequence[ListedEpisode]) ->
     for candidate in candidates:
         if len(players.shown) == MAX_PLAYERS:
             break
-        if candidate.key in players.shown:
+        trace = candidate.episode.trace
+        if candidate.key in players.shown or trace is None:
             continue
         packed, problem = None, ""
         try:
-            packed = _packed_trace(record, candidate)
+            packed = _packed_trace(record, candidate, trace)
         except Exception as error:  # shown in the trace's place
             problem = describe_error(error)
         if packed is not None and len(packed) > room:
             continue
-        row = {**candidate.episode, "violates": candidate.violates, "problem": problem}
-        row["packed"] = None if packed is None else _plain_base64(packed)
-        players.rows.append({**row, "anchor": player_anchor(*candidate.key)})
+        players.rows.append(
+            {
+                **vars(candidate.episode),
+                "violates": candidate.violates,
+                "problem": problem,
+                "packed": None if packed is None else _plain_base64(packed),
+                "anchor": player_anchor(*candidate.key),
+            }
+        )
         if packed is not None:
             room -= len(packed)
             players.shown.append(candidate.key)
@@ -154,7 +165,7 @@ def embed_players(record: SessionRecord, candidates: Sequence[ListedEpisode]) ->
     return players
 
 
-def _packed_trace(record: SessionRecord, episode: ListedEpisode) -> str:
+def _packed_trace(record: SessionRecord, episode: ListedEpisode, trace: TraceEntry) -> str:
     """The player's text of an episode's trace.
 
     Raises:
@@ -163,9 +174,9 @@ def _packed_trace(record: SessionRecord, episode: ListedEpisode) -> str:
     from pytest_dura.evidence.mcap import read_trace
     from pytest_dura.reports.html.player import pack_data, player_data
 
-    file = _file_inside(record.directory, episode.episode["trace"]["file"])
+    file = _file_inside(record.directory, trace.file)
     digest = file_entry(file)["sha256"]
-    if digest != episode.episode["trace"]["sha256"]:
+    if digest != trace.sha256:
         raise ValueError(f"its SHA-256 is {digest[:12]}..., and the record says another")
     return pack_data(player_data(read_trace(file), _verdicts_on_episode(record, episode)))
 
@@ -174,19 +185,18 @@ def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[
     """The verdicts on an episode, its violations first."""
     violated: list[Data] = []
     others: list[Data] = []
-    for verdict in record["verdicts"]:
-        case = verdict["case"], verdict["component"]
-        if case != (episode.episode["case"], episode.episode["component"]):
+    for verdict in record.head.verdicts:
+        if verdict_key(verdict) != (episode.episode.case, episode.episode.component):
             continue
-        row = {"requirement": verdict["requirement"], "check": verdict["check"]}
+        row: dict[str, Any] = {"requirement": verdict.requirement, "check": verdict.check}
         violations = [
             counterexample
-            for counterexample in verdict["counterexamples"]
-            if counterexample["episode"] == episode.episode["id"]
+            for counterexample in verdict.counterexamples
+            if counterexample.episode == episode.episode.id
         ]
         if violations and episode.violates:
-            row |= {"time": violations[0]["time"], "margin": violations[0]["margin"]}
-            note = "" if violations[0]["valid"] else "without effect of the fault"
+            row |= {"time": violations[0].time, "margin": violations[0].margin}
+            note = "" if violations[0].valid else "without effect of the fault"
             violated.append({**row, "verdict": "violated", "note": note})
         else:
             status, note = _satisfied_verdict(verdict, episode.episode)
@@ -194,22 +204,22 @@ def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[
     return violated + others
 
 
-def _satisfied_verdict(verdict: Data, episode: Data) -> tuple[str, str]:
+def _satisfied_verdict(verdict: VerdictEntry, episode: BriefEpisode) -> tuple[str, str]:
     """A verdict's status on an episode that is none of its counterexamples, and a note on it.
 
     The record names single episodes where they violate; of others it has the sums.
     """
     # Another requirement on the case may have needed more runs than this one looked at.
-    beyond = verdict["check"] and episode["run"] >= verdict["run"]
-    if not episode["planned"] or beyond:
+    beyond = verdict.check and episode.run >= verdict.run
+    if not episode.planned or beyond:
         return "not judged", "the verdict rests on other runs"
-    if episode["validity"] != "valid":
-        return episode["validity"], ""
-    if episode["id"] in verdict["open"]:
+    if episode.validity != "valid":
+        return episode.validity, ""
+    if episode.id in verdict.open:
         return "open", "the episode ended before it was decided"
-    if verdict["pairs"] is not None:
+    if verdict.pairs is not None:
         return "not violated", "judged on pairs of runs"
-    if verdict["invalid"] or verdict["missing"] or verdict["saved"]:
+    if verdict.invalid or verdict.missing or verdict.saved:
         return "not violated", "or not decided: of some of its runs the verdict knows no more"
     return "satisfied", ""
 

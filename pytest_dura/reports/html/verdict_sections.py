@@ -7,16 +7,20 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from pytest_dura.evidence.entry import plain_data
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
+from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.verdict_model import MeasuredPairs, MonitorEntry, PairsEntry, VerdictEntry
 from pytest_dura.reports.html.contents import (
     CaseTally,
     EpisodeLinks,
     ReportContents,
     case_anchor,
+    case_key,
     requirement_anchor,
     split_folded,
     verdict_anchor,
+    verdict_key,
 )
 from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
@@ -49,9 +53,9 @@ Data = Mapping[str, Any]
 def gate_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
     """Sentences on the session, and the anchor of the verdict behind each reason of the gate."""
     anchors = {}
-    for verdict in record["verdicts"]:
-        requirement, case = verdict["requirement"], verdict["case"]
-        reason = f"{requirement} on {case} is {verdict['verdict']}"
+    for verdict in record.head.verdicts:
+        requirement, case = verdict.requirement, verdict.case
+        reason = f"{requirement} on {case} is {verdict.verdict}"
         anchors[reason] = verdict_anchor(requirement, case)
     return {
         "anchors": anchors,
@@ -74,91 +78,84 @@ def requirement_section(
     record: SessionRecord, contents: ReportContents, links: EpisodeLinks
 ) -> Data:
     """The requirements with their verdicts, the worst first, or else in the record's order."""
-    several = len({case["component"] for case in record["cases"]}) > 1
+    several = len({case.component for case in record.head.cases}) > 1
     rows: dict[str, list[Data]] = {}
     anchors: set[str] = set()
     methods: dict[tuple[str, str], int] = {}
-    shown, rest = split_folded(record["verdicts"], contents.folded)
-    folded: dict[str, list[Data]] = {}
+    shown, rest = split_folded(record.head.verdicts, contents.folded, verdict_key)
+    folded: dict[str, list[VerdictEntry]] = {}
     for verdict in rest:
-        folded.setdefault(verdict["requirement"], []).append(verdict)
-    for verdict in sorted(shown, key=_verdict_rank):
-        anchor = verdict_anchor(verdict["requirement"], verdict["case"])
+        folded.setdefault(verdict.requirement, []).append(verdict)
+    shown.sort(key=_verdict_rank)
+    for verdict in shown:
+        anchor = verdict_anchor(verdict.requirement, verdict.case)
         own = None if anchor in anchors else anchor
         anchors.add(anchor)
-        note = methods.setdefault((verdict["bound"]["method"], verdict["method"]), len(methods) + 1)
+        note = methods.setdefault((verdict.bound.method, verdict.method), len(methods) + 1)
         row = {**_verdict_row(verdict, links), "anchor": own, "note": note}
-        rows.setdefault(verdict["requirement"], []).append(row)
+        rows.setdefault(verdict.requirement, []).append(row)
+    ranks = {verdict.requirement: _verdict_rank(verdict) for verdict in reversed(shown)}
     groups = [
         {
+            **dict(requirement),
             "declared": True,
-            **_requirement_entry(requirement),
-            "rows": rows.pop(requirement["id"], []),
-            "folded": _folded_verdicts(folded.pop(requirement["id"], [])),
+            "anchor": requirement_anchor(requirement.id),
+            "rows": rows.pop(requirement.id, []),
+            "folded": _folded_verdicts(folded.pop(requirement.id, [])),
         }
-        for requirement in record["requirements"]
+        for requirement in sorted(
+            record.head.requirements, key=lambda one: ranks.get(one.id, len(WORST_FIRST))
+        )
     ]
     others = [
         {
+            **dict.fromkeys(RequirementEntry.model_fields, ""),
             "declared": False,
-            **_requirement_entry({"id": name}),
+            "id": name,
             "rows": rows.get(name, []),
             "folded": _folded_verdicts(folded.get(name, [])),
         }
         for name in dict.fromkeys([*rows, *folded])
     ]
-    groups.sort(key=lambda group: min(map(_verdict_rank, group["rows"]), default=len(WORST_FIRST)))
     return {"groups": groups + others, "several": several, "methods": list(methods)}
 
 
-def _verdict_rank(verdict: Data) -> int:
-    return WORST_FIRST.index(verdict["verdict"])
+def _verdict_rank(verdict: VerdictEntry) -> int:
+    return WORST_FIRST.index(verdict.verdict)
 
 
-def _folded_verdicts(verdicts: list[Data]) -> Data:
+def _folded_verdicts(verdicts: list[VerdictEntry]) -> Data:
     """Sums of the verdicts without rows; all of them are supported, by valid episodes."""
-    margins = [verdict["margin"] for verdict in verdicts if verdict["margin"] is not None]
-    bounds = [
-        verdict["bound"]["upper"] for verdict in verdicts if verdict["bound"]["upper"] is not None
-    ]
+    margins = [verdict.margin for verdict in verdicts if verdict.margin is not None]
+    bounds = [verdict.bound.upper for verdict in verdicts if verdict.bound.upper is not None]
     return {
         "number": len(verdicts),
-        "episodes": sum(verdict["episodes"] for verdict in verdicts),
-        "vacuous": sum(verdict["vacuous"] for verdict in verdicts),
+        "episodes": sum(verdict.episodes for verdict in verdicts),
+        "vacuous": sum(verdict.vacuous for verdict in verdicts),
         "margin": min(margins, default=None),
         "upper": max(bounds, default=None),
     }
 
 
-def _requirement_entry(requirement: Data) -> Data:
-    keys = ("text", "kind", "source", "check", "reason")
+def _verdict_row(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
+    shown = verdict.counterexamples[:MAX_COUNTEREXAMPLES]
     return {
-        "id": requirement["id"],
-        "anchor": requirement_anchor(requirement["id"]),
-        **{key: requirement.get(key, "") for key in keys},
-    }
-
-
-def _verdict_row(verdict: Data, links: EpisodeLinks) -> Data:
-    shown = verdict["counterexamples"][:MAX_COUNTEREXAMPLES]
-    pairs = verdict["pairs"]
-    return {
-        **verdict,
+        **dict(verdict),
         "worst": [
             {
-                **counterexample,
-                "link": links.of_episode(counterexample["episode"], verdict["component"]),
+                **dict(counterexample),
+                "link": links.of_episode(counterexample.episode, verdict.component),
                 "when": violation_text(
-                    counterexample["time"], counterexample["margin"], valid=counterexample["valid"]
+                    counterexample.time, counterexample.margin, valid=counterexample.valid
                 ),
             }
             for counterexample in shown
         ],
         "by_assertion": assertion_sentences(verdict),
-        "more": len(verdict["counterexamples"]) - len(shown),
-        "pairs": pairs if pairs and "only_with" in pairs else None,
-        "no_rate": SITUATIONS.get(verdict.get("situation") or "", ""),
-        "fixed_n": verdict["method"] not in _SEQUENTIAL_METHODS,
+        "more": len(verdict.counterexamples) - len(shown),
+        "pairs": verdict.pairs if isinstance(verdict.pairs, PairsEntry) else None,
+        "no_rate": "" if verdict.situation is None else SITUATIONS[verdict.situation],
+        "fixed_n": verdict.method not in _SEQUENTIAL_METHODS,
     }
 
 
@@ -168,24 +165,24 @@ def traceability_section(
     """The trace from requirements to episodes, and that from cases to requirements."""
     by_requirement: dict[str, list[Data]] = {}
     by_case: dict[tuple[str, str], list[Data]] = {}
-    shown, rest = split_folded(record["verdicts"], contents.folded)
-    folded = Counter(verdict["requirement"] for verdict in rest)
-    cases, folded_cases = split_folded(record["cases"], contents.folded, "id")
+    shown, rest = split_folded(record.head.verdicts, contents.folded, verdict_key)
+    folded = Counter(verdict.requirement for verdict in rest)
+    cases, folded_cases = split_folded(record.head.cases, contents.folded, case_key)
     for verdict in shown:
         trace_step = _trace_step(verdict, links)
-        by_requirement.setdefault(verdict["requirement"], []).append(trace_step)
-        by_case.setdefault((verdict["case"], verdict["component"]), []).append(trace_step)
-    named = {requirement["id"] for requirement in record["requirements"]}
+        by_requirement.setdefault(verdict.requirement, []).append(trace_step)
+        by_case.setdefault(verdict_key(verdict), []).append(trace_step)
+    named = {requirement.id for requirement in record.head.requirements}
     return {
-        "several": len({case["component"] for case in record["cases"]}) > 1,
+        "several": len({case.component for case in record.head.cases}) > 1,
         "forward": [
             {
-                **requirement,
-                "anchor": requirement_anchor(requirement["id"]),
-                "steps": by_requirement.get(requirement["id"], []),
-                "folded": folded[requirement["id"]],
+                "id": requirement.id,
+                "anchor": requirement_anchor(requirement.id),
+                "steps": by_requirement.get(requirement.id, []),
+                "folded": folded[requirement.id],
             }
-            for requirement in record["requirements"]
+            for requirement in record.head.requirements
         ],
         "backward": [_case_trace(case, by_case, contents) for case in cases],
         "folded": len(folded_cases),
@@ -193,41 +190,41 @@ def traceability_section(
     }
 
 
-def _trace_step(verdict: Data, links: EpisodeLinks) -> Data:
-    shown = verdict["counterexamples"][:MAX_COUNTEREXAMPLES]
+def _trace_step(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
+    shown = verdict.counterexamples[:MAX_COUNTEREXAMPLES]
     return {
-        "requirement": verdict["requirement"],
-        "requirement_anchor": requirement_anchor(verdict["requirement"]),
-        "case": verdict["case"],
-        "component": verdict["component"],
-        "case_anchor": case_anchor(verdict["case"]),
-        "verdict": verdict["verdict"],
-        "verdict_anchor": verdict_anchor(verdict["requirement"], verdict["case"]),
-        "item": verdict["item"],
-        "waiver": verdict["waiver"],
+        "requirement": verdict.requirement,
+        "requirement_anchor": requirement_anchor(verdict.requirement),
+        "case": verdict.case,
+        "component": verdict.component,
+        "case_anchor": case_anchor(verdict.case),
+        "verdict": verdict.verdict,
+        "verdict_anchor": verdict_anchor(verdict.requirement, verdict.case),
+        "item": verdict.item,
+        "waiver": verdict.waiver,
         "episodes": [
             {
-                "id": counterexample["episode"],
-                "link": links.of_episode(counterexample["episode"], verdict["component"]),
+                "id": counterexample.episode,
+                "link": links.of_episode(counterexample.episode, verdict.component),
             }
             for counterexample in shown
         ],
-        "more": len(verdict["counterexamples"]) - len(shown),
+        "more": len(verdict.counterexamples) - len(shown),
     }
 
 
 def _case_trace(
-    case: Data, by_case: Mapping[tuple[str, str], list[Data]], contents: ReportContents
+    case: CaseEntry, by_case: Mapping[tuple[str, str], list[Data]], contents: ReportContents
 ) -> Data:
-    key = case["id"], case["component"]
+    key = case_key(case)
     steps = by_case.get(key, [])
     judged = {step["requirement"] for step in steps}
     return {
-        **case,
-        "anchor": case_anchor(case["id"]),
+        **dict(case),
+        "anchor": case_anchor(case.id),
         "steps": steps,
         # An arm without a role is there for pairs: the verdicts stand on the case it belongs to.
-        "unjudged": [] if case["without"] else sorted(set(case["requirements"]) - judged),
+        "unjudged": [] if case.without else sorted(set(case.requirements) - judged),
         "run": contents.cases.get(key, CaseTally()).validities.total(),
     }
 
@@ -236,49 +233,44 @@ def monitor_section(record: SessionRecord, _contents: ReportContents, _links: Ep
     """Monitors with violations or alarms, how many had neither, and the pairs with recovery."""
     monitors = [
         monitor
-        for monitor in record["monitors"]
-        if monitor["true_positives"] + monitor["false_negatives"] + monitor["false_positives"]
+        for monitor in record.head.monitors
+        if monitor.true_positives + monitor.false_negatives + monitor.false_positives
     ]
-    switching = {
-        (case["id"], case["component"]): case["metrics"]["switching"] for case in record["cases"]
-    }
-    paired = [
-        {
-            **verdict,
-            "anchor": verdict_anchor(verdict["requirement"], verdict["case"]),
-            "switching": switching.get((verdict["case"], verdict["component"])),
-            "fixed_n": verdict["method"] not in _SEQUENTIAL_METHODS,
+    switching = {case_key(case): case.metrics.switching for case in record.head.cases}
+    attacks: list[Data] = []
+    pairs: list[Data] = []
+    for verdict in record.head.verdicts:
+        measured = isinstance(verdict.pairs, MeasuredPairs)
+        row = {
+            **dict(verdict),
+            "anchor": verdict_anchor(verdict.requirement, verdict.case),
+            "switching": switching.get(verdict_key(verdict)),
+            "measured": measured,
+            "fixed_n": verdict.method not in _SEQUENTIAL_METHODS,
         }
-        for verdict in record["verdicts"]
-        if verdict["pairs"] and ("only_with" in verdict["pairs"] or "change" in verdict["pairs"])
-    ]
-    attacks = [verdict for verdict in paired if verdict["pairs"]["without"] == FAULTS]
-    pairs = [
-        verdict
-        for verdict in paired
-        if verdict["pairs"]["without"] != FAULTS and "only_with" in verdict["pairs"]
-    ]
-    horizons = sorted(
-        {monitor["horizon"] for monitor in monitors if monitor["horizon"] is not None}
-    )
+        if verdict.pairs is not None and verdict.pairs.without == FAULTS:
+            attacks.append(row)
+        elif verdict.pairs is not None and not measured:
+            pairs.append(row)
+    horizons = sorted({monitor.horizon for monitor in monitors if monitor.horizon is not None})
     return {
         "rows": _joined_targets(monitors),
         "horizons": horizons,
-        "silent": len(record["monitors"]) - len(monitors),
+        "silent": len(record.head.monitors) - len(monitors),
         "pairs": pairs,
         "attacks": attacks,
-        "effectiveness": record["effectiveness"],
-        "several": len({effect["component"] for effect in record["effectiveness"]}) > 1,
+        "effectiveness": record.head.effectiveness,
+        "several": len({effect.component for effect in record.head.effectiveness}) > 1,
     }
 
 
-def _joined_targets(monitors: list[Data]) -> list[Data]:
+def _joined_targets(monitors: list[MonitorEntry]) -> list[Data]:
     """Monitors, those that differ in nothing but their target joined into a row."""
     same: dict[str, dict[str, Any]] = {}
     for monitor in monitors:
-        figures = json.dumps({**plain_data(monitor), "target": None})
-        row = same.setdefault(figures, {**monitor, "targets": []})
-        row["targets"].append(monitor["target"])
+        figures = json.dumps(monitor.to_json() | {"target": None})
+        row = same.setdefault(figures, {**dict(monitor), "targets": []})
+        row["targets"].append(monitor.target)
     return list(same.values())
 
 
@@ -289,11 +281,11 @@ MOST_CHANGES = 50
 
 def search_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
     """The searches, the worst first, with a row for each of their requirements."""
-    ordered = sorted(record["searches"], key=_search_rank)
+    ordered = sorted(record.head.searches, key=_search_rank)
     return {
         "searches": [
             {
-                **search,
+                **dict(search),
                 "searched": simulations_text(search),
                 "coverage": search_coverage_text(search),
                 "rows": list(_outcome_rows(search)),
@@ -305,55 +297,44 @@ def search_section(record: SessionRecord, _contents: ReportContents, _links: Epi
     }
 
 
-def _search_rank(search: Data) -> int:
-    return min(outcome_rank(search, outcome) for outcome in search["outcomes"])
+def _search_rank(search: SearchEntry) -> int:
+    return min(outcome_rank(search, outcome) for outcome in search.outcomes)
 
 
-def _outcome_rows(search: Data) -> Iterator[Data]:
-    for outcome in search["outcomes"]:
-        name, counterexample = outcome["requirement"], outcome["counterexample"]
+def _outcome_rows(search: SearchEntry) -> Iterator[Data]:
+    for outcome in search.outcomes:
+        name, counterexample = outcome.requirement, outcome.counterexample
         notable = is_notable_outcome(search, outcome)
         yield {
-            **outcome,
+            **dict(outcome),
             "headline": outcome_headline(search, outcome),
             "baseline_alone": baseline_note(search, outcome),
             "own": list(searcher_rows(search, name, "searchers")) if notable else [],
             "alone": list(searcher_rows(search, name, "baselines")) if notable else [],
             "worst": ""
             if counterexample is None
-            else counterexample_text(counterexample, outcome["check"]),
+            else counterexample_text(counterexample, outcome.check),
             "kept": kept_text(outcome),
             "simpler": "" if counterexample is None else shrinking_text(counterexample),
             "changes": []
             if counterexample is None
             else parameter_changes(counterexample, MOST_CHANGES),
-            "more": 0 if counterexample is None else len(counterexample["changes"][MOST_CHANGES:]),
+            "more": 0 if counterexample is None else len(counterexample.changes[MOST_CHANGES:]),
         }
-
-
-UNKNOWN_COMPONENT: dict[str, Any] = {
-    "name": None, "path": "", "params": {}, "version": None, "digest": None, "opaque": False,
-    "file_count": 0,
-}  # fmt: skip
-"""A component that the record does not describe."""
 
 
 def provenance_section(
     record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
     """Components, packages, inputs and timings, and the comparisons with the baseline."""
-    under_test = record["component_under_test"]
     return {
-        "components": [
-            UNKNOWN_COMPONENT | component
-            for component in (under_test, *under_test.get("others", ()))
-        ],
-        "models": record["models"],
-        "packages": sorted(record["environment"]["packages"].items()),
-        "redacted": sorted(record["redacted"].items()),
-        "inputs": record["inputs"],
-        "argument": record["argument"],
-        "timings": record["timings"],
-        "processing": sorted(record["timings"]["processing_seconds"].items()),
-        "baseline": record["baseline"],
+        "components": components_under_test(record),
+        "models": record.head.models,
+        "packages": sorted(record.head.environment.packages.items()),
+        "redacted": sorted(record.head.redacted.items()),
+        "inputs": record.head.inputs,
+        "argument": record.head.argument,
+        "timings": record.head.timings,
+        "processing": sorted(record.head.timings.processing_seconds.items()),
+        "baseline": record.head.baseline,
     }
