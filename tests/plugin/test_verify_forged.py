@@ -140,6 +140,8 @@ def made(tmp_path_factory, forked_workers):
 
 def problems_of(made, record):
     """What a record and the traces say against it."""
+    if invalid := check_record(record):
+        return invalid
     found, rejudged = SessionRecord.of(record, made), {}
     told = list(record_problems(found))
     told += trace_problems(found, rejudged)

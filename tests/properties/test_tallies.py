@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from entries import make
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from roads import channels_of, walker
@@ -22,6 +23,7 @@ from pytest_dura.driving import (
 )
 from pytest_dura.driving.explanations import NAMES
 from pytest_dura.evidence import FailureModes
+from pytest_dura.evidence.episode_model import EpisodeMetricsEntry
 from pytest_dura.reports import percent_text
 
 lawful = settings(derandomize=True, deadline=None, max_examples=60)
@@ -157,9 +159,9 @@ metrics = st.fixed_dictionaries(
 def test_sums_over_episodes_add_up_whatever_their_order(found: Any) -> None:
     one, other = FailureModes(), FailureModes()
     for episode in found:
-        one.add(episode)
+        one.add(make(EpisodeMetricsEntry, **episode))
     for episode in reversed(found):
-        other.add(episode)
+        other.add(make(EpisodeMetricsEntry, **episode))
     assert sorted(one.to_json(), key=str) == sorted(other.to_json(), key=str)
     assert one.answer_times() == other.answer_times()
     assert one.answer_ages() == other.answer_ages()

@@ -11,10 +11,13 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from entries import make
 from scipy.stats import binom
 
 from pytest_dura import CampaignVerdict, EpisodeVerdict, Requirement
 from pytest_dura.evidence import Gate
+from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.requirements import CampaignJudge, judge_campaign, lower_bound, upper_bound
 
 RUNS = 40
@@ -331,12 +334,13 @@ def test_the_gate_passes_only_what_nothing_stands_against(
     verdicts: list[tuple[str, bool]], warn_undecided: bool
 ) -> None:
     plain = [
-        {
-            "requirement": f"R{number}",
-            "case": "case",
-            "verdict": status,
-            "waiver": {"kind": "xfail", "reason": "ticket 7"} if waived else None,
-        }
+        make(
+            VerdictEntry,
+            requirement=f"R{number}",
+            case="case",
+            verdict=status,
+            waiver={"kind": "xfail", "reason": "ticket 7"} if waived else None,
+        )
         for number, (status, waived) in enumerate(verdicts)
     ]
     against = [
@@ -379,12 +383,13 @@ def test_the_gate_passes_only_what_nothing_stands_against(
 def test_the_gate_passes_no_search_that_claims_a_violation(
     outcome: str, baseline_violates: bool, warn_undecided: bool, waived: bool
 ) -> None:
-    search = {
-        "case": "case",
-        "waiver": {"kind": "xfail", "reason": "ticket 7"} if waived else None,
-        "outcomes": [{"requirement": "R", "word": outcome}],
-        "baselines": [{"first": {"R": 3 if baseline_violates else None}}],
-    }
+    search = make(
+        SearchEntry,
+        case="case",
+        waiver={"kind": "xfail", "reason": "ticket 7"} if waived else None,
+        outcomes=[{"requirement": "R", "word": outcome}],
+        baselines=[{"first": {"R": 3 if baseline_violates else None}}],
+    )
     gate = Gate.of(
         [],
         [],

@@ -42,6 +42,10 @@ from pytest_dura.evidence import (
     write_trace,
 )
 from pytest_dura.evidence import name as shown
+from pytest_dura.evidence.case_model import CaseEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.verdict_model import MonitorEntry, VerdictEntry
 from pytest_dura.provenance import digest_of
 
 PROJECT = Path(__file__).parents[1] / "plugin" / "project"
@@ -298,26 +302,31 @@ def session(real, directory, spoil):
         if trace is not None:
             one["trace"] |= _trace(directory, one, trace, spoil)
     metrics = defaultdict(CaseMetrics)
-    for one in told["episodes"]:
-        metrics[one["case"], one["component"]].add(one)
+    episodes = [EpisodeEntry.model_validate(one) for one in told["episodes"]]
+    verdicts = [VerdictEntry.model_validate(one) for one in told["verdicts"]]
+    monitors = [MonitorEntry.model_validate(one) for one in told["monitors"]]
+    for one in episodes:
+        metrics[one.case, one.component].add(one)
     for one in told["cases"]:
         one["metrics"] = metrics[one["id"], one["component"]].to_json(one["planned"])
     pooled, courses = (
-        PooledMetrics(told["cases"], told["verdicts"]),
-        PairedCourses(told["verdicts"]),
+        PooledMetrics([CaseEntry.model_validate(one) for one in told["cases"]], verdicts),
+        PairedCourses(verdicts),
     )
-    for one in told["episodes"]:
+    for one in episodes:
         pooled.add(one)
         courses.add(one)
     told["overall"] = pooled.to_json()
-    told["effectiveness"] = effectiveness(told["verdicts"], told["monitors"], courses)
+    told["effectiveness"] = effectiveness(verdicts, monitors, courses)
     told["requirements"].sort(key=lambda one: one["id"])
     told["cases"].sort(key=lambda one: (one["id"], one["component"]))
     told["episodes"].sort(key=lambda one: (one["case"], one["component"], one["spec"]["run"]))
     told["verdicts"].sort(key=lambda one: (one["case"], one["requirement"], one["item"]))
     gate = Gate.of(
-        told["verdicts"], [spoil("an objection"), spoil("another one")],
-        searches=told["searches"], interrupted=False, exit_code=1,
+        sorted(verdicts, key=lambda one: (one.case, one.requirement, one.item)),
+        [spoil("an objection"), spoil("another one")],
+        searches=[SearchEntry.model_validate(one) for one in told["searches"]],
+        interrupted=False, exit_code=1,
         failed=3, warn_undecided=False,
     )  # fmt: skip
     return conclude_record(

@@ -3,10 +3,12 @@
 from pathlib import Path
 
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from searches import entry
 from session_records import session_record, totals, verdict
 
 from pytest_dura.evidence import SessionRecord
+from pytest_dura.evidence.model import WholeRecord
 
 HOSTILE = (
     "\x00", "\x1b[31m", "\x7f\x9b", "\u202e", "\u2066\u200b\ufeff", "\ud800", "\udfff", "\u2028",
@@ -71,6 +73,20 @@ def hostile_records(draw, directory=Path("nowhere")):
         finished=draw(st.sampled_from([None, "2026-01-02T03:05:05+00:00"])),
     )  # fmt: skip
     told = record.to_json()
-    told = spoilt(told, lambda text: f"{before}{text}{after}" + "x" * size)
-    told["totals"] = totals(told)
-    return SessionRecord.of(told, directory)
+    spoiled = spoilt(told, lambda text: f"{before}{text}{after}" + "x" * size)
+    _restore(spoiled, told)
+    spoiled["totals"] = totals(spoiled)
+    return SessionRecord.of(spoiled, directory)
+
+
+def _restore(told, before):
+    """Put back the texts that cannot be any other: hashes, and words of which there are few."""
+    try:
+        WholeRecord.model_validate(told)
+    except ValidationError as error:
+        for problem in error.errors():
+            here, there, last = told, before, None
+            for key in problem["loc"]:
+                if isinstance(here, (dict, list)) and (isinstance(key, int) or key in here):
+                    parent, here, there, last = here, here[key], there[key], key
+            parent[last] = there
