@@ -11,6 +11,7 @@ from .core.errors import (
     DuraError,
     InfrastructureError,
 )
+from .core.measures import Measure
 from .core.metrics import DependabilityMetrics, FaultRecord
 from .core.orchestrator import Orchestrator
 from .core.role_spec import RoleSpec
@@ -31,7 +32,7 @@ from .core.roles import (
     SecurityAssessor,
 )
 from .core.seeding import derive_seed, stream
-from .core.simulator import Line, Recording, Scene, Simulator, Tracks
+from .core.simulator import SIMULATORS, Line, Recording, Scene, Simulator, Tracks
 from .core.simulator_conformance import check_simulator
 from .core.state import (
     Alert,
@@ -46,7 +47,7 @@ from .core.state import (
     sealed,
 )
 from .core.trust import factory
-from .domains import DOMAINS, ROLES, SIMULATORS, Domain
+from .domains import DOMAINS, ROLES, Domain
 from .evidence.bundle import FORMATS
 from .execution.executors import EXECUTORS, ExecutorKind
 from .faults.catalogue import FAULT_TYPES
@@ -102,6 +103,7 @@ __all__ = [
     "JudgedEpisode",
     "Lazy",
     "Line",
+    "Measure",
     "Moment",
     "Orchestrator",
     "Paired",

@@ -15,11 +15,12 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
-from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.simulator import SIMULATORS
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
+    from pytest_dura.core.measures import Measure
     from pytest_dura.faults.model import Channel
 
 
@@ -61,6 +62,11 @@ class Domain:
         return SIMULATORS.path(self.name)
 
     @property
+    def measures(self) -> Sequence[Measure]:
+        """Figures of its episodes, which the simulator of its name declares."""
+        return SIMULATORS[self.name].measures
+
+    @property
     def short_names(self) -> Mapping[str, Mapping[str, str]]:
         """Import paths of the roles that the domain knows: role name to short name to path."""
         return {
@@ -82,28 +88,16 @@ class Domain:
         return dict(world if self.concrete is None else self.concrete(world, duration, seed))
 
 
-def _is_buildable(value: Any) -> bool:
-    return callable(value)  # whether it may be built is checked where it is: see `core.trust`
-
-
 DOMAINS: Registry[Domain] = Registry(
     "pytest_dura.domains",
     "domain",
     lambda value: isinstance(value, Domain),
     "a pytest_dura.Domain",
 )
-SIMULATORS: Registry[type[Simulator]] = Registry(
-    "pytest_dura.simulators",
-    "simulator",
-    _is_buildable,
-    "a subclass of pytest_dura.Simulator",
-    names=r"[A-Za-z][\w-]*(\.[A-Za-z][\w-]*)?",
-)
-"""Simulators; ``driving`` is the domain's own, and ``driving.sumo`` would be another of it."""
 ROLES: Registry[type[Role]] = Registry(
     "pytest_dura.roles",
     "role",
-    _is_buildable,
+    callable,  # whether it may be built is checked where it is: see `core.trust`
     "a subclass of pytest_dura.Role",
     names=r"([A-Za-z][\w-]*\.)?[A-Za-z]\w*\.[A-Za-z][\w-]*",
 )

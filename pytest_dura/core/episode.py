@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.measures import Measure, Value
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Recording
@@ -159,6 +160,17 @@ class EpisodeSpec:
         _require_positive("time_step", self.time_step, "seconds")
         if self.time_budget is not None:
             _require_positive("time_budget", self.time_budget, "seconds")
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """Measures that the simulator's class declares.
+
+        Raises:
+            ConfigurationError: If the class cannot be imported.
+        """
+        simulator = self.simulator
+        factory = type(simulator.instance) if simulator.opaque else simulator.resolve()
+        return tuple(getattr(factory, "measures", ()))
 
     @property
     def id(self) -> str:
@@ -316,9 +328,24 @@ class Episode:
             ) from None
 
     @property
-    def collided(self) -> bool:
-        """Whether the signal ``collided`` was ever raised."""
-        return self.ever("collided")
+    def described_measures(self) -> list[dict[str, Any]]:
+        """Description of its measures as plain data, in the order of tables."""
+        return [measure.to_json(place) for place, measure in enumerate(self.spec.measures)]
+
+    def __getattr__(self, name: str) -> Value:
+        """Return a measure that the simulator declares, such as ``collided`` of driving.
+
+        Raises:
+            ConfigurationError: If the episode lacks a signal that the measure needs.
+        """
+        spec = None if name.startswith("_") else vars(self).get("spec")
+        measures: tuple[Measure, ...] = () if spec is None else spec.measures
+        for measure in measures:
+            if measure.name == name:
+                for signal in measure.signals:
+                    self.signal(signal)
+                return measure.value(self)
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     @property
     def flagged(self) -> bool:

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten, type_name
+from pytest_dura.core.measures import Measure
+from pytest_dura.core.registry import Registry
 from pytest_dura.core.state import Percept, Tick
 
 POSE = ("x", "y", "heading", "speed", "length", "width")
@@ -186,6 +188,10 @@ class Simulator(ABC):
     """Signals whose value at a tick depends on later ticks, such as the time until the road is free
     again. No requirement on one of them is decided before an episode's end."""
 
+    measures: ClassVar[Sequence[Measure]] = ()
+    """Figures of its episodes, in the order in which tables show them. A factory of simulators that
+    is a function has none, unless it is given the attribute."""
+
     def set_time_step(self, seconds: float) -> None:
         """Set the simulated seconds per tick; takes effect at the next reset."""
         if not 0.0 < seconds < float("inf"):
@@ -350,3 +356,13 @@ def _is_finite(number: complex) -> bool:
         return cmath.isfinite(number)
     except OverflowError:  # an int of hundreds of digits
         return False
+
+
+SIMULATORS: Registry[type[Simulator]] = Registry(
+    "pytest_dura.simulators",
+    "simulator",
+    callable,  # whether it may be built is checked where it is: see `core.trust`
+    "a subclass of pytest_dura.Simulator",
+    names=r"[A-Za-z][\w-]*(\.[A-Za-z][\w-]*)?",
+)
+"""Simulators; ``driving`` is the domain's own, and ``driving.sumo`` would be another of it."""

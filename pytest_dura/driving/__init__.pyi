@@ -13,7 +13,7 @@ from .explanations import SIGNALS, account_measures
 from .highway import HighwaySimulator
 from .junction import ARM_LENGTH, ARMS, SPEED_LIMIT, Route, all_routes, conflict, route
 from .maneuvers import MAX_ACCELERATION, MAX_BRAKING, Command, Maneuver, acceleration_for
-from .measures import clearance_time
+from .measures import MEASURES, clearance_time
 from .percepts import DISTANCE_TOLERANCE, PLACE, SIZE
 from .roles.performance import DrivingOracle
 from .roles.planners import Aggressive, RuleBased
@@ -50,6 +50,7 @@ __all__ = [
     "LIMITS",
     "MAX_ACCELERATION",
     "MAX_BRAKING",
+    "MEASURES",
     "NO_BODIES",
     "PERCEPT_NAMES",
     "PLACE",

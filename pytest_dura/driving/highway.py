@@ -37,6 +37,7 @@ from pytest_dura.driving.bodies import (
 )
 from pytest_dura.driving.junction import ARM_LENGTH, ARMS, LANE_OFFSET, STOP_LINE, Route, route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
+from pytest_dura.driving.measures import MEASURES
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
 from pytest_dura.driving.scenario import (
     DrivingWorld,
@@ -367,6 +368,7 @@ class HighwaySimulator(Simulator):
 
     measure_kinds = explanations.KINDS
     hindsight = HINDSIGHT
+    measures = MEASURES
 
     def account_signals(
         self,

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from pytest_dura.core.episode import Episode
+from pytest_dura.core.measures import Measure
 from pytest_dura.driving.roles.performance import STANDING
 
 
@@ -23,6 +24,50 @@ def clearance_time(episode: Episode) -> float:
     """
     cleared = np.flatnonzero(episode.signal("cleared") > 0.5)
     return float(episode.time[cleared[0]]) if len(cleared) else math.nan
+
+
+def gridlock(episode: Episode) -> bool:
+    """Whether the ego had not cleared the junction when the episode's time was up."""
+    return not episode.ever("cleared") and episode.termination in ("time", "iterations")
+
+
+def collided(episode: Episode) -> bool:
+    """Whether the ego was in contact with anything at any time."""
+    return episode.ever("collided")
+
+
+MEASURES = (
+    Measure(
+        "collided",
+        heading="coll",
+        meaning="runs with a collision",
+        function=collided,
+        shown="share",
+        signals=("collided",),
+        severity="grave",
+        signal="collided",
+        event="collision",
+    ),
+    Measure(
+        "clearance_time",
+        heading="clearance",
+        meaning="time until the junction was cleared, over the runs that cleared it",
+        function=clearance_time,
+        shown="mean",
+        unit="s",
+        signals=("cleared",),
+    ),
+    Measure(
+        "gridlock",
+        heading="grid",
+        meaning="runs that had not cleared the junction when their time was up",
+        function=gridlock,
+        shown="count",
+        signals=("cleared",),
+        severity="notable",
+    ),
+)
+"""Measures of each driving episode."""
 
 
 def minimum_gap(episode: Episode) -> float:

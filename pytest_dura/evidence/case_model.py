@@ -220,15 +220,15 @@ class FailureModeEntry(Entry):
     """Exact upper bound, with confidence 0.95, on the rate of such episodes; null without any."""
 
 
-class ClearanceTime(Entry):
-    """In seconds."""
+class MeasuredNumbers(Entry):
+    """Numbers of valid episodes, in the unit of their measure."""
 
     runs: Count
-    """Episodes that cleared."""
+    """Episodes that have one."""
     mean: Number | None
-    """Mean, in s."""
+    """Mean."""
     sd: Number | None
-    """Standard deviation, in s."""
+    """Standard deviation."""
 
 
 class TimeToSafe(Entry):
@@ -295,14 +295,9 @@ class CaseMetricsEntry(Entry):
     seen by then."""
     flagged: ShareEntry | None
     """Episodes with a proposal that was found unsafe; null where the domain has no such signal."""
-    collided: ShareEntry | None
-    """Episodes with a collision; null where the domain has no such signal."""
-    gridlock: ShareEntry | None
-    """Episodes that had not cleared when their time was up; null where the domain has no such
-    signal."""
-    clearance_time: ClearanceTime | None
-    """Simulated seconds until the task was done, over valid episodes; null where the domain has
-    none."""
+    measures: dict[str, ShareEntry | MeasuredNumbers]
+    """What the measures of its simulator come to, by name: how often they are true, or the spread
+    of a number over valid episodes; absent where no episode has one."""
     recoveries: Count
     """Stretches in which recovery acted, in valid episodes."""
     alerts: Count

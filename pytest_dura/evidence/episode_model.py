@@ -231,16 +231,13 @@ class SwitchingEntry(Entry):
 
 
 class OutcomeEntry(Entry):
-    """The figures of the case table; null where the domain has no such signal."""
+    """The figures of the case table."""
 
     flagged: bool
     """Whether a proposal was found unsafe."""
-    collided: bool | None
-    """Whether it collided."""
-    clearance_time: Number | None
-    """Time until the task was done, in simulated seconds."""
-    gridlock: bool | None
-    """Whether it had not cleared when its time was up."""
+    measures: dict[str, bool | Number | None]
+    """What the simulator's measures come to, by name; null for a number that it has not, absent
+    where it lacks the signals."""
     recoveries: Count
     """Stretches in which recovery acted."""
     alerts: Count
@@ -376,7 +373,7 @@ class EpisodeEntry(Entry):
     trace: TraceEntry | None
     """Its trace in the bundle; null where none was kept."""
     outcome: OutcomeEntry
-    """The figures of the case table; null where the domain has no such signal."""
+    """The figures of the case table."""
     metrics: EpisodeMetricsEntry
     """What the loop measured."""
     faults: list[FaultEntry]

@@ -10,17 +10,16 @@ import sqlite3
 import tempfile
 import weakref
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
+from pytest_dura.core.measures import Measure, measured
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -59,7 +58,7 @@ def episode_record(
             "trajectory": episode.trajectory,
             "drawn": episode.drawn,
             "trace": None,
-            "outcome": outcome_figures(episode),
+            "outcome": outcome_figures(episode, episode.spec.measures),
             "metrics": episode.metrics.summary(),
             "faults": [{**asdict(fault), **fault.latencies()} for fault in episode.faults],
             "events": [event.to_json() for event in episode.events],
@@ -76,24 +75,11 @@ def episode_record(
     return record
 
 
-def outcome_figures(episode: Episode) -> dict[str, Any]:
-    """Compute the figures of the case table; ``None`` where the domain has no such signal.
-
-    ``clearance_time`` is the time at which ``cleared`` was first raised, in seconds; ``gridlock``
-    says that it was not raised when the episode's time was up.
-    """
-    cleared_at = None
-    gridlock = None
-    cleared = episode.signals.get("cleared")
-    if cleared is not None:
-        raised = np.flatnonzero(cleared > 0.5)
-        cleared_at = float(episode.time[raised[0]]) if len(raised) else None
-        gridlock = cleared_at is None and episode.termination in ("time", "iterations")
+def outcome_figures(episode: Episode, measures: Iterable[Measure]) -> dict[str, Any]:
+    """Compute the figures of the case table, with those that the simulator declares."""
     return {
         "flagged": episode.flagged,
-        "collided": episode.collided if "collided" in episode.signals else None,
-        "clearance_time": cleared_at,
-        "gridlock": gridlock,
+        "measures": measured(measures, episode),
         "recoveries": len(episode.metrics.recoveries),
         "alerts": episode.metrics.alerts,
         "switching": switching(episode).to_json(),
@@ -118,7 +104,7 @@ def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
 
 EPISODES_PER_PART = 64
 """Episodes that a report holds unpacked; see :meth:`ItemReport.split`."""
-_PART_KEYS = ("components", "cases", "requirements", "episodes", "chains")
+_PART_KEYS = ("components", "cases", "measures", "requirements", "episodes", "chains")
 
 
 @dataclass
@@ -130,6 +116,7 @@ class ItemReport:
         components: Components under test, of :func:`describe_component`.
         sources: SHA-256 of the files of components by their names, by the components' digests.
         cases: ``{id, scenario, faults, component, requirements, planned}``.
+        measures: ``Measure.to_json()`` of what the simulators declare.
         requirements: ``Requirement.to_json()`` of each requirement involved.
         episodes: Of :func:`episode_record`.
         verdicts: ``CampaignVerdict.to_json()``, with the ``check`` and ``paired`` of the
@@ -159,6 +146,7 @@ class ItemReport:
     components: list[JsonObject] = field(default_factory=list)
     sources: dict[str, dict[str, str]] = field(default_factory=dict)
     cases: list[JsonObject] = field(default_factory=list)
+    measures: list[JsonObject] = field(default_factory=list)
     requirements: list[JsonObject] = field(default_factory=list)
     episodes: list[JsonObject] = field(default_factory=list)
     verdicts: list[JsonObject] = field(default_factory=list)

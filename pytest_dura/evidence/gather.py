@@ -19,6 +19,7 @@ from pytest_dura.evidence.gate import REPEAT_KEYS, Gate, worse_repeat
 from pytest_dura.evidence.metrics import CaseMetrics
 from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
 from pytest_dura.evidence.search_model import SearchRecords
+from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import ReuseRecord
 from pytest_dura.evidence.verdict_model import (
     AssertionEntry,
@@ -222,7 +223,7 @@ def _run_number(episode: str) -> tuple[str, int]:
     return case, int(run)
 
 
-SCHEMA_VERSION = "2"
+SCHEMA_VERSION = "3"
 UNKNOWN_COMPONENT = "unknown"
 """Name of a component that a conftest defines, until the first episode reports it."""
 
@@ -294,6 +295,7 @@ class RecordBuilder:
     objections: dict[str, None] = field(default_factory=dict, init=False)
     """Reasons of items why the session does not pass, in order."""
     _components: Components = field(default_factory=Components)
+    _measures: dict[str, MeasureEntry] = field(default_factory=dict)
     _requirements: dict[str, RequirementEntry] = field(default_factory=dict)
     _cases: dict[tuple[str, str], CasePlan] = field(default_factory=dict)
     _components_of: dict[str, list[str]] = field(default_factory=dict)
@@ -354,6 +356,7 @@ class RecordBuilder:
             self._add_requirement(requirement)
         for case in report["cases"]:
             self._add_case(CasePlan.model_validate(case))
+        self._add_measures(report["measures"])
         self._add_episodes(report)
         for repeat in report["repeats"]:
             about = repeat["case"], repeat["component"]
@@ -415,6 +418,7 @@ class RecordBuilder:
                 "reuse": {**_NO_EPISODES, **self._reuse.to_json(self.header["reuse"])},
                 "component_under_test": self._components.to_json(),
                 "models": self._models.to_json(),
+                "measures": sorted(self._measures.values(), key=attrgetter("place", "name")),
                 "requirements": [self._requirements[name] for name in sorted(self._requirements)],
                 "cases": [
                     {**case.to_json(), **_unmeasured(case), "repeat": self._repeats.get(key)}
@@ -438,6 +442,16 @@ class RecordBuilder:
             if claim not in reported:
                 verdicts.append(self._not_run(*claim[:2], case))
         return sorted(map(self._qualified, verdicts), key=attrgetter("case", "requirement", "item"))
+
+    def _add_measures(self, measures: Iterable[JsonObject]) -> None:
+        for data in measures:
+            measure = MeasureEntry.model_validate(data)
+            known = self._measures.setdefault(measure.name, measure)
+            if known != measure:
+                self._problems.add(
+                    f"infrastructure: two simulators declare the measure {measure.name!r} "
+                    f"differently: {known.function} and {measure.function}"
+                )
 
     def _add_case(self, case: CasePlan) -> None:
         key = case.id, case.component

@@ -145,6 +145,7 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
             for case in head.cases
             if case.repeat is not None
         ]
+        report.measures += [measure.to_json() for measure in head.measures]
         report.requirements += [requirement.to_json() for requirement in head.requirements]
         report.monitors += [monitor.to_json() for monitor in head.monitors]
         report.models += [{**model.to_json(), "process": part.name} for model in head.models]

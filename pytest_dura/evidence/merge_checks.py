@@ -400,6 +400,11 @@ def _measured(record: SessionRecord) -> NamedValues:
         yield f"monitors {' '.join(names)}", monitor
 
 
+def _measures(record: SessionRecord) -> NamedValues:
+    for measure in record["measures"]:
+        yield f"measures {measure['name']}", measure
+
+
 def _models(record: SessionRecord) -> NamedValues:
     for model in record["models"]:
         names = (model[name] for name in ("component", "model", "fingerprint", "mode"))
@@ -413,6 +418,7 @@ _COMPARED_VALUES: tuple[tuple[Callable[[SessionRecord], NamedValues], str], ...]
     (_under_test, _SAME_CODE),
     (_read_files, _SAME_FILES),
     (_requirements_and_cases, _SAME_FILES),
+    (_measures, _SAME_CODE),
     (_models, "let all shards replay one cassette: --dura-llm=replay"),
     (_measured, "run the shards again: no two of them measure the same"),
 )

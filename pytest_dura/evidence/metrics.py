@@ -257,7 +257,6 @@ def _latency_summary(times: array[float] | None) -> dict[str, float] | None:
     return {"median": statistics.median(times), "max": max(times)} if times else None
 
 
-_COUNTED_OUTCOMES = ("flagged", "collided", "gridlock")
 _DERIVED_OUTCOMES = ("comfort_failed", "rescued")
 _SUMMED_METRICS = ("decisions", "recovered", "takeovers", "switches", "censored")
 
@@ -275,8 +274,9 @@ class CaseMetrics:
         self._in_run: Counter[str] = Counter()
         self._in_valid: Counter[str] = Counter()
         self._sums: Counter[str] = Counter()
-        self._clears = False
-        self._times = array("d")
+        self._measures: dict[str, array[float]] = {}
+        """Numbers of valid episodes; the counts of truth values stand among the others."""
+        self._truths: set[str] = set()
         self._switching: Counter[str] = Counter()
         self._times_to_safe = array("d")
         self._reactions: Counter[str] = Counter()
@@ -291,7 +291,10 @@ class CaseMetrics:
             episode: Of :func:`episode_record`.
         """
         outcome = episode.outcome
-        known = {key: getattr(outcome, key) for key in _COUNTED_OUTCOMES} | _derived(episode)
+        truths = {key: value for key, value in outcome.measures.items() if isinstance(value, bool)}
+        self._truths.update(truths)
+        known = {"flagged": outcome.flagged, **_derived(episode)}
+        known |= {_OF_MEASURE + key: value for key, value in truths.items()}
         raised = [key for key, value in known.items() if value]
         self._validity[episode.validity] += 1
         self._early += episode.termination == "decided"
@@ -303,9 +306,11 @@ class CaseMetrics:
         self._in_valid.update(raised)
         self._sums.update(recoveries=outcome.recoveries, alerts=outcome.alerts)
         self._reactions.update(episode.metrics.reactions)
-        self._clears |= outcome.gridlock is not None
-        if outcome.clearance_time is not None:
-            self._times.append(outcome.clearance_time)
+        for name in outcome.measures.keys() - truths.keys():
+            column = self._measures.setdefault(name, array("d"))
+            number = outcome.measures[name]
+            if number is not None:
+                column.append(number)
         self._failure_modes.add(episode.metrics)
         if outcome.switching.decisions:
             self._add_switching(outcome.switching)
@@ -322,7 +327,7 @@ class CaseMetrics:
     def to_json(self, planned: int) -> dict[str, Any]:
         """Convert to plain data.
 
-        Counts of ``flagged``, ``collided``, ``gridlock``, ``comfort_failed`` and ``rescued`` are
+        Counts of ``flagged``, of measures that are true, ``comfort_failed`` and ``rescued`` are
         given over valid episodes and over all that were run, each with its share: of the valid
         ones, and of the planned ones. Of those that ended once all was decided (``ended_early``),
         they are what was observed until then.
@@ -330,19 +335,16 @@ class CaseMetrics:
         Args:
             planned: Episodes that were planned.
         """
-        times = self._times
-        clearance = {
-            "runs": len(times),
-            "mean": statistics.fmean(times) if times else None,
-            "sd": statistics.stdev(times) if len(times) > 1 else None,
-        }
         return {
             "planned": planned,
             "run": self._validity.total(),
             **{name: self._validity[name] for name in ("valid", "invalid", "missing")},
             "ended_early": self._early,
-            **{key: self._share(key, planned) for key in _COUNTED_OUTCOMES},
-            "clearance_time": clearance if self._clears else None,
+            "flagged": self._share("flagged", planned),
+            "measures": {
+                **{name: self._share(_OF_MEASURE + name, planned) for name in sorted(self._truths)},
+                **{name: _spread(self._measures[name]) for name in sorted(self._measures)},
+            },
             **{key: self._sums[key] for key in ("recoveries", "alerts")},
             **{key: self._share(key, planned) for key in _DERIVED_OUTCOMES},
             "reactions": dict(sorted(self._reactions.items())),
@@ -384,6 +386,17 @@ class CaseMetrics:
                 "censored": sums["censored"],
             },
         }
+
+
+_OF_MEASURE = "measures."
+
+
+def _spread(numbers: array[float]) -> dict[str, Any]:
+    return {
+        "runs": len(numbers),
+        "mean": statistics.fmean(numbers) if numbers else None,
+        "sd": statistics.stdev(numbers) if len(numbers) > 1 else None,
+    }
 
 
 def case_order(case: CasePlan) -> tuple[float, str, str]:

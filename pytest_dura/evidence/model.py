@@ -22,6 +22,7 @@ from pytest_dura.evidence.session_model import (
     GateEntry,
     InputEntry,
     LanguageModelEntry,
+    MeasureEntry,
     MergedShard,
     ReuseEntry,
     SecondEngineEntry,
@@ -76,7 +77,7 @@ class RecordHead(Entry):
     otherwise; a number that is not finite is null.
     """
 
-    schema_version: Literal["2"]
+    schema_version: Literal["3"]
     """Version of this schema."""
     status: Literal["running", "complete", "interrupted"]
     """How the session ended. Only `complete` can be a pass; `running` is one that was killed."""
@@ -116,6 +117,8 @@ class RecordHead(Entry):
     """The component under test."""
     models: list[LanguageModelEntry]
     """The language models that components asked; empty if none did."""
+    measures: list[MeasureEntry]
+    """The figures that simulators declare for their episodes, in the order of tables."""
     requirements: list[RequirementEntry]
     """Sorted by id."""
     cases: list[CaseEntry]

@@ -19,12 +19,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from importlib import import_module
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.measures import Measure
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord, Tally
+from pytest_dura.core.simulator import SIMULATORS
 from pytest_dura.evidence.bundle import (
     FORMATS,
     RECORD_FILE,
@@ -166,15 +169,65 @@ def _problems_of_trace(
     if events != episode["events"]:
         yield f"its events are not those of {episode['id']} in the record"
     traced = _trace_episode(trace, episode)
-    measured = outcome_figures(traced)
-    for key in ("flagged", "collided", "clearance_time", "gridlock", "switching"):
-        if plain_data(measured[key]) != episode["outcome"][key]:
-            yield f"its {key} is {measured[key]}, and the record says {episode['outcome'][key]}"
+    known = _measures_of(record, traced)
+    figures = outcome_figures(traced, known)
+    computed = {
+        **figures.pop("measures"),
+        **{key: figures[key] for key in ("flagged", "switching")},
+    }
+    recorded = {**episode["outcome"], **episode["outcome"]["measures"]}
+    names = {measure.name for measure in known} | {"flagged", "switching"}
+    for key in sorted(names):
+        if plain_data(computed.get(key)) != plain_data(recorded.get(key)):
+            yield f"its {key} is {computed.get(key)}, and the record says {recorded.get(key)}"
     for claim in claims:
         if claim.requirement is not None:
             verdict = judge_episode(claim.requirement, traced)
             judged[claim.number, episode["id"]] = verdict
             yield from _rejudged_problems(verdict, claim.counterexample)
+
+
+def _registered_measures(paths: Iterable[str]) -> Iterator[tuple[str, int, Measure]]:
+    """Yield simulator, place and measure of what packages declare that are also in import paths.
+
+    Nothing but what is registered is imported. Of a project's own simulator, measures are taken as
+    recorded.
+    """
+    packages = {path.partition(".")[0] for path in paths}
+    for name in SIMULATORS:
+        path = SIMULATORS.path(name)
+        if path.partition(".")[0] in packages:
+            for place, measure in enumerate(getattr(SIMULATORS[name], "measures", ())):
+                yield path, place, measure
+
+
+def _measures_of(record: SessionRecord, episode: Episode) -> list[Measure]:
+    """List the measures of an episode that can be computed again."""
+    named = {(measure["name"], measure["function"]) for measure in record["measures"]}
+    own = episode.spec.simulator.path
+    measures = {
+        measure.name: measure
+        for path, _, measure in _registered_measures([own, *(path for _, path in named)])
+        if path == own or (measure.name, measure.path) in named
+    }
+    return list(measures.values())
+
+
+def _measure_problems(record: SessionRecord) -> Iterator[str]:
+    """Compare the measures with those of episodes, and with what registered simulators declare."""
+    recorded = record["measures"]
+    names = [measure["name"] for measure in recorded]
+    if recorded != sorted(recorded, key=itemgetter("place", "name")) or len({*names}) < len(names):
+        yield "measures: not in their order, or twice"
+    used = {name for episode in record.episodes() for name in episode["outcome"]["measures"]}
+    for name in sorted(used ^ {*names} if used - {*names} else ()):
+        yield f"measures: {name} is in episodes or in the list of measures alone"
+    functions = [measure["function"] for measure in recorded]
+    known = [measure.to_json(place) for _, place, measure in _registered_measures(functions)]
+    packages = {measure["function"].partition(".")[0] for measure in known}
+    for measure in recorded:
+        if measure["function"].partition(".")[0] in packages and measure not in known:
+            yield f"measures: {measure['name']} is not as its simulator declares it"
 
 
 def _rejudged_problems(verdict: EpisodeVerdict, counterexample: Data | None) -> Iterator[str]:
@@ -222,7 +275,7 @@ def conclusion_problems(record: SessionRecord, judged: JudgedOnTraces) -> Iterat
         record: The record.
         judged: Verdicts on traces, of :func:`trace_problems`.
     """
-    for problem in verdict_problems(record, judged):
+    for problem in (*verdict_problems(record, judged), *_measure_problems(record)):
         yield f"{RECORD_FILE}: {problem}"
     again = conclude_again(record).head
     for key in dict.fromkeys([*record.head, *again]):

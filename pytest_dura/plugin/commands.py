@@ -125,7 +125,8 @@ def _domain_lines(name: str) -> Iterator[str]:
 
 def _registered_lines() -> Iterator[str]:
     """Yield simulators, executors and formats with what registers them, and what is wrong there."""
-    from pytest_dura.domains import DOMAINS, ROLES, SIMULATORS
+    from pytest_dura.core.simulator import SIMULATORS
+    from pytest_dura.domains import DOMAINS, ROLES
     from pytest_dura.evidence.bundle import FORMATS
     from pytest_dura.execution.executors import EXECUTORS
     from pytest_dura.faults.catalogue import FAULT_TYPES
@@ -494,7 +495,7 @@ def _write_player(recorded: RecordedEpisode, episode: Episode, trace: Trace, evi
     from pytest_dura.reports.html.player import player_page
 
     file = sibling_directory(evidence, "replay") / f"{episode_name(trace.about)}.html"
-    write_file(file, [player_page(trace, _verdicts(recorded, episode))])
+    write_file(file, [player_page(trace, _verdicts(recorded, episode), episode.described_measures)])
     return file.as_uri()
 
 
@@ -625,6 +626,7 @@ def _write_reduced(
     case.pop("metrics", None)
     changes = {
         "cases": [case],
+        "measures": episode.described_measures,
         "episodes": [episode_record(episode, planned=True)],
         "verdicts": [],
         "monitors": [],

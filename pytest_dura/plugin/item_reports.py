@@ -452,7 +452,7 @@ def _attach_all(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, c
 
     verdicts = [] if judged is None else [{**judged.to_json(), "check": check}]
     _attach(_plot(episode, judged, check), "plot", "SVG")
-    _attach(player_page(trace, verdicts), "animation", "HTML")
+    _attach(player_page(trace, verdicts, episode.described_measures), "animation", "HTML")
     _attach(signals_csv(trace), "signals", "CSV")
     _attach(trace_bytes(trace, verdicts), "trace", "application/octet-stream", "mcap")
 

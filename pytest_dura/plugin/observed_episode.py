@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.episode import Episode
+from pytest_dura.core.measures import Value
 from pytest_dura.evidence.text import one_line
 from pytest_dura.requirements.checks import Check, check_name, read_formula
 from pytest_dura.requirements.episode_verdicts import (
@@ -121,6 +122,12 @@ class ObservedEpisode(JudgedEpisode):
             observations.note(name)
         with observations.pause():
             return super().__getattribute__(name)
+
+    def __getattr__(self, name: str) -> Value:
+        """Return a measure, whose name is noted already, and nothing that computing it reads."""
+        observations = vars(self).get("_observations") or Observations()
+        with observations.pause():
+            return super().__getattr__(name)
 
     def __repr__(self) -> str:
         """Describe the episode in a line: pytest shows the arguments of a test that fails."""

@@ -256,6 +256,8 @@ class ItemRecorder:
             origin = self._runner().store.earlier.origin(key)
             record = episode_record(episode, planned=planned > 0, origin=origin)
             self._report.episodes.append(record)
+            known = self._report.measures
+            known += [measure for measure in episode.described_measures if measure not in known]
             self._flush_if_full()
         self._last_episode = episode
 

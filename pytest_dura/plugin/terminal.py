@@ -411,7 +411,7 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
     most = None if context.config.option.verbose > 0 else MOST_ROWS
     listed = worst_cases(shown, record["verdicts"], most=most)
     overall = record["overall"]
-    for line in case_table(listed, overall):
+    for line in case_table(listed, overall, record["measures"]):
         terminal.line(line)
     if len(listed) < len(shown):
         text = "those with the worst verdicts are shown"

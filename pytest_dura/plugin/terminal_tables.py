@@ -34,19 +34,27 @@ LONGEST = 500
 """Characters of a row's name."""
 
 
-def case_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
+def case_table(
+    cases: Sequence[Data], overall: Sequence[Data] = (), measures: Sequence[Data] = ()
+) -> list[str]:
     """Write the paper's table: a line per case and component, and one per component.
 
     Args:
         cases: Those that are shown.
         overall: The record's, over all of them.
+        measures: The record's.
     """
     users = sorted({name for case in cases for name in case["metrics"]["user"]})
     names, metrics = _case_names(cases, overall)
-    rows = [_case_row(metric, users) for metric in metrics]
-    starred = any(_beyond(metric["collided"]) for metric in metrics)
-    legend = [*_CASE_LEGEND, _BEYOND] if starred else _CASE_LEGEND
-    return [*aligned("case", (*_CASE_COLUMNS, *users), names, rows), *legend]
+    rows = [_case_row(metric, measures, users) for metric in metrics]
+    columns = ("n", "flag %", *map(_heading, measures), "recov", "alerts", "inv", *users)
+    legend = [_CASE_LEGEND, *(f"{one['heading']}: {one['meaning']}" for one in measures)]
+    if any(one["shown"] == "mean" for one in measures):
+        legend.append("9.1 +- 0.4 (3): mean +- standard deviation over so many runs")
+    shares = [one["name"] for one in measures if one["shown"] == "share"]
+    if any(_beyond(metric["measures"].get(name)) for metric in metrics for name in shares):
+        legend.append(_BEYOND)
+    return [*aligned("case", columns, names, rows), *(name(line, WIDTH) for line in legend)]
 
 
 def reliance_table(cases: Sequence[Data], overall: Sequence[Data] = ()) -> list[str]:
@@ -123,24 +131,22 @@ def aligned(
     return lines
 
 
-_CASE_COLUMNS = ("n", "flag %", "coll %", "clearance s", "grid", "recov", "alerts", "inv")
-_CASE_LEGEND = (
-    "n: valid runs (of those planned); flag, coll: runs with an unsafe proposal, with a collision;",
-    "clearance: mean +- sd over cleared runs (their number); grid: gridlock, not cleared in time",
-)
-_BEYOND = "3*: so many collisions in runs that are invalid or missing, which are in no rate"
+_CASE_LEGEND = "n: valid runs (of those planned); flag: runs with an unsafe proposal"
+_BEYOND = "3*: so many more runs that are invalid or missing, which are in no rate"
 
 
-def _case_row(metrics: Data, users: Sequence[str]) -> list[str]:
+def _heading(measure: Data) -> str:
+    unit = {"share": "%", "count": "", "mean": measure["unit"]}[measure["shown"]]
+    return f"{measure['heading']} {unit}".rstrip()
+
+
+def _case_row(metrics: Data, measures: Sequence[Data], users: Sequence[str]) -> list[str]:
     valid, planned = metrics["valid"], metrics["planned"]
-    grid = metrics["gridlock"]
     missing = f"+{metrics['missing']} missing" if metrics["missing"] else ""
     return [
         str(valid) if valid == planned else f"{valid} ({planned})",
         _percent(metrics["flagged"]),
-        _percent(metrics["collided"]) + _beyond(metrics["collided"]),
-        _time(metrics["clearance_time"]),
-        "-" if grid is None else str(grid["valid"]),
+        *(_measure(metrics["measures"].get(one["name"]), one["shown"]) for one in measures),
         str(metrics["recoveries"]),
         str(metrics["alerts"]),
         f"{metrics['invalid']}{missing}",
@@ -160,11 +166,17 @@ def _beyond(share: Data | None) -> str:
     return f" +{beyond}*" if beyond else ""
 
 
-def _time(clearance: Data | None) -> str:
-    if clearance is None or clearance["mean"] is None:
+def _measure(value: Data | None, shown: str) -> str:
+    if value is None:
         return "-"
-    spread = "" if clearance["sd"] is None else f" +- {clearance['sd']:.1f}"
-    return f"{clearance['mean']:.1f}{spread} ({clearance['runs']})"
+    if shown == "share":
+        return _percent(value) + _beyond(value)
+    if shown == "count":
+        return str(value["valid"])
+    if value["mean"] is None:
+        return "-"
+    spread = "" if value["sd"] is None else f" +- {value['sd']:.1f}"
+    return f"{value['mean']:.1f}{spread} ({value['runs']})"
 
 
 def _user(value: Data | None) -> str:

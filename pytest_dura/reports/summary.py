@@ -14,6 +14,7 @@ from itertools import chain, groupby
 from pytest_dura.evidence.case_model import (
     CaseEntry,
     CaseMetricsEntry,
+    MeasuredNumbers,
     RequirementEntry,
     ShareEntry,
 )
@@ -21,7 +22,10 @@ from pytest_dura.evidence.conclude import verdict_counts
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
-from pytest_dura.evidence.session_model import LanguageModelEntry
+from pytest_dura.evidence.session_model import (
+    LanguageModelEntry,
+    MeasureEntry,
+)
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
 from pytest_dura.reports.searches import (
@@ -38,6 +42,7 @@ from pytest_dura.reports.tables import (
     decision_time_lines,
     failure_mode_text,
     failure_modes_by_component,
+    measure_label,
     percent_text,
 )
 from pytest_dura.reports.verdicts import (
@@ -204,7 +209,7 @@ def render(record: SessionRecord) -> str:
         ),
         *_section("Verdicts", _VERDICT_COLUMNS, map(_verdict_row, verdicts), "verdicts"),
         *_section("Requirements", _REQUIREMENT_COLUMNS, _requirement_rows(record), "requirements"),
-        *_section("Cases", _CASE_COLUMNS, map(_case_row, record.head.cases), "cases"),
+        *_case_section(record),
         *_overall_lines(record),
         *_failure_mode_section(record),
         *_coverage_lines(record),
@@ -322,9 +327,7 @@ _REQUIREMENT_COLUMNS = [
     "undecided",
     "untested",
 ]
-_CASE_COLUMNS = ["case", "component", "planned", "run", "valid", "invalid", "missing", "flagged",
-          "collided", "gridlock", "clearance time", "rescued", "comfort failed",
-          "reactions"]  # fmt: skip
+_CASE_COLUMNS = ["case", "component", "planned", "run", "valid", "invalid", "missing", "flagged"]
 _FAILURE_MODE_COLUMNS = [
     "failure mode",
     "kind",
@@ -370,32 +373,39 @@ def _requirement_rows(record: SessionRecord) -> Iterator[str]:
         )
 
 
-def _case_row(case: CaseEntry) -> str:
+def _case_section(record: SessionRecord) -> Iterator[str]:
+    measures = record.head.measures
+    shown = [markdown(measure_label(measure), 64) for measure in measures]
+    columns = [*_CASE_COLUMNS, *shown, "rescued", "comfort failed", "reactions"]
+    rows = (_case_row(case, measures) for case in record.head.cases)
+    yield from _section("Cases", columns, rows, "cases")
+
+
+def _case_row(case: CaseEntry, measures: Sequence[MeasureEntry]) -> str:
     metrics = case.metrics
-    rates = []
-    for rate in _rates(metrics).values():
-        shown = "-" if rate is None else f"{rate.valid} of {metrics.valid}"
-        beyond = 0 if rate is None else rate.run - rate.valid
-        rates.append(f"{shown}, {beyond}*" if beyond else shown)
+    figures = [_measure_text(measure, metrics) for measure in measures]
+    shares = (metrics.flagged, metrics.rescued, metrics.comfort_failed)
+    rates = [_rate_text(share, metrics.valid) for share in shares]
     reactions = ", ".join(f"{_name(kind)} {n}" for kind, n in metrics.reactions.items())
-    time = metrics.clearance_time
-    shown = "-"
-    if time is not None and time.mean is not None:
-        shown = f"{time.mean:.2f} s (n = {time.runs})"
     counts = (metrics.planned, metrics.run, metrics.valid, metrics.invalid, metrics.missing)
     names = (_name(case.id), _name(case.component))
-    return _table_row([*names, *counts, *rates[:3], shown, *rates[3:], reactions or "-"])
+    return _table_row([*names, *counts, rates[0], *figures, *rates[1:], reactions or "-"])
 
 
-def _rates(metrics: CaseMetricsEntry) -> dict[str, ShareEntry | None]:
-    """Counts of episodes by label."""
-    return {
-        "flagged": metrics.flagged,
-        "collided": metrics.collided,
-        "gridlock": metrics.gridlock,
-        "rescued": metrics.rescued,
-        "comfort failed": metrics.comfort_failed,
-    }
+def _measure_text(measure: MeasureEntry, metrics: CaseMetricsEntry) -> str:
+    value = metrics.measures.get(measure.name)
+    if measure.shown != "mean":
+        return _rate_text(value if isinstance(value, ShareEntry) else None, metrics.valid)
+    if not isinstance(value, MeasuredNumbers) or value.mean is None:
+        return "-"
+    return f"{value.mean:.2f} {markdown(measure.unit, 64)} (n = {value.runs})"
+
+
+def _rate_text(rate: ShareEntry | None, valid: int) -> str:
+    """Write how often something happened in valid runs, and with a star in others."""
+    shown = "-" if rate is None else f"{rate.valid} of {valid}"
+    beyond = 0 if rate is None else rate.run - rate.valid
+    return f"{shown}, {beyond}*" if beyond else shown
 
 
 def _overall_lines(record: SessionRecord) -> Iterator[str]:
@@ -405,8 +415,17 @@ def _overall_lines(record: SessionRecord) -> Iterator[str]:
     """
     for total in record.head.overall:
         metrics = total.metrics
+        truths = {
+            measure_label(measure): metrics.measures.get(measure.name)
+            for measure in record.head.measures
+            if measure.shown != "mean"
+        }
+        rates = {"flagged": metrics.flagged, **truths, "rescued": metrics.rescued}
+        rates["comfort failed"] = metrics.comfort_failed
         counts = [
-            f"{rate.valid} {label}" for label, rate in _rates(metrics).items() if rate is not None
+            f"{rate.valid} {markdown(label, 64)}"
+            for label, rate in rates.items()
+            if isinstance(rate, ShareEntry)
         ]
         runs = f"{metrics.valid} valid of {metrics.planned} planned runs"
         whose = f"all {total.cases} cases of {_name(total.component)}"

@@ -12,6 +12,7 @@ from pytest_dura.evidence.case_model import (
     Percentiles,
 )
 from pytest_dura.evidence.metrics import share
+from pytest_dura.evidence.session_model import MeasureEntry
 
 _COUNTS = attrgetter("hits", "of", "null_hits", "null_of", "episodes", "of_episodes")
 FAILURE_MODE_HEADINGS = {
@@ -150,3 +151,8 @@ def _range_text(label: str, values: Sequence[float], format_spec: str) -> str:
     if least == greatest:
         return f"{label} {least} s"
     return f"{label} {least} to {greatest} s by case"
+
+
+def measure_label(measure: MeasureEntry) -> str:
+    """Name of a measure in words."""
+    return measure.name.replace("_", " ")

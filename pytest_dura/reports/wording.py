@@ -205,7 +205,7 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
         yield (
             f"{early} of {totals.episodes} episodes ended early, once every requirement of "
             "their case was decided: the margin of what one satisfies is the least that was still "
-            "possible, that of a violation as it was by then; clearance, gridlock, recoveries, "
+            "possible, that of a violation as it was by then; measures, recoveries, "
             "alerts, valid proposals and all other figures are of what was seen by then, and what "
             "would have failed later is not known."
         )

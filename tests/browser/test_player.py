@@ -19,6 +19,7 @@ from player_traces import (
 )  # fmt: skip
 
 from pytest_dura.core import Recording, Scene, Tracks
+from pytest_dura.driving import MEASURES
 from pytest_dura.evidence import Trace
 from pytest_dura.execution import run_episode
 from pytest_dura.library import expand_cases, load_library
@@ -48,7 +49,8 @@ DRAWN = """
 
 @pytest.fixture(scope="module")
 def html():
-    return player_page(crossing(), VERDICTS)
+    measures = [one.to_json(place) for place, one in enumerate(MEASURES)]
+    return player_page(crossing(), VERDICTS, measures)
 
 
 @pytest.fixture(scope="module")

@@ -108,6 +108,29 @@ def test_the_report_of_the_package_is_in_the_bundle_and_verified(python, session
     (bundle / "verdicts.csv").write_text(report)
 
 
+def test_measures_of_the_package_are_shown_everywhere_and_verified(python, session):
+    bundle = python.project / "dura-evidence"
+    record = json.loads((bundle / "evidence.json").read_text())
+    assert [one["name"] for one in record["measures"]] == ["arrival_time", "overrun"]
+    slipped = next(case for case in record["cases"] if case["faults"])
+    assert slipped["metrics"]["measures"]["overrun"]["valid"] == 1
+    spread = slipped["metrics"]["measures"]["arrival_time"]
+    assert spread == {"runs": 1, "mean": pytest.approx(4.0), "sd": None}
+    table = [line.split() for line in session.stdout.splitlines()]
+    head = next(cells for cells in table if cells[:2] == ["case", "n"])
+    assert head[4:7] == ["arrival", "s", "over"]
+    row = next(cells for cells in table if cells[:1] == ["shaft/up+slip"] and len(cells) > 6)
+    assert row[3:6] == ["4.0", "(1)", "100"]
+    assert "over: runs half a metre too far" in session.stdout
+    assert "| arrival time | overrun |" in (bundle / "summary.md").read_text()
+    page = (bundle / "report.html").read_text()
+    assert "Arrival time by case" in page
+    assert '<span class="chip">overrun</span>' in page
+    assert "coll" not in " ".join(head)
+    (episode,) = [one for one in record["episodes"] if one["case"].endswith("slip")]
+    assert episode["outcome"]["measures"] == {"arrival_time": pytest.approx(4.0), "overrun": True}
+
+
 def test_the_catalogue_of_a_domain_has_the_package_s_faults(python):
     done = python("pytest", "--dura-list", "--dura-select=shaft/*", "--dura-faults=catalogue")
     assert "  shaft/up+slip::TOP-1" in done.stdout.splitlines(), done.stdout

@@ -167,7 +167,7 @@ UNUSABLE = {
                        "*expected:*evidence.json*", "*remedy:*"]),
     "cut short": ("{", ["*this is no evidence record (JSONDecodeError)"]),
     "foreign": ("[]", ["*this is no evidence record (TypeError)"]),
-    "version": ({"schema_version": "0"}, ["*another version*", "*found:    '0'", "*expected: 2"]),
+    "version": ({"schema_version": "0"}, ["*another version*", "*found:    '0'", "*expected: 3"]),
     "running": ({"status": "running"}, ["*was killed, or is still running", "*'running'"]),
     "damaged": ({"verdicts": [{}]}, ["*the baseline is damaged", "*KeyError*", "*remedy:*"]),
 }  # fmt: skip

@@ -585,7 +585,7 @@ def test_links_are_not_followed(two, tmp_path, name):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{", "[" * 100_000, '{"schema_version": "2"}', '{"schema_version": "2", "episodes": 3}',
+    ["", "{", "[" * 100_000, '{"schema_version": "3"}', '{"schema_version": "3", "episodes": 3}',
      '{"a": 1, "a": 2}', "null", "\udcff"],
     ids=range(8),
 )  # fmt: skip

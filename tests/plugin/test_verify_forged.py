@@ -246,8 +246,8 @@ CHANGES = {
     )["trace"].update(kept_for="sample"),
     "every trace is missing": lambda r: r.update(evidence_level="all"),
     "traces where there are none": lambda r: r.update(evidence_level="summary"),
-    "the outcome of a traced episode": lambda r: episode(r, lambda one: one["trace"])[
-        "outcome"
+    "the outcome of a traced episode": lambda r: episode(r, lambda one: one["trace"])["outcome"][
+        "measures"
     ].update(clearance_time=0.01),
     "a component of another name": lambda r: r["component_under_test"].update(name="Saint"),
     "no inputs": lambda r: r.update(inputs=[]),

@@ -10,6 +10,7 @@ from baseline_records import spec
 from entries import make
 from pydantic import ValidationError
 
+from pytest_dura.driving import MEASURES
 from pytest_dura.evidence import SCHEMA_VERSION, SessionRecord
 from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.model import RecordHead, WholeRecord
@@ -54,8 +55,10 @@ def episode(case="a/clear", run=0, *, validity="valid", trace=None, **changes):
         "digest": f"{run:02d}" * 32, "trajectory": f"{run:02d}" * 32, "drawn": False,
         "trace": trace,
         "outcome": {
-            "flagged": run == 1, "collided": run == 1, "clearance_time": 1.5 + run / 10,
-            "gridlock": False, "recoveries": 0, "alerts": 1,
+            "flagged": run == 1, "recoveries": 0, "alerts": 1,
+            "measures": {
+                "collided": run == 1, "clearance_time": 1.5 + run / 10, "gridlock": False,
+            },
             "switching": {
                 "decisions": 20, "recovered": 0, "recovery_time": 0.0, "takeovers": 0,
                 "returns": 0, "time_to_safe": [], "share": 0.0, "switches": 0, "censored": 0,
@@ -135,6 +138,7 @@ def session_record(directory=Path("nowhere"), **changes):
                                  "opaque": False, "distribution": "m",
                                  "file_count": 1,
                                  "files": [{"path": "m.py", "sha256": "e" * 64}]},
+        "measures": [one.to_json(place) for place, one in enumerate(MEASURES)],
         "models": [
             {"component": "C", "model": "llama", "about": "a llama of 8 billion weights",
              "base_url": "http://127.0.0.1:8080/v1",
@@ -240,8 +244,10 @@ def _case(name):
         "metrics": {
             "planned": 2, "run": 2, "valid": 2, "invalid": 0, "missing": 0, "ended_early": 0,
             "flagged": {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5},
-            "collided": {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5},
-            "gridlock": None, "clearance_time": {"runs": 2, "mean": 1.55, "sd": 0.07},
+            "measures": {
+                "collided": {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5},
+                "clearance_time": {"runs": 2, "mean": 1.55, "sd": 0.07},
+            },
             "recoveries": 0, "alerts": 2, "comfort_failed": None, "rescued": None, "reactions": {},
             "switching": None, "user": {}, "faults": [],
             "failure_modes": [], "answer_times": None, "answer_ages": None,

@@ -14,7 +14,11 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from pytest_dura.evidence.case_model import CaseEntry, CellEntry
+from pytest_dura.evidence.case_model import (
+    CaseEntry,
+    CellEntry,
+    ShareEntry,
+)
 from pytest_dura.evidence.episode_model import EpisodeEntry, OutcomeEntry, TraceEntry
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.verdict_model import VerdictEntry
@@ -89,13 +93,17 @@ def folded_cases(record: SessionRecord) -> frozenset[CaseKey]:
 
     Only cases without anything to report are folded: each of their requirements is judged, and
     supported at the first attempt without a waiver or any violation; every planned episode was run
-    and is valid, and none collided. Whatever else is there is shown, however much it is.
+    and is valid, and no grave measure is true of it. Whatever else is there is
+    shown, however much it is.
     """
     judged: dict[CaseKey, list[VerdictEntry]] = defaultdict(list)
     for verdict in record.head.verdicts:
         judged[verdict_key(verdict)].append(verdict)
+    grave = [measure.name for measure in record.head.measures if measure.severity == "grave"]
     plain = [
-        key for case in record.head.cases if _is_plain(case, judged.get(key := case_key(case), []))
+        key
+        for case in record.head.cases
+        if _is_plain(case, judged.get(key := case_key(case), []), grave)
     ]
     return frozenset(plain[MAX_PLAIN_CASES:])
 
@@ -117,11 +125,11 @@ def split_folded(
     return shown, rest
 
 
-def _is_plain(case: CaseEntry, verdicts: list[VerdictEntry]) -> bool:
+def _is_plain(case: CaseEntry, verdicts: list[VerdictEntry], grave: Iterable[str]) -> bool:
     metrics = case.metrics
-    collided = metrics.collided
+    raised = [metrics.measures.get(name) for name in grave]
     missing_runs_total = case.missing_runs_total or metrics.invalid or metrics.missing
-    if missing_runs_total or (collided and collided.run):
+    if missing_runs_total or any(isinstance(rate, ShareEntry) and rate.run for rate in raised):
         return False
     if case.without:  # a reference arm, the verdicts stand on the case it belongs to
         return not verdicts
@@ -142,7 +150,7 @@ MAX_LISTED = 1000
 _MAX_DOTS = 200
 """Runs of a case that are drawn one by one."""
 UNREMARKABLE = 4
-"""Rank of a valid episode without a violation, flag, collision or gridlock."""
+"""Rank of a valid episode without a violation, a flag or a notable measure."""
 _MAX_CANDIDATES = 36
 """Episodes among which those with a player are chosen; the traces of some may be damaged."""
 
@@ -153,14 +161,14 @@ class CaseTally:
 
     Args:
         validities: How many episodes are valid, invalid and missing, those run by hand included.
-        times: Clearance times in s of the first valid planned runs that cleared.
-        cleared: How many there are of these.
+        numbers: By measure, those of the first valid planned runs that have one.
+        having: By measure, how many runs have one.
         outcomes: Of each fault, how many planned episodes came to which outcome.
     """
 
     validities: Counter[str] = field(default_factory=Counter)
-    times: list[float] = field(default_factory=list)
-    cleared: int = 0
+    numbers: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    having: Counter[str] = field(default_factory=Counter)
     outcomes: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
     def add(self, episode: EpisodeEntry) -> None:
@@ -170,11 +178,13 @@ class CaseTally:
             return
         for fault in episode.faults:
             self.outcomes[fault.id][fault.outcome or "not followed"] += 1
-        time = episode.outcome.clearance_time
-        if episode.validity == "valid" and time is not None:
-            self.cleared += 1
-            if len(self.times) < _MAX_DOTS:
-                self.times.append(time)
+        if episode.validity != "valid":
+            return
+        for name, value in episode.outcome.measures.items():
+            if value is not None and not isinstance(value, bool):
+                self.having[name] += 1
+                if len(self.numbers[name]) < _MAX_DOTS:
+                    self.numbers[name].append(value)
 
 
 @dataclass(frozen=True)
@@ -261,6 +271,7 @@ class ReportContents:
     def of(cls, record: SessionRecord) -> ReportContents:
         """Read the record's episodes once."""
         violating = _violations_by_episode(record)
+        notable = {each.name for each in record.head.measures if each.severity != "none"}
         turns = {key: place for place, key in enumerate(_worst_in_turn(record))}
         cases: dict[CaseKey, CaseTally] = {}
         listed: list[tuple[int, int, ListedEpisode]] = []
@@ -272,7 +283,7 @@ class ReportContents:
             key = episode.id, episode.component
             violates = tuple(violating.get(key, ())) if episode.planned else ()
             shown = ListedEpisode(
-                _rank(episode, violates), index, BriefEpisode.of(episode), violates
+                _rank(episode, violates, notable), index, BriefEpisode.of(episode), violates
             )
             _keep_lowest(listed, shown.rank, shown, MAX_LISTED)
             if episode.trace is not None:
@@ -309,13 +320,14 @@ def _worst_in_turn(record: SessionRecord) -> Iterator[CaseKey]:
                     yield key
 
 
-def _rank(episode: EpisodeEntry, violates: tuple[str, ...]) -> int:
+def _rank(episode: EpisodeEntry, violates: tuple[str, ...], notable: Collection[str]) -> int:
     if violates:
         return 0
     if episode.validity != "valid":
         return 1 if episode.validity == "missing" else 2
     outcome = episode.outcome
-    marked = outcome.flagged or outcome.collided or outcome.gridlock
+    raised = {name for name, value in outcome.measures.items() if value is True}
+    marked = outcome.flagged or not raised.isdisjoint(notable)
     return UNREMARKABLE - 1 if marked else UNREMARKABLE
 
 

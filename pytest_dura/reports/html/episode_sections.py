@@ -11,10 +11,12 @@ from pytest_dura.evidence.case_model import (
     CaseEntry,
     CellEntry,
     FailureModeEntry,
+    MeasuredNumbers,
     ParameterEntry,
     ShareEntry,
 )
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.html.contents import (
     UNREMARKABLE,
@@ -38,6 +40,7 @@ from pytest_dura.reports.tables import (
     decision_time_lines,
     failure_mode_text,
     failure_modes_by_component,
+    measure_label,
     measured_failure_modes,
     percent_text,
 )
@@ -87,31 +90,31 @@ _CHART_JITTER = (0.0, 4.0, -4.0, 2.0, -2.0)
 
 
 @dataclass(frozen=True)
-class ClearanceRow:
+class MeasureRow:
     """A case of the plot.
 
     Args:
         case: Id of the case.
-        times: Of single runs, in s.
-        cleared: Runs that cleared, of which ``times`` may hold the first only.
-        mean: Over all of them, in s.
-        sd: Standard deviation, in s; ``None`` for a single run.
+        numbers: Of single runs.
+        runs: How many runs have one, of which ``numbers`` may hold the first only.
+        mean: Over all of them.
+        sd: Standard deviation; ``None`` for a single run.
     """
 
     case: str
-    times: Sequence[float]
-    cleared: int
+    numbers: Sequence[float]
+    runs: int
     mean: float | None
     sd: float | None
 
 
-def clearance_chart(rows: Sequence[ClearanceRow]) -> Mapping[str, Any]:
+def measure_chart(rows: Sequence[MeasureRow]) -> Mapping[str, Any]:
     """The plot's lines, dots and labels, in its own coordinates.
 
     Args:
         rows: At least one, each with at least one run.
     """
-    greatest = max(max(row.times) for row in rows)
+    greatest = max(max(row.numbers) for row in rows)
     greatest = max([greatest, *((row.mean or 0.0) + (row.sd or 0.0) for row in rows)])
     scale = Scale.from_zero(greatest, CHART_LEFT, CHART_RIGHT)
     height = CHART_TOP + _CHART_ROW * len(rows)
@@ -129,7 +132,7 @@ def clearance_chart(rows: Sequence[ClearanceRow]) -> Mapping[str, Any]:
     }
 
 
-def _chart_row(row: ClearanceRow, top: float, scale: Scale) -> Mapping[str, Any]:
+def _chart_row(row: MeasureRow, top: float, scale: Scale) -> Mapping[str, Any]:
     y = top + 31.0
     mean, sd = row.mean, row.sd or 0.0
     return {
@@ -138,14 +141,13 @@ def _chart_row(row: ClearanceRow, top: float, scale: Scale) -> Mapping[str, Any]
         "label": top + 14.0,
         "dots": [
             {
-                "x": _chart_x(time, scale),
+                "x": _chart_x(number, scale),
                 "y": y + _CHART_JITTER[place % len(_CHART_JITTER)],
-                "time": time,
             }
-            for place, time in enumerate(row.times)
+            for place, number in enumerate(row.numbers)
         ],
-        "times": sorted(row.times),
-        "cleared": row.cleared,
+        "numbers": sorted(row.numbers),
+        "runs": row.runs,
         "mean": mean,
         "sd": row.sd,
         "x": None if mean is None else _chart_x(mean, scale),
@@ -159,13 +161,16 @@ def _chart_x(value: float, scale: Scale) -> float:
 
 
 def scenario_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """One row for each case and component, and the chart where anything was cleared.
+    """One row for each case and component, and a chart for each measure that is a number.
 
     Arms that lack a role come last: they are there to be compared with.
     """
     cases = record.head.cases
     rows = []
-    chart = []
+    measures = record.head.measures
+    charts: dict[str, list[MeasureRow]] = {
+        measure.name: [] for measure in measures if measure.shown == "mean"
+    }
     anchors: set[str] = set()
     shown, rest = split_folded(cases, contents.folded, case_key)
     for case in shown:
@@ -173,13 +178,17 @@ def scenario_section(record: SessionRecord, contents: ReportContents, _links: Ep
         tally = contents.cases.get(case_key(case), CaseTally())
         rows.append({**dict(case), "anchor": None if anchor in anchors else anchor})
         anchors.add(anchor)
-        if tally.times and not case.without:
-            time = case.metrics.clearance_time
-            mean, sd = (time.mean, time.sd) if time is not None else (None, None)
-            chart.append(ClearanceRow(case.id, tally.times, tally.cleared, mean, sd))
+        for measure, chart in charts.items():
+            if tally.numbers.get(measure) and not case.without:
+                spread = case.metrics.measures.get(measure)
+                mean, sd = None, None
+                if isinstance(spread, MeasuredNumbers):
+                    mean, sd = spread.mean, spread.sd
+                numbers, runs = tally.numbers[measure], tally.having[measure]
+                chart.append(MeasureRow(case.id, numbers, runs, mean, sd))
     return {
         "groups": [
-            {"arms": arms, "rows": group, "folded": _folded_sums(folded)}
+            {"arms": arms, "rows": group, "folded": _folded_sums(folded, measures)}
             for arms in (False, True)
             if (group := [row for row in rows if bool(row["without"]) is arms])
             + (folded := [case for case in rest if bool(case.without) is arms])
@@ -187,17 +196,30 @@ def scenario_section(record: SessionRecord, contents: ReportContents, _links: Ep
         "overall": [total for total in record.head.overall if total.cases > 1],
         "several": len({case.component for case in cases}) > 1,
         "users": sorted({name for case in cases for name in case.metrics.user}),
-        "chart": clearance_chart(chart) if chart else None,
+        "measures": [{**dict(each), "label": measure_label(each)} for each in measures],
+        "charts": [
+            {
+                "measure": {**dict(each), "label": measure_label(each)},
+                **measure_chart(charts[each.name]),
+            }
+            for each in measures
+            if charts.get(each.name)
+        ],
     }
 
 
-def _folded_sums(cases: list[CaseEntry]) -> Data:
+def _folded_sums(cases: list[CaseEntry], measures: Sequence[MeasureEntry]) -> Data:
     """The sums of cases without rows."""
     metrics = [case.metrics for case in cases]
+    truths = {
+        measure.name: _valid_sum(of.measures.get(measure.name) for of in metrics)
+        for measure in measures
+        if measure.shown != "mean"
+    }
     return {
         "number": len(cases),
+        "measures": truths,
         "flagged": _valid_sum(of.flagged for of in metrics),
-        "gridlock": _valid_sum(of.gridlock for of in metrics),
         "rescued": _valid_sum(of.rescued for of in metrics),
         "comfort_failed": _valid_sum(of.comfort_failed for of in metrics),
         "valid": sum(of.valid for of in metrics),
@@ -207,8 +229,8 @@ def _folded_sums(cases: list[CaseEntry]) -> Data:
     }
 
 
-def _valid_sum(shares: Iterable[ShareEntry | None]) -> int:
-    return sum(share.valid for share in shares if share is not None)
+def _valid_sum(shares: Iterable[ShareEntry | MeasuredNumbers | None]) -> int:
+    return sum(share.valid for share in shares if isinstance(share, ShareEntry))
 
 
 BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0

@@ -178,7 +178,8 @@ def _packed_trace(record: SessionRecord, episode: ListedEpisode, trace: TraceEnt
     digest = file_entry(file)["sha256"]
     if digest != trace.sha256:
         raise ValueError(f"its SHA-256 is {digest[:12]}..., and the record says another")
-    return pack_data(player_data(read_trace(file), _verdicts_on_episode(record, episode)))
+    verdicts = _verdicts_on_episode(record, episode)
+    return pack_data(player_data(read_trace(file), verdicts, record["measures"]))
 
 
 def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[Data]:

@@ -122,7 +122,11 @@ MAX_MARGINS = 24
 """Curves of margins, those of violated requirements first."""
 
 
-def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dict[str, Any]:
+def player_data(
+    trace: Trace,
+    verdicts: Sequence[Mapping[str, Any]] = (),
+    measures: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
     """An episode for the player; the trace keeps what is rounded here.
 
     Args:
@@ -130,6 +134,7 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
         verdicts: The verdicts on it, each with ``requirement``, ``verdict``, and if known
             ``time`` of the violation in s, ``margin`` and ``check``; with a ``note`` where there is
             more to say.
+        measures: As in the record; some name a signal whose rise is marked.
 
     Returns:
         JSON data. Columns of texts are ``{words, at}``, where ``at`` holds an index into
@@ -139,6 +144,7 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
         :func:`_scene_data`.
     """
     recording, decisions = trace.recording, trace.decisions
+    marks = {str(one["signal"]): str(one["event"]) for one in measures if one["signal"]}
     return {
         "about": {key: _plain(value) for key, value in trace.about.items()},
         "time": _numbers(trace.time),
@@ -155,7 +161,8 @@ def player_data(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> dic
         "recoveries": _indexed_texts(recording.recoveries),
         "accounts": _indexed_texts([_account(account) for account in recording.accounts]),
         "flags": {_name(monitor): _numbers(column) for monitor, column in recording.flags.items()},
-        "events": _events(trace),
+        "events": _events(trace, marks),
+        "marks": [[_name(signal), _name(event)] for signal, event in marks.items()],
         "faults": _faults(trace.events, len(trace.time)),
         "scene": None if recording.scene is None else _scene_data(recording.scene, _name),
         "problem": None if recording.problem is None else _text(recording.problem),
@@ -238,19 +245,25 @@ def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[s
     return list(margins.values())
 
 
-def _events(trace: Trace) -> list[list[Any]]:
-    """Rows of tick, kind, subject and detail, with a collision that only a signal shows."""
+def _events(trace: Trace, marks: Mapping[str, str]) -> list[list[Any]]:
+    """Rows of tick, kind, subject and detail, with what only a signal shows.
+
+    Args:
+        trace: The episode.
+        marks: Signals whose rise is an event, and the kind of that event.
+    """
     last = max(len(trace.time) - 1, 0)
     rows = [
         [min(max(int(event["tick"]), 0), last), _name(event["kind"]),
          _name(event["subject"]), _text(event.get("detail", ""))]
         for event in trace.events
     ]  # fmt: skip
-    collided = trace.signals.get("collided")
-    has_collision = any(row[1] == "collision" for row in rows)
-    if not has_collision and collided is not None and (collided > 0.5).any():
-        first = int((collided > 0.5).argmax())
-        rows.append([first, "collision", "collided", "the signal collided was raised"])
+    kinds = {row[1] for row in rows}
+    for signal, event in marks.items():
+        column = trace.signals.get(signal)
+        if _name(event) not in kinds and column is not None and (column > 0.5).any():
+            first, shown = int((column > 0.5).argmax()), _name(signal)
+            rows.append([first, _name(event), shown, f"the signal {shown} was raised"])
     return sorted(rows, key=lambda row: row[0])
 
 
@@ -320,14 +333,19 @@ def content_hash(text: str) -> str:
     return f"'sha256-{digest}'"
 
 
-def player_page(trace: Trace, verdicts: Sequence[Mapping[str, Any]] = ()) -> str:
+def player_page(
+    trace: Trace,
+    verdicts: Sequence[Mapping[str, Any]] = (),
+    measures: Sequence[Mapping[str, Any]] = (),
+) -> str:
     """A page of its own that plays an episode; it needs no network, and runs no other script.
 
     Args:
         trace: The episode.
         verdicts: As for :func:`~pytest_dura.reports.html.player.player_data`.
+        measures: As for the same.
     """
-    data = player_data(trace, verdicts)
+    data = player_data(trace, verdicts, measures)
     script, style = player_assets()
     script += _START
     policy = (

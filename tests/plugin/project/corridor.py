@@ -24,12 +24,15 @@ from pytest_dura import (
     Tick,
     stream,
 )
+from pytest_dura.driving import MEASURES
 
 STEPS = []
 
 
 class Corridor(Simulator):
     """Its runs differ by a breeze, which moves nothing."""
+
+    measures = MEASURES
 
     def reset(self, scenario, seed):
         STEPS.append(scenario["name"])

@@ -11,9 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from pytest_dura import (
     ActionError,
     Domain,
+    Episode,
     FaultPart,
     Generator,
     GeneratorView,
+    Measure,
     Moment,
     Proposal,
     Simulator,
@@ -35,8 +37,40 @@ class Shaft(BaseModel):
     floor: float = Field(8.0, gt=0, lt=TOP, description="Where it is called to, in m.")
 
 
+def arrival_time(episode: Episode) -> float | None:
+    """Seconds until it arrived."""
+    arrived = np.flatnonzero(episode.signal("arrived") > 0.5)
+    return float(episode.time[arrived[0]]) if len(arrived) else None
+
+
+def overrun(episode: Episode) -> bool:
+    """Whether it went half a metre too far."""
+    return bool(episode.signal("height").max() > 4.5)
+
+
 class Lift(Simulator):
     """A lift in a shaft; the action is its speed in m/s."""
+
+    measures = (
+        Measure(
+            "arrival_time",
+            heading="arrival",
+            meaning="time until it arrived, over the runs that did",
+            function=arrival_time,
+            shown="mean",
+            unit="s",
+            signals=("arrived",),
+        ),
+        Measure(
+            "overrun",
+            heading="over",
+            meaning="runs half a metre too far",
+            function=overrun,
+            shown="share",
+            signals=("height",),
+            severity="grave",
+        ),
+    )
 
     @staticmethod
     def check_scenario(world: Mapping[str, Any]) -> dict[str, Any]:

@@ -160,7 +160,8 @@ def test_a_value_of_another_type_is_found(step, data):
     wrong = data.draw(st.sampled_from(others))
     if value is None:
         wrong = object()  # what may be null may be a text or a number, and nothing else
-    if step[-1] in OPEN or step[-1] == "value":
+    # A measure is a truth value, a number or null.
+    if step[-1] in OPEN or step[-1] == "value" or step[-3:-1] == ("outcome", "measures"):
         return
     at(broken, step[:-1])[step[-1]] = wrong
     told = check_record(broken)
@@ -191,7 +192,8 @@ def _has_free_names(step):
     """Whether the keys of this mapping are names, or the user's own."""
     names = {"roles", "variation", "packages", "scenario", "performance", "wall_clock"} | OPEN
     last = next((one for one in reversed(step) if isinstance(one, str)), "")
-    return last in names or (last == "faults" and ("spec" in step or "cases" in step))
+    named = last in names or (last == "faults" and ("spec" in step or "cases" in step))
+    return named or step[-2:] in (("outcome", "measures"), ("metrics", "measures"))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

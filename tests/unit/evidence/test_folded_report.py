@@ -49,7 +49,7 @@ def passing(number: int, changes: Mapping[int, Any] | None = None) -> SessionRec
             "id": name, "requirements": [VERDICT], "missing_runs": [], "missing_runs_total": 0,
             "faults": [{**fault, "id": f"ghost{place}"} for fault in case["faults"]],
         }  # fmt: skip
-        own["metrics"] |= {"invalid": 0, "missing": 0, "collided": None}
+        own["metrics"] |= {"invalid": 0, "missing": 0, "measures": {}}
         judged |= {
             "case": name, "item": f"{name}::{VERDICT}", "requirement": VERDICT, "waiver": None,
             "verdict": "supported", "violations": 0, "invalid": 0, "missing": 0, "attempts": [],
@@ -113,7 +113,7 @@ REMARKABLE = {
     "waived": verdict_with(waiver={"kind": "xfail", "reason": "known"}),
     "an invalid episode": metrics_with(invalid=1),
     "a missing episode": metrics_with(missing=1),
-    "a collision": metrics_with(collided=make(ShareEntry, run=1).to_json()),
+    "a collision": metrics_with(measures={"collided": make(ShareEntry, run=1).to_json()}),
     "never run": lambda case, _: case.update(missing_runs=[1], missing_runs_total=1),
     "not judged": lambda case, _: case.update(requirements=[VERDICT, "PERF-1"]),
 }

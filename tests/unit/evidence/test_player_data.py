@@ -133,10 +133,14 @@ def test_faults_have_intervals():
 
 
 def test_a_collision_is_an_event_once():
-    kinds = [row[:2] for row in player_data(crossing())["events"]]
-    assert kinds.count([36, "collision"]) == 1
+    measures = [{"signal": "collided", "event": "collision"}, {"signal": None, "event": ""}]
+    data = player_data(crossing(), (), measures)
+    assert data["marks"] == [["collided", "collision"]]
+    assert [row[:2] for row in data["events"]].count([36, "collision"]) == 1
+    assert not any(row[1] == "collision" for row in player_data(crossing())["events"])
     told = [{"tick": 36, "kind": "collision", "subject": "V1", "detail": "into V1"}]
-    assert player_data(crossing(events=told))["events"] == [[36, "collision", "V1", "into V1"]]
+    again = player_data(crossing(events=told), (), measures)
+    assert again["events"] == [[36, "collision", "V1", "into V1"]]
 
 
 def test_texts_are_bounded_and_names_stay_apart():

@@ -22,6 +22,8 @@ def case(component="C", planned=2):
 
 
 def episode(run=0, digest="d", validity="valid", termination="goal", **outcome):
+    names = ("collided", "clearance_time", "gridlock")
+    outcome["measures"] = {key: outcome.pop(key) for key in names if key in outcome}
     return make(
         EpisodeEntry, id=f"a/b#{run}", case="a/b", component="C", seed=run, planned=True,
         validity=validity, digest=digest * 64, outcome=outcome, trajectory=f"{run:064d}",
@@ -53,6 +55,7 @@ def report(item="a/b::R", **parts):
             "monitors",
             "claims",
             "chains",
+            "measures",
             "traces",
             "models",
             "repeats",
@@ -275,28 +278,28 @@ def test_case_metrics_over_valid_and_over_planned_runs():
     runs = [
         episode(0, collided=True, flagged=True, gridlock=False),
         episode(1, collided=False, gridlock=False, clearance_time=8.0, recoveries=2, alerts=1),
-        episode(2, collided=False, gridlock=True, termination="decided"),
+        episode(2, collided=False, gridlock=True, clearance_time=None, termination="decided"),
         episode(3, collided=True, gridlock=False, validity="invalid", termination="decided"),
         episode(4, collided=False, gridlock=False, clearance_time=12.0),
-        episode(5, collided=None, validity="missing"),
+        episode(5, validity="missing"),
     ]
     found = case_metrics(runs, 8)
     assert [found[key] for key in ("planned", "run", "valid", "invalid", "missing")] == [
         8, 6, 4, 1, 1,
     ]  # fmt: skip
-    assert found["collided"] == {
+    assert found["measures"]["collided"] == {
         "valid": 1, "run": 2, "share_of_valid": 0.25, "share_of_planned": 0.25,
     }  # fmt: skip
     assert found["flagged"]["share_of_valid"] == 0.25
-    assert found["gridlock"]["valid"] == 1
-    assert found["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
+    assert found["measures"]["gridlock"]["valid"] == 1
+    assert found["measures"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
     assert (found["recoveries"], found["alerts"]) == (2, 1)
     assert found["ended_early"] == 2
 
 
-def test_case_metrics_without_the_signals_of_driving():
+def test_case_metrics_without_any_measures():
     found = case_metrics([episode(0), episode(1)], 2)
-    assert found["collided"] is found["gridlock"] is found["clearance_time"] is None
+    assert found["measures"] == {}
     assert found["flagged"]["valid"] == 0
     assert case_metrics([], 3)["valid"] == 0
 
@@ -360,7 +363,7 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
         pooled.add(make(EpisodeEntry, **one))
     own, other = pooled.to_json()
     assert (own["component"], own["cases"], own["metrics"]["planned"]) == ("C", 2, 5)
-    assert own["metrics"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
+    assert own["metrics"]["measures"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
     assert (other["component"], other["metrics"]["valid"]) == ("D", 1)
     judged = PooledMetrics(cases, [*verdicts, make(VerdictEntry, case=free["id"])])
     assert judged.to_json()[0]["cases"] == 3, "who is judged for its own sake is no mere twin"

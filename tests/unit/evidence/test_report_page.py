@@ -111,15 +111,17 @@ def test_pairs_are_told_with_and_without_and_their_p():
 def test_cases_are_told_over_valid_and_over_run_episodes():
     record = session_record()
     metrics = {**record["cases"][0]["metrics"], "valid": 2, "run": 3}
-    metrics["collided"] = {**metrics["collided"], "valid": 1, "run": 2}
+    measures = metrics["measures"]
+    collided = {**measures["collided"], "valid": 1, "run": 2}
+    metrics["measures"] = {**measures, "collided": collided}
     html = render(session_record(cases=[{**record["cases"][0], "metrics": metrics}]))
     assert "1/2 +1*" in row(html, case_anchor("a/clear"))
     dash = "\N{EN DASH}"
-    assert f"1.55 ± 0.07 s (2) {dash} {dash} 0 {dash} 2" in row(html, case_anchor("a/clear"))
+    assert f"1.55 ± 0.07 s (2) {dash} {dash} {dash} 0 {dash} 2" in row(html, case_anchor("a/clear"))
     # Sums over the valid runs, of which there are none, are no nought.
-    metrics = {**metrics, "valid": 0, "clearance_time": None}
+    metrics = {**metrics, "valid": 0, "measures": {"collided": collided}}
     html = render(session_record(cases=[{**record["cases"][0], "metrics": metrics}]))
-    assert row(html, case_anchor("a/clear")).endswith(f"{' '.join([dash] * 7)} 0 0")
+    assert row(html, case_anchor("a/clear")).endswith(f"{' '.join([dash] * 8)} 0 0")
 
 
 def test_what_the_component_left_to_its_recovery_and_how_it_reacted_stand_beside_it():
@@ -139,7 +141,7 @@ def test_what_the_component_left_to_its_recovery_and_how_it_reacted_stand_beside
     figures = "1/2 12.5 % 0 2/2 2 frozen 1, follows the fake 4 0 0"
     assert figures in row(html, case_anchor("a/clear")).replace("\N{NO-BREAK SPACE}", " ")
     words = Page(html).words.replace("\N{NO-BREAK SPACE}", " ")
-    assert f"All 2 cases 2 / 2 1/2 1/2 \N{EN DASH} 1.55 ± 0.07 s (2) {figures}" in words
+    assert f"All 2 cases 2 / 2 1/2 1/2 1.55 ± 0.07 s (2) \N{EN DASH} {figures}" in words
 
 
 def test_what_the_runs_show_of_recovery_and_monitors_is_listed():
@@ -347,8 +349,8 @@ def test_clearance_times_are_those_of_valid_planned_runs():
         episode("a/clear+ghost", 2, validity="invalid"), episode("a/clear", 3),
     ]  # fmt: skip
     cases = contents.ReportContents.of(session_record(episodes=episodes)).cases
-    assert cases["a/clear", "C"].times == [1.5, 1.8]
-    assert cases["a/clear+ghost", "C"].times == []
+    assert cases["a/clear", "C"].numbers == {"clearance_time": [1.5, 1.8]}
+    assert cases["a/clear+ghost", "C"].numbers == {}
     assert cases["a/clear", "C"].validities["valid"] == 3
 
 
@@ -361,7 +363,7 @@ def test_anchors_tell_apart_parts_that_read_alike():
 def many_episodes(count):
     """A record whose episodes are made when they are read."""
     plain = [episode("a/clear", run % 90) for run in range(90)]
-    told = {"flagged": False, "collided": False}
+    told = {"flagged": False, "measures": {"collided": False, "gridlock": False}}
     for one in plain:
         one["outcome"] |= told
 
@@ -408,8 +410,8 @@ def test_memory_does_not_grow_with_the_number_of_episodes():
 
 @pytest.mark.parametrize("greatest", [0.3, 1.0, 9.9, 10.0, 12.0, 47.0, 100.0, 3600.0])
 def test_ticks_are_few_and_reach_beyond_the_greatest_time(greatest):
-    row = episode_sections.ClearanceRow("c", [greatest], 1, greatest, None)
-    chart = episode_sections.clearance_chart([row])
+    row = episode_sections.MeasureRow("c", [greatest], 1, greatest, None)
+    chart = episode_sections.measure_chart([row])
     values = [tick["value"] for tick in chart["ticks"]]
     assert 4 <= len(values) <= 12
     assert values[-1] > greatest
@@ -417,8 +419,8 @@ def test_ticks_are_few_and_reach_beyond_the_greatest_time(greatest):
 
 
 def test_dots_and_mean_stand_where_the_axis_says():
-    chart = episode_sections.clearance_chart(
-        [episode_sections.ClearanceRow("c", [2.0, 4.0], 2, 3.0, 1.0)]
+    chart = episode_sections.measure_chart(
+        [episode_sections.MeasureRow("c", [2.0, 4.0], 2, 3.0, 1.0)]
     )
     at = {tick["value"]: tick["x"] for tick in chart["ticks"]}
     row = chart["rows"][0]

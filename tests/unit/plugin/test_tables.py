@@ -26,8 +26,7 @@ SWITCHING = {"share": 0.125, "takeovers": 3, "time_to_safe": {"median": 0.2, "ce
 def metrics(**changes: Any) -> dict[str, Any]:
     return {
         "planned": 10, "valid": 10, "missing": 0, "invalid": 0, "flagged": share(1),
-        "collided": share(0), "gridlock": share(0), "recoveries": 1, "alerts": 0, "user": {},
-        "clearance_time": {"runs": 10, "mean": 9.0, "sd": 1.0}, "rescued": share(2),
+        "measures": {}, "recoveries": 1, "alerts": 0, "user": {}, "rescued": share(2),
         "comfort_failed": share(5), "reactions": {},
         "switching": SWITCHING,
     } | changes  # fmt: skip

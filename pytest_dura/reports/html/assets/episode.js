@@ -46,6 +46,7 @@ class Episode {
     this.last = Math.max(this.ticks - 1, 0);
     this.start = data.time[0] ?? 0;
     this.end = data.time[this.last] ?? 0;
+    this.marks = data.marks;
     this.signals = new Map(Object.entries(data.signals).map(([name, one]) => [name, column(one)]));
     this.said = {};
     for (const name of ["proposed", "executed", "source"]) {

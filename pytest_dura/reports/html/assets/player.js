@@ -219,7 +219,8 @@ class Player {
     const {ghosts, missing} = episode.seen(tick);
     const source = tick < episode.decided ? episode.said.source(tick) : "";
     const found = [
-      episode.signals.get("collided")?.[tick] > 0.5 ? ["grave", "collision"] : null,
+      ...episode.marks.filter(([signal]) => episode.signals.get(signal)?.[tick] > 0.5)
+        .map(([, event]) => ["grave", event]),
       source && source !== "proposal" ? ["recovered", `${source} in control`] : null,
       ghosts.length ? ["ghost", counted(ghosts.length, "ghost")] : null,
       missing.length ? ["plain", `${missing.length} not perceived`] : null,
