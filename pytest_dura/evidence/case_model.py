@@ -277,6 +277,17 @@ class Percentiles(Entry):
     """Greatest, in s."""
 
 
+def _form_of_measure(value: Any) -> str:
+    has_numbers = isinstance(value, dict) and not {"mean", "sd"}.isdisjoint(value)
+    return "numbers" if has_numbers or isinstance(value, MeasuredNumbers) else "share"
+
+
+Measured = Annotated[
+    Annotated[ShareEntry, Tag("share")] | Annotated[MeasuredNumbers, Tag("numbers")],
+    Discriminator(_form_of_measure),
+]
+
+
 class CaseMetricsEntry(Entry):
     """What the planned episodes of a case come to."""
 
@@ -295,7 +306,7 @@ class CaseMetricsEntry(Entry):
     seen by then."""
     flagged: ShareEntry | None
     """Episodes with a proposal that was found unsafe; null where the domain has no such signal."""
-    measures: dict[str, ShareEntry | MeasuredNumbers]
+    measures: dict[str, Measured]
     """What the measures of its simulator come to, by name: how often they are true, or the spread
     of a number over valid episodes; absent where no episode has one."""
     recoveries: Count
