@@ -21,6 +21,7 @@ from re import Pattern
 from typing import Any
 from urllib.parse import quote, quote_plus, unquote, urlsplit
 
+from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.text import html
 
 _SHORTEST_SECRET = 8
@@ -491,9 +492,11 @@ def _texts(value: Any) -> Iterator[str]:
         element = pending.pop()
         if isinstance(element, str):
             yield element
+        elif isinstance(element, Entry):
+            pending.append(element.to_json())
         elif isinstance(element, Mapping):
             yield from (key for key in element if isinstance(key, str))
-            pending.extend(element[key] for key in element)
+            pending.extend(element.values())
         elif isinstance(element, (list, tuple)):
             pending.extend(element)
 

@@ -169,7 +169,7 @@ UNUSABLE = {
     "foreign": ("[]", ["*this is no evidence record (TypeError)"]),
     "version": ({"schema_version": "0"}, ["*another version*", "*found:    '0'", "*expected: 3"]),
     "running": ({"status": "running"}, ["*was killed, or is still running", "*'running'"]),
-    "damaged": ({"verdicts": [{}]}, ["*the baseline is damaged", "*KeyError*", "*remedy:*"]),
+    "damaged": ({"verdicts": [{}]}, ["*the baseline is damaged", "*missing key*", "*remedy:*"]),
 }  # fmt: skip
 
 

@@ -77,5 +77,7 @@ def _marked(mark: Any) -> Any:
     """A value that a mark of a type accepts, if it has limits."""
     if getattr(mark, "pattern", None):
         return _PATTERNS[mark.pattern]
+    if getattr(mark, "min_length", None):
+        return "a" * mark.min_length
     above = getattr(mark, "gt", None)
     return getattr(mark, "ge", None) if above is None else above + 0.5
