@@ -10,7 +10,8 @@ import time
 import pytest
 
 KEYS = {
-    "schema_version", "status", "created", "tool", "command", "base_seed", "environment",
+    "schema_version", "status",
+    "measures", "created", "tool", "command", "base_seed", "environment",
     "component_under_test", "requirements", "cases", "episodes", "verdicts", "searches", "monitors",
     "argument", "baseline", "finished", "evidence_level", "gate", "inputs", "coverage", "timings",
     "require_repeatable", "selection",
