@@ -47,7 +47,8 @@ def records(draw):
         verdicts.append({**one, **changes})
     cells = [
         {"requirement": draw(st.sampled_from(names)), "scenario": draw(TEXTS),
-         "faults": draw(TEXTS), "case": draw(TEXTS), "verdict": None}
+         "faults": draw(TEXTS), "case": draw(TEXTS), "component": "C", "applies": "test",
+         "verdict": None}
         for _ in range(draw(st.integers(0, 3)))
     ]  # fmt: skip
     listed = [{**CASE, "id": one, "scenario": one} for one in cases]
@@ -56,7 +57,7 @@ def records(draw):
     return session_record(
         requirements=requirements, verdicts=verdicts, cases=listed, episodes=runs,
         coverage={"cells": cells, "left_out": 0, "parameters": []}, command=draw(TEXTS),
-        status=draw(st.sampled_from(["complete", "incomplete"])),
+        status=draw(st.sampled_from(["complete", "interrupted"])),
         gate={"result": draw(st.sampled_from(["passed", "failed", "incomplete"])), "exit_code": 0,
               "reasons": draw(st.lists(TEXTS, max_size=4))},
     )  # fmt: skip

@@ -52,10 +52,10 @@ def record_with(*told, component="C"):
 
 def test_shares_are_summed_and_not_averaged():
     found = record_with(metrics({"a": tally(1, 2)}), metrics({"a": tally(0, 98)}))
-    (mode,) = failure_modes_by_component(found["cases"])["C"]
-    assert (mode["hits"], mode["of"], mode["share"]) == (1, 100, 0.01)
-    assert (mode["episodes"], mode["of_episodes"]) == (1, 2)
-    assert "upper" not in mode
+    (mode,) = failure_modes_by_component(found.head.cases)["C"]
+    assert (mode.hits, mode.of, mode.share) == (1, 100, 0.01)
+    assert (mode.episodes, mode.of_episodes) == (1, 2)
+    assert mode.upper is None
 
 
 def test_episodes_count_in_which_it_ever_showed_of_those_in_which_it_could():
@@ -69,11 +69,10 @@ def test_episodes_count_in_which_it_ever_showed_of_those_in_which_it_could():
 
 
 def test_components_are_told_apart_and_arms_left_out():
-    cases = session_record()["cases"]
-    told = metrics({"a": tally(1, 2)})
-    rows = [{**cases[0], "component": name, "metrics": cases[0]["metrics"] | told} for name in "AB"]
-    rows.append({**rows[0], "id": "a/clear~monitor", "without": ["monitor"]})
-    assert {name: modes[0]["of"] for name, modes in failure_modes_by_component(rows).items()} == {
+    case = record_with(metrics({"a": tally(1, 2)})).head.cases[0]
+    rows = [case.replace(component=name) for name in "AB"]
+    rows.append(rows[0].replace(id="a/clear~monitor", without=["monitor"]))
+    assert {name: modes[0].of for name, modes in failure_modes_by_component(rows).items()} == {
         "A": 2,
         "B": 2,
     }
@@ -84,17 +83,18 @@ def test_components_are_told_apart_and_arms_left_out():
 
 
 def test_controls_stand_below_and_what_could_not_show_nowhere():
-    modes = metrics({
+    told = metrics({
         "control": tally(kind="control"), "idle": tally(0, 0, 0, 0),
         "other": tally(kind="comparison"), "failure": tally(),
-    })["failure_modes"]  # fmt: skip
-    assert [one["name"] for one in measured_failure_modes(modes)] == ["failure", "control", "other"]
+    })  # fmt: skip
+    modes = record_with(told).head.cases[0].metrics.failure_modes
+    assert [one.name for one in measured_failure_modes(modes)] == ["failure", "control", "other"]
 
 
 def test_what_the_null_component_alone_could_show_is_told():
     unheard = metrics({"obeys_injection": tally(0, 0, 0, 4), "idle": tally(0, 0, 0, 0)})
     record = record_with(unheard)
-    (line,) = [one for one in failure_mode_table(record["cases"]) if one.startswith("obeys")]
+    (line,) = [one for one in failure_mode_table(record.head.cases) if one.startswith("obeys")]
     assert line.split() == ["obeys", "injection", "0/0", "-", "0.0", "0/0"]
     assert "| `obeys injection` | failure | `C` | 0 of 0 | - | 0.0 | 0 of 0 |" in summary.render(
         record
@@ -107,12 +107,12 @@ def test_what_the_null_component_alone_could_show_is_told():
 def test_percentiles_of_several_cases_are_a_range():
     quick, slow = metrics({}, seconds=(0.1, 0.2)), metrics({}, seconds=(3.0,))
     one = record_with(quick | metrics({"a": tally()}) | {"answer_times": quick["answer_times"]})
-    assert dict(decision_time_lines(one["cases"])) == {
+    assert dict(decision_time_lines(one.head.cases)) == {
         "C": "2 decisions, median 0.10 s, 95th percentile 0.20 s, longest 0.20 s"
     }
     modes = {"failure_modes": metrics({"a": tally()})["failure_modes"]}
     both = record_with(quick | modes, slow | modes)
-    (told,) = dict(decision_time_lines(both["cases"])).values()
+    (told,) = dict(decision_time_lines(both.head.cases)).values()
     assert told == (
         "3 decisions, median 0.10 to 3.00 s by case, 95th percentile 0.20 to 3.00 s by case, "
         "longest 3.00 s"
@@ -126,12 +126,12 @@ def test_past_the_time_budget_are_timeouts_and_nothing_else():
     )
     late = metrics({"timeout": tally(1, 50)}, {"timeout": tally(0, 0)}, seconds=[0.1])
     both = record_with(quick, late)
-    (told,) = dict(decision_time_lines(both["cases"])).values()
+    (told,) = dict(decision_time_lines(both.head.cases)).values()
     assert told.endswith(", longest 0.10 s; 1 of 55 (1.8 %) past the time budget")
-    (none,) = dict(decision_time_lines(record_with(quick)["cases"])).values()
+    (none,) = dict(decision_time_lines(record_with(quick).head.cases)).values()
     assert none.endswith("; 0 of 5 (0.0 %) past the time budget")
     unknown = metrics({"timeout": tally(0, 0), "a": tally()}, seconds=[0.1])
-    (untold,) = dict(decision_time_lines(record_with(unknown)["cases"])).values()
+    (untold,) = dict(decision_time_lines(record_with(unknown).head.cases)).values()
     assert untold.endswith(", longest 0.10 s")
 
 
@@ -141,21 +141,20 @@ def test_ages_are_told_where_a_decision_came_into_force_later_than_its_percept()
     told = "median 0.4 s, 95th percentile 1.2 s, oldest 1.2 s"
     record = record_with(late)
     assert check_record(record) == []
-    assert dict(decision_age_lines(record["cases"])) == {"C": told}
+    assert dict(decision_age_lines(record.head.cases)) == {"C": told}
     line = f"decisions came into force at an age of {told}"
-    assert line in failure_mode_table(record["cases"])
+    assert line in failure_mode_table(record.head.cases)
     assert f"- decisions of `C` came into force at an age of {told}\n" in summary.render(record)
     assert f"came into force at an age of {told}" in render(record)
 
 
 def test_ages_of_several_cases_are_a_range_and_components_are_told_apart():
     told = [metrics({"a": tally()}, ages=one) for one in ((0.25,), (0.5, 12.3), (0.0,))]
-    assert dict(decision_age_lines(record_with(*told)["cases"])) == {
+    assert dict(decision_age_lines(record_with(*told).head.cases)) == {
         "C": "median 0.25 to 0.5 s by case, 95th percentile 0.25 to 12.3 s by case, oldest 12.3 s"
     }
-    case = session_record()["cases"][0]
     rows = [
-        {**case, "component": name, "metrics": case["metrics"] | one}
+        record_with(one, component=name).head.cases[0]
         for name, one in zip("ABC", told, strict=True)
     ]
     assert list(dict(decision_age_lines(rows))) == ["A", "B"]
@@ -169,8 +168,8 @@ def test_where_no_decision_is_older_than_its_percept_ages_are_not_told():
     for these in ((), (0.0, 0.0)):
         record = record_with(metrics({"a": tally()}, ages=these))
         assert check_record(record) == []
-        assert list(decision_age_lines(record["cases"])) == []
-        lines = failure_mode_table(record["cases"])
+        assert list(decision_age_lines(record.head.cases)) == []
+        lines = failure_mode_table(record.head.cases)
         for page in ("\n".join(lines), summary.render(record), render(record)):
             assert "failure" in page.lower()
             assert "came into force" not in page
@@ -212,7 +211,7 @@ def test_names_of_components_and_failure_modes_do_no_harm():
     (row,) = [line for line in modes.split("\n") if " 1 of 2 " in line]
     assert row.replace("\\|", "").count(" | ") == 6
     # The terminal is shown what `Shown` makes harmless; a row of its own stays a row.
-    table = failure_mode_table(record["cases"])
+    table = failure_mode_table(record.head.cases)
     assert sum("1/2" in line for line in table) == 1
     assert not any("\x1b" in line or "\n" in line for line in table if "1/2" in line)
 

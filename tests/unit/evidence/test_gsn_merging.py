@@ -41,7 +41,7 @@ def user(tmp_path):
 
 def with_user(told, **changes):
     """The record as it is written: through JSON."""
-    return session_record(argument=json.loads(json.dumps(told)), **changes)
+    return session_record(argument=told, **changes)
 
 
 def rendered(told, **changes):
@@ -124,9 +124,9 @@ G3: {text: By night., supportedBy: [requirement:SAF-1]}
 
 def test_the_digest_and_the_path_are_told_for_provenance(user):
     told = user("G1: {text: a, undeveloped: true}")
-    assert len(told["sha256"]) == 64
-    assert told["path"].endswith("argument.gsn.yaml")
-    assert told["lines"]["G1.undeveloped"] == 1
+    assert len(told.sha256) == 64
+    assert told.path.endswith("argument.gsn.yaml")
+    assert told.lines["G1.undeveloped"] == 1
 
 
 @pytest.mark.parametrize(

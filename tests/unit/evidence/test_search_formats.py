@@ -7,12 +7,14 @@ import re
 
 import pytest
 import yaml
+from entries import make
 from report_pages import Page
 from searches import entry
 from session_records import session_record, verdict
 from stated_counts import elements_of, stated_counts
 
 from pytest_dura.evidence import all_formats, write_record
+from pytest_dura.evidence.session_model import ArgumentEntry
 from pytest_dura.reports import generated_argument, intoto, outcome_headline, rule_problems, summary
 from pytest_dura.reports.gsn import yaml_file
 from pytest_dura.reports.gsn.user_argument import merge_user_argument
@@ -63,8 +65,8 @@ def test_no_format_says_that_a_search_shows_a_requirement(tmp_path):
 def test_the_headline_of_each_word():
     told = {}
     for word in WORDS:
-        one = entry(word)
-        told[word] = outcome_headline(one, one["outcomes"][0])
+        (one,) = record_of(entry(word)).head.searches
+        told[word] = outcome_headline(one, one.outcomes[0])
     nothing = "nothing found in 37 simulations: least robustness 0.125, coverage 85 % of each range"
     assert told["nothing found"].startswith(f"SAF-1: {nothing}")
     assert told["undecided"].startswith(f"undecided: SAF-1: {nothing}")
@@ -78,7 +80,7 @@ def test_the_headline_of_each_word():
 
 
 def test_a_failing_test_says_what_the_session_says_of_its_search():
-    one = entry("falsified", "nothing found")
+    (one,) = record_of(entry("falsified", "nothing found")).head.searches
     lines = list(failure_lines(one))
     assert lines == [
         (
@@ -89,9 +91,9 @@ def test_a_failing_test_says_what_the_session_says_of_its_search():
         *lines[2:-3],
         "baselines: random seeds none in 37; bang-bang at 30",
         "kept:      scenarios/found/a-clear-saf-1.yaml, which --dura-scenarios runs from now on",
-        outcome_headline(one, one["outcomes"][1], " on a/clear (C)"),
+        outcome_headline(one, one.outcomes[1], " on a/clear (C)"),
     ]
-    entries = [text for _, text in outcome_entries(one["outcomes"][0], 12)]
+    entries = [text for _, text in outcome_entries(one.outcomes[0], 12)]
     assert [line[11:] for line in lines[2:-3]] == entries
     assert "simpler:   from 11 to 4 parameters that differ (41 simulations)" in lines
 
@@ -200,8 +202,8 @@ def test_what_found_nothing_is_a_context_and_supports_no_goal():
 
 def test_a_users_argument_cannot_leave_out_what_a_search_found():
     generated = generated_argument(record_of(entry("falsified"), verdicts=SUPPORTED))
-    user = {"path": "a.yaml", "sha256": "0" * 64,
-            "elements": {"G1": {"text": "All is well.", "supportedBy": ["monitors"]}}}  # fmt: skip
+    elements = {"G1": {"text": "All is well.", "supportedBy": ["monitors"]}}
+    user = make(ArgumentEntry, path="a.yaml", elements=elements)
     found = merge_user_argument(generated, user)
     assert found["CGUnused"].challenges == "G1"
     assert "SAF-1@a/clear" in found["CGUnused"].text
