@@ -250,11 +250,6 @@ def _unmeasured(case: CasePlan) -> JsonObject:
     return {"metrics": metrics, "missing_runs": [], "missing_runs_total": 0}
 
 
-def _attempt(verdict: CampaignVerdict) -> AttemptEntry:
-    """Make the entry of a verdict that rests on no campaign."""
-    return AttemptEntry.model_validate({**verdict.to_json(), "check": "", "paired": None})
-
-
 def _verdict(
     attempt: AttemptEntry,
     item: str,
@@ -507,7 +502,7 @@ class RecordBuilder:
         final = _final_outcomes(outcomes)
         known = self._situations.get((case, component))
         situation = None if known is None else known.situation
-        verdict = _attempt(
+        verdict = AttemptEntry.of(
             _judge_test(self._requirement(requirement), case, component, outcomes, situation)
         )
         return _verdict(
@@ -547,7 +542,7 @@ class RecordBuilder:
 
     def _not_run(self, item: str, requirement: str, case: CasePlan) -> VerdictEntry:
         case = self._with_component(case)
-        verdict = _attempt(
+        verdict = AttemptEntry.of(
             judge_campaign(
                 self._requirement(requirement),
                 case.id,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Discriminator, Tag
 
@@ -18,6 +18,9 @@ from pytest_dura.evidence.entry import (
     Sha256,
     Share,
 )
+
+if TYPE_CHECKING:
+    from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 
 
 class BoundEntry(Entry):
@@ -231,6 +234,11 @@ class AttemptEntry(Entry):
     """What was judged: a formula or the import path of a function; empty for test code."""
     paired: PairedEntry | None
     """For a requirement on pairs of runs."""
+
+    @classmethod
+    def of(cls, verdict: CampaignVerdict) -> AttemptEntry:
+        """Make the entry of a verdict on no check, such as one on a campaign that never ran."""
+        return cls.model_validate({**verdict.to_json(), "check": "", "paired": None})
 
 
 class WaiverEntry(Entry):

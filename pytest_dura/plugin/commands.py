@@ -8,7 +8,7 @@ violates a requirement.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pytest_dura.core.episode import Episode, EpisodeSpec
     from pytest_dura.core.registry import Registry
     from pytest_dura.core.role_spec import RoleSpec
+    from pytest_dura.evidence.episode_model import EpisodeEntry, FaultEntry, TraceEntry
+    from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.plugin.options import Options
     from pytest_dura.plugin.session import DuraSession
@@ -154,9 +156,6 @@ def _registered_line(registry: Registry[Any], name: str) -> str:
     return f"  {name}: {entry.path} ({entry.provider})"
 
 
-Data = Mapping[str, Any]
-
-
 @dataclass(frozen=True)
 class RecordedEpisode:
     """Episode of a record, ready to be run again.
@@ -167,7 +166,7 @@ class RecordedEpisode:
         requirements: Those of its case.
         violated: Ids of those whose verdict names it as a counterexample.
         planned: Whether it is one of its case's runs; another one of that id has a seed by hand.
-        trace: Where its trace is, as the record says: ``{file, sha256, bytes}``; if one was kept.
+        trace: Where its trace is, as the record says; if one was kept.
         faults: What became of each of its faults.
     """
 
@@ -176,8 +175,8 @@ class RecordedEpisode:
     requirements: tuple[Requirement, ...]
     violated: tuple[str, ...]
     planned: bool
-    trace: Data | None
-    faults: tuple[Data, ...]
+    trace: TraceEntry | None
+    faults: Sequence[FaultEntry]
 
     def run(self, spec: EpisodeSpec | None = None, *, recorded: bool = False) -> Episode:
         """Run the episode again, or another spec that ends as this one would.
@@ -196,7 +195,7 @@ class RecordedEpisode:
 
 def _recorded_episodes(
     config: pytest.Config, options: Options, name: str, option: str
-) -> tuple[Data, list[RecordedEpisode]]:
+) -> tuple[SessionRecord, list[RecordedEpisode]]:
     """Read the record and its episodes of this id; seeds and components make several.
 
     Args:
@@ -209,9 +208,9 @@ def _recorded_episodes(
         ConfigurationError: For an unknown episode, a damaged record, and an episode that cannot be
             built again.
     """
-    from pytest_dura.evidence.bundle import read_record
+    from pytest_dura.evidence.bundle import read_session_record
 
-    record = read_record(options.evidence)
+    record = read_session_record(options.evidence)
     _check_whole(options.evidence, option)
     with _damage_as_error(options, name, option):
         return record, [
@@ -262,11 +261,11 @@ def _damage_as_error(options: Options, name: str, option: str) -> Iterator[None]
         ) from None
 
 
-def _entries_named(record: Data, name: str, option: str) -> list[Data]:
-    episodes = [episode for episode in record["episodes"] if episode["id"] == name]
+def _entries_named(record: SessionRecord, name: str, option: str) -> list[EpisodeEntry]:
+    episodes = [episode for episode in record.episodes() if episode.id == name]
     if episodes:
         return episodes
-    known = sorted({episode["id"] for episode in record["episodes"]})
+    known = sorted({episode.id for episode in record.episodes()})
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
     expected = ", ".join(near or known[:3]) or "an episode; this evidence has none"
     raise ConfigurationError(
@@ -279,50 +278,50 @@ def _entries_named(record: Data, name: str, option: str) -> list[Data]:
 
 
 def _recorded_episode(
-    config: pytest.Config, record: Data, episode: Data, option: str
+    config: pytest.Config, record: SessionRecord, episode: EpisodeEntry, option: str
 ) -> RecordedEpisode:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.core.trust import check_registered
     from pytest_dura.evidence.redaction import holds_redaction
     from pytest_dura.requirements.model import Requirement
 
-    if holds_redaction(episode["spec"]):
+    given = episode.spec.to_json()
+    if holds_redaction(given):
         raise ConfigurationError(
-            f"the episode {episode['id']!r} cannot be run again: what it was run from held a "
+            f"the episode {episode.id!r} cannot be run again: what it was run from held a "
             "secret, which is not in the evidence",
             key=option,
-            found=episode["id"],
+            found=episode.id,
             expected="an episode whose spec is recorded whole",
             remedy="let the component read the secret from the environment, not from a parameter",
         )
-    spec = EpisodeSpec.from_json(episode["spec"])
+    spec = EpisodeSpec.from_json(given)
     paths = [spec.simulator.path, *(role.path for role in spec.roles.values())]
     for path in [*paths, *(str(fault.get("type")) for fault in spec.faults)]:
         if ":" in path:
             check_registered(path)
     roles = {name: _local_role(config, role, option) for name, role in spec.roles.items()}
     spec = replace(spec, roles=roles, simulator=_local_role(config, spec.simulator, option))
-    case = {(case["id"], case["component"]): case for case in record["cases"]}
+    head = record.head
+    cases = {(case.id, case.component): case for case in head.cases}
     known = {
-        requirement["id"]: Requirement.from_json(requirement)
-        for requirement in record["requirements"]
+        requirement.id: Requirement.from_json(requirement.to_json())
+        for requirement in head.requirements
     }
-    names = case[episode["case"], episode["component"]]["requirements"]
     violated = [
-        verdict["requirement"]
-        for verdict in record["verdicts"]
-        for counterexample in verdict["counterexamples"]
-        if counterexample["episode"] == episode["id"]
-        and verdict["component"] == episode["component"]
+        verdict.requirement
+        for verdict in head.verdicts
+        for counterexample in verdict.counterexamples
+        if counterexample.episode == episode.id and verdict.component == episode.component
     ]
     return RecordedEpisode(
         spec,
-        str(episode["digest"]),
-        tuple(known[name] for name in names),
+        episode.digest,
+        tuple(known[name] for name in cases[episode.case, episode.component].requirements),
         tuple(dict.fromkeys(violated)),
-        bool(episode["planned"]),
-        None if episode["trace"] is None else dict(episode["trace"]),
-        tuple(dict(fault) for fault in episode["faults"]),
+        episode.planned,
+        episode.trace,
+        episode.faults,
     )
 
 
@@ -400,7 +399,7 @@ def _compared(
     try:
         kept_trace = _read_trace(recorded.trace, evidence)
     except FileNotFoundError:
-        lines.append(f"  its trace {recorded.trace['file']} is not there any more")
+        lines.append(f"  its trace {recorded.trace.file} is not there any more")
         return is_same, lines if is_same else [*lines, *_by_faults(recorded, episode)]
     except ConfigurationError as error:
         reasons = [f"    {line}" for line in str(error).splitlines()]
@@ -441,14 +440,16 @@ def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:
     """Compare what became of the faults, which the record holds without a trace."""
     from pytest_dura.evidence.entry import plain_data
 
-    for earlier, fault in zip(recorded.faults, episode.faults, strict=False):
-        for key, value in plain_data(asdict(fault)).items():
-            if key in earlier and earlier[key] != value:
-                return [f"  fault {fault.id}: {key}: recorded {earlier[key]}, replayed {value}"]
+    for entry, fault in zip(recorded.faults, episode.faults, strict=False):
+        replayed = plain_data(asdict(fault))
+        for key, earlier in entry.to_json().items():
+            if key in replayed and earlier != replayed[key]:
+                values = f"recorded {earlier}, replayed {replayed[key]}"
+                return [f"  fault {fault.id}: {key}: {values}"]
     return ["  it is not known where they differ"]
 
 
-def _read_trace(entry: Any, evidence: Path) -> Trace:
+def _read_trace(entry: TraceEntry, evidence: Path) -> Trace:
     """Read the trace that was kept.
 
     Raises:
@@ -457,28 +458,18 @@ def _read_trace(entry: Any, evidence: Path) -> Trace:
     """
     from pytest_dura.evidence.files import file_entry
     from pytest_dura.evidence.mcap import read_trace
-    from pytest_dura.evidence.traces import is_trace_path
 
-    path = entry.get("file")
-    if not is_trace_path(path):
-        raise ConfigurationError(
-            "the record names a trace that is none of the bundle's",
-            file=str(evidence / "evidence.json"),
-            key="trace.file",
-            found=path,
-            expected="episodes/<name>.mcap",
-        )
-    file = evidence / path
+    file = evidence / entry.file
     if not file.exists():
         raise FileNotFoundError(file)
     trace = read_trace(file)
     digest = file_entry(file)["sha256"]
-    if digest != entry.get("sha256"):
+    if digest != entry.sha256:
         raise ConfigurationError(
             "the trace is not the one that was recorded: its SHA-256 is another",
             file=str(file),
             found=digest,
-            expected=entry.get("sha256"),
+            expected=entry.sha256,
             remedy="restore the file",
         )
     return trace
@@ -609,10 +600,12 @@ def _result_lines(reduction: Reduction, budget: int) -> list[str]:
 
 
 def _write_reduced(
-    record: Data, recorded: RecordedEpisode, reduction: Reduction, folder: Path
+    record: SessionRecord, recorded: RecordedEpisode, reduction: Reduction, folder: Path
 ) -> None:
     """Write a record of the reduced episode alone, in the form of the original one."""
     from pytest_dura.evidence.bundle import write_record
+    from pytest_dura.evidence.conclude import measure_cases
+    from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.episodes import episode_record
     from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text, write_file
     from pytest_dura.evidence.model import SessionRecord
@@ -620,18 +613,16 @@ def _write_reduced(
     episode = reduction.episode
     assert episode is not None
     key = recorded.spec.case, recorded.spec.component
-    (original,) = [case for case in record["cases"] if (case["id"], case["component"]) == key]
-    case: dict[str, Any] = {**original, "id": episode.spec.case, "planned": 1}
-    case["faults"] = [dict(fault) for fault in episode.spec.faults]
-    case.pop("metrics", None)
-    changes = {
-        "cases": [case],
-        "measures": episode.described_measures,
-        "episodes": [episode_record(episode, planned=True)],
-        "verdicts": [],
-        "monitors": [],
-        "baseline": None,
-        "reduced_from": recorded.spec.id,
-    }
-    file = write_record(folder, SessionRecord.of({**record, **changes}, folder))
+    (original,) = [case for case in record.head.cases if (case.id, case.component) == key]
+    faults = [dict(fault) for fault in episode.spec.faults]
+    case = original.replace(id=episode.spec.case, planned=1, faults=faults)
+    entry = EpisodeEntry.model_validate(episode_record(episode, planned=True))
+    head = record.head.replace(
+        cases=[case],
+        measures=episode.described_measures,
+        verdicts=[],
+        monitors=[],
+        baseline=None,
+    )
+    file = write_record(folder, measure_cases(SessionRecord(head, folder, lambda: iter([entry]))))
     write_file(folder / MANIFEST_FILE, [manifest_text({file.name: file_entry(file)})])

@@ -367,8 +367,8 @@ class SharedEpisodes:
             written: Whether all of its evidence could be written.
         """
         shutil.rmtree(self._repetition_marks, ignore_errors=True)
-        lost = self._lost or self._lost_here or record["totals"]["missing"]
-        self.is_whole = written and record["status"] == "complete" and not lost
+        lost = self._lost or self._lost_here or record.head.totals["missing"]
+        self.is_whole = written and record.head.status == "complete" and not lost
         if self.context.options.reuse is not None:
             return
         # What cannot be removed does no harm: the next session removes it, or says why it cannot.
@@ -411,10 +411,10 @@ class SharedEpisodes:
             if options.resume:
                 raise
             return None
-        if record["status"] != "complete":
-            return f"the interrupted session of {record['created']}"
+        if record.head.status != "complete":
+            return f"the interrupted session of {record.head.created}"
         if left_episodes:
-            return f"the session of {record['created']}, which was not whole"
+            return f"the session of {record.head.created}, which was not whole"
         if options.resume:
             raise ConfigurationError(
                 "there is nothing to resume: the session of this evidence was not interrupted, and "
@@ -537,7 +537,7 @@ def show_repeats(terminal: Any, record: SessionRecord, objections: Collection[st
     """Show the cases that are not repeatable, unless they are among the objections."""
     from pytest_dura.evidence.gate import not_repeatable_lines
 
-    for line in not_repeatable_lines(record["cases"]):
+    for line in not_repeatable_lines(record.head.cases):
         if line not in objections:
             for part in safe_lines(line):
                 terminal.line(part, yellow=True)

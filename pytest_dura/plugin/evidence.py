@@ -115,17 +115,18 @@ class GivenFiles:
 
     def with_baseline(self, record: SessionRecord) -> SessionRecord:
         """Add the comparison with the baseline to a record."""
-        finished = None if record["status"] == "running" else record
+        finished = None if record.head.status == "running" else record
         baseline = None if self.baseline is None else self.baseline.to_json(finished)
         return record.changed(baseline=baseline)
 
     def regressions(self, record: SessionRecord) -> list[str]:
         """List what ``--dura-baseline-worse=fail`` does not let pass."""
-        if not self.context.options.fail_worse:
+        baseline = record.head.baseline
+        if baseline is None or not self.context.options.fail_worse:
             return []
         from pytest_dura.evidence.baseline import regression_objections
 
-        return regression_objections(record["baseline"])
+        return regression_objections(baseline)
 
 
 Expected = tuple[str, dict[str, Any], dict[str, Any]]
@@ -338,7 +339,7 @@ class SessionEvidence:
         try:
             gate, self.final = self._judged(session)
             self.final = write_bundle(self.final)
-            whole = len(self.final["gate"]["reasons"]) == len(gate.reasons)
+            whole = len(self.final.head.gate.reasons) == len(gate.reasons)
             self._shared.end(self.final, written=whole)
             self.file = self.final.directory / "evidence.json"
         except ConfigurationError as error:
@@ -346,9 +347,9 @@ class SessionEvidence:
             session.exitstatus = session.exitstatus or pytest.ExitCode.TESTS_FAILED
         else:
             # What could not be rendered counts against the session, too.
-            written = self.final["gate"]
-            self.objections += written["reasons"][len(gate.reasons) :]
-            session.exitstatus = written["exit_code"]
+            written = self.final.head.gate
+            self.objections += written.reasons[len(gate.reasons) :]
+            session.exitstatus = written.exit_code
         finally:
             self._unlock()
 
@@ -358,7 +359,7 @@ class SessionEvidence:
             return
         code = int(pytest.ExitCode.INTERNAL_ERROR)  # the evidence was never written
         if self.final is not None and self.file is not None:
-            code = self.final["gate"]["exit_code"]
+            code = self.final.head.gate.exit_code
         if code:
             print(  # noqa: T201 - the terminal's own report is over
                 f"dura: the gate did not pass, and another plugin set exit code 0: it is {code}",
@@ -398,13 +399,13 @@ class SessionEvidence:
         if self.context.options.require_repeatable:
             from pytest_dura.evidence.gate import repeat_objections
 
-            self.objections += repeat_objections(record["cases"])
+            self.objections += repeat_objections(record.head.cases)
         if not interrupted:
             self.objections += self._missing_reports(session)
         gate = Gate.of(
-            record["verdicts"],
+            record.head.verdicts,
             self.objections,
-            searches=record["searches"],
+            searches=record.head.searches,
             interrupted=interrupted,
             exit_code=int(session.exitstatus),
             failed=len(self._failed),
@@ -415,7 +416,7 @@ class SessionEvidence:
             self.objections += [
                 f"the gate fails: {objection}, though every test passed"
                 for objection in verdict_objections(
-                    record["verdicts"], record["searches"], warn_undecided=warn_undecided
+                    record.head.verdicts, record.head.searches, warn_undecided=warn_undecided
                 )
             ]
         concluded = self._concluded(status, gate, record)

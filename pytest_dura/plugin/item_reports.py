@@ -25,7 +25,14 @@ from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
 from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.markers import marked_requirements
-from pytest_dura.plugin.outcomes import ItemJudged, ItemResult, episode_of, target_of
+from pytest_dura.plugin.outcomes import (
+    Assertions,
+    EpisodeOutcome,
+    ItemJudged,
+    ItemResult,
+    episode_of,
+    target_of,
+)
 from pytest_dura.reports.wording import event_text
 
 if TYPE_CHECKING:
@@ -110,7 +117,7 @@ def _result_properties(
     requirement = result.requirement
     yield "requirement", requirement.id
     yield "kind", requirement.kind
-    yield "case", result.case.id if result.case else (result.verdict or {}).get("case")
+    yield "case", result.case.id if result.case else result.verdict and result.verdict.case
     yield "component", result.component
     if result.outcome is not None:
         yield from _outcome_properties(result.outcome)
@@ -120,17 +127,17 @@ def _result_properties(
         yield from _verdict_properties(context, result, events)
 
 
-def _outcome_properties(outcome: Any) -> Iterator[tuple[str, Any]]:
-    yield "episode_verdict", outcome["verdict"]
-    yield "planned", outcome["planned"]
-    yield "at_most", outcome["at_most"]
-    yield "margin", outcome["margin"]
-    yield "violated_at", outcome["time"]
-    yield "detail", outcome["detail"]
-    asserted = outcome["assertion"]
-    yield "decided_by", "assertion" if asserted["alone"] else "check and assertion"
-    yield "observed", ", ".join(asserted["observed"])
-    for check in asserted["false"]:
+def _outcome_properties(outcome: EpisodeOutcome) -> Iterator[tuple[str, Any]]:
+    judged, assertion = outcome.judged, outcome.assertion
+    yield "episode_verdict", judged.verdict
+    yield "planned", outcome.planned
+    yield "at_most", outcome.at_most
+    yield "margin", judged.margin
+    yield "violated_at", judged.time
+    yield "detail", judged.detail
+    yield "decided_by", "assertion" if assertion.alone else "check and assertion"
+    yield "observed", ", ".join(assertion.observed)
+    for check in assertion.false:
         yield "false_check", check
 
 
@@ -139,20 +146,20 @@ def _verdict_properties(
 ) -> Iterator[tuple[str, Any]]:
     verdict = result.verdict
     assert verdict is not None
-    yield "verdict", verdict["verdict"]
-    yield "reason", verdict["reason"]
-    yield "valid", verdict["episodes"]
+    yield "verdict", verdict.verdict
+    yield "reason", verdict.reason
+    yield "valid", verdict.episodes
     for key in _COUNTS:
-        yield key, verdict[key]
-    yield "open", len(verdict["open"])
-    bound = verdict["bound"]
-    yield "bound_upper", bound["upper"]
-    yield "bound_confidence", bound["confidence"]
-    yield "bound_method", bound["method"]
-    yield "at_most", bound["at_most"]
-    yield "margin", verdict["margin"]
-    if verdict["counterexamples"]:
-        episode = verdict["counterexamples"][0]["episode"]
+        yield key, getattr(verdict, key)
+    yield "open", len(verdict.open)
+    bound = verdict.bound
+    yield "bound_upper", bound.upper
+    yield "bound_confidence", bound.confidence
+    yield "bound_method", bound.method
+    yield "at_most", bound.at_most
+    yield "margin", verdict.margin
+    if verdict.counterexamples:
+        episode = verdict.counterexamples[0].episode
         yield "counterexample", episode
         yield "counterexample_seed", seed_of(context, result, episode)
         for event in events:
@@ -167,9 +174,9 @@ def ending_events(
     if result.status != "violated":
         return []
     episode: Episode | None = result.episode
-    counterexamples = (result.verdict or {}).get("counterexamples")
+    counterexamples = result.verdict and result.verdict.counterexamples
     if episode is None and counterexamples and result.case is not None:
-        run = int(counterexamples[0]["episode"].rpartition("#")[2])
+        run = int(counterexamples[0].episode.rpartition("#")[2])
         episode = runner().fetch(result.case, run)
     if episode is None:
         return []
@@ -278,26 +285,31 @@ def _report_item(context: SessionContext, runner: Callable[[], Runner], event: I
     for result in results:
         verdict = result.verdict or result.outcome
         if verdict is not None:
-            _attach(_verdict_json(verdict), f"verdict {result.requirement.id}", "JSON")
+            _attach(_verdict_json(verdict.to_json()), f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
         _show_worst(context, runner, item, results)
 
 
 def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
-    verdict, outcome = result.verdict or {}, result.outcome or {}
-    bound = verdict.get("bound") or {}
-    parameters = {
-        "case": result.case.id if result.case else verdict.get("case"),
+    verdict, outcome = result.verdict, result.outcome
+    parameters: dict[str, Any] = {
+        "case": result.case.id if result.case else verdict and verdict.case,
         "component": result.component,
         "verdict": result.status,
-        "planned": verdict.get("planned", outcome.get("planned")),
-        "valid": verdict.get("episodes"),
-        "violations": verdict.get("violations"),
-        "bound": bound.get("upper"),
-        "confidence": bound.get("confidence") if bound.get("upper") is not None else None,
-        "at most": bound.get("at_most", outcome.get("at_most")),
-        "base seed": context.options.seed,
     }
+    if verdict is not None:
+        bound = verdict.bound
+        parameters |= {
+            "planned": verdict.planned,
+            "valid": verdict.episodes,
+            "violations": verdict.violations,
+            "bound": bound.upper,
+            "confidence": None if bound.upper is None else bound.confidence,
+            "at most": bound.at_most,
+        }
+    elif outcome is not None:
+        parameters |= {"planned": outcome.planned, "at most": outcome.at_most}
+    parameters["base seed"] = context.options.seed
     return {
         name: one_line(value, 200) if isinstance(value, str) else value
         for name, value in parameters.items()
@@ -313,30 +325,27 @@ def _description(
     own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
     parts = [inspect.cleandoc(own)] if own else []
     for result, ending in zip(results, events, strict=True):
-        requirement, verdict = result.requirement, result.verdict or result.outcome or {}
+        requirement, outcome = result.requirement, result.outcome
+        reason = outcome.judged.detail if outcome else result.verdict and result.verdict.reason
         parts.append(f"**{markdown(requirement.id)}** {markdown(requirement.text, 2000)}")
         for heading, text in (
             ("Source", requirement.source),
             ("Why this bound", requirement.reason),
-            (
-                "Verdict",
-                f"{result.status or 'none'}. {verdict.get('reason', verdict.get('detail', ''))}",
-            ),
+            ("Verdict", f"{result.status or 'none'}. {reason or ''}"),
             ("Event", "; ".join(ending)),
-            ("By assertion", _looked_at(verdict)),
+            ("By assertion", "" if outcome is None else _looked_at(outcome.assertion)),
         ):
             if text:
                 parts.append(f"{heading}: {markdown(text, 2000)}")
     return "\n\n".join(parts)
 
 
-def _looked_at(verdict: Mapping[str, Any]) -> str:
+def _looked_at(assertion: Assertions) -> str:
     """Describe what a test that decided by its own assertions read, and what was false."""
-    assertion = verdict.get("assertion")
-    if not assertion or not (assertion["alone"] or assertion["observed"]):
+    if not (assertion.alone or assertion.observed):
         return ""
-    false = "".join(f"; false, though the test passed: {check}" for check in assertion["false"])
-    return f"the test looked at {', '.join(assertion['observed']) or 'nothing'}{false}"
+    false = "".join(f"; false, though the test passed: {check}" for check in assertion.false)
+    return f"the test looked at {', '.join(assertion.observed) or 'nothing'}{false}"
 
 
 def _show_worst(
@@ -377,36 +386,35 @@ def _show_worst(
 def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
     if result.outcome is not None:
         return result.status == "violated"
-    examples = (result.verdict or {}).get("counterexamples", ())
-    return any(example["episode"] == episode.id for example in examples)
+    examples = result.verdict.counterexamples if result.verdict else ()
+    return any(example.episode == episode.id for example in examples)
 
 
 def _check_of(result: ItemResult | None) -> str:
     if result is None:
         return ""
-    own = (result.outcome or {}).get("assertion")
-    if own and own["failed"] and not own["by_check"]:
+    own = result.outcome and result.outcome.assertion
+    if own and own.failed and not own.by_check:
         return ""  # it held: what failed is an assertion of the test
-    return str((result.verdict or {}).get("check") or result.requirement.check)
+    return (result.verdict and result.verdict.check) or str(result.requirement.check)
 
 
 def _worst_episode(runner: Callable[[], Runner], result: ItemResult) -> Episode | None:
     verdict = result.verdict
-    if verdict is None or result.case is None or not verdict["run"]:
+    if verdict is None or result.case is None or not verdict.run:
         return None
-    spoilt = verdict.get("spoilt")
-    examples = [*verdict["counterexamples"][:1], *([] if spoilt is None else [spoilt])]
-    run = int(examples[0]["episode"].rpartition("#")[2]) if examples else 0
+    shown = verdict.counterexamples[0] if verdict.counterexamples else verdict.spoilt
+    run = int(shown.episode.rpartition("#")[2]) if shown else 0
     return runner().fetch(result.case, run)
 
 
 def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
     """Judge this episode by the requirement: from the item's outcome, or by the check."""
     from pytest_dura.core.errors import ConfigurationError
-    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, judge_episode
+    from pytest_dura.requirements.episode_verdicts import judge_episode
 
     if result.outcome is not None:
-        return EpisodeVerdict.from_json(result.outcome)
+        return result.outcome.judged
     try:
         return judge_episode(result.requirement, episode, _check_of(result))
     except ConfigurationError:  # a measure of pairs, or a function inside a test
@@ -482,9 +490,8 @@ def _plot(episode: Episode, judged: EpisodeVerdict | None, check: str) -> str:
     )  # fmt: skip
 
 
-def _verdict_json(verdict: Mapping[str, Any]) -> str:
-    examples = verdict.get("counterexamples", ())
-    shown = dict(verdict)
+def _verdict_json(shown: dict[str, Any]) -> str:
+    examples = shown.get("counterexamples", ())
     if len(examples) > _COUNTEREXAMPLES:
         shown["counterexamples"] = examples[:_COUNTEREXAMPLES]
         shown["counterexamples_left_out"] = len(examples) - _COUNTEREXAMPLES

@@ -113,6 +113,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
     """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.events import VerdictReached
     from pytest_dura.campaign.reporting import explain_verdict
+    from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.plugin.item_reports import ending_events
 
     context, planned = request.node.context, request.node.planned
@@ -127,7 +128,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
         return
     lines = explain_verdict(verdict, requirement, campaign.failures)
     if verdict.counterexamples:
-        item_result = ItemResult(requirement, planned.case, verdict=verdict.to_json())
+        item_result = ItemResult(requirement, planned.case, verdict=AttemptEntry.of(verdict))
         events = ending_events(item_result, lambda: orchestrator, context.redact)
         lines += [f"event:    {line}" for line in events]
         lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.roles import SessionRoles
 
 
-Data = dict[str, Any]
+JsonObject = dict[str, Any]
 _MOST_MODELS = 3
 """Models of a cassette that the header names."""
 _OUTCOMES = ("asked", "reused", "injected", "missed")
@@ -44,7 +44,7 @@ class LanguageModels:
         self._roles = roles
         self._has_begun = False
         self._previous: ModelSession | None = None
-        self._used: dict[tuple[Any, ...], Data] = {}
+        self._used: dict[tuple[Any, ...], JsonObject] = {}
         self._latest: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._counted: Counter[tuple[str, str, str]] = Counter()
         self._unsent: set[tuple[Any, ...]] = set()
@@ -210,7 +210,7 @@ class LanguageModels:
                 self._register(key)
                 self._latest[stated] = key
 
-    def take(self) -> list[Data]:
+    def take(self) -> list[JsonObject]:
         """Return the models that are new or were asked since the last call, with the counts so far.
 
         Returns:
@@ -245,7 +245,7 @@ class LanguageModels:
             self._used[key] = dict.fromkeys(_OUTCOMES, 0)
             self._unsent.add(key)
 
-    def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> Data:
+    def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> JsonObject:
         component, model, fingerprint, prompts = key
         known = session.known(model, fingerprint)
         return {
@@ -278,5 +278,5 @@ class LanguageModels:
             "sha256": sha256,
             "exchanges": len(session.cassette),
         }
-        models = [{**model, "cassette": cassette} for model in record["models"]]
+        models = [model.replace(cassette=cassette) for model in record.head.models]
         return record.changed(models=models)

@@ -7,7 +7,7 @@ the requirement's own check.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
@@ -18,6 +18,7 @@ from pytest_dura.plugin.markers import Target, decides_nothing, marked_requireme
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.evidence.episodes import ItemReport
+    from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.episode_verdicts import (
@@ -79,42 +80,104 @@ class UsedEpisodes:
 
 
 @dataclass(frozen=True)
+class Assertions:
+    """What the own assertions of a test on one episode came to.
+
+    Args:
+        alone: Whether they decide, since the requirement's check does not apply.
+        by_check: Whether the requirement's check is violated, whatever the test asserts.
+        observed: What the test read of the episode.
+        false: Checks that it asked for, and that were false although it passed.
+        failed: Which assertion failed; empty if none did.
+    """
+
+    alone: bool
+    by_check: bool
+    observed: list[str]
+    false: list[str]
+    failed: str
+
+
+_OWN_KEYS = ("case", "planned", "at_most", "confidence")
+
+
+@dataclass(frozen=True)
+class EpisodeOutcome:
+    """Outcome of a test on one episode for one requirement.
+
+    Args:
+        judged: What it says of the episode.
+        assertion: What the test looked at, and what failed.
+        case: Id of the case.
+        planned: Episodes of the case.
+        at_most: Of the requirement.
+        confidence: Of the requirement.
+    """
+
+    judged: EpisodeVerdict
+    assertion: Assertions
+    case: str
+    planned: int
+    at_most: float | None
+    confidence: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Convert to plain data, as an item's report holds it."""
+        own = {name: getattr(self, name) for name in _OWN_KEYS}
+        return {**self.judged.to_json(), "assertion": asdict(self.assertion), **own}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> EpisodeOutcome:
+        """Make the outcome that an item's report holds."""
+        from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
+
+        return cls(
+            EpisodeVerdict.from_json(data),
+            Assertions(**data["assertion"]),
+            **{name: data[name] for name in _OWN_KEYS},
+        )
+
+
+@dataclass(frozen=True)
 class ItemResult:
     """Result of an item for one requirement.
 
     Args:
         requirement: The requirement.
         case: The case it was judged on, if the item has one.
-        verdict: ``CampaignVerdict.to_json()`` with its ``check``, of an item on a campaign.
-        outcome: ``EpisodeVerdict.to_json()``, of an item on one episode.
+        verdict: Of an item on a campaign.
+        outcome: Of an item on one episode.
         episode: The episode that the item looked at, if it looked at one.
     """
 
     requirement: Requirement
     case: Case | None = None
-    verdict: Mapping[str, Any] | None = None
-    outcome: Mapping[str, Any] | None = None
+    verdict: AttemptEntry | None = None
+    outcome: EpisodeOutcome | None = None
     episode: JudgedEpisode | None = None
 
     @property
     def status(self) -> str | None:
         """Verdict, if there is one: ``supported``, ``violated`` and so on."""
-        verdict = self.verdict or self.outcome
-        return None if verdict is None else str(verdict["verdict"])
+        return self._judged.verdict if self._judged else None
 
     @property
     def component(self) -> str | None:
         """Name of the component under test, if it is known."""
-        verdict = self.verdict or self.outcome
-        return None if verdict is None else str(verdict["component"])
+        return self._judged.component if self._judged else None
+
+    @property
+    def _judged(self) -> AttemptEntry | EpisodeVerdict | None:
+        return self.outcome.judged if self.outcome else self.verdict
 
     @property
     def question(self) -> tuple[Any, ...]:
         """Key of what is decided: equal for several attempts of a test, and for them alone."""
-        verdict = self.verdict or self.outcome or {}
-        bound = verdict.get("bound") or {}
-        names = (verdict.get(name) for name in ("case", "component", "check"))
-        return self.requirement.id, *names, bound.get("at_most"), bound.get("confidence")
+        key = self.requirement.id, self.component
+        if self.verdict is not None:
+            bound = self.verdict.bound
+            return *key, self.verdict.case, self.verdict.check, bound.at_most, bound.confidence
+        return *key, self.outcome and self.outcome.case
 
 
 @dataclass(frozen=True)
@@ -211,6 +274,7 @@ def _decided_results(
 ) -> list[ItemResult]:
     if report is None:
         return []
+    from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.requirements.model import Requirement
 
     known = {
@@ -219,21 +283,21 @@ def _decided_results(
     known.update(claimed)
     results = [
         ItemResult(
-            known[verdict["requirement"]],
-            _case_of_result(runner, item, verdict["case"]),
+            known[verdict.requirement],
+            _case_of_result(runner, item, verdict.case),
             verdict=verdict,
         )
-        for verdict in report.verdicts
+        for verdict in map(AttemptEntry.model_validate, report.verdicts)
     ]
     episode = episode_of(item)
     results += [
         ItemResult(
-            known[outcome["requirement"]],
-            _case_of_result(runner, item, outcome["case"]),
+            known[outcome.judged.requirement],
+            _case_of_result(runner, item, outcome.case),
             outcome=outcome,
             episode=episode,
         )
-        for outcome in report.outcomes
+        for outcome in map(EpisodeOutcome.from_json, report.outcomes)
     ]
     order = list(claimed)
     last = len(order)
@@ -252,6 +316,7 @@ def _undecided_result(
     case = None if target is None else target.case
     if case is None or "episode" in parameters_of(item):
         return ItemResult(requirement, case, episode=episode_of(item))
+    from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.requirements.campaign_judge import judge_campaign
 
     campaign = getattr(item, "funcargs", {}).get("campaign")
@@ -261,9 +326,9 @@ def _undecided_result(
         [],
         planned=context.options.runs or getattr(target, "planned", case.scenario.planned),
         component=getattr(campaign, "component", None),
-    ).to_json()
-    undecided = {"reason": "the test ended without a verdict on it", "check": "", "paired": None}
-    return ItemResult(requirement, case, verdict=verdict | undecided)
+    )
+    undecided = replace(verdict, reason="the test ended without a verdict on it")
+    return ItemResult(requirement, case, verdict=AttemptEntry.of(undecided))
 
 
 def _case_of_result(runner: Callable[[], Runner], item: pytest.Item, name: str) -> Case | None:
@@ -281,21 +346,28 @@ def _case_of_result(runner: Callable[[], Runner], item: pytest.Item, name: str) 
 def outcome_of_test(
     requirement: Requirement,
     requirements: Sequence[Requirement],
+    target: Target,
     episode: JudgedEpisode,
+    *,
     error: BaseException | None,
-    failed: str = "",
-) -> dict[str, Any]:
+    failed: str,
+) -> EpisodeOutcome:
     """Judge a test on an episode: by its outcome, and by the requirement's own check.
 
     Args:
         requirement: What the test decides.
         requirements: Those of the episode's case.
+        target: What the test looks at.
         episode: The episode.
         error: What the test raised, if anything.
         failed: Which of its own assertions failed, of :func:`failed_assertion`; empty if none did.
     """
     from pytest_dura.plugin.observed_episode import observations_of
-    from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, is_unseen_crash
+    from pytest_dura.requirements.episode_verdicts import (
+        EARLY_ENDS,
+        EpisodeVerdict,
+        is_unseen_crash,
+    )
 
     status, detail = status_of_test(episode, error)
     failed = failed if status == "violated" else ""
@@ -308,29 +380,33 @@ def outcome_of_test(
     elif judged is not None and status == "satisfied" and judged.verdict != "satisfied":
         status, detail = judged.verdict, judged.detail
     vacuous = status == "satisfied" and judged is not None and judged.vacuous
-    return {
-        "requirement": requirement.id,
-        "episode": episode.id,
-        "component": episode.spec.component,
-        "verdict": status,
-        "margin": margin,
-        "time": time,
-        "detail": detail,
-        "proposals": episode.metrics.proposals,
-        "valid_proposals": episode.metrics.valid_proposals,
-        "vacuous": vacuous,
-        "idle": list(episode.not_manifested),
-        "without_effect": status == "violated" and episode.validity == "invalid",
-        "ended": episode.termination if episode.termination in EARLY_ENDS else "",
-        "unseen_crash": status != "violated" and is_unseen_crash(episode, requirements),
-        "assertion": {
-            "alone": judged is None,
-            "by_check": judged is not None and judged.verdict == "violated",
-            "observed": observations_of(episode).names,
-            "false": [] if failed else list(observations_of(episode).false),
-            "failed": failed,
-        },
-    }
+    own = EpisodeVerdict(
+        requirement=requirement.id,
+        episode=episode.id,
+        component=episode.spec.component,
+        verdict=status,
+        margin=margin,
+        time=time,
+        detail=detail,
+        proposals=episode.metrics.proposals,
+        valid_proposals=episode.metrics.valid_proposals,
+        vacuous=vacuous,
+        not_manifested=tuple(episode.not_manifested),
+        without_effect=status == "violated" and episode.validity == "invalid",
+        ended=episode.termination if episode.termination in EARLY_ENDS else "",
+        unseen_crash=status != "violated" and is_unseen_crash(episode, requirements),
+    )
+    assertion = Assertions(
+        alone=judged is None,
+        by_check=judged is not None and judged.verdict == "violated",
+        observed=list(observations_of(episode).names),
+        false=[] if failed else list(observations_of(episode).false),
+        failed=failed,
+    )
+    case, planned = target.case.id, target.planned
+    return EpisodeOutcome(
+        own, assertion, case, planned, requirement.at_most, requirement.confidence
+    )
 
 
 def failed_assertion(item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException]) -> str:

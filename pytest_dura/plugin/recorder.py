@@ -514,15 +514,9 @@ class ItemRecorder:
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
             of_case = self._runner().requirements_of(target.case)
-            outcome = outcome_of_test(requirement, of_case, episode, error, failed)
-            if outcome["verdict"] == "violated":
-                self.traces.violated(episode)
-            self._report.outcomes.append(
-                {
-                    **outcome,
-                    "case": target.case.id,
-                    "planned": target.planned,
-                    "at_most": requirement.at_most,
-                    "confidence": requirement.confidence,
-                }
+            outcome = outcome_of_test(
+                requirement, of_case, target, episode, error=error, failed=failed
             )
+            if outcome.judged.verdict == "violated":
+                self.traces.violated(episode)
+            self._report.outcomes.append(outcome.to_json())

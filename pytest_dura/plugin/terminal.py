@@ -26,7 +26,6 @@ from pytest_dura.plugin.terminal_tables import (
     MOST_ROWS,
     WHERE_ALL_ARE,
     WIDTH,
-    Data,
     attack_table,
     case_table,
     effectiveness_lines,
@@ -46,6 +45,8 @@ if TYPE_CHECKING:
 
     from pytest_dura.evidence.baseline import Baseline
     from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.evidence.session_model import ReuseEntry, SearchReuse
+    from pytest_dura.evidence.verdict_model import BaselineEntry, ComparisonEntry
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.language_models import LanguageModels
@@ -58,32 +59,32 @@ _MOST_REASONS = 8
 
 def _reuse_lines(record: SessionRecord) -> Iterator[str]:
     """Count the episodes taken over and simulated, with reasons for repeated ones."""
-    if record["reuse"]["mode"] != "none":
-        yield from _reuse_sentences(record["reuse"], record["totals"]["episodes"], "episode")
+    if record.head.reuse.mode != "none":
+        yield from _reuse_sentences(record.head.reuse, record.head.totals.episodes, "episode")
 
 
 def _searched_lines(record: SessionRecord) -> Iterator[str]:
     """Count the same for searches, and say why something could not be shared."""
-    searched = record["reuse"]["searched"]
-    if searched is not None and searched["simulations"]:
-        yield from _reuse_sentences(searched, searched["simulations"], "run", " of searches")
-    yield from record["reuse"]["problems"]
+    searched = record.head.reuse.searched
+    if searched is not None and searched.simulations:
+        yield from _reuse_sentences(searched, searched.simulations, "run", " of searches")
+    yield from record.head.reuse.problems
 
 
 def _reuse_sentences(
-    reuse: Mapping[str, Any], count: int, noun: str, suffix: str = ""
+    reuse: ReuseEntry | SearchReuse, count: int, noun: str, suffix: str = ""
 ) -> Iterator[str]:
     from pytest_dura.evidence.sessions import outdated_reason
 
-    taken, sessions = reuse["taken_over"], len(reuse["sessions"])
+    taken, sessions = reuse.taken_over, len(reuse.sessions)
     origin = f" from {counted(sessions, 'earlier session')}" if taken else ""
     yield f"{counted(taken, noun)}{suffix} taken over{origin}, {count - taken} simulated"
-    outdated = sorted(reuse["outdated"], key=lambda entry: -entry["episodes"])
+    outdated = sorted(reuse.outdated, key=lambda entry: -entry.episodes)
     for entry in outdated[:_MOST_REASONS]:
-        repeated = f"{counted(entry['episodes'], noun)}{suffix} simulated again"
-        yield f"{repeated}: {outdated_reason(entry['changed'])}"
+        repeated = f"{counted(entry.episodes, noun)}{suffix} simulated again"
+        yield f"{repeated}: {outdated_reason(entry.changed)}"
     if len(outdated) > _MOST_REASONS:
-        rest = sum(entry["episodes"] for entry in outdated[_MOST_REASONS:])
+        rest = sum(entry.episodes for entry in outdated[_MOST_REASONS:])
         yield f"{counted(rest, noun)}{suffix} simulated again for other reasons: see the record"
 
 
@@ -132,22 +133,20 @@ def _baseline_header(baseline: Baseline | None) -> list[str]:
 
 def _show_baseline(terminal: Any, record: SessionRecord) -> None:
     """Show comparisons with violations by their figures, and the others by name."""
-    baseline = record["baseline"]
+    baseline = record.head.baseline
     if baseline is None:
         return
-    comparisons = baseline["comparisons"]
+    comparisons = baseline.comparisons
     terminal.line("")
-    terminal.line(f"baseline {baseline['path']}: {_baseline_summary(baseline)}")
+    terminal.line(f"baseline {baseline.path}: {_baseline_summary(baseline)}")
     shown = [
-        comparison
-        for comparison in comparisons
-        if comparison["test"] is None or _violated(comparison)
+        comparison for comparison in comparisons if comparison.test is None or _violated(comparison)
     ]
     rows = [
         comparison
         for status in (*_BASELINE_COLOURS, _NO_EVIDENCE)
         for comparison in shown
-        if comparison["word"] == status
+        if comparison.word == status
     ]
     if rows:
         table = [_BASELINE_COLUMNS, *map(_baseline_row, rows)]
@@ -159,7 +158,7 @@ def _show_baseline(terminal: Any, record: SessionRecord) -> None:
             lines = [f"{cells}  {about}"] if fits else [cells, f"{'':<{widths[0] + 2}}{about}"]
             for line in lines:
                 terminal.line(
-                    line, **({} if entry is None else _BASELINE_COLOURS.get(entry["word"], {}))
+                    line, **({} if entry is None else _BASELINE_COLOURS.get(entry.word, {}))
                 )
         for line in _BASELINE_LEGEND:
             terminal.line(line)
@@ -172,70 +171,65 @@ def _show_baseline(terminal: Any, record: SessionRecord) -> None:
 _BASELINE_COLUMNS = ("", "now", "then", "p", "Holm", "test")
 
 
-def _baseline_row(comparison: Data) -> Sequence[str]:
-    direction = "worse" if comparison["p_worse"] <= comparison["p_better"] else "better"
-    status = comparison["word"]
+def _baseline_row(comparison: ComparisonEntry) -> Sequence[str]:
+    worse = comparison.p_worse or 0.0, comparison.p_worse_holm
+    better = comparison.p_better or 0.0, comparison.p_better_holm
+    p_value, corrected = worse if worse[0] <= better[0] else better
+    status: str = comparison.word
     if status == _NO_EVIDENCE:
-        status = (
-            "-" if comparison["uncorrected"] == _NO_EVIDENCE else f"({comparison['uncorrected']})"
-        )
+        status = "-" if comparison.uncorrected == _NO_EVIDENCE else f"({comparison.uncorrected})"
     return (
         status,
-        f"{comparison['violations']}/{comparison['episodes']}",
-        f"{comparison['baseline_violations']}/{comparison['baseline_episodes']}",
-        f"{comparison[f'p_{direction}']:.2g}",
-        f"{comparison[f'p_{direction}_holm']:.2g}",
-        comparison["test"],
+        f"{comparison.violations}/{comparison.episodes}",
+        f"{comparison.baseline_violations}/{comparison.baseline_episodes}",
+        f"{p_value:.2g}",
+        f"{corrected:.2g}",
+        str(comparison.test),
     )
 
 
-def _name(comparison: Data) -> str:
-    return f"{name(comparison['requirement'])} on {name(comparison['case'])}"
+def _name(comparison: ComparisonEntry) -> str:
+    return f"{name(comparison.requirement)} on {name(comparison.case)}"
 
 
-def _baseline_summary(baseline: Data) -> str:
-    statuses = [comparison["word"] for comparison in baseline["comparisons"]]
-    compared = sum(comparison["test"] is not None for comparison in baseline["comparisons"])
+def _baseline_summary(baseline: BaselineEntry) -> str:
+    statuses = [comparison.word for comparison in baseline.comparisons]
+    compared = sum(comparison.test is not None for comparison in baseline.comparisons)
     parts = [counted(compared, "comparison")]
     parts += [f"{statuses.count(status)} {status}" for status in ("worse", "better")]
-    if baseline["tests"] != compared:
-        parts.append(f"corrected for {baseline['tests']}")
+    if baseline.tests != compared:
+        parts.append(f"corrected for {baseline.tests}")
     return ", ".join(parts)
 
 
-def _violated(comparison: Data) -> bool:
-    return bool(comparison["violations"] or comparison["baseline_violations"])
+def _violated(comparison: ComparisonEntry) -> bool:
+    return bool(comparison.violations or comparison.baseline_violations)
 
 
-def _unremarkable(comparisons: Sequence[Data]) -> dict[str, list[Data]]:
+def _unremarkable(comparisons: Sequence[ComparisonEntry]) -> dict[str, list[ComparisonEntry]]:
     """Group comparisons without violations, or without a test, by reason."""
-    by_reason: dict[str, list[Data]] = {}
+    by_reason: dict[str, list[ComparisonEntry]] = {}
     for comparison in comparisons:
-        if comparison["test"] is None:
+        if comparison.test is None:
             reason = (
-                f"{comparison['word']}: {comparison['reason']}"
-                if comparison["reason"]
-                else comparison["word"]
+                f"{comparison.word}: {comparison.reason}" if comparison.reason else comparison.word
             )
         elif not _violated(comparison):
-            runs = f"0/{comparison['episodes']} now, 0/{comparison['baseline_episodes']} then"
-            reason = f"{comparison['word']}, violated in {runs}"
+            runs = f"0/{comparison.episodes} now, 0/{comparison.baseline_episodes} then"
+            reason = f"{comparison.word}, violated in {runs}"
         else:
             continue
         by_reason.setdefault(reason, []).append(comparison)
     return by_reason
 
 
-def _requirements_by_case(comparisons: Sequence[Data]) -> str:
+def _requirements_by_case(comparisons: Sequence[ComparisonEntry]) -> str:
     cases: dict[str, list[str]] = {}
     for comparison in comparisons:
-        cases.setdefault(comparison["case"], []).append(comparison["requirement"])
+        cases.setdefault(comparison.case, []).append(comparison.requirement)
     return "; ".join(
         f"{', '.join(map(name, names))} on {name(case)}" for case, names in cases.items()
     )
-
-
-_COUNTED = ("supported", "violated", "undecided", "waived")
 
 
 def header(
@@ -327,15 +321,16 @@ def summary(
         notes: Where episodes were simulated against what an option says.
         shared: What was taken over, and what can be.
     """
-    keys = ("cases", "searches", "baseline", "shard")
-    if not (any(record[key] for key in keys) or any(_searched_lines(record))):
+    head = record.head
+    shown = head.cases or head.searches or head.baseline or head.shard
+    if not shown and not any(_searched_lines(record)):
         return
     terminal.section("dura", "=")
     terminal = SafeTerminal(terminal)
     if not context.active:  # then there was no header
         for line in shared.lines:
             terminal.line(line)
-    if record["cases"]:
+    if record.head.cases:
         _show_cases(context, terminal, record)
     show_verdicts(context, terminal, record)
     show_searches(context, terminal, record)
@@ -350,7 +345,7 @@ def summary(
     terminal.line("")
     if file is not None:
         terminal.line(_gate_line(record))
-        if record["shard"]:
+        if record.head.shard:
             terminal.line("a part of a session: `python -m pytest_dura merge` gates on the whole")
         page = typed_path(_page(file), context.config.invocation_params.dir)
         terminal.line(f"evidence: {page}")
@@ -378,12 +373,18 @@ def _gate_line(record: SessionRecord) -> str:
     from pytest_dura.reports.searches import outcome_counts_text
     from pytest_dura.reports.wording import selection_text, shard_text
 
-    totals = record["totals"]
-    parts = [f"{totals[status]} {status}" for status in _COUNTED if totals[status]]
+    totals = record.head.totals
+    counted_verdicts = {
+        "supported": totals.supported,
+        "violated": totals.violated,
+        "undecided": totals.undecided,
+        "waived": totals.waived,
+    }
+    parts = [f"{count} {status}" for status, count in counted_verdicts.items() if count]
     whose = f"gate of {shard_text(record)}" if shard_text(record) else "gate"
     counts = outcome_counts_text(record)
     text = f"; searches: {counts}" if counts else ""
-    words = [totals["gate"], *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
+    words = [totals.gate, *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
     return f"{whose}: {', '.join(words)}{text}"
 
 
@@ -398,7 +399,7 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
     from pytest_dura.reports.wording import roles_off_lines
 
     terminal.line(
-        f"component under test: {_component_names(record)}, base seed {record['base_seed']}"
+        f"component under test: {_component_names(record)}, base seed {record.head.base_seed}"
     )
     for line in roles_off_lines(record):
         terminal.line(line, yellow=True)
@@ -406,47 +407,47 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
         terminal.line(f"--dura-runs={context.options.runs} replaced the planned number of runs")
     terminal.line("")
     # Runs without a role that serve a comparison are shown in its table.
-    twins = {verdict["pairs"]["case"] for verdict in record["verdicts"] if verdict["pairs"]}
-    shown = [case for case in record["cases"] if not case["without"] or case["id"] not in twins]
+    twins = {verdict.pairs.case for verdict in record.head.verdicts if verdict.pairs}
+    shown = [case for case in record.head.cases if not case.without or case.id not in twins]
     most = None if context.config.option.verbose > 0 else MOST_ROWS
-    listed = worst_cases(shown, record["verdicts"], most=most)
-    overall = record["overall"]
-    for line in case_table(listed, overall, record["measures"]):
+    listed = worst_cases(shown, record.head.verdicts, most=most)
+    overall = record.head.overall
+    for line in case_table(listed, overall, record.head.measures):
         terminal.line(line)
     if len(listed) < len(shown):
         text = "those with the worst verdicts are shown"
         terminal.line(
             f"and {counted(len(shown) - len(listed), 'case')} more: {text}; {WHERE_ALL_ARE}"
         )
-    hidden = {case["id"] for case in shown}.difference(case["id"] for case in listed)
-    verdicts = [verdict for verdict in record["verdicts"] if verdict["case"] not in hidden]
-    ended_early = sum(case["metrics"]["ended_early"] for case in record["cases"])
+    hidden = {case.id for case in shown}.difference(case.id for case in listed)
+    verdicts = [verdict for verdict in record.head.verdicts if verdict.case not in hidden]
+    ended_early = sum(case.metrics.ended_early for case in record.head.cases)
     if ended_early:
         text = "ended early, once all was decided; figures are up to then"
         terminal.line(f"{counted(ended_early, 'episode')} {text}")
     for line in _reuse_lines(record):
         terminal.line(line)
-    by_hand = sum(not episode["planned"] for episode in record.episodes())
+    by_hand = sum(not episode.planned for episode in record.episodes())
     if by_hand:
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
     for lines in (
         failure_mode_table(shown, by_case=context.config.option.verbose > 0),
         reliance_table(listed, overall),
         fault_table(listed),
-        attack_table(verdicts, record["cases"]),
+        attack_table(verdicts, record.head.cases),
         [
-            *pair_table(verdicts, record["cases"]),
-            *effectiveness_lines(record["effectiveness"], RECOVERY_ROLE),
+            *pair_table(verdicts, record.head.cases),
+            *effectiveness_lines(record.head.effectiveness, RECOVERY_ROLE),
         ],
         [
             *monitor_table(
                 [
                     monitor
-                    for monitor in record["monitors"]
-                    if monitor["case"].partition("~")[0] not in hidden
+                    for monitor in record.head.monitors
+                    if monitor.case.partition("~")[0] not in hidden
                 ]
             ),
-            *effectiveness_lines(record["effectiveness"]),
+            *effectiveness_lines(record.head.effectiveness),
         ],
     ):
         for line in lines and ["", *lines]:
@@ -454,7 +455,6 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
 
 
 def _component_names(record: SessionRecord) -> str:
-    names = sorted({case["component"] for case in record["cases"]})
-    under_test = record["component_under_test"]
-    opaque = " (a bare instance, in this process only)" if under_test.get("opaque") else ""
-    return ", ".join(names) + opaque
+    names = sorted({case.component for case in record.head.cases})
+    opaque = record.head.component_under_test.opaque
+    return ", ".join(names) + (" (a bare instance, in this process only)" if opaque else "")

@@ -13,7 +13,6 @@ from pytest_dura.plugin.terminal_tables import (
     VERDICT_RANK,
     WHERE_ALL_ARE,
     WIDTH,
-    Data,
     aligned,
     chain_line,
     keep_worst,
@@ -37,7 +36,10 @@ from pytest_dura.reports.wording import event_text
 from pytest_dura.requirements.campaign_verdicts import violation_text
 
 if TYPE_CHECKING:
+    from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
+    from pytest_dura.evidence.verdict_model import VerdictEntry
     from pytest_dura.plugin.context import SessionContext
 
 
@@ -54,19 +56,17 @@ _VERDICT_COLOURS = {
 
 def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
     """Show every verdict with its figures, then each failure with what helps to mend it."""
-    verdicts = record["verdicts"]
+    verdicts = record.head.verdicts
     if not verdicts:
         return
     terminal.line("")
     most = None if context.config.option.verbose > 0 else MOST_ROWS
-    shown = keep_worst(
-        verdicts, [VERDICT_RANK[verdict["verdict"]] for verdict in verdicts], most=most
-    )
+    shown = keep_worst(verdicts, [VERDICT_RANK[verdict.verdict] for verdict in verdicts], most=most)
     shown_ids = {id(verdict) for verdict in shown}
-    by_heading: dict[tuple[str, ...], list[Data]] = {}
+    by_heading: dict[tuple[str, ...], list[VerdictEntry]] = {}
     for verdict in shown:
         heading = (
-            verdict["verdict"],
+            verdict.verdict,
             _where(verdict),
             figures_text(verdict),
             *reading_sentences(verdict),
@@ -75,27 +75,25 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
     for heading, group in by_heading.items():
         _show_alike(terminal, heading, group)
     for line in left_out_lines(
-        verdict["verdict"] for verdict in verdicts if id(verdict) not in shown_ids
+        verdict.verdict for verdict in verdicts if id(verdict) not in shown_ids
     ):
         terminal.line(line)
     terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
-    failures: dict[tuple[str, ...], list[Data]] = {}
+    failures: dict[tuple[str, ...], list[VerdictEntry]] = {}
     for verdict in shown:
-        if verdict["verdict"] != "supported":
+        if verdict.verdict != "supported":
             # What is undecided for one reason is shown once for all requirements of a case.
-            cause = verdict["reason"], (verdict["spoilt"] or {}).get("detail", "")
-            own_key = (verdict["requirement"],) if verdict["verdict"] == "violated" else cause
-            failures.setdefault((verdict["case"], verdict["component"], *own_key), []).append(
-                verdict
-            )
+            cause = verdict.reason, verdict.spoilt.detail if verdict.spoilt else ""
+            own_key = (verdict.requirement,) if verdict.verdict == "violated" else cause
+            failures.setdefault((verdict.case, verdict.component, *own_key), []).append(verdict)
     episodes = _shown_episodes(record, [group[0] for group in failures.values()])
-    checks = {requirement["id"]: requirement["check"] for requirement in record["requirements"]}
+    checks = {requirement.id: requirement.check for requirement in record.head.requirements}
     for group in failures.values():
-        check = str(group[0]["check"] or checks.get(group[0]["requirement"], ""))
+        check = str(group[0].check or checks.get(group[0].requirement, ""))
         _show_failure(context, terminal, check, group, episodes)
 
 
-def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[Data]) -> None:
+def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[VerdictEntry]) -> None:
     """Show verdicts of a case that differ by requirement and margin alone."""
     status, where, counts, *rests_on = heading
     terminal.write(f"{status:<9}", **_VERDICT_COLOURS[status])
@@ -109,50 +107,48 @@ def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[Data
             terminal.line(f"{'':<11}{line}")
 
 
-def _with_margin(verdict: Data) -> str:
+def _with_margin(verdict: VerdictEntry) -> str:
     """Write the requirement with its least margin and its vacuous episodes."""
-    parts = [] if verdict["margin"] is None else [f"{verdict['margin']:.3g}"]
-    if verdict["vacuous"]:
-        parts.append(f"{verdict['vacuous']} vacuous")
-    requirement = name(verdict["requirement"])
+    parts = [] if verdict.margin is None else [f"{verdict.margin:.3g}"]
+    if verdict.vacuous:
+        parts.append(f"{verdict.vacuous} vacuous")
+    requirement = name(verdict.requirement)
     if not parts:
         return requirement
     return f"{requirement}{_NO_BREAK}({f',{_NO_BREAK}'.join(parts)})".replace(" ", _NO_BREAK)
 
 
-def _where(verdict: Data) -> str:
-    return f"{name(verdict['case'])} ({name(verdict['component'])})"
+def _where(verdict: VerdictEntry) -> str:
+    return f"{name(verdict.case)} ({name(verdict.component)})"
 
 
 def _show_failure(
     context: SessionContext,
     terminal: Any,
     check: str,
-    verdicts: Sequence[Data],
-    episodes: Mapping[tuple[str, str], Data],
+    verdicts: Sequence[VerdictEntry],
+    episodes: Mapping[tuple[str, str], EpisodeEntry],
 ) -> None:
     first = verdicts[0]
-    names = ", ".join(dict.fromkeys(name(verdict["requirement"]) for verdict in verdicts))
+    names = ", ".join(dict.fromkeys(name(verdict.requirement) for verdict in verdicts))
     terminal.line("")
     terminal.line(
-        f"{first['verdict']}: {names} on {_where(first)}",
-        **_VERDICT_COLOURS[first["verdict"]],
+        f"{first.verdict}: {names} on {_where(first)}",
+        **_VERDICT_COLOURS[first.verdict],
     )
-    for line in textwrap.wrap(one_line(first["reason"], LONGEST_TEXT), WIDTH - 2):
+    for line in textwrap.wrap(one_line(first.reason, LONGEST_TEXT), WIDTH - 2):
         terminal.line(f"  {line}")
-    assertion = first["assertion"] or {"failed": [], "by_check": 0}
-    for line in assertion_sentences(first)[: len(assertion["failed"][:1])]:
+    failed = first.assertion is not None and bool(first.assertion.failed)
+    for line in assertion_sentences(first)[: int(failed)]:
         terminal.line(f"  {one_line(line, LONGEST_TEXT)}")
     # Where the check held, what failed is an assertion of the test.
-    check_held = assertion["failed"] and not assertion["by_check"]
-    if check and len(verdicts) == 1 and check != first["requirement"] and not check_held:
+    check_held = failed and not (first.assertion and first.assertion.by_check)
+    if check and len(verdicts) == 1 and check != first.requirement and not check_held:
         terminal.line(f"  check:  {check}")
     _show_episode(context, terminal, first, episodes)
-    items = list(
-        dict.fromkeys(item for verdict in verdicts for item in verdict["item"].split(", "))
-    )
-    if len(items) > 1 and all(item.startswith(f"{first['case']}::") for item in items):
-        items = [first["case"]]
+    items = list(dict.fromkeys(item for verdict in verdicts for item in verdict.item.split(", ")))
+    if len(items) > 1 and all(item.startswith(f"{first.case}::") for item in items):
+        items = [first.case]
     for item in items:
         terminal.line(f"  rerun:  {rerun_command(context, item)}")
 
@@ -160,31 +156,30 @@ def _show_failure(
 def _show_episode(
     context: SessionContext,
     terminal: Any,
-    verdict: Data,
-    episodes: Mapping[tuple[str, str], Data],
+    verdict: VerdictEntry,
+    episodes: Mapping[tuple[str, str], EpisodeEntry],
 ) -> None:
     """Show the worst episode, or one that did not count, and how to replay it."""
     shown_id = _shown_episode_id(verdict)
     if shown_id is None:
         return
-    episode = episodes.get((shown_id, verdict["component"]), {"faults": [], "events": []})
-    if verdict["counterexamples"]:
-        worst = verdict["counterexamples"][0]
-        when = violation_text(worst["time"], worst["margin"])
-        terminal.line(f"  worst:  {worst['episode']}{when}")
-        if not worst["valid"]:
-            terminal.line(f"  invalid: {episode.get('invalid_reason')}")
+    episode = episodes.get((shown_id, verdict.component))
+    if verdict.counterexamples:
+        worst = verdict.counterexamples[0]
+        when = violation_text(worst.time, worst.margin)
+        terminal.line(f"  worst:  {worst.episode}{when}")
+        if not worst.valid:
+            terminal.line(f"  invalid: {episode and episode.invalid_reason}")
         # Events that ended the episode early, if any did.
-        for event in episode["events"]:
-            if event["kind"] == "critical":
+        for event in episode.events if episode else ():
+            if event.kind == "critical":
                 terminal.line(f"  event:  {event_text(event)}")
-    else:
-        detail = str(verdict["spoilt"]["detail"])
-        status = verdict["spoilt"]["verdict"]
+    elif verdict.spoilt:
+        status, detail = verdict.spoilt.verdict, verdict.spoilt.detail
         if status != "missing" and not detail.startswith(f"{status}: "):
             detail = f"{status}: {detail}"
         terminal.line(f"  {detail}")
-    for fault in episode["faults"]:
+    for fault in episode.faults if episode else ():
         chain = one_line(chain_line(fault), LONGEST_TEXT)
         first, *rest = textwrap.wrap(chain, WIDTH - 12, break_on_hyphens=False)
         terminal.line(f"  fault:  {first}")
@@ -193,24 +188,26 @@ def _show_episode(
     terminal.line(f"  replay: {replay_command(context, shown_id)}")
 
 
-def _shown_episode_id(verdict: Data) -> str | None:
+def _shown_episode_id(verdict: VerdictEntry) -> str | None:
     """Return the id of the episode that stands for a verdict that is not "supported"."""
-    if verdict["counterexamples"]:
-        return str(verdict["counterexamples"][0]["episode"])
-    return None if verdict["spoilt"] is None else str(verdict["spoilt"]["episode"])
+    if verdict.counterexamples:
+        return verdict.counterexamples[0].episode
+    return None if verdict.spoilt is None else verdict.spoilt.episode
 
 
-def _shown_episodes(record: SessionRecord, verdicts: Iterable[Data]) -> dict[tuple[str, str], Data]:
+def _shown_episodes(
+    record: SessionRecord, verdicts: Iterable[VerdictEntry]
+) -> dict[tuple[str, str], EpisodeEntry]:
     """Return the episodes that stand for verdicts, by id and component, planned ones first.
 
     The record is read once, since it may have a great many.
     """
-    named = [(_shown_episode_id(verdict), verdict["component"]) for verdict in verdicts]
+    named = [(_shown_episode_id(verdict), verdict.component) for verdict in verdicts]
     keys = {(shown_id, component) for shown_id, component in named if shown_id is not None}
-    episodes: dict[tuple[str, str], Data] = {}
+    episodes: dict[tuple[str, str], EpisodeEntry] = {}
     for episode in record.episodes() if keys else ():
-        key = episode["id"], episode["component"]
-        if key in keys and (key not in episodes or episode["planned"] > episodes[key]["planned"]):
+        key = episode.id, episode.component
+        if key in keys and (key not in episodes or episode.planned > episodes[key].planned):
             episodes[key] = episode
     return episodes
 
@@ -228,12 +225,12 @@ _SEARCH_COLOURS: Mapping[str, dict[str, bool]] = {
 
 def show_searches(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
     """Show every search, with the outcome for each of its requirements."""
-    searches = record["searches"]
+    searches = record.head.searches
     if not searches:
         return
     most = None if context.config.option.verbose > 0 else MOST_ROWS
     ranks = [
-        min(outcome_rank(search, outcome) for outcome in search["outcomes"]) for search in searches
+        min(outcome_rank(search, outcome) for outcome in search.outcomes) for search in searches
     ]
     shown = keep_worst(searches, ranks, most=most)
     for search in shown:
@@ -247,17 +244,19 @@ def show_searches(context: SessionContext, terminal: Any, record: SessionRecord)
         terminal.line(line)
 
 
-def _show_search(context: SessionContext, terminal: Any, search: Data) -> None:
-    waiver = f" [{search['waiver']['kind']}]" if search["waiver"] else ""
-    terminal.line(f"search     {name(search['case'])} ({name(search['component'])}){waiver}")
-    for line in _wrapped(f"{simulations_text(search)}; seed {search['seed']}", 11):
+def _show_search(context: SessionContext, terminal: Any, search: SearchEntry) -> None:
+    waiver = f" [{search.waiver.kind}]" if search.waiver else ""
+    terminal.line(f"search     {name(search.case)} ({name(search.component)}){waiver}")
+    for line in _wrapped(f"{simulations_text(search)}; seed {search.seed}", 11):
         terminal.line(line)
-    for outcome in search["outcomes"]:
+    for outcome in search.outcomes:
         _show_outcome(context, terminal, search, outcome)
 
 
-def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome: Data) -> None:
-    status, requirement = outcome["word"], outcome["requirement"]
+def _show_outcome(
+    context: SessionContext, terminal: Any, search: SearchEntry, outcome: SearchOutcomeEntry
+) -> None:
+    status, requirement = outcome.word, outcome.requirement
     head = outcome_headline(search, outcome)
     for line in textwrap.wrap(head, _SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
         terminal.line(line, **_SEARCH_COLOURS.get(status, {}))
@@ -273,8 +272,8 @@ def _show_outcome(context: SessionContext, terminal: Any, search: Data, outcome:
     if kept:
         terminal.line(f"  kept:     {kept}")
     if status != "nothing found":
-        to_rerun = outcome["counterexample"]["name"] if kept else search["item"]
-        terminal.line(f"  rerun:    {rerun_command(context, to_rerun)}")
+        kept_name = outcome.counterexample.name if kept and outcome.counterexample else None
+        terminal.line(f"  rerun:    {rerun_command(context, kept_name or search.item)}")
 
 
 def _entry(what: str, text: str) -> Iterator[str]:
@@ -291,7 +290,7 @@ def _wrapped(text: str, indent: int) -> list[str]:
     return textwrap.wrap(text, _SEARCH_WIDTH, initial_indent=space, subsequent_indent=space)
 
 
-def _searcher_table(search: Data, requirement: str) -> Iterator[str]:
+def _searcher_table(search: SearchEntry, requirement: str) -> Iterator[str]:
     """Write the searchers, and below them each trivial baseline by itself."""
     searchers = list(searcher_rows(search, requirement, "searchers"))
     baselines = list(searcher_rows(search, requirement, "baselines"))

@@ -3,7 +3,9 @@ from __future__ import annotations
 import re
 
 import pytest
+from entries import make
 
+from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.plugin.terminal_tables import case_table
 
 
@@ -99,7 +101,7 @@ def test_a_domain_without_measures_has_no_columns_of_them():
         "measures": {}, "recoveries": 0, "alerts": 4,
         "user": {"warmth": {"mean": 21.5, "runs": 2}},
     }  # fmt: skip
-    _, row, *_ = case_table([{"id": "room", "component": "Heater", "metrics": nothing}])
+    _, row, *_ = case_table([make(CaseEntry, id="room", component="Heater", metrics=nothing)])
     assert row.split() == [
         "room",
         "2",

@@ -9,7 +9,8 @@ from entries import make
 
 from pytest_dura.core import FaultRecord
 from pytest_dura.evidence import UNTRACED_FAULT
-from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.case_model import CaseEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry, FaultEntry
 from pytest_dura.evidence.metrics import FaultMetrics, with_chains
 from pytest_dura.plugin.terminal_tables import chain_line, fault_table
 
@@ -19,6 +20,10 @@ def fault_metrics(episodes):
     for one in episodes:
         metrics.add(make(EpisodeEntry, **one))
     return metrics.to_json()
+
+
+def road_free(faults):
+    return make(CaseEntry, id="road/free", component="C", metrics={"faults": faults})
 
 
 def told(**fields: Any) -> dict[str, Any]:
@@ -91,12 +96,12 @@ def test_what_no_verdict_followed_is_unknown() -> None:
 
 
 def test_the_table_shows_a_dash_for_what_is_not_known() -> None:
-    case = {"id": "road/free", "component": "C", "metrics": {"faults": [metrics(UNKNOWN)]}}
+    case = road_free([metrics(UNKNOWN)])
     row = fault_table([case])[1].removeprefix("f on road/free").split()
     assert row == ["1", "1", "1", "-", "0", "-", "0", "-", "0"]
-    part = {"id": "road/free", "component": "C", "metrics": {"faults": [metrics(UNKNOWN, SPREAD)]}}
+    part = road_free([metrics(UNKNOWN, SPREAD)])
     assert fault_table([part])[1].removeprefix("f on road/free").split()[3] == "1/1"
-    assert fault_table([{"id": "road/free", "component": "C", "metrics": {"faults": []}}]) == []
+    assert fault_table([road_free([])]) == []
 
 
 def test_a_violation_that_nobody_asked_for_is_no_zero() -> None:
@@ -106,7 +111,7 @@ def test_a_violation_that_nobody_asked_for_is_no_zero() -> None:
     assert metrics(unasked, SPREAD, CONTAINED)["judged"] == 2
 
     def last(*faults: dict[str, Any]) -> str:
-        case = {"id": "road/free", "component": "C", "metrics": {"faults": [metrics(*faults)]}}
+        case = road_free([metrics(*faults)])
         return fault_table([case])[1].split()[-1]
 
     assert [last(unasked), last(missing), last(CONTAINED)] == ["-", "-", "0"]
@@ -117,17 +122,19 @@ def test_what_is_violated_without_the_fault_as_well_is_not_its_doing() -> None:
     shared = {**SPREAD, "outcome": "violated also without it"}
     found = metrics(shared, SPREAD, CONTAINED)
     assert (found["judged"], found["violated"], found["violated_without"]) == (3, 1, 1)
-    case = {"id": "road/free", "component": "C", "metrics": {"faults": [found]}}
+    case = road_free([found])
     assert fault_table([case])[1].split()[-1] == "1+1"
-    case = {"id": "road/free", "component": "C", "metrics": {"faults": [metrics(shared)]}}
+    case = road_free([metrics(shared)])
     assert fault_table([case])[1].split()[-1] == "0+1"
-    assert chain_line(shared).endswith("recovered 2.30, violated also without it")
+    assert chain_line(make(FaultEntry, **shared)).endswith(
+        "recovered 2.30, violated also without it"
+    )
 
 
 def test_the_chain_in_words() -> None:
     fault = {**SPREAD, "detected_by": "security_assessor", "pattern": "p", "recovery": "brake"}
-    assert chain_line(fault) == (
+    assert chain_line(make(FaultEntry, **fault)) == (
         "f: activated 1.00, manifested 1.00, propagated 1.20, "
         "detected 1.50 (security_assessor: p), recovery 2.00 (brake), recovered 2.30, violated"
     )
-    assert chain_line(IDLE) == "f: never active"
+    assert chain_line(make(FaultEntry, **IDLE)) == "f: never active"

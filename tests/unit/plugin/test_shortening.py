@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from entries import make
+
+from pytest_dura.evidence.case_model import CaseEntry
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.plugin.terminal_tables import (
     WHERE_ALL_ARE,
     keep_worst,
@@ -11,7 +15,7 @@ from pytest_dura.plugin.terminal_tables import (
 
 
 def verdict(case, word, pairs=None):
-    return {"case": case, "component": "C", "verdict": word, "pairs": pairs}
+    return make(VerdictEntry, case=case, component="C", verdict=word, pairs=pairs)
 
 
 def test_the_worst_stay_in_their_own_order():
@@ -22,13 +26,13 @@ def test_the_worst_stay_in_their_own_order():
 
 
 def test_no_case_with_a_violation_gives_way_to_one_without():
-    cases = [{"id": f"a/{n}", "component": "C"} for n in range(8)]
+    cases = [make(CaseEntry, id=f"a/{n}", component="C") for n in range(8)]
     verdicts = [verdict(f"a/{n}", "supported") for n in range(5)]
     verdicts += [verdict("a/1", "undecided"), verdict("a/6", "violated")]
     verdicts += [verdict("a/4", "violated", {"case": "a/7"})]
-    shown = [one["id"] for one in worst_cases(cases, verdicts, most=4)]
+    shown = [one.id for one in worst_cases(cases, verdicts, most=4)]
     assert shown == ["a/1", "a/4", "a/6", "a/7"]
-    assert [one["id"] for one in worst_cases(cases, verdicts, most=5)] == ["a/0", *shown]
+    assert [one.id for one in worst_cases(cases, verdicts, most=5)] == ["a/0", *shown]
 
 
 def test_what_is_left_out_is_counted_by_its_word():

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from pytest_dura.evidence.verify_verdicts import pair_problems
+from entries import make
+
+from pytest_dura.evidence.case_model import CaseEntry, OverallEntry
+from pytest_dura.evidence.verdict_model import EffectivenessEntry, VerdictEntry
 from pytest_dura.plugin.terminal_tables import (
     case_table,
     effectiveness_lines,
@@ -32,19 +35,19 @@ def metrics(**changes: Any) -> dict[str, Any]:
     } | changes  # fmt: skip
 
 
-def case(name: str, component: str = "C", **changes: Any) -> dict[str, Any]:
-    return {"id": name, "component": component, "metrics": metrics(**changes)}
+def case(name: str, component: str = "C", **changes: Any) -> CaseEntry:
+    return make(CaseEntry, id=name, component=component, metrics=metrics(**changes))
 
 
-def overall(cases: int, component: str = "C", **changes: Any) -> dict[str, Any]:
-    return {"component": component, "cases": cases, "metrics": metrics(**changes)}
+def overall(cases: int, component: str = "C", **changes: Any) -> OverallEntry:
+    return make(OverallEntry, component=component, cases=cases, metrics=metrics(**changes))
 
 
 def cells(line: str) -> list[str]:
     return line.split()
 
 
-def verdict(name: str, *cells: int) -> dict[str, Any]:
+def verdict(name: str, *cells: int) -> VerdictEntry:
     prevented, introduced, futile, unnecessary, neither = cells
     counts = PairCounts(
         pairs=sum(cells), only_with=introduced, only_without=prevented, both=futile,
@@ -53,10 +56,9 @@ def verdict(name: str, *cells: int) -> dict[str, Any]:
         violated_with=introduced + futile, violated_without=prevented + futile, p_value=1.0,
     )  # fmt: skip
     pairs = {"without": "recovery_planner", "case": f"{name}~recovery_planner", **counts.to_json()}
-    return {
-        "requirement": "R", "case": name, "component": "C", "method": "every episode", "run": 0,
-        "pairs": pairs,
-    }  # fmt: skip
+    return make(
+        VerdictEntry, requirement="R", case=name, component="C", method="every episode", pairs=pairs
+    )
 
 
 def test_a_last_row_is_over_all_cases_where_there_are_several() -> None:
@@ -106,20 +108,9 @@ def test_pairs_have_one_rate_of_success_each_and_together() -> None:
     assert " ".join(together.split()) == "R overall 11 3 1 1 2 75 (4) - - -"
 
 
-def test_a_rate_of_success_that_its_table_does_not_give_is_no_evidence() -> None:
-    one = verdict("a/b", 3, 0, 1, 0, 4)
-    one["run"] = 8
-    one["pairs"]["p_value"] = 0.25
-    assert list(pair_problems(one, None)) == []
-    one["pairs"]["success_rate"] = 1.0
-    assert list(pair_problems(one, None)) == [
-        "the rate of success is 1.0, and its table gives 0.75"
-    ]
-
-
 def test_sentences_on_recovery_and_on_monitors_are_told_apart_and_wrapped() -> None:
     found = [
-        {"role": role, "component": "C", "detail": "cannot be told here " * 8}
+        make(EffectivenessEntry, role=role, component="C", detail="cannot be told here " * 8)
         for role in ("recovery_planner", "watch")
     ]
     recovery = effectiveness_lines(found, "recovery_planner")
