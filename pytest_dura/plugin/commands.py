@@ -608,6 +608,7 @@ def _write_reduced(
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.episodes import episode_record
     from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text, write_file
+    from pytest_dura.evidence.metrics import with_chains
     from pytest_dura.evidence.model import SessionRecord
 
     episode = reduction.episode
@@ -616,7 +617,8 @@ def _write_reduced(
     (original,) = [case for case in record.head.cases if (case.id, case.component) == key]
     faults = [dict(fault) for fault in episode.spec.faults]
     case = original.replace(id=episode.spec.case, planned=1, faults=faults)
-    entry = EpisodeEntry.model_validate(episode_record(episode, planned=True))
+    untraced = with_chains(episode_record(episode, planned=True), {})
+    entry = EpisodeEntry.model_validate(untraced)
     head = record.head.replace(
         cases=[case],
         measures=episode.described_measures,

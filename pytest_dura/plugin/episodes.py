@@ -367,7 +367,7 @@ class SharedEpisodes:
             written: Whether all of its evidence could be written.
         """
         shutil.rmtree(self._repetition_marks, ignore_errors=True)
-        lost = self._lost or self._lost_here or record.head.totals["missing"]
+        lost = self._lost or self._lost_here or record.head.totals.missing
         self.is_whole = written and record.head.status == "complete" and not lost
         if self.context.options.reuse is not None:
             return
