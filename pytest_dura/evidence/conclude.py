@@ -26,6 +26,7 @@ from pytest_dura.evidence.metrics import (
 )
 from pytest_dura.evidence.model import SessionRecord, Totals
 from pytest_dura.evidence.redaction import count_redactions
+from pytest_dura.evidence.session_model import InputEntry
 from pytest_dura.evidence.sessions import origin_counts
 from pytest_dura.evidence.verdict_model import MonitorEntry, PairsEntry, VerdictEntry
 
@@ -559,7 +560,7 @@ def conclude_record(
     *,
     finished: str | None,
     gate: JsonObject,
-    inputs: Sequence[JsonObject],
+    inputs: Sequence[InputEntry | JsonObject],
     wall_seconds: float,
     evidence_seconds: float,
     redact: Callable[[Any], Any],

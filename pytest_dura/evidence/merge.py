@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.baseline import Baseline, regression_objections
@@ -33,7 +33,7 @@ from pytest_dura.evidence.merge_checks import (
 from pytest_dura.evidence.metrics import UNTRACED_FAULT
 from pytest_dura.evidence.model import SessionRecord, Totals, components_under_test
 from pytest_dura.evidence.search_model import SearchEntry
-from pytest_dura.evidence.session_model import LanguageModelEntry, MergedShard, ShardEntry
+from pytest_dura.evidence.session_model import LanguageModelEntry, MergedShard
 from pytest_dura.evidence.sessions import merged_reuse
 from pytest_dura.evidence.traces import is_trace_path
 from pytest_dura.evidence.verdict_model import VerdictEntry
@@ -85,7 +85,7 @@ def _merged_second_engine(parts: Sequence[ShardBundle]) -> dict[str, Any]:
 
 
 def _shard_summary(part: ShardBundle) -> MergedShard:
-    head, shard = part.record.head, cast("ShardEntry", part.shard)
+    head, shard = part.record.head, part.shard
     return MergedShard.model_validate(
         {
             "index": part.index,

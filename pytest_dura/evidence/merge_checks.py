@@ -15,15 +15,16 @@ from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError, shorten
 from pytest_dura.evidence.bundle import RECORD_FILE, read_session_record
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.gather import question_key
 from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.session_model import ShardEntry, ToolEntry
 from pytest_dura.evidence.sessions import ShardUnit, plan_digest
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.verify import verify_bundle
 from pytest_dura.provenance import describe_tool
 
-Data = Mapping[str, Any]
 _MAX_PROBLEM_TEXT = 300
 """Greatest number of characters that are quoted from a damaged bundle."""
 
@@ -46,25 +47,26 @@ class ShardBundle:
         return str(self.record.directory / RECORD_FILE)
 
     @property
-    def shard(self) -> Data:
+    def shard(self) -> ShardEntry:
         """Entry ``shard`` of its record."""
-        shard: Data = self.record["shard"]
+        shard = self.record.head.shard
+        assert shard is not None  # as :func:`read_parts` has checked
         return shard
 
     @property
     def index(self) -> int:
         """Number of the shard, from 1."""
-        return int(self.shard["index"])
+        return self.shard.index
 
     @property
     def units(self) -> list[ShardUnit]:
         """Units that it holds."""
-        return [ShardUnit.from_json(hold) for hold in self.shard["holds"]]
+        return [ShardUnit.from_json(hold.to_json()) for hold in self.shard.holds]
 
     @property
     def name(self) -> str:
         """Name such as ``shard 2 of 5``."""
-        return f"shard {self.index} of {self.shard['count']}"
+        return f"shard {self.index} of {self.shard.count}"
 
 
 def read_parts(directories: Iterable[Path]) -> list[ShardBundle]:
@@ -94,8 +96,8 @@ def _read_part(directory: Path) -> ShardBundle:
             "shard again",
         )
     record = read_session_record(directory)
-    if record["shard"] is None:
-        merged = record["merged_from"] is not None
+    if record.head.shard is None:
+        merged = record.head.merged_from is not None
         raise ConfigurationError(
             "this bundle is merged already"
             if merged
@@ -107,7 +109,7 @@ def _read_part(directory: Path) -> ShardBundle:
             expected="the bundle of a session with --dura-shard=K/N",
             remedy="name the bundles of all shards" if merged else "run it with --dura-shard",
         )
-    if record["shard"]["plan"] is None:
+    if record.head.shard.plan is None:
         raise ConfigurationError(
             "nobody told what this shard holds: all of its workers died",
             file=file,
@@ -137,13 +139,14 @@ def check_complete(parts: Sequence[ShardBundle]) -> None:
             ("plan", "it is part of another session: what is to be run as a whole differs"),
             ("units", "it is part of another session: what is to be run as a whole differs"),
         ):
-            if other.shard[key] != first.shard[key]:
+            found, expected = getattr(other.shard, key), getattr(first.shard, key)
+            if found != expected:
                 raise ConfigurationError(
                     why,
                     file=other.file,
                     key=f"shard.{key}",
-                    found=other.shard[key],
-                    expected=f"{first.shard[key]!r}, as in {first.file}",
+                    found=found,
+                    expected=f"{expected!r}, as in {first.file}",
                     remedy="run all shards of one commit with the same arguments; selections such "
                     "as -k, -m and --lf have to be the same, too",
                 )
@@ -162,7 +165,7 @@ def _check_numbers(parts: Sequence[ShardBundle]) -> None:
                 expected=f"another shard than that of {part.file}",
                 remedy="name each shard's bundle once",
             )
-    count = parts[0].shard["count"]
+    count = parts[0].shard.count
     indices = {part.index for part in parts}
     # A damaged record may name any number of shards.
     absent = (index for index in range(1, count + 1) if index not in indices)
@@ -197,13 +200,13 @@ def _check_units(parts: Sequence[ShardBundle]) -> None:
                 )
             holder[unit.key] = part
     digest = plan_digest(unit for part in parts for unit in part.units)
-    if digest != parts[0].shard["plan"]:
+    if digest != parts[0].shard.plan:
         raise ConfigurationError(
             "the shards together do not hold what the whole session was to run",
             file=parts[0].file,
             key="shard.plan",
             found=f"{len(holder)} units with the digest {digest}",
-            expected=f"{parts[0].shard['units']} units with the digest {parts[0].shard['plan']}",
+            expected=f"{parts[0].shard.units} units with the digest {parts[0].shard.plan}",
             remedy="a record was changed, or written by another version; run the shards again",
         )
 
@@ -237,7 +240,8 @@ def check_consistent(parts: Sequence[ShardBundle]) -> None:
     for values_of, remedy in _COMPARED_VALUES:
         known: dict[str, tuple[Any, ShardBundle]] = {}
         for part in parts:
-            for key, value in values_of(part.record):
+            for key, entry in values_of(part.record):
+                value = plain_data(entry)
                 before, first = known.setdefault(key, (value, part))
                 if before != value:
                     place, first_value, other_value = _first_difference(key, before, value)
@@ -260,8 +264,8 @@ def _check_configuration_files(parts: Sequence[ShardBundle]) -> None:
         for key in _configuration_files(part):
             known.setdefault(key, part)
     for part in parts:
-        inputs = part.record["inputs"]
-        tests = [PurePosixPath(entry["path"]) for entry in inputs if entry["kind"] == "test"]
+        inputs = part.record.head.inputs
+        tests = [PurePosixPath(entry.path) for entry in inputs if entry.kind == "test"]
         for kind, path in sorted(known.keys() - _configuration_files(part)):
             folder = PurePosixPath(path).parent
             used = any(folder in test.parents for test in tests)
@@ -279,19 +283,17 @@ def _check_configuration_files(parts: Sequence[ShardBundle]) -> None:
 
 def _configuration_files(part: ShardBundle) -> set[tuple[str, str]]:
     kinds = ("conftest", "configuration")
-    return {
-        (entry["kind"], entry["path"]) for entry in part.record["inputs"] if entry["kind"] in kinds
-    }
+    return {(entry.kind, entry.path) for entry in part.record.head.inputs if entry.kind in kinds}
 
 
 def _simulated(part: ShardBundle) -> bool:
-    return bool(part.record["totals"]["episodes"])
+    return bool(part.record.head.totals.episodes)
 
 
 def _check_verdicts(parts: Sequence[ShardBundle]) -> None:
     searched: dict[str, ShardBundle] = {}
     for part in parts:
-        for item in {search["item"] for search in part.record["searches"]}:
+        for item in {search.item for search in part.record.head.searches}:
             first = searched.setdefault(item, part)
             if first is not part:
                 raise ConfigurationError(
@@ -304,28 +306,28 @@ def _check_verdicts(parts: Sequence[ShardBundle]) -> None:
                 )
     judged: dict[tuple[str, ...], ShardBundle] = {}
     for part in parts:
-        for verdict in part.record["verdicts"]:
-            first = judged.setdefault(question_key(verdict["item"], verdict), part)
+        for verdict in part.record.head.verdicts:
+            first = judged.setdefault(question_key(verdict.item, verdict), part)
             if first is not part:
                 raise ConfigurationError(
                     "two shards judged the same, and it would count twice",
                     file=part.file,
                     key="verdicts",
-                    found=f"{verdict['requirement']} on {verdict['case']}",
+                    found=f"{verdict.requirement} on {verdict.case}",
                     expected=f"a verdict in one shard alone; it is in {first.file}, too",
                     remedy="run the shards again: no two of them hold the same",
                 )
 
 
 def _check_version(part: ShardBundle) -> None:
-    ours, theirs = describe_tool(), part.record["tool"]
-    if theirs["version"] != ours["version"]:
+    ours, theirs = ToolEntry.model_validate(describe_tool()), part.record.head.tool
+    if theirs.version != ours.version:
         raise ConfigurationError(
             "this bundle was written by another version of pytest-dura",
             file=part.file,
             key="tool.version",
-            found=theirs["version"],
-            expected=ours["version"],
+            found=theirs.version,
+            expected=ours.version,
             remedy="merge with the version that wrote the bundles",
         )
     if theirs != ours:
@@ -333,16 +335,11 @@ def _check_version(part: ShardBundle) -> None:
             "this bundle was written by other code of pytest-dura of the same version",
             file=part.file,
             key="tool.code",
-            found=theirs["code"],
-            expected=ours["code"],
+            found=theirs.code,
+            expected=ours.code,
             remedy="merge with the code that wrote the bundles: a released version, or one and "
             "the same commit of a checkout",
         )
-
-
-def without_keys(data: Data, keys: set[str]) -> dict[str, Any]:
-    """Copy a mapping without some of its keys."""
-    return {key: value for key, value in data.items() if key not in keys}
 
 
 def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
@@ -355,48 +352,48 @@ def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
 
 
 def _session(record: SessionRecord) -> NamedValues:
-    for key in ("base_seed", "evidence_level", "require_repeatable", "argument", "selection"):
-        yield key, record[key]
+    options = {"base_seed", "evidence_level", "require_repeatable", "argument", "selection"}
+    yield from record.head.to_json(include=options).items()
     engine = record.head.second_engine
     yield "second_engine.version", None if engine is None else engine.version
-    yield "gate.warn_undecided", record["gate"]["warn_undecided"]
-    yield "shard.options", record["shard"]["options"]
+    yield "gate.warn_undecided", record.head.gate.warn_undecided
+    yield "shard.options", None if record.head.shard is None else record.head.shard.options
 
 
 def _code(record: SessionRecord) -> NamedValues:
-    environment = record["environment"]
-    yield "tool", record["tool"]
-    yield "environment.python", environment["python"]
-    yield "environment.packages", environment["packages"]
-    yield "environment.git.commit", environment["git"]["commit"]
+    environment = record.head.environment
+    yield "tool", record.head.tool
+    yield "environment.python", environment.python
+    yield "environment.packages", environment.packages
+    yield "environment.git.commit", environment.git.commit
 
 
 def _under_test(record: SessionRecord) -> NamedValues:
-    known = [entry for entry in components_under_test(record) if entry["name"] is not None]
-    times = Counter(component["name"] for component in known)
+    known = [entry for entry in components_under_test(record) if entry.name is not None]
+    times = Counter(component.name for component in known)
     for component in known:
-        key = f"component_under_test {component['name']}"
-        if times[component["name"]] > 1:
-            key += f" {json.dumps([component['path'], component['params']], sort_keys=True)}"
-        yield key, without_keys(component, KEYS_OF_ALL_COMPONENTS)
+        key = f"component_under_test {component.name}"
+        if times[component.name] > 1:
+            key += f" {json.dumps([component.path, component.params], sort_keys=True)}"
+        yield key, component.to_json(exclude=KEYS_OF_ALL_COMPONENTS)
 
 
 def _read_files(record: SessionRecord) -> NamedValues:
-    for entry in record["inputs"]:
-        yield f"inputs {entry['kind']} {entry['path']}", entry["sha256"]
+    for entry in record.head.inputs:
+        yield f"inputs {entry.kind} {entry.path}", entry.sha256
 
 
 def _requirements_and_cases(record: SessionRecord) -> NamedValues:
-    for requirement in record["requirements"]:
-        yield f"requirements {requirement['id']}", requirement
-    for case in record["cases"]:
-        name = f"cases {case['id']} with {case['component']}"
-        yield name, without_keys(case, _KEYS_THAT_MAY_DIFFER)
+    for requirement in record.head.requirements:
+        yield f"requirements {requirement.id}", requirement
+    for case in record.head.cases:
+        name = f"cases {case.id} with {case.component}"
+        yield name, case.to_json(exclude=_KEYS_THAT_MAY_DIFFER)
 
 
 def _measured(record: SessionRecord) -> NamedValues:
-    for monitor in record["monitors"]:
-        names = (monitor[name] for name in ("case", "component", "target", "monitor"))
+    for monitor in record.head.monitors:
+        names = monitor.case, monitor.component, monitor.target, monitor.monitor
         yield f"monitors {' '.join(names)}", monitor
 
 
@@ -406,10 +403,9 @@ def _measures(record: SessionRecord) -> NamedValues:
 
 
 def _models(record: SessionRecord) -> NamedValues:
-    for model in record["models"]:
-        names = (model[name] for name in ("component", "model", "fingerprint", "mode"))
-        compared = {key: model[key] for key in ("capabilities", "cassette")}
-        yield f"models {' '.join(names)}", compared
+    for model in record.head.models:
+        names = f"{model.component} {model.model} {model.fingerprint} {model.mode}"
+        yield f"models {names}", model.to_json(include={"capabilities", "cassette"})
 
 
 _COMPARED_VALUES: tuple[tuple[Callable[[SessionRecord], NamedValues], str], ...] = (

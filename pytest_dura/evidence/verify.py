@@ -15,13 +15,13 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from importlib import import_module
 from itertools import islice
-from operator import itemgetter
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError, describe_error
@@ -34,40 +34,44 @@ from pytest_dura.evidence.bundle import (
     read_session_record,
     rendered_files,
 )
+from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.conclude import conclude_record, measure_cases
 from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import outcome_figures
 from pytest_dura.evidence.files import file_entry, files_below, listed_files, manifest_problems
 from pytest_dura.evidence.gate import judge_again
 from pytest_dura.evidence.junit import junit_problems
 from pytest_dura.evidence.mcap import read_trace
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.model import SessionRecord, Totals
 from pytest_dura.evidence.schema import check_record
 from pytest_dura.evidence.traces import Trace, trace_path
+from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
 from pytest_dura.evidence.verify_record import differences, record_problems
 from pytest_dura.evidence.verify_verdicts import verdict_problems
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import Requirement
 
-Data = Mapping[str, Any]
 _RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")
+"""Name of a file from which a failed session can be resumed, which is no evidence."""
 JudgedOnTraces: TypeAlias = "dict[tuple[int, str], EpisodeVerdict]"
 """Verdicts on traces, by the number of the verdict in the record and the episode's id."""
 _STATEMENT_FILE = "test-result.intoto.json"
+_TRACED_FIGURES = ("flagged", "switching")
+"""Figures of each episode, besides its measures, that its trace gives again."""
 _MOST_DIFFERENCES = 10
 """Greatest number of differences that are listed of one key of the record."""
 
 
-def hash_problems(directory: Path, record: SessionRecord, names: Iterable[str]) -> Iterator[str]:
+def hash_problems(directory: Path, kept: Collection[str]) -> Iterator[str]:
     """Check the hashes: those of the manifest, and the one of the record in the statement.
 
     Args:
         directory: The bundle.
-        record: Its record.
-        names: Its files.
+        kept: Files from which the session can be resumed, which the manifest does not list.
     """
-    yield from manifest_problems(directory, _kept_episodes(record, names))
+    yield from manifest_problems(directory, kept)
     statement = directory / _STATEMENT_FILE
     if statement.is_symlink():
         return
@@ -83,56 +87,57 @@ def hash_problems(directory: Path, record: SessionRecord, names: Iterable[str]) 
 
 def trace_problems(record: SessionRecord, judged: JudgedOnTraces) -> Iterator[str]:
     """Yield the differences between traces and record, and collect what was judged again."""
-    requirements = {requirement["id"]: requirement for requirement in record["requirements"]}
-    verdicts: dict[tuple[str, str], list[tuple[int, Data]]] = defaultdict(list)
-    for number, verdict in enumerate(record["verdicts"]):
-        if verdict["requirement"] in requirements:  # others are reported in verify_record
-            verdicts[verdict["case"], verdict["component"]].append((number, verdict))
+    requirements = {requirement.id: requirement for requirement in record.head.requirements}
+    verdicts: dict[tuple[str, str], list[tuple[int, VerdictEntry]]] = defaultdict(list)
+    for number, verdict in enumerate(record.head.verdicts):
+        if verdict.requirement in requirements:  # others are reported in verify_record
+            verdicts[verdict.case, verdict.component].append((number, verdict))
     for episode in record.episodes():
         claims = [
-            _Claim.of(number, verdict, requirements[verdict["requirement"]], episode)
-            for number, verdict in verdicts[episode["case"], episode["component"]]
+            _Claim.of(number, verdict, requirements[verdict.requirement], episode)
+            for number, verdict in verdicts[episode.case, episode.component]
             if rests_on(verdict, episode)
         ]
         violated = any(claim.counterexample is not None for claim in claims)
         for problem in _retention_problems(record, episode, violated=violated):
-            yield f"{RECORD_FILE}: episode {episode['id']}: {problem}"
-        if episode["trace"] is None:
+            yield f"{RECORD_FILE}: episode {episode.id}: {problem}"
+        if episode.trace is None:
             continue
-        name = episode["trace"]["file"]
+        name = episode.trace.file
         try:
-            for problem in _problems_of_trace(record, episode, claims, judged):
+            file = record.directory / name
+            for problem in _problems_of_trace(record, file, episode, claims, judged):
                 yield f"{name}: {problem}"
         except Exception as error:  # whatever a damaged trace does to its readers
-            yield f"{name}: cannot be read as the trace of {episode['id']} ({error})"
+            yield f"{name}: cannot be read as the trace of {episode.id} ({error})"
 
 
-def _retention_problems(record: SessionRecord, episode: Data, *, violated: bool) -> Iterator[str]:
+def _retention_problems(
+    record: SessionRecord, episode: EpisodeEntry, *, violated: bool
+) -> Iterator[str]:
     """Compare an episode's trace with the level of the evidence."""
-    level, trace = record["evidence_level"], episode["trace"]
+    level, trace = record.head.evidence_level, episode.trace
     if trace is None:
         # The gate names traces that could not be written, and episodes that are not repeatable.
-        excused = any(reason.startswith("infrastructure: ") for reason in record["gate"]["reasons"])
+        excused = any(reason.startswith("infrastructure: ") for reason in record.head.gate.reasons)
         if not excused and (level == "all" or (level == "violations" and violated)):
             yield f"it has no trace, at the evidence level {level}"
         return
     if level == "summary":
         yield "it has a trace, at the evidence level summary"
-    if violated and trace["kept_for"] != "violation":
-        yield f"its trace is kept for {trace['kept_for']!r}, and it violated a requirement"
-    if trace["file"] != trace_path(episode):
-        yield f"its trace is {trace['file']}, and that of others"
+    if violated and trace.kept_for != "violation":
+        yield f"its trace is kept for {trace.kept_for!r}, and it violated a requirement"
+    if trace.file != trace_path(episode):
+        yield f"its trace is {trace.file}, and that of others"
 
 
-def rests_on(verdict: Data, episode: Data) -> bool:
+def rests_on(verdict: VerdictEntry, episode: EpisodeEntry) -> bool:
     """Whether a verdict may rest on an episode of its case.
 
     The verdict of a campaign rests on the first runs of a case; another requirement on the same
     case may need more of them.
     """
-    return bool(
-        episode["planned"] and (not verdict["check"] or episode["spec"]["run"] < verdict["run"])
-    )
+    return bool(episode.planned and (not verdict.check or episode.spec.run < verdict.run))
 
 
 @dataclass(frozen=True)
@@ -141,49 +146,58 @@ class _Claim:
 
     number: int
     requirement: Requirement | None
-    counterexample: Data | None
+    counterexample: CounterexampleEntry | None
 
     @classmethod
-    def of(cls, number: int, verdict: Data, requirement: Data, episode: Data) -> _Claim:
+    def of(
+        cls,
+        number: int,
+        verdict: VerdictEntry,
+        requirement: RequirementEntry,
+        episode: EpisodeEntry,
+    ) -> _Claim:
         """Make it without a requirement if the verdict cannot be made on a trace alone."""
-        listed = (e for e in verdict["counterexamples"] if e["episode"] == episode["id"])
-        check = verdict["check"]
-        by_formula = check and not is_function_path(check) and verdict["paired"] is None
-        judged_by = Requirement.from_json({**requirement, "check": check}) if by_formula else None
+        listed = (e for e in verdict.counterexamples if e.episode == episode.id)
+        check = verdict.check
+        by_formula = check and not is_function_path(check) and verdict.paired is None
+        judged_by = (
+            Requirement.from_json(requirement.to_json() | {"check": check}) if by_formula else None
+        )
         return cls(number, judged_by, next(listed, None))
 
 
 def _problems_of_trace(
-    record: SessionRecord, episode: Data, claims: list[_Claim], judged: JudgedOnTraces
+    record: SessionRecord,
+    file: Path,
+    episode: EpisodeEntry,
+    claims: list[_Claim],
+    judged: JudgedOnTraces,
 ) -> Iterator[str]:
-    entry, file = episode["trace"], record.directory / episode["trace"]["file"]
-    if file_entry(file) != {"sha256": entry["sha256"], "bytes": entry["bytes"]}:
-        yield f"not the file that the record names for {episode['id']}"
+    entry = episode.trace
+    if entry is None or file_entry(file) != {"sha256": entry.sha256, "bytes": entry.bytes}:
+        yield f"not the file that the record names for {episode.id}"
         return
     trace = read_trace(file)
     for key in ("id", "case", "component", "seed", "digest", "validity", "termination", "failure"):
-        if trace.about[key] != episode[key]:
-            yield f"its {key} is {trace.about[key]!r}, and the record says {episode[key]!r}"
+        found, recorded = trace.about[key], getattr(episode, key)
+        if found != recorded:
+            yield f"its {key} is {found!r}, and the record says {recorded!r}"
     # Only traces say which events depend on the machine's speed.
     events = [{k: v for k, v in event.items() if k != "wall_clock"} for event in trace.events]
-    if events != episode["events"]:
-        yield f"its events are not those of {episode['id']} in the record"
+    if events != [event.to_json() for event in episode.events]:
+        yield f"its events are not those of {episode.id} in the record"
     traced = _trace_episode(trace, episode)
     known = _measures_of(record, traced)
-    figures = outcome_figures(traced, known)
-    computed = {
-        **figures.pop("measures"),
-        **{key: figures[key] for key in ("flagged", "switching")},
-    }
-    recorded = {**episode["outcome"], **episode["outcome"]["measures"]}
-    names = {measure.name for measure in known} | {"flagged", "switching"}
-    for key in sorted(names):
-        if plain_data(computed.get(key)) != plain_data(recorded.get(key)):
-            yield f"its {key} is {computed.get(key)}, and the record says {recorded.get(key)}"
+    figures, outcome = plain_data(outcome_figures(traced, known)), episode.outcome.to_json()
+    computed = {**figures["measures"], **{key: figures[key] for key in _TRACED_FIGURES}}
+    stated = {**outcome, **outcome["measures"]}
+    for key in sorted({measure.name for measure in known} | {*_TRACED_FIGURES}):
+        if computed.get(key) != stated.get(key):
+            yield f"its {key} is {computed.get(key)}, and the record says {stated.get(key)}"
     for claim in claims:
         if claim.requirement is not None:
             verdict = judge_episode(claim.requirement, traced)
-            judged[claim.number, episode["id"]] = verdict
+            judged[claim.number, episode.id] = verdict
             yield from _rejudged_problems(verdict, claim.counterexample)
 
 
@@ -203,7 +217,7 @@ def _registered_measures(paths: Iterable[str]) -> Iterator[tuple[str, int, Measu
 
 def _measures_of(record: SessionRecord, episode: Episode) -> list[Measure]:
     """List the measures of an episode that can be computed again."""
-    named = {(measure["name"], measure["function"]) for measure in record["measures"]}
+    named = {(measure.name, measure.function) for measure in record.head.measures}
     own = episode.spec.simulator.path
     measures = {
         measure.name: measure
@@ -215,55 +229,55 @@ def _measures_of(record: SessionRecord, episode: Episode) -> list[Measure]:
 
 def _measure_problems(record: SessionRecord) -> Iterator[str]:
     """Compare the measures with those of episodes, and with what registered simulators declare."""
-    recorded = record["measures"]
-    names = [measure["name"] for measure in recorded]
-    if recorded != sorted(recorded, key=itemgetter("place", "name")) or len({*names}) < len(names):
+    recorded = record.head.measures
+    names = [measure.name for measure in recorded]
+    in_order = sorted(recorded, key=attrgetter("place", "name"))
+    if recorded != in_order or len({*names}) < len(names):
         yield "measures: not in their order, or twice"
-    used = {name for episode in record.episodes() for name in episode["outcome"]["measures"]}
+    used = {name for episode in record.episodes() for name in episode.outcome.measures}
     for name in sorted(used ^ {*names} if used - {*names} else ()):
         yield f"measures: {name} is in episodes or in the list of measures alone"
-    functions = [measure["function"] for measure in recorded]
+    functions = [measure.function for measure in recorded]
     known = [measure.to_json(place) for _, place, measure in _registered_measures(functions)]
     packages = {measure["function"].partition(".")[0] for measure in known}
     for measure in recorded:
-        if measure["function"].partition(".")[0] in packages and measure not in known:
-            yield f"measures: {measure['name']} is not as its simulator declares it"
+        if measure.function.partition(".")[0] in packages and measure.to_json() not in known:
+            yield f"measures: {measure.name} is not as its simulator declares it"
 
 
-def _rejudged_problems(verdict: EpisodeVerdict, counterexample: Data | None) -> Iterator[str]:
+def _rejudged_problems(
+    verdict: EpisodeVerdict, counterexample: CounterexampleEntry | None
+) -> Iterator[str]:
     if counterexample is None:
         if verdict.verdict == "violated":
             place = f"{verdict.requirement} at {verdict.time} s by {verdict.margin}"
             yield f"violates {place}, and the record does not say so"
     elif (verdict.verdict, verdict.time, verdict.margin) != (
-        "violated", counterexample["time"], counterexample["margin"],
+        "violated", counterexample.time, counterexample.margin,
     ):  # fmt: skip
         status = f"{verdict.verdict} at {verdict.time} s by {verdict.margin}"
-        recorded = f"violated at {counterexample['time']} s by {counterexample['margin']}"
+        recorded = f"violated at {counterexample.time} s by {counterexample.margin}"
         yield f"{verdict.requirement} on it is {status}, and the record says {recorded}"
 
 
-def _trace_episode(trace: Trace, episode: Data) -> JudgedEpisode:
+def _trace_episode(trace: Trace, episode: EpisodeEntry) -> JudgedEpisode:
     """Rebuild the episode as far as formulas read it."""
     names = {field_.name for field_ in fields(FaultRecord)}
     # Nothing is built here, and a bare instance could not be.
-    roles = {name: {"path": role["path"]} for name, role in episode["spec"]["roles"].items()}
-    faults = [
-        FaultRecord(**{key: value for key, value in fault.items() if key in names})
-        for fault in episode["faults"]
-    ]
-    tallies = {name: Tally(**tally) for name, tally in episode["metrics"]["tallies"].items()}
+    roles = {name: {"path": role.path} for name, role in episode.spec.roles.items()}
+    faults = [FaultRecord(**fault.to_json(include=names)) for fault in episode.faults]
+    tallies = {name: Tally(**tally.to_json()) for name, tally in episode.metrics.tallies.items()}
     return JudgedEpisode.of(
         Episode(
-            spec=EpisodeSpec.from_json({**episode["spec"], "roles": roles}),
+            spec=EpisodeSpec.from_json(episode.spec.to_json() | {"roles": roles}),
             time=trace.time,
             signals=dict(trace.signals),
             decisions=dict(trace.decisions),
             events=(),
             faults=tuple(faults),
-            termination=episode["termination"],
+            termination=episode.termination,
             metrics=DependabilityMetrics(tallies=tallies),
-            failure=episode["failure"],
+            failure=episode.failure,
         )
     )
 
@@ -277,23 +291,23 @@ def conclusion_problems(record: SessionRecord, judged: JudgedOnTraces) -> Iterat
     """
     for problem in (*verdict_problems(record, judged), *_measure_problems(record)):
         yield f"{RECORD_FILE}: {problem}"
-    again = conclude_again(record).head
-    for key in dict.fromkeys([*record.head, *again]):
-        found, expected = ({key: head[key]} if key in head else {} for head in (record.head, again))
+    head, again = record.head.to_json(), conclude_again(record).head.to_json()
+    for key in dict.fromkeys([*head, *again]):
+        found, expected = ({key: each[key]} if key in each else {} for each in (head, again))
         for problem in islice(differences("", found, expected), _MOST_DIFFERENCES):
             yield f"{RECORD_FILE}: {problem}{_subject(record, problem)}"
 
 
 def conclude_again(record: SessionRecord) -> SessionRecord:
     """Conclude a recorded session as it was concluded itself, from its episodes and verdicts."""
-    timings = record["timings"]
+    timings = record.head.timings
     return conclude_record(
         measure_cases(record),
-        finished=record["finished"],
+        finished=record.head.finished,
         gate=judge_again(record.head).to_json(),
-        inputs=record["inputs"],
-        wall_seconds=timings["wall_seconds"],
-        evidence_seconds=timings["evidence_seconds"],
+        inputs=record.head.inputs,
+        wall_seconds=timings.wall_seconds,
+        evidence_seconds=timings.evidence_seconds,
         redact=lambda same: same,  # the session took out its secrets
     )
 
@@ -306,12 +320,11 @@ def _subject(record: SessionRecord, pointer: str) -> str:
     match = _ENTRY.match(pointer)
     if match is None:
         return ""
-    entry = record[match[1]][int(match[2])]
-    return f" ({entry['id'] if match[1] == 'cases' else _name(entry)})"
-
-
-def _name(verdict: Data) -> str:
-    return f"{verdict['requirement']} on {verdict['case']}"
+    number = int(match[2])
+    if match[1] == "cases":
+        return f" ({record.head.cases[number].id})"
+    verdict = record.head.verdicts[number]
+    return f" ({verdict.requirement} on {verdict.case})"
 
 
 def rendering_problems(record: SessionRecord) -> Iterator[str]:
@@ -340,7 +353,7 @@ def _rendering_problem(name: str, record: SessionRecord) -> str:
 def _other_version(record: SessionRecord) -> str | None:
     """Version that wrote the record, if it is another one, whose reports may differ."""
     # The package is loaded already; an import by statement would look like a circle.
-    version = str(record["tool"]["version"])
+    version = str(record.head.tool.version)
     return None if version == import_module("pytest_dura").__version__ else version
 
 
@@ -359,7 +372,7 @@ class Verification:
 
     problems: list[str]
     files: int = 0
-    totals: Data | None = None
+    totals: Totals | None = None
     rejudged: JudgedOnTraces = field(default_factory=dict)
     not_rendered: str | None = None
 
@@ -414,13 +427,15 @@ def _check_sentences(
     verification: Verification, record: SessionRecord, names: Iterable[str]
 ) -> None:
     problems = verification.problems
-    problems += hash_problems(record.directory, record, names)
-    problems += _extra_files(record)
     mismatches = check_record(record)
+    resumable = bool(mismatches) or record.head.gate.result != "passed"
+    kept = [name for name in names if resumable and _RESUME_FILE.fullmatch(name)]
+    problems += hash_problems(record.directory, kept)
     if mismatches:
         problems += [f"{RECORD_FILE}: schema: {text}" for text in mismatches]
         return  # what follows needs the shape of the schema
-    verification.totals = record["totals"]
+    problems += _extra_files(record)
+    verification.totals = record.head.totals
     problems += record_problems(record)
     problems += trace_problems(record, verification.rejudged)
     problems += conclusion_problems(record, verification.rejudged)
@@ -429,17 +444,9 @@ def _check_sentences(
         problems += rendering_problems(record)
 
 
-def _kept_episodes(record: SessionRecord, names: Iterable[str]) -> list[str]:
-    """List the files from which a failed session can be resumed, which are no evidence."""
-    gate = record.head.get("gate")
-    if not isinstance(gate, Mapping) or gate.get("result") == "passed":
-        return []
-    return [name for name in names if _RESUME_FILE.fullmatch(name)]
-
-
 def _extra_files(record: SessionRecord) -> Iterator[str]:
     """Yield the files that the manifest lists and that belong to no bundle."""
     expected = {RECORD_FILE, *rendered_files()}
-    expected.update(e["trace"]["file"] for e in record.episodes() if e["trace"] is not None)
+    expected.update(e.trace.file for e in record.episodes() if e.trace is not None)
     for name in sorted(set(listed_files(record.directory)) - expected):
         yield f"{name}: in the manifest, and no file of this bundle"

@@ -17,19 +17,28 @@ from pytest_dura.core.episode import canonical, outcome_of
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.bundle import RECORD_FILE
+from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
 from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.episode_model import EpisodeEntry, EpisodeMetricsEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, repeat_problems
+from pytest_dura.evidence.gather import question_key
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.redaction import holds_redaction
+from pytest_dura.evidence.search_model import (
+    FoundCounterexample,
+    SearchEntry,
+    SearcherEntry,
+    SearchOutcomeEntry,
+)
+from pytest_dura.evidence.session_model import ComponentEntry, ComponentUnderTest
 from pytest_dura.evidence.sessions import reuse_problems, shard_problems
 from pytest_dura.evidence.text import one_line
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.provenance import digest_of
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
-Data = Mapping[str, Any]
 
-
-def episode_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]:
+def episode_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> Iterator[str]:
     """Yield the contradictions within an episode.
 
     Args:
@@ -43,106 +52,105 @@ def episode_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]
         *_chain_problems(episode),
     )
     for problem in problems:
-        yield f"episode {episode['id']}: {problem}"
+        yield f"episode {episode.id}: {problem}"
 
 
-def _input_problems(episode: Data, case: Data, base_seed: int) -> Iterator[str]:
-    name, spec = episode["id"], episode["spec"]
-    seed = derive_seed(base_seed, spec["scenario"]["name"], spec["run"])
-    if episode["planned"] and episode["seed"] != seed:
-        yield f"planned, and its seed is {episode['seed']}, not {seed} as that of its run"
-    if name != f"{spec['case']}#{spec['run']}" or episode["case"] != spec["case"]:
-        yield f"its spec is that of {spec['case']}#{spec['run']}"
-    faults = [
-        [(fault["id"], fault.get("type"), fault.get("target")) for fault in of["faults"]]
-        for of in (case, spec)
-    ]
-    if spec["scenario"]["name"] != case["scenario"] or faults[0] != faults[1]:
-        yield f"its spec has {spec['scenario']['name']} with {faults[1]}, and its case {faults[0]}"
-    if episode["seed"] != spec["seed"]:
-        yield f"seed {episode['seed']}, and {spec['seed']} in its spec"
-    if (episode["validity"] == "missing") != (episode["failure"] is not None):
-        yield f"{episode['validity']}, and its failure is {episode['failure']!r}"
-    if (episode["validity"] == "invalid") != (
-        episode["failure"] is None and episode["invalid_reason"] is not None
+def _input_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> Iterator[str]:
+    name, spec = episode.id, episode.spec
+    seed = derive_seed(base_seed, spec.scenario.name, spec.run)
+    if episode.planned and episode.seed != seed:
+        yield f"planned, and its seed is {episode.seed}, not {seed} as that of its run"
+    if name != f"{spec.case}#{spec.run}" or episode.case != spec.case:
+        yield f"its spec is that of {spec.case}#{spec.run}"
+    faults = [[(fault.id, fault.type, fault.target) for fault in of.faults] for of in (case, spec)]
+    if spec.scenario.name != case.scenario or faults[0] != faults[1]:
+        yield f"its spec has {spec.scenario.name} with {faults[1]}, and its case {faults[0]}"
+    if episode.seed != spec.seed:
+        yield f"seed {episode.seed}, and {spec.seed} in its spec"
+    if (episode.validity == "missing") != (episode.failure is not None):
+        yield f"{episode.validity}, and its failure is {episode.failure!r}"
+    if (episode.validity == "invalid") != (
+        episode.failure is None and episode.invalid_reason is not None
     ):
-        yield f"{episode['validity']}, because {episode['invalid_reason']!r}"
-    missing = {fault["id"] for fault in spec["faults"]}
-    missing -= {fault["id"] for fault in episode["faults"]}
+        yield f"{episode.validity}, because {episode.invalid_reason!r}"
+    missing = {fault.id for fault in spec.faults}
+    missing -= {fault.id for fault in episode.faults}
     if missing:
         yield f"nothing is said of its faults {', '.join(sorted(missing))}"
 
 
-def _metric_problems(episode: Data) -> Iterator[str]:
+def _metric_problems(episode: EpisodeEntry) -> Iterator[str]:
     """Compare what an episode measures with its outcome, its faults and its events."""
-    metrics, faults = episode["metrics"], episode["faults"]
+    metrics, faults = episode.metrics, episode.faults
     counts = {
         "planned": len(faults),
-        "succeeded": sum(fault["manifested_at"] is not None for fault in faults),
-        "detected": sum(fault["detected_at"] is not None for fault in faults),
-        "recovered": sum(fault["recovered_at"] is not None for fault in faults),
-        "impact_ticks": sum(fault["flagged_ticks"] for fault in faults),
+        "succeeded": sum(fault.manifested_at is not None for fault in faults),
+        "detected": sum(fault.detected_at is not None for fault in faults),
+        "recovered": sum(fault.recovered_at is not None for fault in faults),
+        "impact_ticks": sum(fault.flagged_ticks for fault in faults),
     }
-    if metrics["faults"] != counts:
-        yield f"its faults are {metrics['faults']}, and they come to {counts}"
-    for key in ("recoveries", "alerts"):
-        if metrics[key] != episode["outcome"][key]:
-            yield f"{metrics[key]} {key}, and {episode['outcome'][key]} in its outcome"
-    if metrics["valid_proposals"] > metrics["proposals"]:
+    if (recorded := metrics.faults.to_json()) != counts:
+        yield f"its faults are {recorded}, and they come to {counts}"
+    outcome = episode.outcome
+    if metrics.recoveries != outcome.recoveries:
+        yield f"{metrics.recoveries} recoveries, and {outcome.recoveries} in its outcome"
+    if metrics.alerts != outcome.alerts:
+        yield f"{metrics.alerts} alerts, and {outcome.alerts} in its outcome"
+    if metrics.valid_proposals > metrics.proposals:
         yield "more valid proposals than there were"
-    yield from _tally_problems(metrics, episode["outcome"]["switching"]["decisions"])
-    oldest = max(metrics["answer_ages"], default=0.0)
-    lasted = episode["timings"]["simulated_seconds"]
+    yield from _tally_problems(metrics, outcome.switching.decisions)
+    oldest = max(metrics.answer_ages, default=0.0)
+    lasted = episode.timings.simulated_seconds
     if oldest > round(lasted, 9):  # as ages are
         yield f"a decision came into force {oldest} s after its percept, within {lasted} s"
     first: dict[str, float] = {}
-    for event in episode["events"]:
-        if event["kind"] == "fault_manifested":
-            first.setdefault(event["subject"], event["time"])
+    for event in episode.events:
+        if event.kind == "fault_manifested":
+            first.setdefault(event.subject, event.time)
     for fault in faults:
-        if fault["manifested_at"] != first.get(fault["id"]):
-            manifested = f"{fault['id']} manifested at {fault['manifested_at']} s"
-            yield f"{manifested}, and its events say {first.get(fault['id'])}"
+        if fault.manifested_at != first.get(fault.id):
+            manifested = f"{fault.id} manifested at {fault.manifested_at} s"
+            yield f"{manifested}, and its events say {first.get(fault.id)}"
 
 
-def _chain_problems(episode: Data) -> Iterator[str]:
+def _chain_problems(episode: EpisodeEntry) -> Iterator[str]:
     """Derive latencies and outcome of each fault from the rest of its chain again."""
-    alerts = {event["time"] for event in episode["events"] if event["kind"] == "alert"}
-    for entry in episode["faults"]:
-        name = entry["id"]
-        fault = FaultRecord(**{key: entry[key] for key in FaultRecord.__dataclass_fields__})
+    alerts = {event.time for event in episode.events if event.kind == "alert"}
+    for entry in episode.faults:
+        name = entry.id
+        fault = FaultRecord(**entry.to_json(include={*FaultRecord.__dataclass_fields__}))
         for latency, seconds in fault.latencies().items():
-            if entry[latency] != seconds:
-                yield f"{name}: {latency} is {entry[latency]} s, and its times give {seconds}"
+            if (recorded := getattr(entry, latency)) != seconds:
+                yield f"{name}: {latency} is {recorded} s, and its times give {seconds}"
         detected, began = fault.detected_at, fault.began_at
         if detected is not None and (not fault.success or began is None or detected < began):
             yield f"{name}: detected at {detected} s, and no alert of then can answer it"
         elif detected is not None and detected not in alerts:
             yield f"{name}: detected at {detected} s, and its events say of no alert then"
-        without = entry["violated_without"]
-        if extra := sorted({*(without or ())} - {*entry["violated"]}):
+        without = entry.violated_without
+        if extra := sorted({*(without or ())} - {*entry.violated}):
             yield f"{name}: {extra[0]} is violated without it, and not with it"
-        outcome = entry["outcome"]
-        missing = episode["failure"] is not None
-        expected = outcome_of(
-            fault, entry["propagation"], entry["violated"], without, missing=missing
-        )
-        if outcome is None and entry["violated"]:
+        outcome = entry.outcome
+        missing = episode.failure is not None
+        expected = outcome_of(fault, entry.propagation, entry.violated, without, missing=missing)
+        if outcome is None and entry.violated:
             yield f"{name}: violated, and it has no outcome"
         if outcome not in (None, expected):
             yield f"{name}: its outcome is {outcome!r}, and its chain gives {expected!r}"
 
 
-def _tally_problems(metrics: Data, decisions: int) -> Iterator[str]:
+def _tally_problems(metrics: EpisodeMetricsEntry, decisions: int) -> Iterator[str]:
     """Check that no tally counts more than there were decisions."""
-    for name, tally in metrics["tallies"].items():
-        for part, whole in (("hits", "of"), ("null_hits", "null_of")):
-            if not tally[part] <= tally[whole] <= decisions:
-                count = f"{tally[part]} of {tally[whole]}"
-                yield f"{count} for {name} ({part}), in {decisions} decisions"
-    for key, noun in (("answer_seconds", "times"), ("answer_ages", "ages")):
-        if len(metrics[key]) > decisions:
-            yield f"the {noun} of {len(metrics[key])} answers, in {decisions} decisions"
+    for name, tally in metrics.tallies.items():
+        for part, hits, of in (
+            ("hits", tally.hits, tally.of),
+            ("null_hits", tally.null_hits, tally.null_of),
+        ):
+            if not hits <= of <= decisions:
+                yield f"{hits} of {of} for {name} ({part}), in {decisions} decisions"
+    for noun, answers in (("times", metrics.answer_seconds), ("ages", metrics.answer_ages)):
+        if len(answers) > decisions:
+            yield f"the {noun} of {len(answers)} answers, in {decisions} decisions"
 
 
 _EPISODE_MARK = "@"
@@ -154,14 +162,14 @@ _SILENT_SHARE = 0.2
 def search_problems(record: SessionRecord) -> Iterator[str]:
     """Yield the contradictions within searches, and between them and the rest of the record."""
     yield from _search_in_rate_problems(record)
-    listed = {requirement["id"]: requirement for requirement in record["requirements"]}
-    described = {component["name"] for component in components_under_test(record)}
+    listed = {requirement.id: requirement for requirement in record.head.requirements}
+    described = {component.name for component in components_under_test(record)}
     counter: Counter[bytes] = Counter()
-    for search in record["searches"]:
-        place = f"search by {search['item']} on {search['case']}"
-        counter[canonical({key: value for key, value in search.items() if key != "waiver"})] += 1
-        if search["component"] not in described:
-            yield f"{place}: {search['component']} is not described"
+    for search in record.head.searches:
+        place = f"search by {search.item} on {search.case}"
+        counter[canonical(search.to_json(exclude={"waiver"}))] += 1
+        if search.component not in described:
+            yield f"{place}: {search.component} is not described"
         for problem in (*_search_count_problems(search), *_outcome_problems(search, listed)):
             yield f"{place}: {problem}"
     if any(count > 1 for count in counter.values()):
@@ -173,155 +181,157 @@ def _search_in_rate_problems(record: SessionRecord) -> Iterator[str]:
 
     A planned episode is one of the runs of its case, and named after it.
     """
-    for case in record["cases"]:
-        if _EPISODE_MARK in case["id"] and (case["planned"] or case["metrics"]["run"]):
-            yield f"case {case['id']}: a search chose it, and there are metrics of it"
-    for verdict in record["verdicts"]:
-        name = f"verdict {verdict['requirement']} on {verdict['case']}"
-        if _EPISODE_MARK in verdict["case"]:
+    for case in record.head.cases:
+        if _EPISODE_MARK in case.id and (case.planned or case.metrics.run):
+            yield f"case {case.id}: a search chose it, and there are metrics of it"
+    for verdict in record.head.verdicts:
+        name = f"verdict {verdict.requirement} on {verdict.case}"
+        if _EPISODE_MARK in verdict.case:
             yield f"{name}: a search chose the case, and no rate can be made of it"
-        for counterexample in verdict["counterexamples"]:
-            if _EPISODE_MARK in counterexample["episode"]:
-                yield f"{name}: a search chose its counterexample {counterexample['episode']}"
+        for counterexample in verdict.counterexamples:
+            if _EPISODE_MARK in counterexample.episode:
+                yield f"{name}: a search chose its counterexample {counterexample.episode}"
 
 
-def _search_count_problems(search: Data) -> Iterator[str]:
-    total = search["simulations"]
-    if not 0 < total <= search["budget"]:
-        yield f"{total} simulations, and its budget is {search['budget']}"
-    if search["unknown"] > total:
-        yield f"{search['unknown']} of {total} simulations said nothing"
-    if search["idle"] > total:
-        yield f"an added fault never came to act in {search['idle']} of {total} simulations"
-    done = sum(searcher["simulations"] for searcher in search["searchers"])
+def _search_count_problems(search: SearchEntry) -> Iterator[str]:
+    total = search.simulations
+    if not 0 < total <= search.budget:
+        yield f"{total} simulations, and its budget is {search.budget}"
+    if search.unknown > total:
+        yield f"{search.unknown} of {total} simulations said nothing"
+    if search.idle > total:
+        yield f"an added fault never came to act in {search.idle} of {total} simulations"
+    done = sum(searcher.simulations for searcher in search.searchers)
     if done != total:
         yield f"{total} simulations, and its searchers did {done}"
-    names = [outcome["requirement"] for outcome in search["outcomes"]]
+    names = [outcome.requirement for outcome in search.outcomes]
     if not names or len(set(names)) < len(names):
         yield f"it is for the requirements {', '.join(names) or 'of nobody'}"
     yield from _searcher_problems(search, names)
 
 
-def _searcher_problems(search: Data, names: Sequence[str]) -> Iterator[str]:
-    for kind in ("searchers", "baselines"):
-        if len({searcher["name"] for searcher in search[kind]}) < len(search[kind]):
+def _searcher_problems(search: SearchEntry, names: Sequence[str]) -> Iterator[str]:
+    for kind, searchers in (("searchers", search.searchers), ("baselines", search.baselines)):
+        if len({searcher.name for searcher in searchers}) < len(searchers):
             yield f"one of its {kind} is listed twice"
-        for searcher in search[kind]:
+        for searcher in searchers:
             yield from (
-                f"{searcher['name']}: {each}" for each in _problems_of_searcher(searcher, names)
+                f"{searcher.name}: {each}" for each in _problems_of_searcher(searcher, names)
             )
-    for baseline in search["baselines"]:
-        if not baseline["trivial"]:
-            yield f"{baseline['name']} learns, and is no baseline"
-        if baseline["simulations"] > search["simulations"]:
-            yield f"{baseline['name']}: a baseline of {baseline['simulations']} simulations"
+    for baseline in search.baselines:
+        if not baseline.trivial:
+            yield f"{baseline.name} learns, and is no baseline"
+        if baseline.simulations > search.simulations:
+            yield f"{baseline.name}: a baseline of {baseline.simulations} simulations"
 
 
-def _problems_of_searcher(searcher: Data, names: Sequence[str]) -> Iterator[str]:
-    if set(searcher["best"]) != set(names) or set(searcher["first"]) != set(names):
+def _problems_of_searcher(searcher: SearcherEntry, names: Sequence[str]) -> Iterator[str]:
+    if set(searcher.best) != set(names) or set(searcher.first) != set(names):
         yield "its figures are of other requirements"
-    for name, first in searcher["first"].items():
-        if first is not None and first > searcher["simulations"]:
-            yield f"violated {name} at {first} of its {searcher['simulations']} simulations"
+    for name, first in searcher.first.items():
+        if first is not None and first > searcher.simulations:
+            yield f"violated {name} at {first} of its {searcher.simulations} simulations"
 
 
-def _outcome_problems(search: Data, listed: Mapping[str, Data]) -> Iterator[str]:
-    for outcome in search["outcomes"]:
-        name = outcome["requirement"]
+def _outcome_problems(search: SearchEntry, listed: Mapping[str, RequirementEntry]) -> Iterator[str]:
+    for outcome in search.outcomes:
+        name = outcome.requirement
         problems = [
             *_outcome_status_problems(search, outcome),
             *_first_violation_problems(search, outcome),
         ]
-        if outcome["counterexample"] is not None:
-            problems += _counterexample_problems(search, outcome["counterexample"])
+        if outcome.counterexample is not None:
+            problems += _counterexample_problems(search, outcome.counterexample)
         if name not in listed:
             problems.append("the requirement is not listed")
-        elif listed[name]["check"] not in ("", outcome["check"]):
-            problems.append(f"searched {outcome['check']!r}, which is not its check")
+        elif listed[name].check not in ("", outcome.check):
+            problems.append(f"searched {outcome.check!r}, which is not its check")
         yield from (f"{name}: {problem}" for problem in problems)
 
 
-def _outcome_status_problems(search: Data, outcome: Data) -> Iterator[str]:
+def _outcome_status_problems(search: SearchEntry, outcome: SearchOutcomeEntry) -> Iterator[str]:
     """Check the status of an outcome against its counterexample and its silent simulations."""
-    status, counterexample = outcome["word"], outcome["counterexample"]
+    status, counterexample = outcome.word, outcome.counterexample
     if (counterexample is not None) != (status in VIOLATED_OUTCOMES):
         yield f"{status}, and {'a' if counterexample is not None else 'no'} counterexample"
     elif counterexample is not None:
-        repeats = counterexample["repeats"]
-        if not max(repeats["violated"], repeats["equal"]) <= repeats["runs"]:
-            yield f"more repeats than {repeats['runs']}"
-        confirmed = 0 < repeats["runs"] == repeats["violated"] == repeats["equal"]
+        repeats = counterexample.repeats
+        if not max(repeats.violated, repeats.equal) <= repeats.runs:
+            yield f"more repeats than {repeats.runs}"
+        confirmed = 0 < repeats.runs == repeats.violated == repeats.equal
         if confirmed != (status == "falsified"):
-            text = f"{repeats['violated']} violated and {repeats['equal']} equal"
-            yield f"{status}, and of {repeats['runs']} replays {text}"
-        if not search["baselines"]:
+            text = f"{repeats.violated} violated and {repeats.equal} equal"
+            yield f"{status}, and of {repeats.runs} replays {text}"
+        if not search.baselines:
             yield f"{status}, and no baseline stands beside it"
     else:
-        silent = search["unknown"] > _SILENT_SHARE * search["simulations"]
+        silent = search.unknown > _SILENT_SHARE * search.simulations
         if silent and status == NOTHING_FOUND:
-            text = f"{search['unknown']} of {search['simulations']}"
+            text = f"{search.unknown} of {search.simulations}"
             yield f"{status}, though {text} simulations said nothing of a requirement"
         if not silent and status == "undecided":
-            text = f"only {search['unknown']} simulations"
+            text = f"only {search.unknown} simulations"
             yield f"{status}, and {text} said nothing of a requirement"
 
 
-def _first_violation_problems(search: Data, outcome: Data) -> Iterator[str]:
+def _first_violation_problems(search: SearchEntry, outcome: SearchOutcomeEntry) -> Iterator[str]:
     """Compare first violation and least robustness with those of the searchers."""
-    name, total = outcome["requirement"], search["simulations"]
+    name, total = outcome.requirement, search.simulations
     hits, baseline_hits = (
-        _first_violations(search[kind], name) for kind in ("searchers", "baselines")
+        _first_violations(searchers, name) for searchers in (search.searchers, search.baselines)
     )
-    if outcome["counterexample"] is None:
-        if outcome["simulations"] != total or outcome["searcher"] is not None:
-            yield f"nothing violated it, in {outcome['simulations']} of {total} simulations"
+    if outcome.counterexample is None:
+        if outcome.simulations != total or outcome.searcher is not None:
+            yield f"nothing violated it, in {outcome.simulations} of {total} simulations"
         for who, first in hits.items():
             yield f"{who} violated it at its simulation {first}, and there is no counterexample"
-    elif not hits and outcome["searcher"] in baseline_hits:
-        if outcome["simulations"] != baseline_hits[outcome["searcher"]]:
-            yield f"violated at simulation {outcome['simulations']} of a baseline"
-    elif outcome["searcher"] not in hits:
-        yield f"{outcome['searcher']} found it, and violated nothing"
-    elif not hits[outcome["searcher"]] <= outcome["simulations"] <= total:
-        yield f"violated at simulation {outcome['simulations']} of {total}"
-    known = [each["best"].get(name) for each in search["searchers"]]
+    elif not hits and outcome.searcher in baseline_hits:
+        if outcome.simulations != baseline_hits[outcome.searcher]:
+            yield f"violated at simulation {outcome.simulations} of a baseline"
+    elif outcome.searcher not in hits:
+        yield f"{outcome.searcher} found it, and violated nothing"
+    elif not hits[outcome.searcher] <= outcome.simulations <= total:
+        yield f"violated at simulation {outcome.simulations} of {total}"
+    known = [each.best.get(name) for each in search.searchers]
     least = min((best for best in known if best is not None), default=None)
-    if outcome["best"] != least:
-        yield f"its least robustness is {outcome['best']}, and its searchers say {least}"
+    if outcome.best != least:
+        yield f"its least robustness is {outcome.best}, and its searchers say {least}"
 
 
-def _first_violations(searchers: Sequence[Data], requirement: str) -> dict[str, int]:
+def _first_violations(searchers: Sequence[SearcherEntry], requirement: str) -> dict[str, int]:
     """Number of the first violating simulation of each searcher that violated a requirement."""
-    firsts = {each["name"]: each["first"].get(requirement) for each in searchers}
+    firsts = {each.name: each.first.get(requirement) for each in searchers}
     return {who: first for who, first in firsts.items() if first is not None}
 
 
-def _counterexample_problems(search: Data, counterexample: Data) -> Iterator[str]:
-    if not counterexample["case"].startswith(f"{search['scenario']}{_EPISODE_MARK}"):
-        place = f"its counterexample {counterexample['case']}"
-        yield f"{place} is of another scenario than {search['scenario']}"
-    recorded = counterexample["scenario"].get("name"), counterexample["scenario"].get("seed")
-    if recorded != (search["scenario"], counterexample["seed"]):
-        place = f"its counterexample is {search['scenario']} with seed {counterexample['seed']}"
+def _counterexample_problems(
+    search: SearchEntry, counterexample: FoundCounterexample
+) -> Iterator[str]:
+    if not counterexample.case.startswith(f"{search.scenario}{_EPISODE_MARK}"):
+        place = f"its counterexample {counterexample.case}"
+        yield f"{place} is of another scenario than {search.scenario}"
+    recorded = counterexample.scenario.get("name"), counterexample.scenario.get("seed")
+    if recorded != (search.scenario, counterexample.seed):
+        place = f"its counterexample is {search.scenario} with seed {counterexample.seed}"
         yield f"{place}, and says {recorded}"
-    paths = [change["path"] for change in counterexample["changes"]]
+    paths = [change.path for change in counterexample.changes]
     if len(set(paths)) < len(paths):
         yield "a parameter of its counterexample changed twice"
-    shrinking = counterexample["shrinking"]
+    shrinking = counterexample.shrinking
     if shrinking is not None:
-        if shrinking["simulations"] > shrinking["budget"]:
-            spent = shrinking["simulations"]
-            yield f"{spent} simulations to make it simpler, and {shrinking['budget']} were allowed"
-        if shrinking["after"] > shrinking["before"]:
-            yield f"made simpler from {shrinking['before']} to {shrinking['after']} parameters"
-    file = counterexample["file"]
-    if (file is None) != (counterexample["name"] is None):
-        yield f"its counterexample is kept in {file} as {counterexample['name']}"
+        if shrinking.simulations > shrinking.budget:
+            spent = shrinking.simulations
+            yield f"{spent} simulations to make it simpler, and {shrinking.budget} were allowed"
+        if shrinking.after > shrinking.before:
+            yield f"made simpler from {shrinking.before} to {shrinking.after} parameters"
+    file = counterexample.file
+    if (file is None) != (counterexample.name is None):
+        yield f"its counterexample is kept in {file} as {counterexample.name}"
     if file is not None and (
         PurePosixPath(file).is_absolute() or PureWindowsPath(file).is_absolute()
     ):
         yield f"it is kept in {file}, which is a path of one machine"
-    if file is not None and counterexample["repeats"]["equal"] != counterexample["repeats"]["runs"]:
+    if file is not None and counterexample.repeats.equal != counterexample.repeats.runs:
         yield f"it is kept in {file}, and was never confirmed"
 
 
@@ -336,41 +346,41 @@ def record_problems(record: SessionRecord) -> Iterator[str]:
 
 def _all_problems(record: SessionRecord) -> Iterator[str]:
     yield from _session_problems(record)
-    cases = {(case["id"], case["component"]): case for case in record["cases"]}
-    requirements = {requirement["id"] for requirement in record["requirements"]}
+    cases = {(case.id, case.component): case for case in record.head.cases}
+    requirements = {requirement.id for requirement in record.head.requirements}
     ids: set[EpisodeKey] = set()
     known: set[bytes] = set()
     digests: dict[EpisodeKey, set[str]] = {
-        (case["repeat"]["episode"], case["component"]): set()
-        for case in record["cases"]
-        if case["repeat"] is not None
+        (case.repeat.episode, case.component): set()
+        for case in record.head.cases
+        if case.repeat is not None
     }
-    described = {component["name"] for component in components_under_test(record)} | {"none"}
+    described = {component.name for component in components_under_test(record)} | {"none"}
     for episode in record.episodes():
-        key = episode["id"], episode["component"]
+        key = episode.id, episode.component
         ids.add(key)
         if key in digests:
-            digests[key].add(episode["digest"])
-        if episode["component"] not in described:
-            yield f"component_under_test: {episode['component']} is not described"
-        if (episode["case"], episode["component"]) not in cases:
-            yield f"episode {episode['id']}: its case is not listed"
+            digests[key].add(episode.digest)
+        if episode.component not in described:
+            yield f"component_under_test: {episode.component} is not described"
+        if (episode.case, episode.component) not in cases:
+            yield f"episode {episode.id}: its case is not listed"
         else:
-            case = cases[episode["case"], episode["component"]]
-            yield from episode_problems(episode, case, record["base_seed"])
-        inputs = canonical([episode["component"], {**episode["spec"], "timeouts": None}])
+            case = cases[episode.case, episode.component]
+            yield from episode_problems(episode, case, record.head.base_seed)
+        inputs = canonical([episode.component, episode.spec.to_json(exclude={"timeouts"})])
         if (digest := sha256(inputs).digest()) in known:
-            yield f"episode {episode['id']}: it is listed twice"
+            yield f"episode {episode.id}: it is listed twice"
         known.add(digest)
-    for case in record["cases"]:
-        override = case["runs_override"]
-        if override is not None and case["planned"] not in (0, override):
-            planned = f"{case['planned']} runs planned"
-            yield f"case {case['id']}: {planned}, and --dura-runs={override} replaces them"
-        repeated = case["repeat"] and (case["repeat"]["episode"], case["component"])
+    for case in record.head.cases:
+        override = case.runs_override
+        if override is not None and case.planned not in (0, override):
+            planned = f"{case.planned} runs planned"
+            yield f"case {case.id}: {planned}, and --dura-runs={override} replaces them"
+        repeated = case.repeat.episode if case.repeat else "", case.component
         for problem in repeat_problems(case, digests.get(repeated, ())):
-            yield f"case {case['id']}: {problem}"
-    for verdict in record["verdicts"]:
+            yield f"case {case.id}: {problem}"
+    for verdict in record.head.verdicts:
         yield from _verdict_problems(verdict, cases, requirements, ids)
     yield from _question_problems(record)
     yield from _monitor_problems(record, cases)
@@ -380,37 +390,39 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
 
 
 def _session_problems(record: SessionRecord) -> Iterator[str]:
-    if record["status"] != "complete":
-        yield f"the session is {record['status']}: its evidence is incomplete"
-    cases = {(case["id"], case["component"]): case for case in record["cases"]}
-    requirements = {requirement["id"] for requirement in record["requirements"]}
-    if len(cases) < len(record["cases"]):
+    if record.head.status != "complete":
+        yield f"the session is {record.head.status}: its evidence is incomplete"
+    cases = {(case.id, case.component): case for case in record.head.cases}
+    requirements = {requirement.id for requirement in record.head.requirements}
+    if len(cases) < len(record.head.cases):
         yield "cases: one of them is listed twice"
-    if len(requirements) < len(record["requirements"]):
+    if len(requirements) < len(record.head.requirements):
         yield "requirements: one of them is listed twice"
-    hashed = {(file["path"], file["sha256"]) for file in record["inputs"]}
+    hashed = {(file.path, file.sha256) for file in record.head.inputs}
     for component in components_under_test(record):
         yield from _unhashed_problems(component, hashed)
     yield from _source_problems(record)
-    for tape in (model["cassette"] for model in record["models"] if model["cassette"]):
-        if (tape["file"], tape["sha256"]) not in hashed:
-            yield f"inputs: the cassette {tape['file']} is not among them as it was replayed"
-    if record["timings"]["evidence_seconds"] > record["timings"]["wall_seconds"]:
+    for tape in (model.cassette for model in record.head.models if model.cassette):
+        if (tape.file, tape.sha256) not in hashed:
+            yield f"inputs: the cassette {tape.file} is not among them as it was replayed"
+    if record.head.timings.evidence_seconds > record.head.timings.wall_seconds:
         yield "timings: the evidence took longer than the session"
 
 
-def _unhashed_problems(component: Data, hashed: set[tuple[str, str]]) -> Iterator[str]:
-    for file in component.get("files") or ():
-        if (file["path"], file["sha256"]) not in hashed:
-            yield f"inputs: {file['path']} of the component is not among them"
+def _unhashed_problems(
+    component: ComponentUnderTest | ComponentEntry, hashed: set[tuple[str, str | None]]
+) -> Iterator[str]:
+    for file in component.files or ():
+        if (file.path, file.sha256) not in hashed:
+            yield f"inputs: {file.path} of the component is not among them"
 
 
 def _source_problems(record: SessionRecord) -> Iterator[str]:
     """Compute the digests of components from those of their files again."""
-    sources = record["component_under_test"].get("sources", {})
+    sources = record.head.component_under_test.sources or {}
     used = set()
     for component in components_under_test(record):
-        name, digest = f"component {component['name']}", component.get("digest")
+        name, digest = f"component {component.name}", component.digest
         if digest is None:
             continue
         used.add(digest)
@@ -421,73 +433,76 @@ def _source_problems(record: SessionRecord) -> Iterator[str]:
         # Without the name that was a secret it cannot be made again.
         if not holds_redaction(list(named)) and digest_of(named) != digest:
             yield f"{name}: its digest is not that of its files"
-        if component["file_count"] != len(named):
-            yield f"{name}: {component['file_count']} files, and {len(named)} are listed"
-        for file in component["files"]:
-            if file["sha256"] not in named.values():
-                yield f"{name}: {file['path']} is none of the files that its digest is made of"
+        if component.file_count != len(named):
+            yield f"{name}: {component.file_count} files, and {len(named)} are listed"
+        for file in component.files or ():
+            if file.sha256 not in named.values():
+                yield f"{name}: {file.path} is none of the files that its digest is made of"
     for digest in sorted(set(sources) - used):
         yield f"component_under_test: files of the digest {digest}, which no component has"
 
 
 def _question_problems(record: SessionRecord) -> Iterator[str]:
     """Check that each question is answered once, and is the one that its requirement asks."""
-    questions: Counter[str] = Counter()
-    listed = {requirement["id"]: requirement for requirement in record["requirements"]}
-    for verdict in record["verdicts"]:
-        yield from _problems_of_question(verdict, listed.get(verdict["requirement"]))
-        parts = [verdict[name] for name in ("requirement", "case", "component", "item", "check")]
-        parts += [verdict["paired"], verdict["method"], _limits(verdict)]
-        questions[canonical(parts).decode()] += 1
+    questions: Counter[tuple[str, ...]] = Counter()
+    listed = {requirement.id: requirement for requirement in record.head.requirements}
+    for verdict in record.head.verdicts:
+        yield from _problems_of_question(verdict, listed.get(verdict.requirement))
+        questions[question_key(verdict.item, verdict)] += 1
     for question, count in questions.items():
         if count > 1:
-            yield f"verdicts: {question} is answered twice"
+            yield f"verdicts: {' '.join(question[:4])} is answered twice"
 
 
-def _problems_of_question(verdict: Data, requirement: Data | None) -> Iterator[str]:
+def _problems_of_question(
+    verdict: VerdictEntry, requirement: RequirementEntry | None
+) -> Iterator[str]:
     """Compare check and limits of a verdict with those of its requirement, as far as it has any."""
     if requirement is None:
         return
-    name = f"verdict {verdict['requirement']} on {verdict['case']}"
-    if requirement["check"] and verdict["check"] not in ("", requirement["check"]):
-        yield f"{name}: judged by {verdict['check']!r}, and its check is {requirement['check']!r}"
-    if requirement["at_most"] is not None and _limits(verdict) != [
-        requirement["at_most"], requirement["confidence"],
+    name = f"verdict {verdict.requirement} on {verdict.case}"
+    if requirement.check and verdict.check not in ("", requirement.check):
+        yield f"{name}: judged by {verdict.check!r}, and its check is {requirement.check!r}"
+    if requirement.at_most is not None and _limits(verdict) != [
+        requirement.at_most, requirement.confidence,
     ]:  # fmt: skip
         yield f"{name}: judged by {_limits(verdict)}, and its rate and confidence are others"
 
 
-def _limits(verdict: Data) -> list[Any]:
+def _limits(verdict: VerdictEntry) -> list[Any]:
     """Greatest rate and confidence that a verdict was made with."""
-    return [verdict["bound"]["at_most"], verdict["bound"]["confidence"]]
+    return [verdict.bound.at_most, verdict.bound.confidence]
 
 
 def _verdict_problems(
-    verdict: Data,
-    cases: Mapping[EpisodeKey, Data],
+    verdict: VerdictEntry,
+    cases: Mapping[EpisodeKey, CaseEntry],
     requirements: set[str],
     episodes: set[EpisodeKey],
 ) -> Iterator[str]:
-    name = f"verdict {verdict['requirement']} on {verdict['case']}"
-    if verdict["requirement"] not in requirements:
+    name = f"verdict {verdict.requirement} on {verdict.case}"
+    if verdict.requirement not in requirements:
         yield f"{name}: the requirement is not listed"
-    if (verdict["case"], verdict["component"]) not in cases:
+    if (verdict.case, verdict.component) not in cases:
         yield f"{name}: the case is not listed"
-    named = [counterexample["episode"] for counterexample in verdict["counterexamples"]]
-    for episode in (*named, *verdict["open"], *verdict["unseen_crashes"]):
-        if (episode, verdict["component"]) not in episodes:
+    named = [counterexample.episode for counterexample in verdict.counterexamples]
+    for episode in (*named, *verdict.open, *verdict.unseen_crashes):
+        if (episode, verdict.component) not in episodes:
             yield f"{name}: its episode {episode} is not listed"
 
 
-def _monitor_problems(record: SessionRecord, cases: Mapping[EpisodeKey, Data]) -> Iterator[str]:
+def _monitor_problems(
+    record: SessionRecord, cases: Mapping[EpisodeKey, CaseEntry]
+) -> Iterator[str]:
     """Compute the rates of monitors from their counts again."""
-    for number, monitor in enumerate(record["monitors"]):
+    for number, monitor in enumerate(record.head.monitors):
         name = f"monitors/{number}"
-        if (monitor["case"], monitor["component"]) not in cases:
+        if (monitor.case, monitor.component) not in cases:
             yield f"{name}: its case is not listed"
-        quality = MonitorQuality.from_json(monitor)
-        again = {"case": monitor["case"], **quality.to_json()}
-        yield from differences(f"/{name}", monitor, plain_data(again))
+        recorded = monitor.to_json()
+        quality = MonitorQuality.from_json(recorded)
+        again = {"case": monitor.case, **quality.to_json()}
+        yield from differences(f"/{name}", recorded, plain_data(again))
         times = quality.delays if quality.horizon is None else quality.lead_times
         if len(times) != quality.true_positives or (quality.delays and quality.lead_times):
             yield f"{name}: {quality.true_positives} true positives, and {len(times)} times of them"

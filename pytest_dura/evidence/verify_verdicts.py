@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
 from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import case_situations
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.verdict_model import MeasuredChange, MeasuredPairs, VerdictEntry
 from pytest_dura.evidence.verify_record import differences
 from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
 from pytest_dura.requirements.campaign_verdicts import EVERY_EPISODE, CampaignVerdict, Situations
@@ -25,13 +27,8 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.pairs import Change, PairCounts
 from pytest_dura.requirements.rate_tests import EXACT_METHOD, upper_bound
 
-Data = Mapping[str, Any]
-
-
 TraceVerdicts = Mapping[tuple[int, str], EpisodeVerdict]
 """Verdicts on traces, by the number of the verdict and the id of the episode."""
-_UNLISTED: Data = {"planned": float("inf"), "variation": {}, "faults": []}
-"""Substitute for a case that the record does not have."""
 _NONDETERMINISTIC = "infrastructure: nondeterministic"
 """Beginning of the reason why a session does not trust a verdict."""
 
@@ -52,19 +49,19 @@ class _Run:
     drawn: bool
 
     @classmethod
-    def of(cls, episode: Data) -> _Run:
-        metrics = episode["metrics"]
+    def of(cls, episode: EpisodeEntry) -> _Run:
+        metrics = episode.metrics
         return cls(
-            episode["id"],
-            episode["spec"]["run"],
-            episode["validity"],
-            episode["termination"],
-            metrics["proposals"],
-            metrics["valid_proposals"],
-            tuple(fault["id"] for fault in episode["faults"] if fault["manifested_at"] is None),
-            metrics["recoveries"] > 0,
-            episode["trajectory"],
-            episode["drawn"],
+            episode.id,
+            episode.spec.run,
+            episode.validity,
+            episode.termination,
+            metrics.proposals,
+            metrics.valid_proposals,
+            tuple(fault.id for fault in episode.faults if fault.manifested_at is None),
+            metrics.recoveries > 0,
+            episode.trajectory,
+            episode.drawn,
         )
 
     def add_to(self, situations: Situations) -> None:
@@ -103,30 +100,32 @@ def verdict_problems(record: SessionRecord, judged: TraceVerdicts) -> Iterator[s
     """
     runs: dict[tuple[str, str], _CaseRuns] = defaultdict(_CaseRuns)
     for episode in record.episodes():
-        if episode["planned"]:
-            runs[episode["case"], episode["component"]].add(_Run.of(episode))
-    cases = {(case["id"], case["component"]): case for case in record["cases"]}
-    requirements = {requirement["id"]: requirement for requirement in record["requirements"]}
-    verdicts_on: dict[tuple[str, str], list[Data]] = defaultdict(list)
-    for verdict in record["verdicts"]:
-        verdicts_on[verdict["case"], verdict["component"]].append(verdict)
+        if episode.planned:
+            runs[episode.case, episode.component].add(_Run.of(episode))
+    cases = {(case.id, case.component): case for case in record.head.cases}
+    requirements = {requirement.id: requirement for requirement in record.head.requirements}
+    verdicts_on: dict[tuple[str, str], list[VerdictEntry]] = defaultdict(list)
+    for verdict in record.head.verdicts:
+        verdicts_on[verdict.case, verdict.component].append(verdict)
     on_traces: dict[int, dict[str, EpisodeVerdict]] = defaultdict(dict)
     for (number, name), traced in judged.items():
         on_traces[number][name] = traced
-    for number, verdict in enumerate(record["verdicts"]):
-        place = verdict["case"], verdict["component"]
-        case = cases.get(place, _UNLISTED)
-        pairs = verdict["pairs"]
+    for number, verdict in enumerate(record.head.verdicts):
+        place = verdict.case, verdict.component
+        case, requirement = cases.get(place), requirements.get(verdict.requirement)
+        if case is None or requirement is None:
+            continue  # reported in verify_record
+        pairs = verdict.pairs
         check = _VerdictCheck(
             verdict,
-            requirements.get(verdict["requirement"], {}),
+            requirement,
             case,
             runs[place],
-            None if pairs is None else runs[pairs["case"], verdict["component"]],
+            None if pairs is None else runs[pairs.case, verdict.component],
             on_traces[number],
-            _violating_episodes(verdicts_on[place], verdict["run"], case.get("requirements", ())),
+            _violating_episodes(verdicts_on[place], verdict.run, case.requirements),
         )
-        about = f"{verdict['requirement']} on {verdict['case']}"
+        about = f"{verdict.requirement} on {verdict.case}"
         for problem in check.problems():
             if problem.startswith("/"):
                 yield f"/verdicts/{number}{problem} ({about})"
@@ -135,7 +134,7 @@ def verdict_problems(record: SessionRecord, judged: TraceVerdicts) -> Iterator[s
 
 
 def _violating_episodes(
-    verdicts: Sequence[Data], runs: int, requirements: Collection[str]
+    verdicts: Sequence[VerdictEntry], runs: int, requirements: Collection[str]
 ) -> set[str] | None:
     """Ids of episodes that violate any requirement; ``None`` if not each requirement was judged.
 
@@ -144,10 +143,10 @@ def _violating_episodes(
         runs: Number of its runs.
         requirements: Those of the case.
     """
-    judged = {verdict["requirement"] for verdict in verdicts if verdict["run"] >= runs}
+    judged = {verdict.requirement for verdict in verdicts if verdict.run >= runs}
     if not judged.issuperset(requirements):
         return None
-    return {counter["episode"] for verdict in verdicts for counter in verdict["counterexamples"]}
+    return {counter.episode for verdict in verdicts for counter in verdict.counterexamples}
 
 
 @dataclass(frozen=True)
@@ -165,9 +164,9 @@ class _VerdictCheck:
             all were judged.
     """
 
-    verdict: Data
-    requirement: Data
-    case: Any
+    verdict: VerdictEntry
+    requirement: RequirementEntry
+    case: CaseEntry
     own: _CaseRuns
     twins: _CaseRuns | None
     on_traces: Mapping[str, EpisodeVerdict]
@@ -175,20 +174,20 @@ class _VerdictCheck:
 
     def problems(self) -> Iterator[str]:
         """Yield differences as JSON pointers below the verdict, and contradictions in words."""
-        verdict, spoilt = self.verdict, self.verdict["spoilt"]
+        verdict, spoilt = self.verdict, self.verdict.spoilt
         yield from _margin_problems(verdict, self.on_traces.values())
-        if verdict["planned"] > self.case["planned"]:
-            yield f"{verdict['planned']} runs planned, and fewer of its case"
-        if spoilt and all(run.episode != spoilt["episode"] for run in self.own.runs.values()):
-            yield f"{spoilt['episode']} says nothing of it, and is none of its runs"
+        if verdict.planned > self.case.planned:
+            yield f"{verdict.planned} runs planned, and fewer of its case"
+        if spoilt and all(run.episode != spoilt.episode for run in self.own.runs.values()):
+            yield f"{spoilt.episode} says nothing of it, and is none of its runs"
         runs = self._runs()
         if runs is None:
-            yield f"it rests on {verdict['run']} runs, and not all are among the episodes"
+            yield f"it rests on {verdict.run} runs, and not all are among the episodes"
             yield from _claim_problems(verdict)
             return
-        if verdict["pairs"] is not None:
+        if verdict.pairs is not None:
             recovered = sum(run.recovered for run in runs)
-            yield from _pair_problems(verdict, recovered if self.own.is_unambiguous else None)
+            yield from pair_problems(verdict, recovered if self.own.is_unambiguous else None)
         else:
             yield from self._run_problems(runs)
             yield from self._crash_problems(runs)
@@ -197,8 +196,8 @@ class _VerdictCheck:
 
     def _runs(self) -> list[_Run] | None:
         """List the runs, or pairs of runs, that it may rest on; ``None`` if not all are there."""
-        own, number = self.own.runs, self.verdict["run"]
-        if not self.verdict["check"] and self.twins is None:
+        own, number = self.own.runs, self.verdict.run
+        if not self.verdict.check and self.twins is None:
             # A test on single episodes, of which a part may have been chosen.
             return [own[run] for run in sorted(own)] if number <= len(own) else None
         twins = own if self.twins is None else self.twins.runs
@@ -209,32 +208,32 @@ class _VerdictCheck:
     def _run_problems(self, runs: Sequence[_Run]) -> Iterator[str]:
         """Compare violating, open and crashed runs with how they ended."""
         verdict, ends = self.verdict, {run.episode: run for run in runs}
-        violated = {entry["episode"] for entry in verdict["counterexamples"]}
+        violated = {entry.episode for entry in verdict.counterexamples}
         # A violation that was seen before an infrastructure error counts.
         valid = sum(
             run.validity == "valid" or (run.validity == "missing" and run.episode in violated)
             for run in runs
         )
-        if verdict["episodes"] > valid:
-            yield f"{verdict['episodes']} episodes are valid to it, and {valid} are"
+        if verdict.episodes > valid:
+            yield f"{verdict.episodes} episodes are valid to it, and {valid} are"
         if unknown := violated - ends.keys():
             yield f"{min(unknown)} is its counterexample, and none of its runs"
-        for episode in verdict["open"]:
+        for episode in verdict.open:
             if episode in ends and ends[episode].termination not in EARLY_ENDS:
                 yield f"{episode} is open, and it ended by {ends[episode].termination}"
-        for episode in verdict["unseen_crashes"]:
+        for episode in verdict.unseen_crashes:
             if episode in ends and ends[episode].termination != "critical":
                 yield f"{episode} crashed unseen, and it ended by {ends[episode].termination}"
-        for entry in verdict["counterexamples"]:
-            run = ends.get(entry["episode"])
-            if run is not None and entry["valid"] == (run.validity == "invalid"):
+        for entry in verdict.counterexamples:
+            run = ends.get(entry.episode)
+            if run is not None and entry.valid == (run.validity == "invalid"):
                 yield f"{run.episode} is {run.validity}, and its violation says otherwise"
 
     def _crash_problems(self, runs: Sequence[_Run]) -> Iterator[str]:
         """Yield crashes that violate nothing, and that a supported verdict passes over."""
-        if self.violating_episodes is None or self.verdict["verdict"] != "supported":
+        if self.violating_episodes is None or self.verdict.verdict != "supported":
             return
-        explained = {*self.violating_episodes, *self.verdict["unseen_crashes"]}
+        explained = {*self.violating_episodes, *self.verdict.unseen_crashes}
         for run in runs:
             if run.termination == "critical" and run.episode not in explained:
                 yield f"supported, although {run.episode} crashed and violates nothing"
@@ -243,16 +242,15 @@ class _VerdictCheck:
         """Yield the differences from the verdict that its runs give; nothing if none is known."""
         verdict = self.verdict
         unambiguous = self.own.is_unambiguous and (self.twins is None or self.twins.is_unambiguous)
-        if len(runs) != verdict["run"] or not unambiguous:
+        if len(runs) != verdict.run or not unambiguous:
             return  # it is not known which runs it rests on
         statuses = self._statuses(runs)
         if statuses is None:
-            names = ("episodes", "invalid", "missing")
-            counts = ", ".join(f"{verdict[name]} {name}" for name in names)
-            yield [f"its runs do not come to {counts}"]
+            counts = f"{verdict.episodes} episodes, {verdict.invalid} invalid"
+            yield [f"its runs do not come to {counts}, {verdict.missing} missing"]
             return
         verdicts, is_only = statuses
-        sequential = verdict["method"] not in (EVERY_EPISODE, "fixed")
+        sequential = verdict.method not in (EVERY_EPISODE, "fixed")
         if not is_only and (sequential or any(run.not_manifested for run in verdicts)):
             return  # the order matters, and is not known
         try:
@@ -270,17 +268,17 @@ class _VerdictCheck:
     def _statuses(self, runs: Sequence[_Run]) -> tuple[list[EpisodeVerdict], bool] | None:
         """Assign a status to each run; the flag says whether this is the only assignment."""
         verdict = self.verdict
-        violated = {entry["episode"]: entry for entry in verdict["counterexamples"]}
+        violated = {entry.episode: entry for entry in verdict.counterexamples}
         remaining = Counter(
-            satisfied=verdict["episodes"] - verdict["violations"] - len(verdict["open"]),
-            open=len(verdict["open"]),
-            invalid=verdict["invalid"] - verdict["without_effect"],
-            missing=verdict["missing"],
-            violated=verdict["violations"] + verdict["without_effect"],
+            satisfied=verdict.episodes - verdict.violations - len(verdict.open),
+            open=len(verdict.open),
+            invalid=verdict.invalid - verdict.without_effect,
+            missing=verdict.missing,
+            violated=verdict.violations + verdict.without_effect,
         )
-        measured = verdict["paired"] is not None and verdict["paired"]["measure"]
-        is_only, vacuous, verdicts = True, verdict["vacuous"], []
-        listed = {*violated, *verdict["open"]}
+        measured = verdict.paired is not None and verdict.paired.measure
+        is_only, vacuous, verdicts = True, verdict.vacuous, []
+        listed = {*violated, *verdict.open}
         rest = Counter(run.validity for run in runs if run.episode not in listed)
         exact = rest["valid"] == remaining["satisfied"] and rest["invalid"] == remaining["invalid"]
         for run in runs:
@@ -288,7 +286,7 @@ class _VerdictCheck:
             status: EpisodeStatus = "satisfied"
             if counterexample is not None:
                 status = "violated"
-            elif run.episode in verdict["open"]:
+            elif run.episode in verdict.open:
                 status = "open"
             elif traced is not None and traced.verdict != "violated":
                 status = traced.verdict
@@ -305,15 +303,15 @@ class _VerdictCheck:
             vacuous -= empty
             margin = time = None
             if counterexample is not None:
-                margin, time = counterexample["margin"], counterexample["time"]
+                margin, time = counterexample.margin, counterexample.time
             elif traced is not None:
                 margin, empty = traced.margin, traced.vacuous
             early = run.termination in EARLY_ENDS and not measured
             verdicts.append(
                 EpisodeVerdict(
-                    verdict["requirement"],
+                    verdict.requirement,
                     run.episode,
-                    verdict["component"],
+                    verdict.component,
                     status,
                     margin,
                     time,
@@ -322,9 +320,9 @@ class _VerdictCheck:
                     run.valid_proposals,
                     empty,
                     run.not_manifested,
-                    without_effect=counterexample is not None and not counterexample["valid"],
+                    without_effect=counterexample is not None and not counterexample.valid,
                     ended=run.termination if early else "",
-                    unseen_crash=run.episode in verdict["unseen_crashes"],
+                    unseen_crash=run.episode in verdict.unseen_crashes,
                 )
             )
         return None if any(remaining.values()) else (verdicts, is_only)
@@ -333,28 +331,28 @@ class _VerdictCheck:
         self, runs: Sequence[_Run], verdicts: Sequence[EpisodeVerdict], until: bool
     ) -> CampaignVerdict | None:
         """Decide again as a campaign does; ``None`` if that takes another number of runs."""
-        recorded, bound = self.verdict, self.verdict["bound"]
-        every = recorded["method"] == EVERY_EPISODE
+        recorded, bound = self.verdict, self.verdict.bound
+        every = recorded.method == EVERY_EPISODE
         asked = Requirement.from_json(
             {
-                "id": recorded["requirement"],
-                "at_most": bound["at_most"],
-                "confidence": bound["confidence"],
-                "method": None if every else recorded["method"],
-                "p0": self.requirement.get("p0") if recorded["method"] == "sprt" else None,
-                "paired": recorded["paired"],
+                "id": recorded.requirement,
+                "at_most": bound.at_most,
+                "confidence": bound.confidence,
+                "method": None if every else recorded.method,
+                "p0": self.requirement.p0 if recorded.method == "sprt" else None,
+                "paired": None if recorded.paired is None else recorded.paired.to_json(),
             }
         )
-        planned = recorded["planned"]
+        planned = recorded.planned
         judge = CampaignJudge(
             asked,
-            recorded["case"],
+            recorded.case,
             planned=planned,
-            component=recorded["component"],
+            component=recorded.component,
             until_decided=until,
         )
         situations = case_situations(self.case)
-        if not recorded["check"] and self.twins is None:
+        if not recorded.check and self.twins is None:
             # Each test has decided on its own episode: they have no order and no end.
             for run in runs:
                 run.add_to(situations)
@@ -380,32 +378,30 @@ class _VerdictCheck:
         self, again: CampaignVerdict, verdicts: Sequence[EpisodeVerdict], *, is_only: bool
     ) -> Iterator[str]:
         """Compare with a verdict that was judged again, as far as that is known."""
-        recorded = self.verdict
+        recorded, known = self.verdict, self.verdict.to_json()
         computed = {
-            key: value for key, value in plain_data(again.to_json()).items() if key in recorded
+            key: value for key, value in plain_data(again.to_json()).items() if key in known
         }
         unknown = {"pairs"}  # a table that is checked on its own
-        if not recorded["run"]:
+        if not recorded.run:
             unknown.add("reason")  # a test that ended without a verdict says so itself
-        distrusted = recorded["reason"].startswith(_NONDETERMINISTIC)
-        if (recorded["verdict"], again.verdict) == ("undecided", "supported") and distrusted:
+        distrusted = recorded.reason.startswith(_NONDETERMINISTIC)
+        if (recorded.verdict, again.verdict) == ("undecided", "supported") and distrusted:
             unknown |= {"verdict", "reason"}
-        by_tests = not recorded["check"] and self.twins is None
-        violated = {entry["episode"] for entry in recorded["counterexamples"]}
+        by_tests = not recorded.check and self.twins is None
+        violated = {entry.episode for entry in recorded.counterexamples}
         measured = {*violated, *self.on_traces}
         if not by_tests and any(
             _has_margin(run) and run.episode not in measured for run in verdicts
         ):
             unknown |= {"margin", "margins"}
         for key in computed.keys() - unknown:
-            if key == "spoilt" and computed[key] and recorded[key]:
+            if key == "spoilt" and computed[key] and known[key]:
                 names = ("episode", "verdict") if is_only else ("verdict",)
                 for name in names:
-                    yield from differences(
-                        f"/spoilt/{name}", recorded[key][name], computed[key][name]
-                    )
+                    yield from differences(f"/spoilt/{name}", known[key][name], computed[key][name])
             else:
-                yield from differences(f"/{key}", recorded[key], computed[key])
+                yield from differences(f"/{key}", known[key], computed[key])
 
 
 def _has_margin(verdict: EpisodeVerdict) -> bool:
@@ -413,120 +409,126 @@ def _has_margin(verdict: EpisodeVerdict) -> bool:
     return verdict.valid and verdict.verdict != "open"
 
 
-def _margin_problems(verdict: Data, on_traces: Iterable[EpisodeVerdict]) -> Iterator[str]:
+def _margin_problems(verdict: VerdictEntry, on_traces: Iterable[EpisodeVerdict]) -> Iterator[str]:
     """Check margins that are taken as recorded: those of all episodes are not known.
 
     Args:
         verdict: Of the record.
         on_traces: Verdicts on its episodes by their traces.
     """
-    margins = verdict["margins"]
-    if (margins is None) != (verdict["margin"] is None):
-        yield f"the margin is {verdict['margin']}, and its distribution {margins}"
+    margins = verdict.margins
+    if (margins is None) != (verdict.margin is None):
+        yield f"the margin is {verdict.margin}, and its distribution {margins}"
     if margins is None:
         return
-    points = [margins[name] for name in ("min", "q25", "median", "q75", "max")]
-    if None in points or points != sorted(points):
+    quartiles = (margins.min, margins.q25, margins.median, margins.q75, margins.max)
+    points = [point for point in quartiles if point is not None]
+    if len(points) < len(quartiles) or points != sorted(points):
         yield "the quartiles of its margins are not in order"
         return
-    if margins["min"] != verdict["margin"]:
-        yield f"its least margin is {verdict['margin']}, and its distribution has {margins['min']}"
-    listed = [entry["margin"] for entry in verdict["counterexamples"] if entry["valid"]]
+    if margins.min != verdict.margin:
+        yield f"its least margin is {verdict.margin}, and its distribution has {margins.min}"
+    listed = [entry.margin for entry in verdict.counterexamples if entry.valid]
     known = [margin for margin in listed if margin is not None]
-    if not len(known) <= margins["n"] <= verdict["episodes"]:
-        yield f"{margins['n']} margins of {verdict['episodes']} episodes"
+    if not len(known) <= margins.n <= verdict.episodes:
+        yield f"{margins.n} margins of {verdict.episodes} episodes"
     known += [
         traced.margin for traced in on_traces if _has_margin(traced) and traced.margin is not None
     ]
     for margin in known:
-        if not margins["min"] <= margin <= margins["max"]:
-            yield f"its margins begin at {margins['min']}, and one is {margin}"
+        if not points[0] <= margin <= points[-1]:
+            yield f"its margins begin at {margins.min}, and one is {margin}"
 
 
 _ROUNDING = 1e-6
 _PAIR_COUNTS = ("only_with", "only_without", "both", "neither")
 
 
-def _pair_problems(verdict: Data, recovered: int | None) -> Iterator[str]:
+def pair_problems(verdict: VerdictEntry, recovered: int | None) -> Iterator[str]:
     """Check a table of pairs, which is taken as recorded, against its verdict and its runs.
 
     Args:
         verdict: Of the record, on pairs.
         recovered: Its runs in which recovery acted, if they are known.
     """
-    pairs = verdict["pairs"]
-    if "change" in pairs:
-        yield from _change_problems(verdict)
+    pairs = verdict.pairs
+    if isinstance(pairs, MeasuredPairs):
+        yield from _change_problems(verdict, pairs.change)
         return
-    open_pairs = pairs["incomplete"]
-    complete = sum(pairs[kind] for kind in _PAIR_COUNTS)
-    if not pairs["pairs"] == complete + open_pairs == verdict["run"]:
-        yield f"the table of its pairs does not add up to {verdict['run']}"
-    acted = sum(pairs[f"acted_{kind}"] for kind in _PAIR_COUNTS)
-    if any(pairs[f"acted_{kind}"] > pairs[kind] for kind in _PAIR_COUNTS):
+    if pairs is None:
+        return
+    counts, open_pairs = pairs.to_json(), pairs.incomplete
+    complete = sum(counts[kind] for kind in _PAIR_COUNTS)
+    if not pairs.pairs == complete + open_pairs == verdict.run:
+        yield f"the table of its pairs does not add up to {verdict.run}"
+    acted = sum(counts[f"acted_{kind}"] for kind in _PAIR_COUNTS)
+    if any(counts[f"acted_{kind}"] > counts[kind] for kind in _PAIR_COUNTS):
         yield "recovery acted in more of its pairs than there are"
     if recovered is not None and not acted <= recovered <= acted + open_pairs:
         yield f"recovery acted in {acted} of its pairs, and in {recovered} of its runs"
-    p_value = mcnemar(pairs["only_with"], pairs["only_without"])
-    again = PairCounts.from_json({**pairs, "p_value": p_value}).to_json()
-    yield from differences("/pairs", pairs, {**pairs, **again})
+    p_value = mcnemar(pairs.only_with, pairs.only_without)
+    again = PairCounts.from_json(counts | {"p_value": p_value}).to_json()
+    yield from differences("/pairs", counts, counts | again)
     for name in ("with", "without"):
-        least, violated = pairs["both"] + pairs[f"only_{name}"], pairs[f"violated_{name}"]
+        least, violated = pairs.both + counts[f"only_{name}"], counts[f"violated_{name}"]
         if not least <= violated <= least + open_pairs:
             yield f"{violated} runs {name} it violated it, and its table says {least}"
 
 
-def _change_problems(verdict: Data) -> Iterator[str]:
+def _change_problems(verdict: VerdictEntry, change: MeasuredChange) -> Iterator[str]:
     """Check the changes of a measure against their summary and the verdict."""
-    change = verdict["pairs"]["change"]
-    if len(change["pairs"]) != len(change["values"]):
-        yield f"its change has {len(change['values'])} values for {len(change['pairs'])} pairs"
+    if len(change.pairs) != len(change.values):
+        yield f"its change has {len(change.values)} values for {len(change.pairs)} pairs"
         return
-    yield from differences("/pairs/change", change, Change.from_json(change).to_json())
-    counted = change["n"] + sum(len(change[key]) for key in ("lost", "gained"))
-    if not counted <= verdict["run"]:
-        yield f"its change has {counted} pairs, of {verdict['run']}"
-    bound = verdict["paired"]["change_at_most"]
-    excesses = [value - bound for value in change["values"] if value is not None]
+    recorded = change.to_json()
+    yield from differences("/pairs/change", recorded, Change.from_json(recorded).to_json())
+    counted = change.n + len(change.lost) + len(change.gained)
+    if not counted <= verdict.run:
+        yield f"its change has {counted} pairs, of {verdict.run}"
+    bound = None if verdict.paired is None else verdict.paired.change_at_most
+    if bound is None:
+        yield "the changes of a measure, and nothing says how much it may grow"
+        return
+    excesses = [value - bound for value in change.values if value is not None]
     # Values that equal the bound but for rounding violate nothing.
     slack = _ROUNDING * max(1.0, abs(bound))
     least, most = (sum(excess > shift for excess in excesses) for shift in (slack, -slack))
-    lost = len(change["lost"])
-    if not least + lost <= verdict["violations"] <= most + lost:
-        yield f"{verdict['violations']} pairs violate it, and its changes give {least + lost}"
+    lost = len(change.lost)
+    if not least + lost <= verdict.violations <= most + lost:
+        yield f"{verdict.violations} pairs violate it, and its changes give {least + lost}"
 
 
-def _claim_problems(verdict: Data) -> Iterator[str]:
+def _claim_problems(verdict: VerdictEntry) -> Iterator[str]:
     """Check a verdict of which it is not known what each of its runs came to."""
-    bound, valid, run = verdict["bound"], verdict["episodes"], verdict["run"]
-    counterexamples, open_ = verdict["counterexamples"], len(verdict["open"])
-    violations, missing = verdict["violations"], verdict["missing"]
-    without_effect = verdict["without_effect"]
-    if valid + verdict["invalid"] + missing != run:
+    bound, valid, run = verdict.bound, verdict.episodes, verdict.run
+    counterexamples, open_ = verdict.counterexamples, len(verdict.open)
+    violations, missing = verdict.violations, verdict.missing
+    without_effect = verdict.without_effect
+    if valid + verdict.invalid + missing != run:
         yield f"valid, invalid and missing episodes do not add up to {run}"
-    listed = sum(entry["valid"] for entry in counterexamples)
+    listed = sum(entry.valid for entry in counterexamples)
     if (violations, without_effect) != (listed, len(counterexamples) - listed):
         counts = f"{violations} violations, {without_effect} without effect"
         yield f"{counts}, and {len(counterexamples)} counterexamples, {listed} of them valid"
-    if violations + open_ > valid or without_effect > verdict["invalid"]:
+    if violations + open_ > valid or without_effect > verdict.invalid:
         yield f"more violations and open episodes than the {valid} valid and the invalid ones"
-    if verdict["situation"] is not None:
+    if verdict.situation is not None:
         expected = None
-    elif bound["method"] != EXACT_METHOD or not valid:
-        expected = bound["upper"]  # of a sequential method: the order matters, and is not known
+    elif bound.method != EXACT_METHOD or not valid:
+        expected = bound.upper  # of a sequential method: the order matters, and is not known
     else:
-        expected = upper_bound(min(violations + open_, valid), valid, bound["confidence"])
-    yield from differences("/bound/upper", bound["upper"], expected)
-    if verdict["verdict"] == "violated" and not counterexamples:
+        expected = upper_bound(min(violations + open_, valid), valid, bound.confidence)
+    yield from differences("/bound/upper", bound.upper, expected)
+    if verdict.verdict == "violated" and not counterexamples:
         yield "violated without a violation"
-    exact = bound["method"] == EXACT_METHOD and bound["at_most"] is not None
+    exact = bound.method == EXACT_METHOD and bound.at_most is not None
     against = (
         (missing or not valid, f"{valid} episodes valid and {missing} missing"),
-        (run + verdict["saved"] < verdict["planned"], f"{run} of {verdict['planned']} runs"),
-        (bound["at_most"] is None and (violations or open_), "violations or open episodes"),
+        (run + verdict.saved < verdict.planned, f"{run} of {verdict.planned} runs"),
+        (bound.at_most is None and (violations or open_), "violations or open episodes"),
         (without_effect, "violations in invalid runs"),
-        (verdict["unseen_crashes"], "a crash that violates nothing"),
-        (exact and (bound["upper"] or 1.0) > (bound["at_most"] or 0.0), "a bound above its rate"),
+        (verdict.unseen_crashes, "a crash that violates nothing"),
+        (exact and (bound.upper or 1.0) > (bound.at_most or 0.0), "a bound above its rate"),
     )
-    if verdict["verdict"] == "supported":
+    if verdict.verdict == "supported":
         yield from (f"supported with {what}" for holds, what in against if holds)
