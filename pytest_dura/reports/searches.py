@@ -163,7 +163,7 @@ def kept_lines(counterexample: FoundCounterexample, rerun: str) -> Iterator[str]
         rerun: The command that runs it again.
     """
     entries = [*_change_entries(counterexample, _MOST_CHANGES)]
-    entries += [("kept", f"{one_line(counterexample['file'])}{_KEPT_FOR}"), ("rerun", rerun)]
+    entries += [("kept", f"{one_line(counterexample.file or '')}{_KEPT_FOR}"), ("rerun", rerun)]
     yield from map(_entry_line, entries)
 
 

@@ -74,7 +74,7 @@ def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[list[Svg]
         review = [f"{key}: {layers[key] or blank}" for key in layers]
         lines.append(("", "   ".join(review)))
     lines.append(
-        ("", f"{name(record['created'])}. Evidence and every element: assurance-case.gsn.yaml")
+        ("", f"{name(record.head.created)}. Evidence and every element: assurance-case.gsn.yaml")
     )
     y = MARGIN + 6
     texts = []

@@ -179,7 +179,8 @@ def _packed_trace(record: SessionRecord, episode: ListedEpisode, trace: TraceEnt
     if digest != trace.sha256:
         raise ValueError(f"its SHA-256 is {digest[:12]}..., and the record says another")
     verdicts = _verdicts_on_episode(record, episode)
-    return pack_data(player_data(read_trace(file), verdicts, record["measures"]))
+    measures = [measure.to_json() for measure in record.head.measures]
+    return pack_data(player_data(read_trace(file), verdicts, measures))
 
 
 def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[Data]:
