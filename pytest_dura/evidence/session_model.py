@@ -78,7 +78,7 @@ class ExecutionEntry(Entry):
     session, or is refused.
     """
 
-    executor: Annotated[str, Field(min_length=1)]
+    executor: str
     """Its registered name. `in-process`: the processes of pytest, or of pytest-xdist. `processes`:
     processes of the same machine. `dask`: the workers of a Dask cluster."""
     processes: Positive | None

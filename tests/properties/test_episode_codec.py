@@ -25,6 +25,7 @@ from pytest_dura.execution.codec import DamagedEpisodeError, unpack
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60, database=None)
 GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}
+SIMULATOR = RoleSpec("thermostat:Thermostat")
 FAULT = {"id": "bias", "target": "thermometer", "activation": {"at": 0.3}, "duration": 0.4}
 
 
@@ -63,7 +64,7 @@ def plain(value):
 def room(**scenario):
     """An episode of the heated room with all six roles, a fault and what a viewer shows."""
     spec = EpisodeSpec(
-        "room", 3, 7, RoleSpec("a:Room"), {"generator": RoleSpec("a:Planner")},
+        "room", 3, 7, SIMULATOR, {"generator": RoleSpec("a:Planner")},
         scenario=scenario, faults=(FAULT,), termination=Termination(2.0),
     )  # fmt: skip
     roles = {
@@ -142,7 +143,9 @@ def test_any_episode_comes_back_as_it_was(episode):
         room,
         lambda: room(world={"fuse": 16.0}),
         lambda: run(spec_of_drive({}, faults=[GHOST], duration=3.0)),
-        lambda: missing_episode(replace(SPEC, faults=(FAULT,)), "its process died"),
+        lambda: missing_episode(
+            replace(SPEC, simulator=SIMULATOR, faults=(FAULT,)), "its process died"
+        ),
     ],
     ids=["room", "critical", "driving", "missing"],
 )
