@@ -177,10 +177,10 @@ def _merge(options: argparse.Namespace) -> int:
     for reason in merged.reasons:
         print(one_line(reason, _MAX_LENGTH))
     totals = merged.totals
-    verdicts = sum(totals[name] for name in ("supported", "violated", "undecided"))
+    verdicts = totals.supported + totals.violated + totals.undecided
     print(
-        f"{merged.shards} shards, {totals['cases']} cases, {totals['episodes']} episodes, "
-        f"{verdicts} verdicts; gate of the whole: {totals['gate']}"
+        f"{merged.shards} shards, {totals.cases} cases, {totals.episodes} episodes, "
+        f"{verdicts} verdicts; gate of the whole: {totals.gate}"
     )
     print(f"evidence: {one_line(str(options.output / 'report.html'), _MAX_LENGTH)}")
     return 0 if merged.passed else 1
@@ -222,11 +222,11 @@ def _verify(options: argparse.Namespace) -> int:
         print(one_line(problem, _MAX_LENGTH))
     if bundle.totals is not None:
         totals = bundle.totals
-        verdicts = sum(totals[status] for status in ("supported", "violated", "undecided"))
+        verdicts = totals.supported + totals.violated + totals.undecided
         print(
-            f"{bundle.files} files, {totals['episodes']} episodes, {verdicts} verdicts, "
+            f"{bundle.files} files, {totals.episodes} episodes, {verdicts} verdicts, "
             f"{len(bundle.rejudged)} of their judgements made again on traces; "
-            f"gate {totals['gate']}"
+            f"gate {totals.gate}"
         )
     if bundle.intact and bundle.not_rendered is not None:
         print(

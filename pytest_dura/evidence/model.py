@@ -194,8 +194,8 @@ class SessionRecord:
 
     def to_json(self) -> JsonObject:
         """Convert to plain data, with all episodes."""
-        record: JsonObject = plain_data({**self.head, "episodes": [*self.episodes()]})
-        return record
+        episodes = [plain_data(episode) for episode in self.episodes()]
+        return {**plain_data(self.head), "episodes": episodes}
 
     @classmethod
     def of(cls, record: Mapping[str, Any], directory: Path) -> SessionRecord:
@@ -213,7 +213,7 @@ class SessionRecord:
 
     def changed(self, **changes: Any) -> SessionRecord:
         """Copy with other values of top-level keys, as plain data or entries."""
-        head: Any = {**self.head, **changes}
+        head: Any = {**plain_data(self.head), **changes}
         return replace(self, head=head)
 
 

@@ -57,6 +57,8 @@ _RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)
 """Name of a file from which a failed session can be resumed, which is no evidence."""
 JudgedOnTraces: TypeAlias = "dict[tuple[int, str], EpisodeVerdict]"
 """Verdicts on traces, by the number of the verdict in the record and the episode's id."""
+_IDENTITY = {"id", "component", "seed", "digest"}
+"""Keys of an episode that name the file of its trace."""
 _STATEMENT_FILE = "test-result.intoto.json"
 _TRACED_FIGURES = ("flagged", "switching")
 """Figures of each episode, besides its measures, that its trace gives again."""
@@ -127,7 +129,7 @@ def _retention_problems(
         yield "it has a trace, at the evidence level summary"
     if violated and trace.kept_for != "violation":
         yield f"its trace is kept for {trace.kept_for!r}, and it violated a requirement"
-    if trace.file != trace_path(episode):
+    if trace.file != trace_path(episode.to_json(include=_IDENTITY)):
         yield f"its trace is {trace.file}, and that of others"
 
 
@@ -430,9 +432,9 @@ def _check_sentences(
     mismatches = check_record(record)
     resumable = bool(mismatches) or record.head.gate.result != "passed"
     kept = [name for name in names if resumable and _RESUME_FILE.fullmatch(name)]
+    problems += [f"{RECORD_FILE}: schema: {text}" for text in mismatches]
     problems += hash_problems(record.directory, kept)
     if mismatches:
-        problems += [f"{RECORD_FILE}: schema: {text}" for text in mismatches]
         return  # what follows needs the shape of the schema
     problems += _extra_files(record)
     verification.totals = record.head.totals
