@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry, RepeatEntry
     from pytest_dura.evidence.model import RecordHead
-    from pytest_dura.evidence.search_model import SearchEntry
+    from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
     from pytest_dura.evidence.verdict_model import VerdictEntry
 
 REPEAT_KEYS = ("episode", "digest", "repeated_digest", "result", "detail")
@@ -102,13 +102,13 @@ def _search_objections(searches: Sequence[SearchEntry], *, warn_undecided: bool)
     ]
 
 
-def outcome_status(search: Any, outcome: Any) -> str:  # transitional: typed with its callers
+def outcome_status(search: SearchEntry, outcome: SearchOutcomeEntry) -> str:
     """Status of an outcome; ``baseline`` where a baseline alone met a violation."""
     name = outcome.requirement
     if outcome.word in VIOLATED_OUTCOMES:
-        return str(outcome.word)
+        return outcome.word
     baseline_violates = any(baseline.first.get(name) is not None for baseline in search.baselines)
-    return "baseline" if baseline_violates else str(outcome.word)
+    return "baseline" if baseline_violates else outcome.word
 
 
 def outcome_objection(requirement: str, case: str, status: str) -> str:

@@ -398,8 +398,8 @@ def _measured(record: SessionRecord) -> NamedValues:
 
 
 def _measures(record: SessionRecord) -> NamedValues:
-    for measure in record["measures"]:
-        yield f"measures {measure['name']}", measure
+    for measure in record.head.measures:
+        yield f"measures {measure.name}", measure
 
 
 def _models(record: SessionRecord) -> NamedValues:

@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
-from pytest_dura.evidence.entry import Entry, JsonObject
+from pytest_dura.evidence.entry import Entry, JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import SessionRecord, WholeRecord
 
@@ -71,7 +71,7 @@ def check_record(record: SessionRecord | Mapping[str, Any]) -> list[str]:
     if not isinstance(record, (SessionRecord, Mapping)):
         return [f"/: found {_kind(record)}, expected object"]
     listed: Any = record.episodes() if isinstance(record, SessionRecord) else record.get("episodes")
-    head = dict(record.head if isinstance(record, SessionRecord) else record)
+    head = dict(plain_data(record.head) if isinstance(record, SessionRecord) else record)
     if isinstance(record, SessionRecord) or isinstance(listed, list):
         head["episodes"] = []
     else:

@@ -172,7 +172,7 @@ class UnitEntry(Entry):
     """Whether it is named by its first case, or by the node id of its test."""
     name: str
     """Its name."""
-    items: Positive  # type: ignore[assignment]  # transitional
+    items: Positive
     """How many items it has."""
     episodes: Count
     """How many episodes are planned for it, by which shards are balanced."""

@@ -123,7 +123,7 @@ class MeasuredChange(Entry):
     """Import path of the measure."""
     pairs: list[str]
     """The first episode of each pair."""
-    values: list[Number | None]  # type: ignore[assignment]  # transitional
+    values: list[Number | None]
     """For each pair the measure less that of its twin, in its unit; null for none."""
     lost: list[str]
     """Pairs with a value in the second run only."""
