@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,6 +264,8 @@ class Episode:
     timeouts: tuple[int, ...] = ()
     recording: Recording | None = None
     drawn: bool = False
+    searched: ClassVar[bool] = False
+    """Whether a search chose it, so that no rate can rest on it."""
 
     @property
     def id(self) -> str:

@@ -183,7 +183,7 @@ def judge_episode(
             a signal that the episode does not have; and for an episode that a search chose.
     """
     check = requirement.check if check is None else check
-    if getattr(episode, "searched", False):
+    if episode.searched:
         raise ConfigurationError(
             f"the episode {episode.id!r} was chosen by a search, and is no sample of anything",
             found=episode.id,
@@ -433,8 +433,6 @@ def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.floa
 class JudgedEpisode(Episode):
     """An episode with methods that evaluate formulas; what test functions get."""
 
-    searched: ClassVar[bool] = False
-    """Whether a search chose it, so that no rate can rest on it."""
     second_engine: ClassVar[SecondEngine | None] = None
     """Evaluates formulas as well, where an episode has one."""
 
