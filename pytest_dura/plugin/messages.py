@@ -133,7 +133,9 @@ def failure_text(error: DuraError) -> str:
     from pytest_dura.evidence.search_model import SearchEntry
     from pytest_dura.reports.searches import failure_lines
 
-    data = plain_data({**falsification.to_json(), "item": "", "waiver": None})
+    # The message shows nothing of these; the record gets them from the session.
+    unshown = {"scenario": "", "simulator": "", "roles": {}, "item": "", "waiver": None}
+    data = plain_data({**falsification.to_json(), **unshown})
     not_kept = [f"not kept: {reason}" for reason in getattr(error, "not_kept", ())]
     return "\n".join([*failure_lines(SearchEntry.model_validate(data)), *not_kept])
 

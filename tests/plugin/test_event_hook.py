@@ -66,7 +66,9 @@ def verdicts(project, file="events.txt"):
 
 
 @pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_each_kind_of_event_is_seen_where_its_item_runs(eventful, workers):
+def test_each_kind_of_event_is_seen_where_its_item_runs(eventful, workers, monkeypatch):
+    # This test may be a worker's itself.
+    monkeypatch.delenv("PYTEST_XDIST_WORKER", raising=False)
     eventful.run("--dura-scenarios", "--dura-select=corridor/*", "test_it.py", *workers)
     seen = notes(eventful)
     assert {kind for kind, _, _ in seen} == {kind.__name__ for kind in get_args(SessionEvent)}

@@ -8,6 +8,8 @@ import pytest
 from stated_counts import stated_counts
 
 from pytest_dura.evidence import SessionRecord, verify_bundle
+from pytest_dura.evidence.case_model import CaseEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.verify import conclusion_problems
 from pytest_dura.evidence.verify_record import episode_problems
 
@@ -239,15 +241,22 @@ def test_forged_tallies_are_found(chatty):
         assert any(place in problem for problem in own) == (change is not None)
 
 
+def problems_of(record):
+    """What is wrong with the only episode of a record."""
+    (episode,), (case,) = record["episodes"], record["cases"]
+    read = EpisodeEntry.model_validate(episode), CaseEntry.model_validate(case)
+    return list(episode_problems(*read, record["base_seed"]))
+
+
 def test_more_failures_than_decisions_are_found(chatty):
     chatty.scenarios("--dura-runs=1", select="talk/*")
     record = chatty.evidence()
-    (episode,), (case,) = record["episodes"], record["cases"]
-    assert list(episode_problems(episode, case, record["base_seed"])) == []
+    (episode,) = record["episodes"]
+    assert problems_of(record) == []
     episode["metrics"]["tallies"]["fallback"].update(hits=16, of=16)
     episode["metrics"]["answer_seconds"] *= 9
     episode["metrics"]["answer_ages"] *= 8
-    problems = list(episode_problems(episode, case, record["base_seed"]))
+    problems = problems_of(record)
     assert [one.partition(": ")[2] for one in problems] == [
         "16 of 16 for fallback (hits), in 15 decisions",
         "the times of 27 answers, in 15 decisions",
@@ -258,9 +267,9 @@ def test_more_failures_than_decisions_are_found(chatty):
 def test_a_decision_that_is_older_than_its_episode_is_found(chatty):
     chatty.scenarios("--dura-runs=1", select="talk/*")
     record = chatty.evidence()
-    (episode,), (case,) = record["episodes"], record["cases"]
+    (episode,) = record["episodes"]
     for age, problems in (1.5, 0), (1.6, 1):
         episode["metrics"]["answer_ages"][-1] = age
-        found = list(episode_problems(episode, case, record["base_seed"]))
+        found = problems_of(record)
         assert len(found) == problems
     assert found[0].endswith("a decision came into force 1.6 s after its percept, within 1.5 s")

@@ -72,11 +72,16 @@ def hostile_records(draw, directory=Path("nowhere")):
         gate={"result": gate, "exit_code": int(gate != "passed"), "reasons": ["r"] * (size % 7)},
         finished=draw(st.sampled_from([None, "2026-01-02T03:05:05+00:00"])),
     )  # fmt: skip
-    told = record.to_json()
-    spoiled = spoilt(told, lambda text: f"{before}{text}{after}" + "x" * size)
-    _restore(spoiled, told)
-    spoiled["totals"] = totals(spoiled)
-    return SessionRecord.of(spoiled, directory)
+    return spoilt_record(record, lambda text: f"{before}{text}{after}" + "x" * size, directory)
+
+
+def spoilt_record(record, spoil, directory):
+    """The record with each text that may be any passed through ``spoil``; it fits the models."""
+    before = record.to_json()
+    after = spoilt(before, spoil)
+    _restore(after, before)
+    after["totals"] = totals(after)
+    return SessionRecord.of(after, directory)
 
 
 def _restore(told, before):
