@@ -134,7 +134,13 @@ def failure_text(error: DuraError) -> str:
     from pytest_dura.reports.searches import failure_lines
 
     # The message shows nothing of these; the record gets them from the session.
-    unshown = {"scenario": "", "simulator": "", "roles": {}, "item": "", "waiver": None}
+    unshown: dict[str, Any] = {
+        "scenario": "",
+        "simulator": "",
+        "roles": {},
+        "item": "",
+        "waiver": None,
+    }
     data = plain_data({**falsification.to_json(), **unshown})
     not_kept = [f"not kept: {reason}" for reason in getattr(error, "not_kept", ())]
     return "\n".join([*failure_lines(SearchEntry.model_validate(data)), *not_kept])
