@@ -12,7 +12,7 @@ import tempfile
 import uuid
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -400,6 +400,7 @@ class SharedEpisodes:
             ConfigurationError: If it is to be resumed, and there is none that can be.
         """
         from pytest_dura.evidence.bundle import RECORD_FILE, read_session_record
+        from pytest_dura.evidence.schema import check_record
 
         options = self.context.options
         file = options.evidence / RECORD_FILE
@@ -411,6 +412,18 @@ class SharedEpisodes:
             if options.resume:
                 raise
             return None
+        damage = check_record(replace(record, read_episodes=lambda: iter(())))
+        if damage and not options.resume:
+            return None
+        if damage:
+            raise ConfigurationError(
+                "the record of the session to resume is damaged",
+                file=str(file),
+                key="--dura-resume",
+                found=damage[0],
+                expected="a record as pytest-dura wrote it",
+                remedy="restore the file, or drop --dura-resume and run the session again",
+            )
         if record.head.status != "complete":
             return f"the interrupted session of {record.head.created}"
         if left_episodes:

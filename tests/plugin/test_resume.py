@@ -417,3 +417,13 @@ def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project, mode):
     result = project.run_apart(*names, *mode, "--dura-resume")
     assert result.ret == 0
     assert reuse(project)["taken_over"] >= 1
+
+
+def test_a_damaged_record_is_refused_by_name(project):
+    project.scenarios()
+    file = project.path / "dura-evidence" / "evidence.json"
+    file.write_text(file.read_text().replace('"exit_code": 0', '"exit_code": "0"', 1))
+    result = project.scenarios("--dura-resume")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert "/gate/exit_code: found string, expected integer" in output(result)
+    assert "INTERNALERROR" not in output(result)
