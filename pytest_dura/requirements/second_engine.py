@@ -209,9 +209,9 @@ class SecondEngine:
         if alike:
             return COMPARED, None
         theirs = min(failed or margins)
-        word = "violated" if failed else "satisfied"
+        status = "violated" if failed else "satisfied"
         values = (
-            f"ours is {own.status} by {own.margin!r}, rtamt {self.version} {word} by {theirs!r}"
+            f"ours is {own.status} by {own.margin!r}, rtamt {self.version} {status} by {theirs!r}"
         )
         return COMPARED, values
 

@@ -144,7 +144,7 @@ def player_data(
         :func:`_scene_data`.
     """
     recording, decisions = trace.recording, trace.decisions
-    marks = {str(one["signal"]): str(one["event"]) for one in measures if one["signal"]}
+    marks = {str(each["signal"]): str(each["event"]) for each in measures if each["signal"]}
     return {
         "about": {key: _plain(value) for key, value in trace.about.items()},
         "time": _numbers(trace.time),

@@ -104,7 +104,7 @@ def requirement_section(
             "folded": _folded_verdicts(folded.pop(requirement.id, [])),
         }
         for requirement in sorted(
-            record.head.requirements, key=lambda one: ranks.get(one.id, len(WORST_FIRST))
+            record.head.requirements, key=lambda own: ranks.get(own.id, len(WORST_FIRST))
         )
     ]
     others = [
