@@ -35,8 +35,11 @@ from pytest_dura.plugin.terminal_tables import (
     pair_table,
     reliance_table,
     worst_cases,
+    wrapped_legend,
 )
 from pytest_dura.plugin.terminal_verdicts import show_searches, show_verdicts
+from pytest_dura.reports.columns import Shown, shown_in
+from pytest_dura.reports.tables import COMPARISON_COLUMNS, NO_CHANGE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -106,17 +109,13 @@ def _resume_command(config: pytest.Config) -> str:
     return shlex.join(["pytest", *map(str, arguments)])
 
 
-_NO_EVIDENCE = "no evidence of a change"
 _BASELINE_COLOURS: Mapping[str, dict[str, bool]] = {
     "worse": {"red": True},
     "better": {"green": True},
 }
-_BASELINE_LEGEND = (
-    "now, then: violations of valid runs; p: exact one-sided p-value in the direction of the",
-    "change; Holm: p corrected for the number of comparisons, on which the word rests (p alone, at",
-    "a confidence of 0.95, calls an unchanged rate worse in up to 5 % of all comparisons);",
-    "McNemar: on equal seeds; (worse), (better): without the correction only; -: no evidence of a",
-    "change, which is no evidence that nothing changed",
+_BASELINE_NOTE = (
+    "(worse), (better): without the correction only; -: no evidence of a change, which is no "
+    "evidence that nothing changed"
 )
 
 
@@ -144,13 +143,15 @@ def _show_baseline(terminal: Any, record: SessionRecord) -> None:
     ]
     rows = [
         comparison
-        for status in (*_BASELINE_COLOURS, _NO_EVIDENCE)
+        for status in (*_BASELINE_COLOURS, NO_CHANGE)
         for comparison in shown
         if comparison.word == status
     ]
     if rows:
-        table = [_BASELINE_COLUMNS, *map(_baseline_row, rows)]
-        widths = [max(len(row[i]) for row in table) for i in range(len(_BASELINE_COLUMNS))]
+        columns = shown_in(COMPARISON_COLUMNS, Shown.TERMINAL)
+        table = [[column.label for column in columns]]
+        table += [[column.cell(entry).terminal for column in columns] for entry in rows]
+        widths = [max(len(row[i]) for row in table) for i in range(len(columns))]
         for row, entry in zip(table, [None, *rows], strict=True):
             cells = "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True))
             about = "requirement and case" if entry is None else _name(entry)
@@ -160,32 +161,12 @@ def _show_baseline(terminal: Any, record: SessionRecord) -> None:
                 terminal.line(
                     line, **({} if entry is None else _BASELINE_COLOURS.get(entry.word, {}))
                 )
-        for line in _BASELINE_LEGEND:
+        for line in [*wrapped_legend(columns), *textwrap.wrap(_BASELINE_NOTE, WIDTH)]:
             terminal.line(line)
     for reason, alike in _unremarkable(comparisons).items():
         text = f"{one_line(reason)}: {_requirements_by_case(alike)}"
         for line in textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False):
             terminal.line(line)
-
-
-_BASELINE_COLUMNS = ("", "now", "then", "p", "Holm", "test")
-
-
-def _baseline_row(comparison: ComparisonEntry) -> Sequence[str]:
-    worse = comparison.p_worse or 0.0, comparison.p_worse_holm
-    better = comparison.p_better or 0.0, comparison.p_better_holm
-    p_value, corrected = worse if worse[0] <= better[0] else better
-    status: str = comparison.word
-    if status == _NO_EVIDENCE:
-        status = "-" if comparison.uncorrected == _NO_EVIDENCE else f"({comparison.uncorrected})"
-    return (
-        status,
-        f"{comparison.violations}/{comparison.episodes}",
-        f"{comparison.baseline_violations}/{comparison.baseline_episodes}",
-        f"{p_value:.2g}",
-        f"{corrected:.2g}",
-        str(comparison.test),
-    )
 
 
 def _name(comparison: ComparisonEntry) -> str:

@@ -18,19 +18,19 @@ from pytest_dura.plugin.terminal_tables import (
     keep_worst,
     left_out_lines,
 )
+from pytest_dura.reports.columns import Column, Shown, legend, shown_in
 from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
-    SEARCHER_COLUMNS,
-    SEARCHER_LEGEND,
     baseline_note,
     is_notable_outcome,
     kept_text,
     outcome_entries,
     outcome_headline,
     outcome_rank,
-    searcher_rows,
+    searcher_name,
     simulations_text,
 )
+from pytest_dura.reports.tables import SEARCHER_COLUMNS, SearcherRow
 from pytest_dura.reports.verdicts import assertion_sentences, figures_text, reading_sentences
 from pytest_dura.reports.wording import event_text
 from pytest_dura.requirements.campaign_verdicts import violation_text
@@ -38,7 +38,7 @@ from pytest_dura.requirements.campaign_verdicts import violation_text
 if TYPE_CHECKING:
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
+    from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry, SearchOutcomeEntry
     from pytest_dura.evidence.verdict_model import VerdictEntry
     from pytest_dura.plugin.context import SessionContext
 
@@ -292,11 +292,20 @@ def _wrapped(text: str, indent: int) -> list[str]:
 
 def _searcher_table(search: SearchEntry, requirement: str) -> Iterator[str]:
     """Write the searchers, and below them each trivial baseline by itself."""
-    searchers = list(searcher_rows(search, requirement, "searchers"))
-    baselines = list(searcher_rows(search, requirement, "baselines"))
-    rows = [*searchers, ("trivial, each by itself:", [""] * len(SEARCHER_COLUMNS)), *baselines]
-    if not baselines:
-        rows[len(searchers)] = ("trivial: none was run", [""] * len(SEARCHER_COLUMNS))
+    columns = shown_in(SEARCHER_COLUMNS, Shown.TERMINAL)
+    nothing = [""] * len(columns)
+    rows = [_searcher_line(columns, searcher, requirement) for searcher in search.searchers]
+    note = "trivial, each by itself:" if search.baselines else "trivial: none was run"
+    rows.append((note, nothing))
+    rows += [_searcher_line(columns, baseline, requirement) for baseline in search.baselines]
     names, cells = [searcher for searcher, _ in rows], [figures for _, figures in rows]
-    yield from (line.rstrip() for line in aligned("searcher", SEARCHER_COLUMNS, names, cells))
-    yield from textwrap.wrap(SEARCHER_LEGEND, _SEARCH_WIDTH - 2)
+    headings = [column.label for column in columns]
+    yield from (line.rstrip() for line in aligned("searcher", headings, names, cells))
+    yield from textwrap.wrap(legend(columns), _SEARCH_WIDTH - 2)
+
+
+def _searcher_line(
+    columns: Sequence[Column[SearcherRow]], searcher: SearcherEntry, requirement: str
+) -> tuple[str, list[str]]:
+    row = SearcherRow(searcher, requirement)
+    return searcher_name(searcher), [column.cell(row).terminal for column in columns]

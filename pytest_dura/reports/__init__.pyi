@@ -1,3 +1,4 @@
+from .columns import Cell, Column, Shown, shown_in
 from .episode_view import (
     Panel,
     decision_at,
@@ -7,25 +8,30 @@ from .episode_view import (
     signal_plot,
     signals_csv,
 )
-from .gsn.argument import generated_argument
-from .gsn.element import root_ids, rule_problems
-from .gsn.user_argument import check_requirements, read_user_argument
-from .html.contents import anchor, case_anchor, verdict_anchor
-from .html.player import pack_data, player_assets, player_data, player_page
-from .searches import outcome_headline
-from .tables import (
+from .failure_modes import (
     decision_age_lines,
     decision_time_lines,
     failure_modes_by_component,
     measured_failure_modes,
     percent_text,
 )
+from .gsn.argument import generated_argument
+from .gsn.element import root_ids, rule_problems
+from .gsn.user_argument import check_requirements, read_user_argument
+from .html.contents import anchor, case_anchor, verdict_anchor
+from .html.player import pack_data, player_assets, player_data, player_page
+from .searches import outcome_headline
+from .tables import case_columns
 from .wording import shard_text
 
 __all__ = [
+    "Cell",
+    "Column",
     "Panel",
+    "Shown",
     "anchor",
     "case_anchor",
+    "case_columns",
     "check_requirements",
     "decision_age_lines",
     "decision_at",
@@ -46,6 +52,7 @@ __all__ = [
     "root_ids",
     "rule_problems",
     "shard_text",
+    "shown_in",
     "signal_plot",
     "signals_csv",
     "verdict_anchor",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 from pytest_dura.evidence.gate import (
     NOTHING_FOUND,
@@ -20,12 +20,12 @@ from pytest_dura.evidence.search_model import (
     ChangeEntry,
     FoundCounterexample,
     SearchEntry,
+    SearcherEntry,
     SearchOutcomeEntry,
 )
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.requirements.campaign_verdicts import violation_text
 
-_LEARNS = "learns"
 _MOST_NAMES = 8
 """Outcomes that a sentence names."""
 _OUTCOME_RANK = {status: rank for rank, status in enumerate(OBJECTIONABLE_OUTCOMES)}
@@ -194,27 +194,10 @@ def is_notable_outcome(search: SearchEntry, outcome: SearchOutcomeEntry) -> bool
     return outcome_status(search, outcome) in (*VIOLATED_OUTCOMES, "baseline")
 
 
-SEARCHER_COLUMNS = ("simulations", "violated at", "robustness")
-SEARCHER_LEGEND = "violated at: after so many of its own simulations; robustness: its least"
-
-
-def searcher_rows(
-    search: SearchEntry, requirement: str, kind: Literal["searchers", "baselines"]
-) -> Iterator[tuple[str, list[str]]]:
-    """The name and the cells of every searcher, or of every baseline.
-
-    Args:
-        search: Of the record.
-        requirement: For which of its requirements.
-        kind: Which of them.
-    """
-    for searcher in search.searchers if kind == "searchers" else search.baselines:
-        first, best = searcher.first.get(requirement), searcher.best.get(requirement)
-        shown = name(searcher.name)
-        if kind == "searchers" and not searcher.trivial:
-            shown = f"{shown} ({_LEARNS})"
-        cells = [str(searcher.simulations), "none" if first is None else str(first)]
-        yield shown, [*cells, "-" if best is None else f"{best:.4g}"]
+def searcher_name(searcher: SearcherEntry) -> str:
+    """Name of a searcher, and whether it learns from what it sees."""
+    shown = name(searcher.name)
+    return shown if searcher.trivial else f"{shown} (learns)"
 
 
 def counterexample_text(counterexample: FoundCounterexample, check: str) -> str:

@@ -10,40 +10,36 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, groupby
+from typing import TypeVar
 
 from pytest_dura.evidence.case_model import (
-    CaseEntry,
-    CaseMetricsEntry,
-    MeasuredNumbers,
     RequirementEntry,
     ShareEntry,
 )
 from pytest_dura.evidence.conclude import verdict_counts
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.model import SessionRecord, components_under_test
-from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
 from pytest_dura.evidence.session_model import (
     LanguageModelEntry,
-    MeasureEntry,
 )
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
-from pytest_dura.reports.searches import (
-    baselines_text,
-    kept_text,
-    ordered_outcomes,
-    outcome_headline,
-    parameter_changes,
-    search_coverage_text,
-)
-from pytest_dura.reports.tables import (
+from pytest_dura.reports.columns import Column, Shown, measure_label, shown_in
+from pytest_dura.reports.failure_modes import (
     NULL_NOTE,
     decision_age_lines,
     decision_time_lines,
-    failure_mode_text,
     failure_modes_by_component,
-    measure_label,
-    percent_text,
+)
+from pytest_dura.reports.role_tables import FailureModeRow, failure_mode_columns
+from pytest_dura.reports.searches import ordered_outcomes, outcome_headline
+from pytest_dura.reports.tables import (
+    REQUIREMENT_COLUMNS,
+    SEARCH_COLUMNS,
+    VERDICT_COLUMNS,
+    OutcomeRow,
+    RequirementRow,
+    case_columns,
 )
 from pytest_dura.reports.verdicts import (
     assertion_sentences,
@@ -123,18 +119,6 @@ def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
     yield f"- {UNREVIEWED}"
 
 
-_SEARCH_COLUMNS = ["search", "waiver", "requirement", "case", "component", "simulations",
-           "robustness",
-           "found by", "trivial baselines alone", "counterexample"]  # fmt: skip
-MOST_CHANGES = 6
-
-
-def _search_rows(record: SessionRecord) -> Iterator[str]:
-    """Rows of a table with :data:`_SEARCH_COLUMNS`."""
-    for search, outcome in ordered_outcomes(record):
-        yield f"| {' | '.join(_search_cells(search, outcome))} |"
-
-
 def _search_failures(record: SessionRecord) -> Iterator[str]:
     """A line for each outcome that the gate does not accept, or that is waived."""
     for search, outcome in ordered_outcomes(record):
@@ -147,35 +131,7 @@ def _search_failures(record: SessionRecord) -> Iterator[str]:
             )
 
 
-def _search_cells(search: SearchEntry, outcome: SearchOutcomeEntry) -> Iterator[str]:
-    status = outcome_status(search, outcome)
-    yield "violated by a baseline" if status == "baseline" else status
-    yield "-" if search.waiver is None else "waived"
-    for text in (outcome.requirement, search.case, search.component):
-        yield code(name(text)) or "-"
-    yield f"{outcome.simulations} of {search.budget}"
-    yield "-" if outcome.best is None else f"{outcome.best:.4g}"
-    yield "-" if outcome.searcher is None else markdown(outcome.searcher, 100)
-    yield markdown(baselines_text(search, outcome.requirement), 1000)
-    yield _search_counterexample(search, outcome)
-
-
-def _search_counterexample(search: SearchEntry, outcome: SearchOutcomeEntry) -> str:
-    """Its changes and its file; without a counterexample, how much the search covered."""
-    counterexample = outcome.counterexample
-    if counterexample is None:
-        return f"coverage {search_coverage_text(search)}"
-    changes = [
-        f"{code(path)} {markdown(how, 100)}"
-        for path, how in parameter_changes(counterexample, MOST_CHANGES)
-    ]
-    more = len(counterexample.changes) - len(changes)
-    text = ", ".join(changes) or "the case as it stands"
-    text += f" and {more} more" if more > 0 else ""
-    kept = kept_text(outcome)
-    return f"{text}; kept in {code(kept)}" if kept else text
-
-
+Row = TypeVar("Row")
 FILE = "summary.md"
 MAX_BYTES = 1024 * 1024
 """Bytes that GitHub takes."""
@@ -193,6 +149,7 @@ def render(record: SessionRecord) -> str:
     """The page as text, of at most ``MAX_BYTES`` bytes in UTF-8."""
     verdicts = sorted(record.head.verdicts, key=_urgency)
     failures = [verdict for verdict in verdicts if verdict.verdict != "supported"]
+    searched, cases = [OutcomeRow(*pair) for pair in ordered_outcomes(record)], record.head.cases
     lines = [
         *_head_lines(record),
         *_conclusion_lines(record),
@@ -202,14 +159,10 @@ def render(record: SessionRecord) -> str:
             chain(_failure_lines(record, failures), _search_failures(record)),
             "failures",
         ),
-        *(
-            _section("Searches", _SEARCH_COLUMNS, _search_rows(record), "searches")
-            if record.head.searches
-            else ()
-        ),
-        *_section("Verdicts", _VERDICT_COLUMNS, map(_verdict_row, verdicts), "verdicts"),
-        *_section("Requirements", _REQUIREMENT_COLUMNS, _requirement_rows(record), "requirements"),
-        *_case_section(record),
+        *(_table("Searches", SEARCH_COLUMNS, searched, "searches") if searched else ()),
+        *_table("Verdicts", VERDICT_COLUMNS, verdicts, "verdicts"),
+        *_table("Requirements", REQUIREMENT_COLUMNS, _requirement_rows(record), "requirements"),
+        *_table("Cases", case_columns(cases, record.head.measures), cases, "cases"),
         *_overall_lines(record),
         *_failure_mode_section(record),
         *_coverage_lines(record),
@@ -253,6 +206,16 @@ def _conclusion_lines(record: SessionRecord) -> Iterator[str]:
             "",
             *(f"- {markdown(sentence, 400)}" for sentence in sentences),
         ]
+
+
+def _table(
+    heading: str, columns: Sequence[Column[Row]], rows: Iterable[Row], share: str
+) -> Iterator[str]:
+    """A heading and a table, with as many of its rows as fit into its share."""
+    columns = shown_in(columns, Shown.SUMMARY)
+    cells = ((column.cell(row).summary for column in columns) for row in rows)
+    lines = (f"| {' | '.join(row)} |" for row in cells)
+    yield from _section(heading, [column.name for column in columns], lines, share)
 
 
 def _section(heading: str, columns: list[str], rows: Iterable[str], share: str) -> Iterator[str]:
@@ -315,43 +278,7 @@ def _replay(session: str, episode: str) -> str:
     return code(command) if unchanged else ""
 
 
-_VERDICT_COLUMNS = ["verdict", "waiver", "requirement", "case", "component", "valid n",
-             "violations",
-             "open", "without effect", "invalid", "missing", "upper bound"]  # fmt: skip
-_REQUIREMENT_COLUMNS = [
-    "requirement",
-    "kind",
-    "text",
-    "supported",
-    "violated",
-    "undecided",
-    "untested",
-]
-_CASE_COLUMNS = ["case", "component", "planned", "run", "valid", "invalid", "missing", "flagged"]
-_FAILURE_MODE_COLUMNS = [
-    "failure mode",
-    "kind",
-    "component",
-    "decisions",
-    "share %",
-    "null %",
-    "episodes",
-]
-
-
-def _table_row(cells: Iterable[object]) -> str:
-    return f"| {' | '.join(str(cell) for cell in cells)} |"
-
-
-def _verdict_row(verdict: VerdictEntry) -> str:
-    counts = [verdict.episodes, verdict.violations, len(verdict.open)]
-    counts += [verdict.without_effect, verdict.invalid, verdict.missing]
-    waiver = "-" if verdict.waiver is None else "waived"
-    names = map(_name, (verdict.requirement, verdict.case, verdict.component))
-    return _table_row([verdict.verdict, waiver, *names, *counts, rate_bound(verdict)])
-
-
-def _requirement_rows(record: SessionRecord) -> Iterator[str]:
+def _requirement_rows(record: SessionRecord) -> Iterator[RequirementRow]:
     of_each: dict[str, list[VerdictEntry]] = defaultdict(list)
     for verdict in record.head.verdicts:
         of_each[verdict.requirement].append(verdict)
@@ -366,46 +293,7 @@ def _requirement_rows(record: SessionRecord) -> Iterator[str]:
 
     for requirement in sorted(record.head.requirements, key=failing):
         own = counts[requirement.id]
-        numbers = (own[status] for status in ("supported", "violated", "undecided"))
-        texts = (markdown(text, 200) or "-" for text in (requirement.kind, requirement.text))
-        yield _table_row(
-            [_name(requirement.id), *texts, *numbers, f"{untested[requirement.id]}{more}"]
-        )
-
-
-def _case_section(record: SessionRecord) -> Iterator[str]:
-    measures = record.head.measures
-    shown = [markdown(measure_label(measure), 64) for measure in measures]
-    columns = [*_CASE_COLUMNS, *shown, "rescued", "comfort failed", "reactions"]
-    rows = (_case_row(case, measures) for case in record.head.cases)
-    yield from _section("Cases", columns, rows, "cases")
-
-
-def _case_row(case: CaseEntry, measures: Sequence[MeasureEntry]) -> str:
-    metrics = case.metrics
-    figures = [_measure_text(measure, metrics) for measure in measures]
-    shares = (metrics.flagged, metrics.rescued, metrics.comfort_failed)
-    rates = [_rate_text(share, metrics.valid) for share in shares]
-    reactions = ", ".join(f"{_name(kind)} {n}" for kind, n in metrics.reactions.items())
-    counts = (metrics.planned, metrics.run, metrics.valid, metrics.invalid, metrics.missing)
-    names = (_name(case.id), _name(case.component))
-    return _table_row([*names, *counts, rates[0], *figures, *rates[1:], reactions or "-"])
-
-
-def _measure_text(measure: MeasureEntry, metrics: CaseMetricsEntry) -> str:
-    value = metrics.measures.get(measure.name)
-    if measure.shown != "mean":
-        return _rate_text(value if isinstance(value, ShareEntry) else None, metrics.valid)
-    if not isinstance(value, MeasuredNumbers) or value.mean is None:
-        return "-"
-    return f"{value.mean:.2f} {markdown(measure.unit, 64)} (n = {value.runs})"
-
-
-def _rate_text(rate: ShareEntry | None, valid: int) -> str:
-    """Write how often something happened in valid runs, and with a star in others."""
-    shown = "-" if rate is None else f"{rate.valid} of {valid}"
-    beyond = 0 if rate is None else rate.run - rate.valid
-    return f"{shown}, {beyond}*" if beyond else shown
+        yield RequirementRow(requirement, own, f"{untested[requirement.id]}{more}")
 
 
 def _overall_lines(record: SessionRecord) -> Iterator[str]:
@@ -444,17 +332,12 @@ def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
     """Over all cases; nothing where no component gave accounts."""
     cases = record.head.cases
     rows = [
-        _table_row([
-            _name(failure_mode_text(mode.name)), mode.kind, _name(component),
-            f"{mode.hits} of {mode.of}", percent_text(mode.share),
-            percent_text(mode.null_share),
-            f"{mode.episodes} of {mode.of_episodes}",
-        ])
+        FailureModeRow(mode, component)
         for component, modes in failure_modes_by_component(cases).items()
         for mode in modes
-    ]  # fmt: skip
+    ]
     if rows:
-        yield from _section("Failure modes", _FAILURE_MODE_COLUMNS, rows, "failure modes")
+        yield from _table("Failure modes", failure_mode_columns(), rows, "failure modes")
         yield from [
             "",
             *(f"- answers of {_name(whose)}: {text}" for whose, text in decision_time_lines(cases)),

@@ -1,158 +1,472 @@
-"""Failure modes and decision times: figures and cells of tables that reports and terminal share."""
+"""The tables of reports: for each a list of columns that terminal, summary and page render.
+
+A column is added here and nowhere else; those of pairs, monitors, faults and failure modes in
+``role_tables``. A row is an entry of the record, or a small dataclass around it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from operator import attrgetter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+from pytest_dura.core.metrics import REACTIONS
 from pytest_dura.evidence.case_model import (
     CaseEntry,
-    CaseMetricsEntry,
-    FailureModeEntry,
-    Percentiles,
+    MeasuredNumbers,
+    OverallEntry,
+    RequirementEntry,
 )
-from pytest_dura.evidence.metrics import share
+from pytest_dura.evidence.gate import outcome_status
+from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry, SearchOutcomeEntry
 from pytest_dura.evidence.session_model import MeasureEntry
-
-_COUNTS = attrgetter("hits", "of", "null_hits", "null_of", "episodes", "of_episodes")
-FAILURE_MODE_HEADINGS = {
-    "failure": "failure modes",
-    "control": "negative control",
-    "comparison": "no failure by itself",
-}
-"""Headings of tables above the measures of a kind."""
-_TIMEOUT = "timeout"
-"""Name of the failure mode of a decision that was not there in time."""
-NULL_NOTE = (
-    "null: a component that ignores its input, on the same decisions: what it also reaches says "
-    "nothing about the model"
+from pytest_dura.evidence.text import code, markdown, name
+from pytest_dura.evidence.verdict_model import (
+    ComparisonEntry,
+    VerdictEntry,
 )
+from pytest_dura.reports.columns import (
+    NO_VALUE,
+    Cell,
+    Column,
+    Shown,
+    given,
+    measure_label,
+    name_cell,
+    number_text,
+    prose_cell,
+    rounded,
+    runs_cell,
+    share_text,
+)
+from pytest_dura.reports.searches import (
+    baselines_text,
+    kept_text,
+    parameter_changes,
+    search_coverage_text,
+)
+from pytest_dura.reports.verdicts import no_rate_reason, rate_bound
+
+# Cases.
+
+CaseRow = CaseEntry | OverallEntry
+"""A case, or all cases of a component."""
 
 
-def cases_with_accounts(cases: Sequence[CaseEntry]) -> list[CaseEntry]:
-    """The cases whose component gave accounts; those without a role repeat others' decisions."""
-    return [case for case in cases if case.metrics.failure_modes and not case.without]
+def case_columns(
+    rows: Sequence[CaseRow], measures: Sequence[MeasureEntry]
+) -> list[Column[CaseRow]]:
+    """The outcomes of cases; how they rely on recovery is a table of its own in the terminal.
 
-
-def failure_modes_by_component(cases: Sequence[CaseEntry]) -> dict[str, list[FailureModeEntry]]:
-    """Failure modes of each component over all cases, those that could show, by kind.
-
-    Without a bound: cases are no sample of one kind of episode.
+    Args:
+        rows: All of them: what none of them measures has no column.
+        measures: The record's.
     """
-    components: dict[str, dict[str, list[FailureModeEntry]]] = {}
-    for case in cases_with_accounts(cases):
-        modes = components.setdefault(case.component, {})
-        for mode in case.metrics.failure_modes:
-            modes.setdefault(mode.name, []).append(mode)
-    return {
-        component: measured_failure_modes([_pooled_mode(same) for same in modes.values()])
-        for component, modes in components.items()
-    }
+    several = len({row.component for row in rows}) > 1
+    users = sorted({name for row in rows for name in row.metrics.user})
+    known = {name for row in rows for name in row.metrics.reactions}
+    kinds = [*REACTIONS, *sorted(known.difference(REACTIONS))] if known else []
+    comfort = any(row.metrics.comfort_failed for row in rows)
+    reliance = "reliance"
+    return [
+        Column("case", lambda row: _case_cell(row, several=several), shown=Shown.FILES, kind=""),
+        Column("component", lambda row: name_cell(row.component), shown=Shown.SUMMARY),
+        Column("planned", lambda row: row.metrics.planned, shown=Shown.SUMMARY),
+        Column("run", lambda row: row.metrics.run, shown=Shown.SUMMARY),
+        Column("valid", lambda row: row.metrics.valid, shown=Shown.SUMMARY),
+        Column(
+            "n", _valid_of_planned, "n / planned", meaning="valid runs, of those planned",
+            shown=Shown.TERMINAL | Shown.PAGE,
+        ),
+        Column("invalid", lambda row: row.metrics.invalid, shown=Shown.FILES),
+        Column("missing", lambda row: row.metrics.missing, shown=Shown.FILES),
+        Column(
+            "flagged", lambda row: runs_cell(row.metrics.flagged, row.metrics.valid),
+            short="flag %", meaning="runs with an unsafe proposal",
+        ),
+        *map(_measure_column, measures),
+        Column(
+            "rescued", lambda row: runs_cell(row.metrics.rescued, row.metrics.valid),
+            short="rescued %", meaning="runs in which recovery took over", group=reliance,
+        ),
+        Column(
+            "time rescued", _time_in_control, short="time %",
+            meaning="share of the time for which recovery was in control",
+            shown=Shown.TERMINAL | Shown.PAGE, group=reliance,
+        ),
+        Column(
+            "recoveries", lambda row: _if_valid(row, row.metrics.recoveries), short="recov",
+            shown=Shown.TERMINAL | Shown.PAGE,
+        ),
+        Column(
+            "comfort failed", lambda row: runs_cell(row.metrics.comfort_failed, row.metrics.valid),
+            short="comfort %", meaning="runs that at some time were beyond what passengers take",
+            shown=Shown.ALL if comfort else Shown.FILES, group=reliance,
+        ),
+        Column(
+            "alerts", lambda row: _if_valid(row, row.metrics.alerts),
+            shown=Shown.TERMINAL | Shown.PAGE,
+        ),
+        Column(
+            "reactions", _reactions, kind="", shown=Shown.FILES,
+            meaning="how the component reacted to what looked like an attack, each time",
+        ),
+        *(_reaction_column(kind, first=kind == kinds[0]) for kind in kinds),
+        Column("inv", _invalid_and_missing, shown=Shown.TERMINAL),
+        *map(_user_column, users),
+    ]  # fmt: skip
 
 
-def _pooled_mode(modes: Sequence[FailureModeEntry]) -> FailureModeEntry:
-    """A failure mode over several cases."""
-    sums = (sum(counts) for counts in zip(*map(_COUNTS, modes), strict=True))
-    hits, of, null_hits, null_of, episodes, of_episodes = sums
-    return FailureModeEntry(
-        name=modes[0].name,
-        kind=modes[0].kind,
-        hits=hits,
-        of=of,
-        share=share(hits, of),
-        null_hits=null_hits,
-        null_of=null_of,
-        null_share=share(null_hits, null_of),
-        episodes=episodes,
-        of_episodes=of_episodes,
-        upper=None,
+def _case_cell(row: CaseRow, *, several: bool) -> Cell:
+    notes = (name(row.component),) if several else ()
+    if isinstance(row, OverallEntry):
+        text = f"All {row.cases} cases"
+        return Cell(text, text, text, notes)
+    return name_cell(row.id, *notes)
+
+
+def _valid_of_planned(row: CaseRow) -> Cell:
+    valid, planned = row.metrics.valid, row.metrics.planned
+    by_hand = isinstance(row, CaseEntry) and row.runs_override
+    return Cell(
+        str(valid) if valid == planned else f"{valid} ({planned})",
+        f"{valid} of {planned}",
+        f"{valid} / {planned}",
+        ("planned by hand",) if by_hand else (),
+        total=(valid, planned),
     )
 
 
-def measured_failure_modes(modes: Sequence[FailureModeEntry]) -> list[FailureModeEntry]:
-    """Failure modes that could show, failures first, then the controls to be read with them.
-
-    Those that could have shown of the null component alone are included: a reader is to see that a
-    component gave nothing to measure, as where it failed on each variant of its prompt.
-    """
-    measured = [mode for mode in modes if mode.of or mode.null_of]
-    return [mode for kind in FAILURE_MODE_HEADINGS for mode in measured if mode.kind == kind]
+def _if_valid(row: CaseRow, count: int) -> Cell:
+    page = str(count) if row.metrics.valid else NO_VALUE
+    return Cell(str(count), str(count), page, total=(count,))
 
 
-def failure_mode_text(name: str) -> str:
-    """A failure mode's name with spaces: ``misses threat``."""
-    return name.replace("_", " ")
+def _time_in_control(row: CaseRow) -> Cell | None:
+    switching = row.metrics.switching
+    if switching is None or switching.share is None:
+        return None
+    text = f"{100 * switching.share:.1f}"
+    return Cell(text, text, share_text(switching.share))
 
 
-def percent_text(part: float | None) -> str:
-    """A share in per cent, ``-`` of nothing; what is neither never nor always does not read so."""
-    if part is None:
-        return "-"
-    text = f"{100 * part:.1f}"
-    if part > 0.0 and text == "0.0":
-        return "<0.1"
-    return ">99.9" if part < 1.0 and text == "100.0" else text
+def _reactions(row: CaseRow) -> Cell | None:
+    counts = {name(kind): count for kind, count in row.metrics.reactions.items()}
+    text = ", ".join(f"{kind} {count}" for kind, count in counts.items())
+    summary = ", ".join(f"{code(kind) or '-'} {count}" for kind, count in counts.items())
+    return Cell(text, summary, text) if counts else None
 
 
-def decision_time_lines(cases: Sequence[CaseEntry]) -> Iterator[tuple[str, str]]:
-    """Each component whose decisions took time, and a text on how much and how often too much."""
-    late = _timeouts(cases)
-    for component, spreads in _spreads(cases, attrgetter("answer_times")).items():
-        decisions = sum(spread.decisions for spread in spreads)
-        text = f"{decisions} decisions, {_percentiles(spreads, 'longest', '.2f')}"
-        hits, of = late.get(component, (0, 0))
-        if of:
-            text += f"; {hits} of {of} ({percent_text(hits / of)} %) past the time budget"
-        yield component, text
+_SHORT_REACTIONS = {"follows the fake": "follows"}
 
 
-def decision_age_lines(cases: Sequence[CaseEntry]) -> Iterator[tuple[str, str]]:
-    """Each component whose decisions came into force late, and a text on how old they were.
-
-    Where the simulation waits for each decision, none is older than its percept: no line.
-    """
-    for component, spreads in _spreads(cases, attrgetter("answer_ages")).items():
-        if any(spread.max > 0.0 for spread in spreads):
-            yield component, _percentiles(spreads, "oldest", ".4g")
-
-
-def _timeouts(cases: Sequence[CaseEntry]) -> dict[str, tuple[int, int]]:
-    """Decisions of each component without an answer in time, and all whose outcome is known."""
-    timeouts: dict[str, tuple[int, int]] = {}
-    for case in cases_with_accounts(cases):
-        for failure_mode in case.metrics.failure_modes:
-            if failure_mode.name == _TIMEOUT:
-                hits, of = timeouts.get(case.component, (0, 0))
-                timeouts[case.component] = hits + failure_mode.hits, of + failure_mode.of
-    return timeouts
+def _reaction_column(kind: str, *, first: bool) -> Column[CaseRow]:
+    return Column(
+        kind,
+        lambda row: row.metrics.reactions.get(kind, 0),
+        short=_SHORT_REACTIONS.get(kind, kind),
+        meaning="like the columns behind it, reactions to what looked like an attack, each counted"
+        if first
+        else "",
+        shown=Shown.TERMINAL,
+        group="reliance",
+    )
 
 
-def _spreads(
-    cases: Sequence[CaseEntry], of: Callable[[CaseMetricsEntry], Percentiles | None]
-) -> dict[str, list[Percentiles]]:
-    """Percentiles of one metric for each component, of each case that has it."""
-    spreads: dict[str, list[Percentiles]] = {}
-    for case in cases_with_accounts(cases):
-        if (spread := of(case.metrics)) is not None:
-            spreads.setdefault(case.component, []).append(spread)
-    return spreads
+def _invalid_and_missing(row: CaseRow) -> str:
+    missing = f"+{row.metrics.missing} missing" if row.metrics.missing else ""
+    return f"{row.metrics.invalid}{missing}"
 
 
-def _percentiles(spreads: Sequence[Percentiles], greatest: str, format_spec: str) -> str:
-    """Median, 95th percentile and greatest, in s."""
-    median = _range_text("median", [spread.p50 for spread in spreads], format_spec)
-    high = _range_text("95th percentile", [spread.p95 for spread in spreads], format_spec)
-    return f"{median}, {high}, {greatest} {max(spread.max for spread in spreads):{format_spec}} s"
+def _measure_column(measure: MeasureEntry) -> Column[CaseRow]:
+    def value(row: CaseRow) -> Cell | None:
+        value = row.metrics.measures.get(measure.name)
+        if isinstance(value, MeasuredNumbers):
+            return _mean(value, measure.unit)
+        cell = runs_cell(value, row.metrics.valid, starred=True)
+        if cell is None or value is None or measure.shown == "share":
+            return cell
+        return replace(cell, terminal=str(value.valid))
+
+    unit = {"share": "%", "count": "", "mean": measure.unit}[measure.shown]
+    return Column(
+        markdown(measure_label(measure), 64),
+        value,
+        heading=name(measure_label(measure).capitalize()),
+        small="mean \N{PLUS-MINUS SIGN} sd (n)" if measure.shown == "mean" else "",
+        short=f"{measure.heading} {unit}".rstrip(),
+        meaning=measure.meaning,
+    )
 
 
-def _range_text(label: str, values: Sequence[float], format_spec: str) -> str:
-    """Percentiles of several cases do not add up: the text has the least and the greatest."""
-    least, greatest = f"{min(values):{format_spec}}", f"{max(values):{format_spec}}"
-    if least == greatest:
-        return f"{label} {least} s"
-    return f"{label} {least} to {greatest} s by case"
+def _mean(value: MeasuredNumbers, unit: str) -> Cell | None:
+    if value.mean is None:
+        return None
+    sd = value.sd
+    spread = "" if sd is None else f" +- {sd:.1f}"
+    page = f"{value.mean:.2f}" + ("" if sd is None else f" \N{PLUS-MINUS SIGN} {sd:.2f}")
+    return Cell(
+        f"{value.mean:.1f}{spread} ({value.runs})",
+        f"{value.mean:.2f} {markdown(unit, 64)} (n = {value.runs})",
+        f"{page}\N{NO-BREAK SPACE}{name(unit)}" if unit else page,
+        (f"({value.runs})",),
+    )
 
 
-def measure_label(measure: MeasureEntry) -> str:
-    """Name of a measure in words."""
-    return measure.name.replace("_", " ")
+def _user_column(user: str) -> Column[CaseRow]:
+    def value(row: CaseRow) -> Cell | None:
+        figure = row.metrics.user.get(user)
+        if figure is None or figure.mean is None:
+            return None
+        text = f"{figure.mean:.4g}"
+        return Cell(text, text, number_text(figure.mean), (f"({figure.runs})",))
+
+    return Column(
+        user, value, heading=name(user), small="mean (n)", shown=Shown.TERMINAL | Shown.PAGE
+    )
+
+
+# Requirements and verdicts.
+
+
+@dataclass(frozen=True)
+class RequirementRow:
+    """A requirement, its verdicts by status, and how many cells have none."""
+
+    requirement: RequirementEntry
+    counts: dict[str, int]
+    untested: str
+
+
+REQUIREMENT_COLUMNS: Sequence[Column[RequirementRow]] = (
+    Column("requirement", lambda row: name_cell(row.requirement.id)),
+    Column("kind", lambda row: prose_cell(row.requirement.kind)),
+    Column("text", lambda row: prose_cell(row.requirement.text)),
+    Column("supported", lambda row: row.counts["supported"]),
+    Column("violated", lambda row: row.counts["violated"]),
+    Column("undecided", lambda row: row.counts["undecided"]),
+    Column("untested", lambda row: row.untested),
+)
+
+
+def _valid_n(row: VerdictEntry) -> Cell:
+    saved = f", {row.saved} saved" if row.saved else ""
+    notes = (f"({row.run} run{saved})",) if row.run != row.planned else ()
+    text = str(row.episodes)
+    return Cell(text, text, f"{row.episodes} / {row.planned}", notes, below=True)
+
+
+def _violations(row: VerdictEntry) -> Cell:
+    text = str(row.violations)
+    notes = (f"{row.without_effect}*",) if row.without_effect else ()
+    return Cell(text, text, text, notes, alarming=bool(row.violations or row.without_effect))
+
+
+def _bound(row: VerdictEntry) -> Cell:
+    bound, text = row.bound, rate_bound(row)
+    allowed = f"allowed: {'none' if bound.at_most is None else share_text(bound.at_most)}"
+    if bound.upper is None:
+        page = f"none{no_rate_reason(row)}"
+    else:
+        page = f"\N{LESS-THAN OR EQUAL TO} {share_text(bound.upper)}"
+        page += f" at {share_text(bound.confidence)}"
+    return Cell(text, text, page, (allowed,), below=True)
+
+
+def _margins(row: VerdictEntry) -> str | None:
+    if row.margins is not None:
+        return f"{number_text(row.margins.min)} / {number_text(row.margins.median)}"
+    return None if row.margin is None else number_text(row.margin)
+
+
+VERDICT_COLUMNS: Sequence[Column[VerdictEntry]] = (
+    Column("verdict", lambda row: row.verdict, shown=Shown.SUMMARY),
+    Column("waiver", lambda row: "waived" if row.waiver else None, shown=Shown.SUMMARY),
+    Column("requirement", lambda row: name_cell(row.requirement), shown=Shown.SUMMARY),
+    Column("case", lambda row: name_cell(row.case), shown=Shown.SUMMARY),
+    Column("component", lambda row: name_cell(row.component), shown=Shown.SUMMARY),
+    Column(
+        "valid n", _valid_n, "Valid / planned",
+        meaning="valid episodes of those planned",
+    ),
+    Column(
+        "violations", _violations, "Viol.",
+        meaning="valid episodes that violated it; with a star, invalid ones that did so without "
+        "effect of the fault",
+    ),
+    Column(
+        "open", lambda row: len(row.open), "Open",
+        meaning="open: valid episodes that ended before it was decided; the bound counts them as "
+        "violations",
+    ),
+    Column("without effect", lambda row: row.without_effect, shown=Shown.SUMMARY),
+    Column(
+        "invalid", lambda row: row.invalid, "Inv.",
+        meaning="invalid episodes: the planned fault never manifested, or the trace does not "
+        "decide it",
+    ),
+    Column(
+        "missing", lambda row: row.missing, "Miss.",
+        meaning="missing episodes: an infrastructure error ended them",
+    ),
+    Column(
+        "vacuous", lambda row: row.vacuous, "Vac.", shown=Shown.PAGE,
+        meaning="vacuous: satisfied because their condition never held",
+    ),
+    Column(
+        "upper bound", _bound, "Upper bound of the rate,",
+        small="and the rate allowed", kind="bound",
+    ),
+    Column(
+        "margin", _margins, small="min / median", shown=Shown.PAGE,
+    ),
+)  # fmt: skip
+
+
+NO_CHANGE = "no evidence of a change"
+
+
+def _status(row: ComparisonEntry) -> str:
+    if row.word != NO_CHANGE:
+        return row.word
+    return "-" if row.uncorrected == NO_CHANGE else f"({row.uncorrected})"
+
+
+def _violated_of(violations: int | None, episodes: int | None) -> str | None:
+    return None if episodes is None else f"{violations}/{episodes}"
+
+
+def _nearer(row: ComparisonEntry) -> tuple[float | None, float | None]:
+    """The p-values in the direction of the change."""
+    worse, better = row.p_worse or 0.0, row.p_better or 0.0
+    return (worse, row.p_worse_holm) if worse <= better else (better, row.p_better_holm)
+
+
+def _corrected(p_value: float | None, holm: float | None) -> str:
+    return f"{number_text(p_value, 2)} ({number_text(holm, 2)})"
+
+
+COMPARISON_COLUMNS: Sequence[Column[ComparisonEntry]] = (
+    Column("requirement", lambda row: name_cell(row.requirement), shown=Shown.PAGE, kind=""),
+    Column("case", lambda row: name_cell(row.case), shown=Shown.PAGE, kind=""),
+    Column("word", lambda row: row.word, shown=Shown.PAGE, kind=""),
+    Column("status", _status, short=" ", shown=Shown.TERMINAL),
+    Column(
+        "now", lambda row: _violated_of(row.violations, row.episodes),
+        meaning="violations of valid runs in this session",
+    ),
+    Column(
+        "then", lambda row: _violated_of(row.baseline_violations, row.baseline_episodes),
+        meaning="those of the baseline",
+    ),
+    Column(
+        "p", lambda row: rounded(_nearer(row)[0], ".2g"), shown=Shown.TERMINAL,
+        meaning="exact one-sided p-value in the direction of the change",
+    ),
+    Column(
+        "Holm", lambda row: rounded(_nearer(row)[1], ".2g"), shown=Shown.TERMINAL,
+        meaning="p corrected for the number of comparisons, on which the word rests (p alone, at "
+        "a confidence of 0.95, calls an unchanged rate worse in up to 5 % of all comparisons)",
+    ),
+    Column("test", lambda row: row.test, meaning="McNemar's on equal seeds, or Fisher's", kind=""),
+    Column(
+        "p worse", lambda row: _corrected(row.p_worse, row.p_worse_holm), small="(Holm)",
+        heading="p worse", shown=Shown.PAGE,
+    ),
+    Column(
+        "p better", lambda row: _corrected(row.p_better, row.p_better_holm), small="(Holm)",
+        heading="p better", shown=Shown.PAGE,
+    ),
+    Column("reason", lambda row: prose_cell(row.reason), shown=Shown.PAGE, kind=""),
+)  # fmt: skip
+
+
+# Searches.
+
+
+@dataclass(frozen=True)
+class OutcomeRow:
+    """A search, and its outcome for a requirement."""
+
+    search: SearchEntry
+    outcome: SearchOutcomeEntry
+
+
+MOST_CHANGES = 6
+"""Changed parameters in a cell; the record has all."""
+
+
+def _search_status(row: OutcomeRow) -> str:
+    status = outcome_status(row.search, row.outcome)
+    return "violated by a baseline" if status == "baseline" else status
+
+
+def _simulations(row: OutcomeRow) -> Cell:
+    count = str(row.outcome.simulations)
+    return Cell(count, f"{count} of {row.search.budget}", count)
+
+
+def _best(value: float | None) -> Cell | None:
+    text = rounded(value, ".4g")
+    return None if value is None else Cell(text, text, number_text(value))
+
+
+def _counterexample(row: OutcomeRow) -> Cell:
+    """Its changes and its file; without a counterexample, how much the search covered."""
+    counterexample = row.outcome.counterexample
+    if counterexample is None:
+        text = f"coverage {search_coverage_text(row.search)}"
+        return Cell(text, text, text)
+    changes = parameter_changes(counterexample, MOST_CHANGES)
+    text = ", ".join(f"{code(path)} {markdown(how, 100)}" for path, how in changes)
+    text = text or "the case as it stands"
+    more = len(counterexample.changes) - len(changes)
+    text += f" and {more} more" if more > 0 else ""
+    kept = kept_text(row.outcome)
+    text += f"; kept in {code(kept)}" if kept else ""
+    return Cell(text, text, text)
+
+
+SEARCH_COLUMNS: Sequence[Column[OutcomeRow]] = (
+    Column("search", _search_status, shown=Shown.SUMMARY),
+    Column("waiver", lambda row: "waived" if row.search.waiver else None, shown=Shown.SUMMARY),
+    Column("requirement", lambda row: name_cell(row.outcome.requirement), shown=Shown.SUMMARY),
+    Column("case", lambda row: name_cell(row.search.case), shown=Shown.SUMMARY),
+    Column("component", lambda row: name_cell(row.search.component), shown=Shown.SUMMARY),
+    Column("simulations", _simulations),
+    Column(
+        "robustness", lambda row: _best(row.outcome.best), "Least robustness",
+        meaning="least robustness of all simulations",
+    ),
+    Column(
+        "found by",
+        lambda row: given(row.outcome.searcher, lambda own: prose_cell(own, 100)),
+        shown=Shown.SUMMARY,
+    ),
+    Column(
+        "trivial baselines alone",
+        lambda row: prose_cell(baselines_text(row.search, row.outcome.requirement), 1000),
+        shown=Shown.SUMMARY,
+    ),
+    Column("counterexample", _counterexample, shown=Shown.SUMMARY),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SearcherRow:
+    """A searcher, or a trivial baseline, in the search for a violation of a requirement."""
+
+    searcher: SearcherEntry
+    requirement: str
+
+
+SEARCHER_COLUMNS: Sequence[Column[SearcherRow]] = (
+    Column("simulations", lambda row: row.searcher.simulations),
+    Column(
+        "violated at", lambda row: row.searcher.first.get(row.requirement) or "none",
+        meaning="after so many of its own simulations",
+    ),
+    Column(
+        "robustness", lambda row: rounded(row.searcher.best.get(row.requirement), ".4g"),
+        heading="Least robustness", meaning="its least",
+    ),
+)  # fmt: skip

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pytest_dura.evidence.case_model import (
     CaseEntry,
     CellEntry,
-    FailureModeEntry,
     MeasuredNumbers,
     ParameterEntry,
-    ShareEntry,
 )
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.reports.columns import Shown, shown_in
+from pytest_dura.reports.failure_modes import (
+    FAILURE_MODE_HEADINGS,
+    NULL_NOTE,
+    cases_with_accounts,
+    decision_age_lines,
+    decision_time_lines,
+    failure_modes_by_component,
+    measured_failure_modes,
+)
 from pytest_dura.reports.html.contents import (
     UNREMARKABLE,
     CaseKey,
@@ -31,19 +38,14 @@ from pytest_dura.reports.html.contents import (
     split_folded,
     verdict_key,
 )
-from pytest_dura.reports.svg import Scale
-from pytest_dura.reports.tables import (
-    FAILURE_MODE_HEADINGS,
-    NULL_NOTE,
-    cases_with_accounts,
-    decision_age_lines,
-    decision_time_lines,
-    failure_mode_text,
-    failure_modes_by_component,
-    measure_label,
-    measured_failure_modes,
-    percent_text,
+from pytest_dura.reports.role_tables import (
+    FAULT_COLUMNS,
+    FailureModeRow,
+    FaultRow,
+    failure_mode_columns,
 )
+from pytest_dura.reports.svg import Scale
+from pytest_dura.reports.tables import case_columns
 
 Data = Mapping[str, Any]
 Heading = Mapping[str, Any]
@@ -166,8 +168,9 @@ def scenario_section(record: SessionRecord, contents: ReportContents, _links: Ep
     Arms that lack a role come last: they are there to be compared with.
     """
     cases = record.head.cases
-    rows = []
+    rows: list[tuple[CaseEntry, str | None]] = []
     measures = record.head.measures
+    columns = shown_in(case_columns(cases, measures), Shown.PAGE)
     charts: dict[str, list[MeasureRow]] = {
         measure.name: [] for measure in measures if measure.shown == "mean"
     }
@@ -176,7 +179,7 @@ def scenario_section(record: SessionRecord, contents: ReportContents, _links: Ep
     for case in shown:
         anchor = case_anchor(case.id)
         tally = contents.cases.get(case_key(case), CaseTally())
-        rows.append({**dict(case), "anchor": None if anchor in anchors else anchor})
+        rows.append((case, None if anchor in anchors else anchor))
         anchors.add(anchor)
         for measure, chart in charts.items():
             if tally.numbers.get(measure) and not case.without:
@@ -188,49 +191,29 @@ def scenario_section(record: SessionRecord, contents: ReportContents, _links: Ep
                 chart.append(MeasureRow(case.id, numbers, runs, mean, sd))
     return {
         "groups": [
-            {"arms": arms, "rows": group, "folded": _folded_sums(folded, measures)}
+            {
+                "arms": arms,
+                "rows": group,
+                "folded": {
+                    "number": len(folded),
+                    "sums": [column.summed(folded) for column in columns[1:]],
+                },
+            }
             for arms in (False, True)
-            if (group := [row for row in rows if bool(row["without"]) is arms])
+            if (group := [row for row in rows if bool(row[0].without) is arms])
             + (folded := [case for case in rest if bool(case.without) is arms])
         ],
         "overall": [total for total in record.head.overall if total.cases > 1],
-        "several": len({case.component for case in cases}) > 1,
-        "users": sorted({name for case in cases for name in case.metrics.user}),
-        "measures": [{**dict(each), "label": measure_label(each)} for each in measures],
+        "columns": columns,
         "charts": [
             {
-                "measure": {**dict(each), "label": measure_label(each)},
+                "measure": each,
                 **measure_chart(charts[each.name]),
             }
             for each in measures
             if charts.get(each.name)
         ],
     }
-
-
-def _folded_sums(cases: list[CaseEntry], measures: Sequence[MeasureEntry]) -> Data:
-    """The sums of cases without rows."""
-    metrics = [case.metrics for case in cases]
-    truths = {
-        measure.name: _valid_sum(of.measures.get(measure.name) for of in metrics)
-        for measure in measures
-        if measure.shown != "mean"
-    }
-    return {
-        "number": len(cases),
-        "measures": truths,
-        "flagged": _valid_sum(of.flagged for of in metrics),
-        "rescued": _valid_sum(of.rescued for of in metrics),
-        "comfort_failed": _valid_sum(of.comfort_failed for of in metrics),
-        "valid": sum(of.valid for of in metrics),
-        "planned": sum(of.planned for of in metrics),
-        "recoveries": sum(of.recoveries for of in metrics),
-        "alerts": sum(of.alerts for of in metrics),
-    }
-
-
-def _valid_sum(shares: Iterable[ShareEntry | MeasuredNumbers | None]) -> int:
-    return sum(share.valid for share in shares if isinstance(share, ShareEntry))
 
 
 BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0
@@ -323,13 +306,14 @@ def fault_section(record: SessionRecord, contents: ReportContents, _links: Episo
         tally = contents.cases.get(case_key(case), CaseTally())
         for fault in case.metrics.faults:
             outcomes = sorted(tally.outcomes.get(fault.id, Counter()).items())
-            chains.append({**dict(fault), "case": case, "outcomes": outcomes})
+            chains.append(FaultRow(case, fault, outcomes))
     named = {name for case in shown for name in _fault_names(case)}
     left_out = {name for case in rest for name in _fault_names(case)} - named
     return {
         "heat": _heat_map(record, left_out),
         "left_out": len(left_out),
         "chains": chains,
+        "columns": shown_in(FAULT_COLUMNS, Shown.PAGE),
         "folded": sum(len(case.metrics.faults) for case in rest),
     }
 
@@ -459,7 +443,7 @@ def failure_mode_section(
     """A table over all cases for each component that gave accounts, and one of single cases."""
     cases = record.head.cases
     rows = [
-        {"case": case, **_failure_mode_row(failure_mode)}
+        FailureModeRow(failure_mode, case.component, case)
         for case in cases_with_accounts(cases)
         for failure_mode in measured_failure_modes(case.metrics.failure_modes)
     ]
@@ -467,31 +451,23 @@ def failure_mode_section(
         "components": [
             {
                 "component": component,
-                "groups": _failure_mode_groups([_failure_mode_row(mode) for mode in modes]),
+                "groups": _failure_mode_groups([FailureModeRow(mode, component) for mode in modes]),
             }
             for component, modes in failure_modes_by_component(cases).items()
         ],
         "answers": list(decision_time_lines(cases)),
         "ages": list(decision_age_lines(cases)),
         "null": NULL_NOTE,
+        "columns": shown_in(failure_mode_columns(), Shown.PAGE),
+        "case_columns": shown_in(failure_mode_columns(by_case=True), Shown.PAGE),
         "rows": rows[:MAX_MODE_ROWS],
         "left_out": len(rows[MAX_MODE_ROWS:]),
     }
 
 
-def _failure_mode_row(mode: FailureModeEntry) -> dict[str, Any]:
-    return {
-        **dict(mode),
-        "words": failure_mode_text(mode.name),
-        "percent": percent_text(mode.share),
-        "null_percent": percent_text(mode.null_share),
-        "at_most": percent_text(mode.upper),
-    }
-
-
-def _failure_mode_groups(rows: list[dict[str, Any]]) -> list[Data]:
+def _failure_mode_groups(rows: list[FailureModeRow]) -> list[Data]:
     return [
         {"heading": heading, "rows": group}
         for kind, heading in FAILURE_MODE_HEADINGS.items()
-        if (group := [row for row in rows if row["kind"] == kind])
+        if (group := [row for row in rows if row.mode.kind == kind])
     ]

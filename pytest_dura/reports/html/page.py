@@ -10,12 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import describe_error
-from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.evidence.episode_model import TraceEntry
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import LINE, name, one_line, visible
 from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.reports.columns import (
+    measure_label,
+    number_text,
+    role_name,
+    seconds_text,
+    share_text,
+)
 from pytest_dura.reports.html import episode_sections, verdict_sections
 from pytest_dura.reports.html.contents import (
     BriefEpisode,
@@ -36,27 +42,6 @@ if TYPE_CHECKING:
 
 
 Data = Mapping[str, Any]
-_NO_VALUE = "\N{EN DASH}"
-
-
-def _number_text(value: float | None, digits: int = 3) -> str:
-    """A number with so many significant digits; an integer as it is."""
-    if value is None:
-        return _NO_VALUE
-    if isinstance(value, int) or float(value).is_integer():
-        return f"{value:.0f}" if abs(value) < 1e15 else f"{value:.{digits}g}"
-    shown = f"{value:.{digits}g}"
-    return f"{value:.0f}" if "e+" in shown and abs(value) < 1e9 else shown
-
-
-def _percent_text(value: float | None) -> str:
-    """A share as a percentage with three significant digits: ``18.1 %``."""
-    return _NO_VALUE if value is None else f"{100 * value:.3g}\N{NO-BREAK SPACE}%"
-
-
-def _seconds_text(value: float | None, digits: int = 2) -> str:
-    """``6.50 s``."""
-    return _NO_VALUE if value is None else f"{value:.{digits}f}\N{NO-BREAK SPACE}s"
 
 
 def _size_text(count: int) -> str:
@@ -83,22 +68,18 @@ def _replay_text(episode: str, session: str) -> str:
     return replay_command(episode, "DIR", model_options(session))
 
 
-def _role_name(role: str) -> str:
-    """A standard role's name as in the paper, such as ``SafetyMonitor``; any other one as it is."""
-    return STANDARD_ROLES[role].__name__ if role in STANDARD_ROLES else name(role)
-
-
 _FILTERS: Mapping[str, Any] = {
     "name": name,
     "line": _line_text,
     "prose": visible,
-    "number": _number_text,
-    "percent": _percent_text,
-    "seconds": _seconds_text,
+    "number": number_text,
+    "percent": share_text,
+    "seconds": seconds_text,
     "moment": _time_text,
     "size": _size_text,
     "replay": _replay_text,
-    "role": _role_name,
+    "role": role_name,
+    "label": measure_label,
 }
 """Filters of the templates."""
 

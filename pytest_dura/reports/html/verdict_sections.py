@@ -9,8 +9,9 @@ from typing import Any
 
 from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
 from pytest_dura.evidence.model import SessionRecord, components_under_test
-from pytest_dura.evidence.search_model import SearchEntry
-from pytest_dura.evidence.verdict_model import MeasuredPairs, MonitorEntry, PairsEntry, VerdictEntry
+from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry
+from pytest_dura.evidence.verdict_model import MonitorEntry, PairsEntry, VerdictEntry
+from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.html.contents import (
     CaseTally,
     EpisodeLinks,
@@ -22,6 +23,15 @@ from pytest_dura.reports.html.contents import (
     verdict_anchor,
     verdict_key,
 )
+from pytest_dura.reports.role_tables import (
+    ATTACK_COLUMNS,
+    MONITOR_COLUMNS,
+    PAIR_COLUMNS,
+    AttackRow,
+    MonitorRow,
+    PairRow,
+    has_fixed_n,
+)
 from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
     baseline_note,
@@ -32,9 +42,17 @@ from pytest_dura.reports.searches import (
     outcome_rank,
     parameter_changes,
     search_coverage_text,
-    searcher_rows,
+    searcher_name,
     shrinking_text,
     simulations_text,
+)
+from pytest_dura.reports.tables import (
+    COMPARISON_COLUMNS,
+    SEARCH_COLUMNS,
+    SEARCHER_COLUMNS,
+    VERDICT_COLUMNS,
+    OutcomeRow,
+    SearcherRow,
 )
 from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.reports.wording import (
@@ -44,7 +62,7 @@ from pytest_dura.reports.wording import (
     selection_text,
     shard_text,
 )
-from pytest_dura.requirements.campaign_verdicts import SITUATIONS, violation_text
+from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.model import FAULTS
 
 Data = Mapping[str, Any]
@@ -70,8 +88,6 @@ def gate_section(record: SessionRecord, _contents: ReportContents, _links: Episo
 WORST_FIRST = ("violated", "undecided", "supported")
 MAX_COUNTEREXAMPLES = 5
 """Counterexamples of a verdict that are named; the list of episodes has more."""
-_SEQUENTIAL_METHODS = ("sprt", "e-process")
-"""Methods for which McNemar's p does not hold: their number of pairs depends on what they show."""
 
 
 def requirement_section(
@@ -117,7 +133,12 @@ def requirement_section(
         }
         for name in dict.fromkeys([*rows, *folded])
     ]
-    return {"groups": groups + others, "several": several, "methods": list(methods)}
+    return {
+        "groups": groups + others,
+        "several": several,
+        "methods": list(methods),
+        "columns": shown_in(VERDICT_COLUMNS, Shown.PAGE),
+    }
 
 
 def _verdict_rank(verdict: VerdictEntry) -> int:
@@ -141,6 +162,7 @@ def _verdict_row(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
     shown = verdict.counterexamples[:MAX_COUNTEREXAMPLES]
     return {
         **dict(verdict),
+        "verdict_entry": verdict,
         "worst": [
             {
                 **dict(counterexample),
@@ -154,8 +176,7 @@ def _verdict_row(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
         "by_assertion": assertion_sentences(verdict),
         "more": len(verdict.counterexamples) - len(shown),
         "pairs": verdict.pairs if isinstance(verdict.pairs, PairsEntry) else None,
-        "no_rate": "" if verdict.situation is None else SITUATIONS[verdict.situation],
-        "fixed_n": verdict.method not in _SEQUENTIAL_METHODS,
+        "fixed_n": has_fixed_n(verdict),
     }
 
 
@@ -237,41 +258,37 @@ def monitor_section(record: SessionRecord, _contents: ReportContents, _links: Ep
         if monitor.true_positives + monitor.false_negatives + monitor.false_positives
     ]
     switching = {case_key(case): case.metrics.switching for case in record.head.cases}
-    attacks: list[Data] = []
-    pairs: list[Data] = []
+    attacks: list[AttackRow] = []
+    pairs: list[PairRow] = []
     for verdict in record.head.verdicts:
-        measured = isinstance(verdict.pairs, MeasuredPairs)
-        row = {
-            **dict(verdict),
-            "anchor": verdict_anchor(verdict.requirement, verdict.case),
-            "switching": switching.get(verdict_key(verdict)),
-            "measured": measured,
-            "fixed_n": verdict.method not in _SEQUENTIAL_METHODS,
-        }
+        anchor = verdict_anchor(verdict.requirement, verdict.case)
         if verdict.pairs is not None and verdict.pairs.without == FAULTS:
-            attacks.append(row)
-        elif verdict.pairs is not None and not measured:
-            pairs.append(row)
+            attacks.append(AttackRow(verdict, anchor))
+        elif isinstance(verdict.pairs, PairsEntry):
+            pairs.append(
+                PairRow(verdict, verdict.pairs, switching.get(verdict_key(verdict)), anchor)
+            )
     horizons = sorted({monitor.horizon for monitor in monitors if monitor.horizon is not None})
     return {
         "rows": _joined_targets(monitors),
         "horizons": horizons,
         "silent": len(record.head.monitors) - len(monitors),
+        "columns": shown_in(MONITOR_COLUMNS, Shown.PAGE),
         "pairs": pairs,
+        "pair_columns": shown_in(PAIR_COLUMNS, Shown.PAGE),
         "attacks": attacks,
+        "attack_columns": shown_in(ATTACK_COLUMNS, Shown.PAGE),
         "effectiveness": record.head.effectiveness,
         "several": len({effect.component for effect in record.head.effectiveness}) > 1,
     }
 
 
-def _joined_targets(monitors: list[MonitorEntry]) -> list[Data]:
+def _joined_targets(monitors: list[MonitorEntry]) -> list[MonitorRow]:
     """Monitors, those that differ in nothing but their target joined into a row."""
-    same: dict[str, dict[str, Any]] = {}
+    same: dict[str, list[MonitorEntry]] = {}
     for monitor in monitors:
-        figures = json.dumps(monitor.to_json() | {"target": None})
-        row = same.setdefault(figures, {**dict(monitor), "targets": []})
-        row["targets"].append(monitor.target)
-    return list(same.values())
+        same.setdefault(json.dumps(monitor.to_json() | {"target": None}), []).append(monitor)
+    return [MonitorRow(alike[0], [entry.target for entry in alike]) for alike in same.values()]
 
 
 _MAX_SEARCHES = 200
@@ -292,6 +309,8 @@ def search_section(record: SessionRecord, _contents: ReportContents, _links: Epi
             }
             for search in ordered[:_MAX_SEARCHES]
         ],
+        "columns": shown_in(SEARCH_COLUMNS, Shown.PAGE),
+        "searcher_columns": shown_in(SEARCHER_COLUMNS, Shown.PAGE),
         "left_out": len(ordered[_MAX_SEARCHES:]),
         "note": NOTHING_SUPPORTED,
     }
@@ -307,10 +326,11 @@ def _outcome_rows(search: SearchEntry) -> Iterator[Data]:
         notable = is_notable_outcome(search, outcome)
         yield {
             **dict(outcome),
+            "row": OutcomeRow(search, outcome),
             "headline": outcome_headline(search, outcome),
             "baseline_alone": baseline_note(search, outcome),
-            "own": list(searcher_rows(search, name, "searchers")) if notable else [],
-            "alone": list(searcher_rows(search, name, "baselines")) if notable else [],
+            "own": _searcher_rows(search.searchers, name) if notable else [],
+            "alone": _searcher_rows(search.baselines, name) if notable else [],
             "worst": ""
             if counterexample is None
             else counterexample_text(counterexample, outcome.check),
@@ -321,6 +341,12 @@ def _outcome_rows(search: SearchEntry) -> Iterator[Data]:
             else parameter_changes(counterexample, MOST_CHANGES),
             "more": 0 if counterexample is None else len(counterexample.changes[MOST_CHANGES:]),
         }
+
+
+def _searcher_rows(
+    searchers: list[SearcherEntry], requirement: str
+) -> list[tuple[str, SearcherRow]]:
+    return [(searcher_name(each), SearcherRow(each, requirement)) for each in searchers]
 
 
 def provenance_section(
@@ -337,4 +363,5 @@ def provenance_section(
         "timings": record.head.timings,
         "processing": sorted(record.head.timings.processing_seconds.items()),
         "baseline": record.head.baseline,
+        "comparison_columns": shown_in(COMPARISON_COLUMNS, Shown.PAGE),
     }

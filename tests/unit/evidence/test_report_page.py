@@ -124,7 +124,7 @@ def test_cases_are_told_over_valid_and_over_run_episodes():
     # Sums over the valid runs, of which there are none, are no nought.
     metrics = {**metrics, "valid": 0, "measures": {"collided": collided}}
     html = render(session_record(cases=[{**record["cases"][0], "metrics": metrics}]))
-    assert row(html, case_anchor("a/clear")).endswith(f"{' '.join([dash] * 8)} 0 0")
+    assert row(html, case_anchor("a/clear")).endswith(f" 0 0 1/0 1/0 +1* {' '.join([dash] * 8)}")
 
 
 def test_what_the_component_left_to_its_recovery_and_how_it_reacted_stand_beside_it():
@@ -141,10 +141,10 @@ def test_what_the_component_left_to_its_recovery_and_how_it_reacted_stand_beside
     overall = [{"component": "C", "cases": 2, "metrics": metrics}]
     told = session_record(cases=[{**case, "metrics": metrics}], overall=overall)
     html = render(told)
-    figures = "1/2 12.5 % 0 2/2 2 frozen 1, follows the fake 4 0 0"
+    figures = "1/2 12.5 % 0 2/2 2 frozen 1, follows the fake 4"
     assert figures in row(html, case_anchor("a/clear")).replace("\N{NO-BREAK SPACE}", " ")
     words = Page(html).words.replace("\N{NO-BREAK SPACE}", " ")
-    assert f"All 2 cases 2 / 2 1/2 1/2 1.55 ± 0.07 s (2) \N{EN DASH} {figures}" in words
+    assert f"All 2 cases 2 / 2 0 0 1/2 1/2 1.55 ± 0.07 s (2) \N{EN DASH} {figures}" in words
 
 
 def test_what_the_runs_show_of_recovery_and_monitors_is_listed():
