@@ -9,15 +9,20 @@ from typing import Any
 
 from pytest_dura.campaign.events import VerdictReached
 from pytest_dura.campaign.fault_tracing import FaultTracer
-from pytest_dura.campaign.reporting import ComponentFailures, explain_verdict
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.deprecated import renamed
+from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
 from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situations, varies
+from pytest_dura.requirements.campaign_verdicts import (
+    CampaignVerdict,
+    Situations,
+    explain_verdict,
+    varies,
+)
 from pytest_dura.requirements.checks import Check
 from pytest_dura.requirements.episode_verdicts import (
     EpisodeVerdict,
@@ -27,6 +32,27 @@ from pytest_dura.requirements.episode_verdicts import (
 from pytest_dura.requirements.model import Requirement
 
 _NUMERIC_FIELDS = ("at_most", "confidence", "p0")
+
+
+@dataclass
+class ComponentFailures:
+    """The first failure of the component itself, and in how many episodes there was one."""
+
+    first: str = ""
+    count: int = 0
+    episodes: int = 0
+
+    def add(self, episode: Episode) -> None:
+        """Take in an episode."""
+        self.episodes += 1
+        failed = [event for event in episode.events if event.kind == "component_failure"]
+        if failed:
+            text = f"{failed[0].subject} {failed[0].detail} (t = {failed[0].time:.2f} s)"
+            self.first = self.first or text
+            self.count += 1
+
+    def __str__(self) -> str:
+        return f"{self.first}; in {self.count} of {self.episodes} episodes" if self.first else ""
 
 
 def _requirement_of_call(
@@ -252,6 +278,6 @@ class CampaignRuns:
         self.runner.events.emit(VerdictReached(verdict, requirement))
         if verdict.verdict != "supported":
             raise RequirementViolated(
-                "\n".join(explain_verdict(verdict, requirement, self.failures)), verdict
+                "\n".join(explain_verdict(verdict, requirement, str(self.failures))), verdict
             )
         return verdict

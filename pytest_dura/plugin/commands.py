@@ -65,9 +65,9 @@ def _fault_line(name: str) -> str:
 
 
 def _show_list(session: DuraSession) -> int:
-    from pytest_dura.campaign.reporting import describe_check
     from pytest_dura.domains import DOMAINS
     from pytest_dura.faults.catalogue import FAULT_TYPES
+    from pytest_dura.requirements.model import describe_check
 
     library, options = session.library(), session.options
     lines = ["scenarios"]

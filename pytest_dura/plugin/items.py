@@ -112,9 +112,9 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> None:
     """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.events import VerdictReached
-    from pytest_dura.campaign.reporting import explain_verdict
     from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.plugin.item_reports import ending_events
+    from pytest_dura.requirements.campaign_verdicts import explain_verdict
 
     context, planned = request.node.context, request.node.planned
     requirement = context.library().requirements[request.node.name]
@@ -126,7 +126,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
         raise pytest.fail.Exception(str(error), pytrace=False) from None
     if verdict.verdict == "supported":
         return
-    lines = explain_verdict(verdict, requirement, campaign.failures)
+    lines = explain_verdict(verdict, requirement, str(campaign.failures))
     if verdict.counterexamples:
         item_result = ItemResult(requirement, planned.case, verdict=AttemptEntry.of(verdict))
         events = ending_events(item_result, lambda: orchestrator, context.redact)

@@ -33,7 +33,7 @@ from pytest_dura.reports.searches import (
 from pytest_dura.reports.tables import SEARCHER_COLUMNS, SearcherRow
 from pytest_dura.reports.verdicts import assertion_sentences, figures_text, reading_sentences
 from pytest_dura.reports.wording import event_text
-from pytest_dura.requirements.campaign_verdicts import violation_text
+from pytest_dura.requirements.campaign_verdicts import failure_entries
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -164,21 +164,16 @@ def _show_episode(
     if shown_id is None:
         return
     episode = episodes.get((shown_id, verdict.component))
+    for label, text in failure_entries(verdict):
+        line = one_line(text, LONGEST_TEXT)
+        terminal.line(f"  {f'{label}:':<7} {line}" if label else f"  {line}")
     if verdict.counterexamples:
-        worst = verdict.counterexamples[0]
-        when = violation_text(worst.time, worst.margin)
-        terminal.line(f"  worst:  {worst.episode}{when}")
-        if not worst.valid:
+        if not verdict.counterexamples[0].valid:
             terminal.line(f"  invalid: {episode and episode.invalid_reason}")
         # Events that ended the episode early, if any did.
         for event in episode.events if episode else ():
             if event.kind == "critical":
                 terminal.line(f"  event:  {event_text(event)}")
-    elif verdict.spoilt:
-        status, detail = verdict.spoilt.verdict, verdict.spoilt.detail
-        if status != "missing" and not detail.startswith(f"{status}: "):
-            detail = f"{status}: {detail}"
-        terminal.line(f"  {detail}")
     for fault in episode.faults if episode else ():
         chain = one_line(chain_line(fault), LONGEST_TEXT)
         first, *rest = textwrap.wrap(chain, WIDTH - 12, break_on_hyphens=False)

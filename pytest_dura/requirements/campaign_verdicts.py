@@ -6,14 +6,17 @@ many they are: no rate follows from them.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 import numpy as np
 
 from pytest_dura.core.episode import Episode
 from pytest_dura.requirements.rate_tests import EXACT_METHOD
+
+if TYPE_CHECKING:
+    from pytest_dura.requirements.model import Requirement
 
 Situation = Literal["repeated", "without effect"]
 REPEATED: Situation = "repeated"
@@ -259,3 +262,94 @@ class CampaignVerdict:
                 "spoilt": None if spoilt is None else UncountedEpisode(**spoilt),
             }
         )
+
+
+class _Explained(Protocol):
+    """What an explanation needs of a verdict; those of the record have it, too."""
+
+    @property
+    def verdict(self) -> CampaignStatus: ...
+    @property
+    def counterexamples(self) -> Sequence[_ViolatingEpisode]: ...
+    @property
+    def without_effect(self) -> int: ...
+    @property
+    def spoilt(self) -> _UndecidingEpisode | None: ...
+
+
+class _ViolatingEpisode(Protocol):
+    """An episode that violated the requirement; see :class:`Counterexample`."""
+
+    @property
+    def episode(self) -> str: ...
+    @property
+    def time(self) -> float | None: ...
+    @property
+    def margin(self) -> float | None: ...
+
+
+class _UndecidingEpisode(Protocol):
+    """An episode that decides nothing; see :class:`UncountedEpisode`."""
+
+    @property
+    def episode(self) -> str: ...
+    @property
+    def verdict(self) -> Literal["missing", "invalid", "open"]: ...
+    @property
+    def detail(self) -> str: ...
+
+
+def failure_entries(verdict: _Explained) -> Iterator[tuple[str, str]]:
+    """Labels and texts on the episodes behind a verdict, for messages, terminal and reports.
+
+    The label is empty for a missing episode, whose text begins with ``infrastructure:``.
+    """
+    if verdict.counterexamples:
+        worst, *rest = verdict.counterexamples
+        yield "worst", f"{worst.episode}{violation_text(worst.time, worst.margin)}"
+        if rest:
+            numbers = [f"#{each.episode.rpartition('#')[2]}" for each in rest]
+            more = f" and {len(numbers) - _MOST_RUNS} more" if len(numbers) > _MOST_RUNS else ""
+            yield "also in", ", ".join(numbers[:_MOST_RUNS]) + more
+        if verdict.without_effect:
+            yield "invalid", f"in {verdict.without_effect} of them no fault had an effect"
+    spoilt = verdict.spoilt
+    if spoilt is not None and verdict.verdict == "undecided":
+        if spoilt.verdict == "missing":
+            yield "", f"{spoilt.detail} (in {spoilt.episode})"
+        else:
+            yield spoilt.verdict, f"{spoilt.episode}: {spoilt.detail}"
+
+
+_MOST_RUNS = 8
+"""Runs that an entry names."""
+
+
+def explain_verdict(
+    verdict: CampaignVerdict, requirement: Requirement, component_failures: str
+) -> list[str]:
+    """Lines that say why a verdict is not "supported": in which run, when and by how much.
+
+    Args:
+        verdict: On the requirement.
+        requirement: As it was judged.
+        component_failures: The first failure of the component itself; empty without any.
+    """
+    what = f"{verdict.verdict}: {verdict.requirement} on {verdict.case} ({verdict.component})"
+    entries = [("required", requirement.text)]
+    if requirement.check != verdict.requirement:
+        entries.append(("check", requirement.check))
+    paired = requirement.paired
+    if paired is not None and paired.measure:
+        text = f"{paired.measure}, which may grow by {paired.change_at_most:g}"
+        entries.append(("measure", text))
+    if paired is not None:
+        entries.append(("pairs", f"with {paired.without}, and without"))
+    episodes = list(failure_entries(verdict))
+    entries += [(label, text) for label, text in episodes if label]
+    entries.append(("component", component_failures))
+    lines = [text for label, text in episodes if not label]
+    lines.append(f"{what}: {verdict.reason}")
+    lines += [f"{label + ':':<9} {text}" for label, text in entries if text]
+    # Lines of a component's own message must not look like lines of this report.
+    return [line.replace("\n", "\n    ") for line in lines]

@@ -83,3 +83,22 @@ class Requirement:
                 "paired": None if paired is None else Paired(**paired),
             }
         )
+
+
+def describe_check(requirement: Requirement) -> list[str]:
+    """Lines that say what is judged and how."""
+    lines = [requirement.check or "decided by test code"]
+    paired = requirement.paired
+    if paired is not None and paired.measure:
+        lines = [f"{paired.measure} grows by at most {paired.change_at_most:g}"]
+    if paired is not None:
+        lines.append(f"on pairs of runs: with {paired.without}, and without")
+    if requirement.at_most is not None:
+        method = f" by {requirement.method}" if requirement.method else ""
+        lines.append(
+            f"violated in at most {requirement.at_most:g} of the episodes, "
+            f"at {requirement.confidence:g} confidence{method}"
+        )
+    if requirement.applies_to:
+        lines.append(f"applies to {', '.join(requirement.applies_to)}")
+    return lines

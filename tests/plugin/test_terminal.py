@@ -39,10 +39,11 @@ def test_the_summary_of_a_campaign(reference, mode):
         "GAP-1 (0)",
     ]
     start = lines.index("violated: GAP-1 on corridor/tight (Reckless)")
-    assert lines[start + 1 : start + 6] == [
+    assert lines[start + 1 : start + 7] == [
         "  2 of 2 valid episodes violated it",
         "  check:  always (gap > 0)",
         "  worst:  corridor/tight#0 at t = 0.20 s, margin 0",
+        "  also in: #1",
         "  replay: pytest --dura-replay='corridor/tight#0'",
         "  rerun:  pytest corridor/tight::GAP-1 --dura-generator=corridor:Reckless",
     ]

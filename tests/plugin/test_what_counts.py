@@ -203,7 +203,7 @@ def test_a_planned_fault_that_never_manifested_is_invalid(project):
         "verdict": "invalid",
         "detail": "never manifested: ghost-obstacle",
     }
-    assert "invalid: never manifested: ghost-obstacle" in result.stdout.str()
+    assert "invalid: corridor/it#0: never manifested: ghost-obstacle" in result.stdout.str()
 
 
 def test_a_manifested_fault_that_changed_no_behaviour_is_valid(project):
