@@ -1,3 +1,4 @@
+from .adapters.black_box import BlackBox, Input, InputCurve
 from .campaign.campaign import Campaign
 from .campaign.falsification import Falsification
 from .campaign.pairs import PairedCampaign
@@ -76,6 +77,7 @@ __all__ = [
     "Alert",
     "Assessed",
     "Assessment",
+    "BlackBox",
     "Campaign",
     "CampaignVerdict",
     "Case",
@@ -100,6 +102,8 @@ __all__ = [
     "GeneratorView",
     "InfrastructureError",
     "Injection",
+    "Input",
+    "InputCurve",
     "JudgedEpisode",
     "Lazy",
     "Line",

@@ -229,6 +229,9 @@ class Case:
             for role, spec in chosen.items()
             if spec is not None and role not in self.without
         }
+        if "generator" not in roles and domain is None:
+            own = _own_component(scenario)
+            roles |= {} if own is None else {"generator": own}
         if "generator" not in roles:
             raise ConfigurationError(
                 f"the case {self.id!r} has no component under test",
@@ -352,6 +355,13 @@ def _case(scenario: Scenario, own: Mapping[str, dict[str, Any]], planned: Faults
     else:
         name = "+".join([scenario.name, *(by_id or [NO_FAULTS])])
     return Case(name, scenario, planned, scenario.requirements)
+
+
+def _own_component(scenario: Scenario) -> RoleSpec | None:
+    """Make the spec of the component that a simulator brings, such as a black box."""
+    simulator = scenario.simulator_spec()
+    parameters = getattr(simulator.resolve(), "component_parameters", None)
+    return None if parameters is None else RoleSpec(simulator.path, dict(parameters))
 
 
 SEARCHED_MARK = "@"

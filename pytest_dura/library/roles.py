@@ -165,8 +165,8 @@ class ParameterResolver:
     def resolve(self, spec: RoleSpec) -> RoleSpec:
         """The spec with the parameters that the class's ``resolve_parameters`` returns.
 
-        Bare instances and factories stay as they are, and so does a path that leads nowhere:
-        building the role reports that. Resolved parameters resolve to themselves.
+        Bare instances and factories without such a method stay as they are, and so does a path that
+        leads nowhere: building the role reports that. Resolved parameters resolve to themselves.
 
         Args:
             spec: Of any role.
@@ -197,7 +197,9 @@ class ParameterResolver:
 
 
 def _has_resolver(factory: Callable[..., Any]) -> bool:
-    if not (inspect.isclass(factory) and issubclass(factory, Role)):
+    if not inspect.isclass(factory):  # a factory may have one, such as a black box
+        return callable(getattr(factory, "resolve_parameters", None))
+    if not issubclass(factory, Role):
         return False
     return factory.resolve_parameters.__func__ is not Role.resolve_parameters.__func__  # type: ignore[attr-defined]
 

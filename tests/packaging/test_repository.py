@@ -155,6 +155,31 @@ def test_the_gate_runs_what_the_readme_says() -> None:
     assert readme.count(tests) == readme.count(gate) == 1
 
 
+def anchors(page: str) -> set[str]:
+    titles = re.findall(r"^#+ (.*)$", page, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in titles}
+
+
+def test_every_link_of_the_documentation_leads_somewhere() -> None:
+    pages = {name: text for name, text in repository_texts().items() if name.endswith(".md")}
+    broken = []
+    for name, text in pages.items():
+        for link in re.findall(r"\]\(([^)\s]+)\)", text):
+            file, _, anchor = link.partition("#")
+            if urlsplit(link).scheme:
+                continue
+            target = (
+                (REPOSITORY / name).parent.joinpath(file).resolve() if file else REPOSITORY / name
+            )
+            there = target.exists()
+            if there and anchor and target.suffix == ".md":
+                there = anchor in anchors(target.read_text("utf-8"))
+            if not there:
+                broken.append(f"{name}: {link}")
+    assert not broken
+    assert len(pages) > 20
+
+
 @pytest.mark.parametrize("commands", [[], [f"a {TESTS}", f"b {TESTS}"]])
 def test_the_gate_refuses_a_readme_without_one_test_command(tmp_path, commands) -> None:
     (tmp_path / ".ci").mkdir()

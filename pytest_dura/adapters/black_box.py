@@ -1,0 +1,428 @@
+"""BlackBox: a function from inputs over time to signals, as a system that scenarios run.
+
+It has neither ticks nor roles: a vendor's executable, an adaptive integrator, a co-simulation. The
+whole run is simulated when an episode begins; the loop then goes over its samples, so that
+requirements, campaigns, searches and evidence see what they see of any other system.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pytest_dura.core.errors import ActionError, ConfigurationError, did_you_mean
+from pytest_dura.core.roles import Generator
+from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.state import NOTHING, GeneratorView, Proposal, Tick, sealed
+from pytest_dura.core.trust import factory
+
+Floats: TypeAlias = NDArray[np.float64]
+
+_NAME = re.compile(r"[A-Za-z_]\w*")
+_PLAYED = "next sample"
+"""The only action: nobody steers a black box while it runs."""
+_TOLERANCE = 1e-9
+"""Share of a piece by which a time may miss the piece's beginning, as sums of time steps do."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input over time, given by one number for each piece of the run.
+
+    Args:
+        name: Its name: the key of ``world`` in scenarios, and a signal that requirements read.
+        low: Least value.
+        high: Greatest value.
+        pieces: Numbers that it is given by. A scenario gives a list of so many, or a single number
+            where this is 1.
+        interpolation: ``constant``: each number holds for an equal part of the run; ``linear``:
+            the numbers are values at equally spaced times from beginning to end, at least two.
+        unit: Its unit, for messages.
+        nominal: Its value where a scenario says nothing; by default the number of the range that
+            is nearest to 0.
+
+    Raises:
+        ConfigurationError: For a name, range or number of pieces that cannot be.
+    """
+
+    name: str
+    low: float
+    high: float
+    pieces: int = 1
+    interpolation: Literal["constant", "linear"] = "constant"
+    unit: str = ""
+    nominal: float | None = None
+
+    def __post_init__(self) -> None:
+        nominal = self.value_by_default
+        finite = all(isinstance(v, (int, float)) for v in (self.low, self.high, nominal))
+        if not (finite and -math.inf < self.low <= nominal <= self.high < math.inf):
+            raise ConfigurationError(
+                f"the range of the input {self.name!r} cannot be used",
+                key=self.name,
+                found=(self.low, self.nominal, self.high),
+                expected="finite numbers, low <= nominal <= high",
+            )
+        if not _NAME.fullmatch(self.name):
+            raise ConfigurationError(
+                "formulas could not name this input",
+                key="Input.name",
+                found=self.name,
+                expected="letters, digits and underscores, no digit first",
+            )
+        if self.interpolation not in ("constant", "linear"):
+            raise ConfigurationError(
+                f"the input {self.name!r} cannot be interpolated so",
+                key="interpolation",
+                found=self.interpolation,
+                expected="constant or linear",
+            )
+        least = 2 if self.interpolation == "linear" else 1
+        if isinstance(self.pieces, bool) or not isinstance(self.pieces, int) or self.pieces < least:
+            raise ConfigurationError(
+                f"the input {self.name!r} has too few pieces",
+                key="pieces",
+                found=self.pieces,
+                expected=f"a whole number of at least {least} where it is {self.interpolation}",
+            )
+
+    @property
+    def value_by_default(self) -> float:
+        """Value of each piece where a scenario says nothing."""
+        return min(max(0.0, self.low), self.high) if self.nominal is None else self.nominal
+
+    @property
+    def expected(self) -> str:
+        """What a scenario may give, in words."""
+        unit = f" {self.unit}" if self.unit else ""
+        range_ = f"from {self.low:g} to {self.high:g}{unit}"
+        if self.pieces == 1:
+            return f"a number {range_}"
+        return f"a list of {self.pieces} numbers {range_}"
+
+    def read(self, value: Any) -> list[float] | float:
+        """Check a value of a scenario, and fill in the default for ``None``.
+
+        Raises:
+            ConfigurationError: If it is not what the input takes.
+        """
+        if value is None:
+            value = [self.value_by_default] * self.pieces
+            return value if self.pieces > 1 else self.value_by_default
+        values = value if isinstance(value, (list, tuple)) else [value]
+        listed = isinstance(value, (list, tuple)) == (self.pieces > 1)
+        if not (listed and len(values) == self.pieces and all(map(self._holds, values))):
+            raise ConfigurationError(
+                f"the input {self.name!r} does not take this",
+                key=f"world.{self.name}",
+                found=value,
+                expected=self.expected,
+                remedy="correct it, and the range and the pieces under `variation`",
+            )
+        numbers = [float(number) for number in values]
+        return numbers if self.pieces > 1 else numbers[0]
+
+    def _holds(self, value: Any) -> bool:
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return number and self.low <= value <= self.high
+
+
+@dataclass(frozen=True)
+class InputCurve:
+    """An input during one run: call it with times in seconds, a number or an array.
+
+    Args:
+        values: A number for each piece.
+        duration: Seconds of the run.
+        interpolation: ``constant`` or ``linear``.
+    """
+
+    values: tuple[float, ...]
+    duration: float
+    interpolation: str
+
+    def __call__(self, time: ArrayLike) -> Any:
+        """Return the values at these times; a new piece counts from its beginning on."""
+        at = np.asarray(time, dtype=np.float64)
+        if self.interpolation == "linear":
+            result = np.interp(at, self.times, self.values)
+        else:
+            pieces = len(self.values)
+            index = np.floor(at * (pieces / self.duration) + _TOLERANCE).astype(int)
+            result = np.asarray(self.values)[np.clip(index, 0, pieces - 1)]
+        return result if np.ndim(time) else float(result)
+
+    @property
+    def times(self) -> Floats:
+        """Where pieces begin; of a linear one, the times of its values."""
+        pieces = len(self.values)
+        if self.interpolation == "linear":
+            return np.linspace(0.0, self.duration, pieces, dtype=np.float64)
+        return np.asarray(np.arange(pieces) * (self.duration / pieces), dtype=np.float64)
+
+
+Curves: TypeAlias = Mapping[str, InputCurve]
+Simulate: TypeAlias = Callable[[Floats, Curves], Mapping[str, ArrayLike]]
+
+
+class BlackBox:
+    """A function from inputs over time to signals: the component under test and its plant in one.
+
+    An object of it at the top level of a module is what a scenario names, ``simulator: plant:BOX``.
+    The scenario's ``world`` gives the inputs by name, ``variation`` what is searched.
+
+    Args:
+        simulate: Called with the times of the samples, in seconds from 0, shape ``(n,)``, and an
+            :class:`InputCurve` for each input by its name. It returns an array for each signal:
+            values at these times, shape ``(n,)``; or, with an array ``time`` of its own beside
+            them, values at those, which are interpolated linearly. Equal calls return equal values.
+        inputs: The inputs.
+        signals: Names of the signals. The inputs are signals, too.
+        files: What it depends on beside its Python code, such as an executable: another content
+            makes other episodes.
+
+    Raises:
+        ConfigurationError: For names that are used twice or that formulas cannot name.
+    """
+
+    def __init__(
+        self,
+        simulate: Simulate,
+        inputs: Sequence[Input],
+        signals: Sequence[str],
+        *,
+        files: Sequence[str | Path] = (),
+    ) -> None:
+        self.simulate, self.inputs, self.signals = simulate, tuple(inputs), tuple(signals)
+        self.files = tuple(map(Path, files))
+        names = [*(given.name for given in self.inputs), *self.signals]
+        wrong = [name for name in names if names.count(name) > 1 or not _is_signal_name(name)]
+        if wrong or not self.signals:
+            raise ConfigurationError(
+                "the names of a black box's inputs and signals cannot be used",
+                key="signals",
+                found=wrong[0] if wrong else "no signal",
+                expected="at least one signal, each name once, of letters, digits, underscores "
+                "and dots, and not `time`",
+            )
+        factory(self)  # a file may name it, as it may name a subclass of Simulator
+
+    def __call__(
+        self, *, component: bool = False, files: Mapping[str, str] = NOTHING
+    ) -> Simulator | Generator:
+        """Build the simulator of an episode; or its component, which does nothing by itself.
+
+        Args:
+            component: Whether to build the component.
+            files: SHA-256 of each of the files, which have to be the same now.
+
+        Raises:
+            ConfigurationError: If a file has changed.
+        """
+        if not component:
+            return _Run(self)
+        for name, digest in self._digests().items():
+            if files.get(name, digest) != digest:
+                raise ConfigurationError(
+                    "this is another file than the episode was recorded with",
+                    file=name,
+                    found=f"SHA-256 {digest}",
+                    expected=f"SHA-256 {files[name]}",
+                    remedy="put the recorded file back to replay the episode",
+                )
+        return _Playback()
+
+    component_parameters: Mapping[str, Any] = MappingProxyType({"component": True})
+    """Parameters with which a call builds the component of scenarios that name no generator."""
+
+    def resolve_parameters(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters with the digests of the files, which episodes are known by."""
+        digests = self._digests()
+        return {**({"files": digests} if digests else {}), **params}
+
+    def check_scenario(self, world: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the inputs that a scenario gives, defaults filled in.
+
+        Raises:
+            ConfigurationError: For an unknown input, and for values that it does not take.
+        """
+        known = [given.name for given in self.inputs]
+        for name in world:
+            if name not in known:
+                raise ConfigurationError(
+                    f"the black box has no input {name!r}",
+                    key=f"world.{name}",
+                    expected=", ".join(known) or "no inputs",
+                    remedy=did_you_mean(name, known),
+                )
+        return {given.name: given.read(world.get(given.name)) for given in self.inputs}
+
+    def columns(self, world: Mapping[str, Any], time: Floats) -> dict[str, Floats]:
+        """Simulate one run.
+
+        Args:
+            world: The inputs, see :meth:`check_scenario`.
+            time: Times of the samples, in seconds from 0, shape ``(n,)``.
+
+        Returns:
+            Each input and signal by name, shape ``(n,)``.
+
+        Raises:
+            ValueError: If ``simulate`` returns something else than finite signals.
+        """
+        values = self.check_scenario(world)
+        end = float(time[-1])
+        curves = {
+            given.name: InputCurve(
+                tuple(np.atleast_1d(values[given.name]).tolist()), end, given.interpolation
+            )
+            for given in self.inputs
+        }
+        columns = {name: curve(time) for name, curve in curves.items()}
+        returned = self.simulate(sealed(time.copy()), MappingProxyType(curves))
+        return columns | _sampled(returned, self.signals, time)
+
+    def _digests(self) -> dict[str, str]:
+        return {file.name: _digest(file) for file in self.files}
+
+
+def _digest(file: Path) -> str:
+    try:
+        stat = file.stat()
+        return _digest_of(file, stat.st_size, stat.st_mtime_ns)
+    except OSError as error:
+        raise ConfigurationError(
+            f"a file of a black box cannot be read: {error.strerror or error}",
+            file=str(file),
+            remedy="name it relative to the module: Path(__file__).parent / ...",
+        ) from None
+
+
+# Each episode builds a component, and an FMU may have many megabytes.
+@lru_cache(maxsize=32)
+def _digest_of(file: Path, _size: int, _changed: int) -> str:
+    """SHA-256 of a file, read once as long as it stays as it is."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _is_signal_name(name: str) -> bool:
+    return name != "time" and all(_NAME.fullmatch(part) for part in name.split("."))
+
+
+def _sampled(returned: Any, names: Sequence[str], time: Floats) -> dict[str, Floats]:
+    """Check what ``simulate`` returned, and take the values at the times of the samples."""
+    if not isinstance(returned, Mapping):
+        raise TypeError(f"simulate returned {type(returned).__name__}, not a mapping of signals")
+    missing = [name for name in names if name not in returned]
+    if missing:
+        raise ValueError(f"simulate returned no signal {missing[0]!r}")
+    own = returned.get("time")
+    at = time if own is None else _column("time", own, None)
+    if (np.diff(at) < 0.0).any():
+        raise ValueError("simulate returned times that go back")
+    slack = 1e-6 * max(float(time[-1]), 1.0)
+    if not len(at) or at[0] > slack or at[-1] < time[-1] - slack:
+        covered = f"{at[0]:g} to {at[-1]:g} s" if len(at) else "no time"
+        raise ValueError(f"simulate returned {covered} of a run from 0 to {time[-1]:g} s")
+    columns = {name: _column(name, returned[name], at) for name in names}
+    return {
+        name: column if own is None else np.interp(time, at, column)
+        for name, column in columns.items()
+    }
+
+
+def _column(name: str, values: Any, time: Floats | None) -> Floats:
+    column = np.array(values, dtype=np.float64)
+    if column.ndim != 1 or (time is not None and column.shape != time.shape):
+        expected = "(n,)" if time is None else f"({len(time)},)"
+        raise ValueError(f"simulate returned {name!r} of shape {column.shape}, expected {expected}")
+    bad = np.flatnonzero(~np.isfinite(column))
+    if len(bad):
+        when = "" if time is None else f" at {time[bad[0]]:g} s"
+        raise ValueError(f"simulate returned {column[bad[0]]} for {name!r}{when}")
+    return column
+
+
+@dataclass
+class _Run(Simulator):
+    """Simulates all of an episode when it begins, and returns it sample by sample."""
+
+    box: BlackBox
+    _columns: dict[str, Floats] = field(default_factory=dict)
+    _index: int = 0
+
+    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:  # noqa: ARG002 - nothing is drawn
+        """Simulate the run."""
+        duration = scenario.get("duration")
+        if duration is None:
+            raise ConfigurationError(
+                "a black box needs to know how long it runs",
+                key="duration",
+                found="a scenario without a duration",
+                expected="seconds",
+            )
+        last = math.ceil(duration / self.time_step * (1.0 - 1e-9))
+        time = np.arange(last + 1) * self.time_step
+        self._columns = self.box.columns(scenario.get("world") or {}, time)
+        self._index = 0
+        return self._tick()
+
+    def step(self, action: Any) -> Tick:  # noqa: ARG002 - its inputs are the scenario's
+        """Return the next sample."""
+        self._index += 1
+        return self._tick()
+
+    def signals(self, ticks: Sequence[Tick]) -> dict[str, Floats]:
+        """Return inputs and signals."""
+        return {name: column[: len(ticks)].copy() for name, column in self._columns.items()}
+
+    def check_action(self, action: Any) -> Any:
+        """Refuse actions of a component: its inputs come from the scenario.
+
+        Raises:
+            ActionError: For any other action than that of the component that it brings.
+        """
+        if action != _PLAYED:
+            raise ActionError("a black box takes no action: its inputs are those of the scenario")
+        return action
+
+    def fallback_action(self) -> str:
+        """Return the only action."""
+        return _PLAYED
+
+    def snapshot(self) -> object:
+        """Return the place within the run, which does not change any more."""
+        return self._columns, self._index
+
+    def restore(self, snapshot: Any) -> None:
+        """Return to a snapshot."""
+        self._columns, self._index = snapshot
+
+    def _tick(self) -> Tick:
+        if self._index >= len(next(iter(self._columns.values()))):
+            raise ValueError("the run of the black box is over")
+        values = {name: float(column[self._index]) for name, column in self._columns.items()}
+        return Tick(
+            index=self._index,
+            time=self._index * self.time_step,
+            truth=MappingProxyType(values),
+            channels=NOTHING,
+        )
+
+
+class _Playback(Generator):
+    """Stands for the black box in the loop, which has already run."""
+
+    def propose(self, view: GeneratorView) -> Proposal:  # noqa: ARG002 - nothing is decided
+        """Go on to the next sample."""
+        return Proposal(_PLAYED, "")

@@ -1,0 +1,156 @@
+"""Sessions on black boxes: what the page says of them, campaigns, replay, and runs that fail."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pytest_dura.evidence import verify_bundle
+
+PAGE = (Path(__file__).parents[2] / "docs" / "black-boxes.md").read_text("utf-8")
+SLAVE = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
+
+class Tank(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.inflow, self.drain, self.level = 0.0, 0.5, 1.0
+        tunable = Fmi2Variability.tunable
+        parameter = Fmi2Causality.parameter
+        drain = Real("drain", causality=parameter, variability=tunable)
+        self.register_variable(Real("inflow", causality=Fmi2Causality.input))
+        self.register_variable(drain)
+        self.register_variable(Real("level", causality=Fmi2Causality.output))
+
+    def do_step(self, current_time, step_size):
+        self.level += step_size * (self.inflow - self.drain * max(self.level, 0.0) ** 0.5)
+        return True
+"""
+FILES = dict(re.findall(r"```(?:python|yaml)\n# (\S+)\n(.*?)```", PAGE, re.DOTALL))
+
+
+@pytest.fixture
+def tank(project):
+    shutil.rmtree(project.path / "scenarios")
+    for name in ("plant.py", "scenarios/tank.yaml", "scenarios/requirements.yaml", "test_tank.py"):
+        project.write(name, FILES[name])
+    return project
+
+
+def output(result):
+    return result.stdout.str() + result.stderr.str()
+
+
+def test_the_page_s_search_finds_what_the_page_shows(tank) -> None:
+    result = tank.run("test_tank.py")
+    assert result.ret == 1
+    (shown,) = re.findall(r"^falsified: .*$", PAGE, re.MULTILINE)
+    assert shown in output(result)
+    (kept,) = tank.path.glob("scenarios/found/*.yaml")
+    assert "simulator: plant:TANK" in kept.read_text()
+    again = tank.scenarios(select="found/*")
+    assert again.ret == 1
+    assert "TANK-1" in output(again)
+
+
+def test_a_campaign_supports_what_random_inputs_do_not_violate(tank) -> None:
+    result = tank.scenarios(select="tank/*")
+    assert result.ret == 0, output(result)
+    assert tank.verdict("TANK-1", "tank/filling")["verdict"] == "supported"
+    record = tank.evidence()
+    assert record["component_under_test"]["name"] == "TANK"
+    assert len({episode["digest"] for episode in record["episodes"]}) == 20
+    assert verify_bundle(tank.path / "dura-evidence").problems == []
+
+
+def test_an_episode_is_replayed_from_the_record(tank) -> None:
+    tank.scenarios(select="tank/*")
+    result = tank.run("--dura-replay=tank/filling#3")
+    assert result.ret == 0, output(result)
+    digest = next(e["digest"] for e in tank.evidence()["episodes"] if e["id"].endswith("#3"))
+    assert output(result).count(digest) == 2
+
+
+@pytest.mark.parametrize(
+    "line, text",
+    [
+        ("  world.inflow: {min: 0, max: 1.5, pieces: 5}", "from 0 to 1 m3/s"),
+        ("  world.inflow: {min: 0, max: 1, pieces: 4}", "a list of 5 numbers"),
+        ("  world.outflow: {min: 0, max: 1}", "no input 'outflow'"),
+    ],
+)
+def test_a_variation_that_the_inputs_do_not_take_is_refused_with_its_line(tank, line, text):
+    scenario = re.sub(r"  world.inflow: .*", line, FILES["scenarios/tank.yaml"])
+    tank.write("scenarios/tank.yaml", scenario)
+    result = tank.scenarios(select="tank/*")
+    assert result.ret == 4
+    assert text in output(result)
+    assert "tank.yaml:" in output(result)
+
+
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        (("run.y[0]}", 'run.y[0] * float("nan")}'), "returned nan for 'level' at 0 s"),
+        (("run = solve", 'raise OSError("no licence")\n    run = solve'), "OSError: no licence"),
+        (('"level": run', '"height": run'), "returned no signal 'level'"),
+        (("(0.0, time[-1])", "(0.0, 3.0)"), "0 to 3 s of a run from 0 to 20 s"),
+    ],
+)
+def test_a_run_that_fails_is_missing_with_its_reason(tank, change, reason) -> None:
+    tank.write("plant.py", FILES["plant.py"].replace(*change))
+    result = tank.scenarios("--dura-runs=2", select="tank/*")
+    assert result.ret == 1
+    text = re.sub(r"\s+", " ", output(result))
+    assert reason in text
+    assert tank.verdict("TANK-1", "tank/filling")["verdict"] == "undecided"
+
+
+def test_a_box_that_differs_from_run_to_run_is_named_as_such(tank) -> None:
+    source = FILES["plant.py"].replace("def tank(", "CALLS = []\n\n\ndef tank(")
+    source = source.replace("    run = solve_ivp(", "    CALLS.append(0)\n    run = solve_ivp(")
+    source = source.replace("run.y[0]}", "run.y[0] + 0.001 * len(CALLS)}")
+    tank.write("plant.py", source)
+    result = tank.scenarios("--dura-require-repeatable", "--dura-runs=2", select="tank/*")
+    assert result.ret == 1
+    assert "not repeatable" in re.sub(r"\s+", " ", output(result))
+
+
+def test_a_changed_file_makes_other_episodes(tank) -> None:
+    source = FILES["plant.py"].replace(
+        'signals=["level"])', 'signals=["level"], files=["table.csv"])'
+    )
+    tank.write("plant.py", source)
+    tank.write("table.csv", "1")
+    tank.scenarios("--dura-runs=2", "--dura-reuse=kept", select="tank/*")
+    tank.write("table.csv", "2")
+    result = tank.scenarios("--dura-runs=2", "--dura-reuse=kept", select="tank/*")
+    assert "roles and their parameters" in output(result)
+    tank.write("table.csv", "3")
+    replayed = tank.run("--dura-replay=tank/filling#0")
+    assert replayed.ret != 0
+    assert "another file than the episode was recorded with" in output(replayed)
+
+
+def test_the_page_s_fmu_is_searched_and_replayed(tank) -> None:
+    tank.write("slave.py", SLAVE)
+    build = [sys.executable, "-m", "pythonfmu", "build", "-f", "slave.py"]
+    subprocess.run(build, cwd=tank.path, check=True, capture_output=True)
+    (tank.path / "slave.py").unlink()
+    tank.write("fmu_plant.py", FILES["fmu_plant.py"])
+    scenario = FILES["scenarios/tank.yaml"].replace("plant:TANK", "fmu_plant:TANK")
+    tank.write("scenarios/tank.yaml", scenario)
+    result = tank.run("test_tank.py")
+    assert result.ret == 1
+    assert "falsified: TANK-1 on tank/filling (TANK)" in output(result)
+    (found,) = tank.path.glob("scenarios/found/*.yaml")
+    again = tank.scenarios("--dura-executor=processes:1", select="found/*")
+    assert again.ret == 1
+    assert "1 of 1 valid episodes violated it" in output(again)
+    replayed = tank.run(f"--dura-replay=found/{found.stem}#0")
+    assert replayed.ret == 0
