@@ -48,11 +48,11 @@ from .core.state import (
     sealed,
 )
 from .core.trust import factory
-from .domains import DOMAINS, ROLES, Domain
+from .domains import DOMAINS, ROLES, Action, Domain, Signal
 from .evidence.bundle import FORMATS
 from .execution.executors import EXECUTORS, ExecutorKind
 from .faults.catalogue import FAULT_TYPES
-from .faults.model import Fault, Moment
+from .faults.model import Channel, Fault, Moment
 from .faults.parts import FaultPart
 from .library.cases import Case, SearchedCase
 from .requirements.campaign_verdicts import CampaignVerdict
@@ -73,6 +73,7 @@ __all__ = [
     "FORMATS",
     "ROLES",
     "SIMULATORS",
+    "Action",
     "ActionError",
     "Alert",
     "Assessed",
@@ -81,6 +82,7 @@ __all__ = [
     "Campaign",
     "CampaignVerdict",
     "Case",
+    "Channel",
     "CheckResult",
     "ConfigurationError",
     "ConformanceError",
@@ -133,6 +135,7 @@ __all__ = [
     "SearchedEpisode",
     "SecurityAssessment",
     "SecurityAssessor",
+    "Signal",
     "Simulator",
     "StateManager",
     "StlSafetyMonitor",

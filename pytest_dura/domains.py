@@ -12,16 +12,121 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
 from pytest_dura.core.simulator import SIMULATORS
+from pytest_dura.core.trust import check_registered
+from pytest_dura.faults.model import Channel
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from pytest_dura.core.measures import Measure
-    from pytest_dura.faults.model import Channel
+
+
+DEFAULT_INJECTOR = "campaign"
+"""Short name of the fault injector of every system whose domain and scenarios name no other."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal that requirements read.
+
+    Args:
+        name: As formulas name it.
+        unit: Such as ``m/s``; ``1`` for a plain number, :data:`TRUTH` for 0 or 1.
+        meaning: What it says, and its sign or axis where that is not plain.
+
+    Raises:
+        ConfigurationError: For one without a unit, and for a name that no formula could read.
+    """
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+
+    def __post_init__(self) -> None:
+        _check_quantity("signal", self.name, self.unit)
+
+
+TRUTH = "0 or 1"
+"""Unit of a signal that holds or does not."""
+
+
+@dataclass(frozen=True)
+class Action:
+    """A number of the command, which the component proposes at each tick.
+
+    Args:
+        name: As faults and conditions name it, after ``command.``.
+        unit: Such as ``m/s2``; ``1`` for a plain number.
+        meaning: What it does, and its sign.
+        least: Least value that the plant carries out; ``None`` for none.
+        greatest: Greatest one.
+
+    Raises:
+        ConfigurationError: For one without a unit.
+    """
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+    least: float | None = None
+    greatest: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_quantity("action", self.name, self.unit)
+
+
+def _check_quantity(kind: str, name: object, unit: object) -> None:
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ConfigurationError(
+            f"a {kind} has a name that nothing can read",
+            found=name,
+            expected="letters, digits and underscores",
+            remedy="give it another name",
+        )
+    if not isinstance(unit, str) or not unit.strip():
+        raise ConfigurationError(
+            f"the {kind} {name!r} has no unit",
+            key="unit",
+            found=unit,
+            expected=f"a unit such as m/s, 1 for a plain number, or {TRUTH!r}",
+            remedy=f"declare {kind.capitalize()}({name!r}, unit=..., meaning=...)",
+        )
+
+
+def _check_declared(domain: str, key: str, kind: type[Any], declared: object) -> None:
+    """Refuse what is not a sequence of a kind, each with a name of its own.
+
+    Raises:
+        ConfigurationError: With the domain and the key.
+    """
+    if declared is None:
+        return
+    entries: list[Any] = list(declared) if isinstance(declared, Sequence) else [declared]
+    for entry in entries:
+        if not isinstance(entry, kind):
+            unit = f"the {kind.__name__.lower()} {entry!r} of the domain {domain!r} has no unit"
+            raise ConfigurationError(
+                unit if isinstance(entry, str) else f"{domain!r} declares no {kind.__name__}",
+                key=key,
+                found=entry,
+                expected=f"a sequence of pytest_dura.{kind.__name__}",
+                remedy=f"declare {kind.__name__}(name, unit, meaning) for each",
+            )
+    names = [entry.name for entry in entries]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigurationError(
+                f"the domain {domain!r} declares {name!r} twice",
+                key=key,
+                found=name,
+                expected=f"a name of its own for each {kind.__name__.lower()}",
+                remedy="rename one of them, or leave it out",
+            )
 
 
 @dataclass(frozen=True)
@@ -34,27 +139,46 @@ class Domain:
         parameters: Parameters that a class with a short name needs to know of the domain, by that
             name. A scenario's own parameters come before them.
         world: The pydantic model of ``world``, for editors and for messages.
-        signals: Names of the ground-truth signals; ``None`` if only the simulator has them.
-        percept_signals: Names of the percept signals, without the prefix ``percept.``.
-        proposal_signals: Names of the signals that proposals and their explanations give, without
-            the prefix ``proposal.``.
+        signals: The ground-truth signals; ``None`` if only the simulator knows them.
+        percept_signals: The percept signals, without the prefix ``percept.``.
+        proposal_signals: The signals that proposals and their explanations give, without the
+            prefix ``proposal.``.
+        actions: The numbers of the command. Those of a domain that declares no channel ``command``
+            are its fields.
         channels: What each sensor channel holds, by name; ``None`` if only a running episode shows
             that.
         fault_targets: Default target of faults, by what their type acts on.
         concrete: Function of world, duration in seconds and seed that returns an equal world in
             which nothing is left to the seed, and returns such a world as it is.
+
+    Raises:
+        ConfigurationError: For a signal or an action without a unit, and for two of one name.
     """
 
     name: str
     roles: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     world: type[BaseModel] | None = None
-    signals: Sequence[str] | None = None
-    percept_signals: Sequence[str] | None = None
-    proposal_signals: Sequence[str] | None = None
+    signals: Sequence[Signal] | None = None
+    percept_signals: Sequence[Signal] | None = None
+    proposal_signals: Sequence[Signal] | None = None
+    actions: Sequence[Action] = ()
     channels: Mapping[str, Channel] | None = None
     fault_targets: Mapping[str, str] = field(default_factory=dict)
     concrete: Callable[[Mapping[str, Any], float, int], dict[str, Any]] | None = None
+
+    def __post_init__(self) -> None:
+        for key in ("signals", "percept_signals", "proposal_signals"):
+            _check_declared(self.name, key, Signal, getattr(self, key))
+        _check_declared(self.name, "actions", Action, self.actions)
+        if self.actions and self.channels is not None and COMMAND not in self.channels:
+            command = Channel(
+                "numbers",
+                tuple(action.name for action in self.actions),
+                units=tuple(action.unit for action in self.actions),
+                meaning="the command, as the actuators get it",
+            )
+            object.__setattr__(self, "channels", {**self.channels, COMMAND: command})
 
     @property
     def simulator(self) -> str:
@@ -63,8 +187,8 @@ class Domain:
 
     @property
     def measures(self) -> Sequence[Measure]:
-        """Figures of its episodes, which the simulator of its name declares."""
-        return SIMULATORS[self.name].measures
+        """Figures of its episodes, which the simulator of its name declares; empty without one."""
+        return SIMULATORS[self.name].measures if self.name in SIMULATORS else ()
 
     @property
     def short_names(self) -> Mapping[str, Mapping[str, str]]:
@@ -78,7 +202,12 @@ class Domain:
     def default_roles(self) -> Mapping[str, str]:
         """Import paths of the default roles, by role name."""
         return {
-            role: role_spec(role, RoleSpec(name), self).path for role, name in self.roles.items()
+            role: role_spec(role, RoleSpec(name), self).path
+            for role, name in (
+                {**self.roles}
+                if "fault_injector" in self.roles
+                else {**self.roles, "fault_injector": DEFAULT_INJECTOR}
+            ).items()
         }
 
     def concrete_world(
@@ -137,11 +266,42 @@ def names_of_role(role: str) -> dict[str, str]:
     }
 
 
-def domain_of(simulator: str) -> Domain | None:
-    """Find the domain of a simulator by its name or path; ``None`` for one that is in no domain."""
+def domain_of(simulator: str, named: str | None = None) -> Domain | None:
+    """Find the domain of a scenario.
+
+    Args:
+        simulator: Name or path of its simulator, which gives the domain where none is named.
+        named: The domain that the scenario names: a registered name, or ``package.module:NAME``.
+
+    Returns:
+        The domain; ``None`` for a simulator that is in no domain.
+
+    Raises:
+        ConfigurationError: For a name that is neither registered nor the path of a domain.
+    """
+    if named is not None:
+        return _named_domain(named)
     name = SIMULATORS.name_of(simulator) if ":" in simulator else simulator
     domain = str(name).partition(".")[0]
     return DOMAINS[domain] if name in SIMULATORS and domain in DOMAINS else None
+
+
+def _named_domain(named: str) -> Domain:
+    if ":" not in named:
+        if named not in DOMAINS:
+            raise DOMAINS.unknown(named, key="domain", also="an import path package.module:NAME")
+        return DOMAINS[named]
+    check_registered(named)
+    domain = RoleSpec(named).resolve()
+    if not isinstance(domain, Domain):
+        raise ConfigurationError(
+            f"{named!r} is no domain",
+            key="domain",
+            found=f"a {type(domain).__name__}",
+            expected="a pytest_dura.Domain",
+            remedy="name a domain, or leave the key out",
+        )
+    return domain
 
 
 def simulator_spec(path: str, params: Mapping[str, object]) -> RoleSpec:

@@ -33,7 +33,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import Role
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import RoleView
-from pytest_dura.domains import ROLES, domain_of, names_of_role, role_spec
+from pytest_dura.domains import ROLES, names_of_role, role_spec
 from pytest_dura.library.cases import expand_cases
 from pytest_dura.library.loading import load_library
 from pytest_dura.provenance import describe_tool
@@ -209,7 +209,7 @@ class _Tape:
 def _tapes(source: FeatureSource, training: Training) -> Iterator[_Tape]:
     library = load_library(training.paths)
     for case in expand_cases(library.scenarios, ["none"], training.scenarios):
-        domain = domain_of(case.scenario.simulator.path)
+        domain = case.scenario.system
         for generator in training.generators:
             component = role_spec("generator", RoleSpec(generator), domain)
             for run in range(training.runs + training.held_out):

@@ -299,6 +299,11 @@ class Episode:
         return tuple(fault.id for fault in self.faults if fault.manifested_at is None)
 
     @property
+    def read_by(self) -> dict[str, tuple[str, ...]]:
+        """Names of the roles that read what a fault changed, by fault."""
+        return {fault.id: fault.read_by for fault in self.faults}
+
+    @property
     def idle_faults(self) -> tuple[str, ...]:
         """Deprecated name of :attr:`not_manifested`."""
         message = "Episode.idle_faults is deprecated: use not_manifested"
@@ -339,6 +344,7 @@ class Episode:
 
         Raises:
             ConfigurationError: If the episode lacks a signal that the measure needs.
+            AttributeError: For a measure that its simulator does not declare, with those it does.
         """
         spec = None if name.startswith("_") else vars(self).get("spec")
         measures: tuple[Measure, ...] = () if spec is None else spec.measures
@@ -347,7 +353,11 @@ class Episode:
                 for signal in measure.signals:
                     self.signal(signal)
                 return measure.value(self)
-        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        text = f"{type(self).__name__!r} object has no attribute {name!r}"
+        if spec is not None:
+            names = ", ".join(measure.name for measure in measures) or "none"
+            text += f"; the measures of its simulator {spec.simulator.label}: {names}"
+        raise AttributeError(text)
 
     @property
     def flagged(self) -> bool:
@@ -361,6 +371,8 @@ class Episode:
         self._add_columns(state, self.signals)
         events = [event.to_json() for event in self.events if not event.wall_clock]
         faults = [asdict(fault) for fault in self.faults]
+        for fault in faults:
+            del fault["read_by"]
         measured = self.metrics.deterministic()
         rest = [events, faults, self.termination, measured, self.timeouts, self.failure is not None]
         state.update(canonical(rest))

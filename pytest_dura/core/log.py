@@ -147,7 +147,7 @@ class EpisodeLog:
     def manifested(
         self, tick: Tick, state: StateManager, command: tuple[str, ...], verdict: Assessed
     ) -> tuple[str, ...]:
-        """Log the active faults that reached the Generator or the plant, and their consequences.
+        """Log the active faults that reached a role or the plant, and their consequences.
 
         Returns:
             Ids of the faults that did so for the first time since their activation.
@@ -161,6 +161,16 @@ class EpisodeLog:
         for channel, faults in tampered.items():
             if channel in state.generator_reads:
                 perceived.update(faults)
+        for fault in perceived:
+            self._read(fault, {"generator"})
+        for readers in (state.readers, state.late_readers):
+            for fault, roles in readers.items():
+                self._read(fault, roles)
+        perceived.update(state.readers)
+        # Of an earlier percept only the first reader counts: the fault may have ended since.
+        perceived.update(
+            fault for fault in state.late_readers if self._record(fault).manifested_at is None
+        )
         first_time = []
         for fault in sorted(perceived.union(command)):
             record = self._record(fault)
@@ -242,6 +252,10 @@ class EpisodeLog:
         texts["recoveries"].append(self._recovery_text)
         self._accounts.append(self._account)
         self._recovery_text = ""
+
+    def _read(self, fault: str, roles: set[str]) -> None:
+        record = self._record(fault)
+        record.read_by = tuple(sorted(roles.union(record.read_by)))
 
     def _record(self, fault: str) -> FaultRecord:
         if fault not in self.metrics.faults:

@@ -23,11 +23,10 @@ COMMAND = "command"
 class FaultRecord:
     """One fault from plan to recovery; times in s, ``None`` for what did not happen.
 
-    A fault manifests when the value of a channel that the Generator read at that tick, or the
-    command, was changed. Detections count from the fault's activation on, since a monitor may read
-    a channel before the Generator does, if the fault manifests then or later; recovery from the
-    first manifestation on. Both count until one second after the fault's end. A fault of the
-    command is answered after the tick at which it began, since it acts at its end.
+    A fault manifests when a role reads a value that it changed, or when it changes the command.
+    Detections count from the fault's activation on, if the fault manifests then or later; recovery
+    from the first manifestation on. Both count until one second after the fault's end. A fault of
+    the command is answered after the tick at which it began, since it acts at its end.
 
     Args:
         id: Its name in the episode.
@@ -46,6 +45,8 @@ class FaultRecord:
         manifest_ticks: Ticks at which it manifested.
         flagged_ticks: Those of them at which the proposal was unsafe.
         by_chance: Whether its effect is drawn by chance; then it need not manifest.
+        read_by: Names of the roles that read what it changed, sorted; none for a fault of the
+            command, which reaches the plant. The digest leaves it out.
     """
 
     id: str
@@ -64,10 +65,11 @@ class FaultRecord:
     manifest_ticks: int = 0
     flagged_ticks: int = 0
     by_chance: bool = False
+    read_by: tuple[str, ...] = ()
 
     @property
     def success(self) -> bool:
-        """Whether the fault reached the component or the plant."""
+        """Whether the fault reached a role or the plant."""
         return self.manifested_at is not None
 
     @property

@@ -382,6 +382,8 @@ class Orchestrator:
                 start = perf_counter_ns()
                 output, exact = self._guard(name, run_if_triggered, role, view, required)
                 elapsed = perf_counter_ns() - start
+                # The injector has made the changes: what it looks at itself has reached nobody.
+                state.has_read(None if role is self.injector else name)
                 if role is self.injector:
                     elapsed += self._injector_ns
                 metrics.log_time(name, tick.index, elapsed)
@@ -427,6 +429,7 @@ class Orchestrator:
             recovery = self._guard(
                 "recovery_planner", checked_recovery, self.recovery, view, self.simulator
             )
+            self.state.has_read("recovery_planner")
             self.log.recovered(self.state.tick, recovery, perf_counter_ns() - start)
             return Decision(recovery.action, "recovery", verdict, reasons, attempts)
         if proposal is None:

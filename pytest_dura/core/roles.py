@@ -249,7 +249,7 @@ class FaultInjector(Role):
         return message, ()
 
     def manifested(self, faults: tuple[str, ...], time: float) -> None:
-        """Take note of faults that reached the component or the plant for the first time."""
+        """Take note of faults that reached a role or the plant for the first time."""
 
 
 class PerformanceOracle(Role):

@@ -188,15 +188,36 @@ class Percept(Mapping[str, Any]):
         return KeyError(f"no sensor channel {name!r}; there are: {known}")
 
 
+class TamperedReads:
+    """Notes which faults changed what is read of one percept; it takes the names of channels.
+
+    Args:
+        tampered: Ids of the faults that changed a channel, by channel.
+        faults: Where the ids go.
+    """
+
+    __slots__ = ("_tampered", "faults")
+
+    def __init__(self, tampered: Mapping[str, tuple[str, ...]], faults: set[str]) -> None:
+        self._tampered, self.faults = tampered, faults
+
+    def add(self, name: str) -> None:
+        """Note the faults of a channel that is read."""
+        self.faults.update(self._tampered.get(name, ()))
+
+
 class PerceptView(Percept):
     """Percept for a role: without ``tampered``, and with a record of the channels read."""
 
-    __slots__ = ("_reads",)
+    __slots__ = ("_made_from", "_reads")
 
-    def __init__(self, channels: Mapping[str, Any], reads: set[str]) -> None:
+    def __init__(self, channels: Mapping[str, Any], reads: set[str] | TamperedReads) -> None:
         # Not by the base's __init__: views are made twice at each tick.
         self._channels, self._made, self.tampered = channels, None, NOTHING
         self._reads = reads
+        self._made_from: dict[Any, set[str]] | None = None
+        if type(reads) is TamperedReads:
+            self._made_from = {}
 
     def __getitem__(self, name: str) -> Any:
         self._reads.add(name)
@@ -212,6 +233,27 @@ class PerceptView(Percept):
         if isinstance(name, str):
             self._reads.add(name)
         return name in self._channels
+
+    def once(self, make: Callable[[Percept], T]) -> T:
+        """See the base. Who takes a result has read the channels that it was made from."""
+        made_from = self._made_from
+        if made_from is None:
+            return super().once(make)
+        reads = self._reads
+        names = made_from.get(make, set())
+        if make not in made_from:
+            self._reads = names
+            try:
+                super().once(make)
+                made_from[make] = names
+            finally:
+                self._reads = reads
+                for name in names:
+                    reads.add(name)
+        else:
+            for name in names:
+                reads.add(name)
+        return super().once(make)
 
 
 def shared(make: Callable[[Any], T], percept: Mapping[str, Any]) -> T:
@@ -398,7 +440,11 @@ class RoleView:
 
 @dataclass(slots=True)
 class StateManager:
-    """State that roles share: written by the orchestrator, read through views."""
+    """State that roles share: written by the orchestrator, read through views.
+
+    ``readers`` names, by fault, the roles beside the Generator that read at this tick what the
+    fault changed in this percept, and ``late_readers`` those that read it in an earlier percept.
+    """
 
     dt: float
     ticks: list[Tick] = field(default_factory=list)
@@ -411,6 +457,11 @@ class StateManager:
     generator_seconds: float = 0.0
     past: list[PastDecision] = field(default_factory=list)
     message_faults: set[str] = field(default_factory=set)
+    readers: dict[str, set[str]] = field(default_factory=dict)
+    late_readers: dict[str, set[str]] = field(default_factory=dict)
+    _read_now: set[str] = field(default_factory=set)
+    _read_late: set[str] = field(default_factory=set)
+    _tampered_reads: TamperedReads | None = None
     _role_reads: set[str] = field(default_factory=set)
     _role_percepts: list[Percept] = field(default_factory=list)
     _channels: Mapping[str, Any] = NOTHING
@@ -451,11 +502,28 @@ class StateManager:
                 if isinstance(value, tuple) and own[name] is value:
                     same[name] = value  # such as a map, which is the same at every tick
         self._channels = MappingProxyType(own)
-        self._role_percepts.append(PerceptView(self._channels, self._role_reads))
+        if self._tampered_reads is not None:  # of the percept before, which is history now
+            self._tampered_reads.faults, self._tampered_reads = self._read_late, None
+        reads: set[str] | TamperedReads = self._role_reads
+        if percept.tampered:
+            reads = self._tampered_reads = TamperedReads(percept.tampered, self._read_now)
+        self._role_percepts.append(PerceptView(self._channels, reads))
+        self.readers, self.late_readers = {}, {}
         self.proposal = None
         self.generator_reads = set()
         self.message_faults = set()
         self.generator_seconds = 0.0
+
+    def has_read(self, role: str | None) -> None:
+        """Attribute what was read since the last call to a role; to none for ``None``."""
+        for faults, readers in (
+            (self._read_now, self.readers),
+            (self._read_late, self.late_readers),
+        ):
+            if faults:
+                for fault in faults if role is not None else ():
+                    readers.setdefault(fault, set()).add(str(role))
+                faults.clear()
 
     def put(self, role: str, output: Any) -> None:
         """Store the output of a role at this tick, as its latest and in its history."""

@@ -5,11 +5,57 @@ Its simulator, roles and fault types are registered beside it, by entry points.
 
 from __future__ import annotations
 
-from pytest_dura.domains import Domain
-from pytest_dura.driving.explanations import SIGNALS
+from collections.abc import Mapping
+
+from pytest_dura.domains import TRUTH, Action, Domain, Signal
+from pytest_dura.driving.bodies import GAP_CAP, TTC_CAP
+from pytest_dura.driving.explanations import MEANINGS, SIGNALS
+from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
 from pytest_dura.driving.scenario import DrivingWorld, concrete_world
 from pytest_dura.driving.sensors import CHANNELS, FAULT_TARGETS
 from pytest_dura.driving.signals import NAMES, PERCEPT_NAMES
+from pytest_dura.driving.traffic_rules import BRAKING_CAP, CAP, LEADER_CAP
+
+_ABOUT: Mapping[str, tuple[str, str]] = {
+    "gap": ("m", f"least distance between footprints; 0 on contact, at most {GAP_CAP:g}"),
+    "ttc": ("s", f"time to collision at constant velocity; at most {TTC_CAP:g}"),
+    "leader_gap": ("m", f"to the bumper of the car ahead in its path; at most {LEADER_CAP:g}"),
+    "following_margin": (
+        "m", f"beyond the safe distance to its leader; {LEADER_CAP:g} without a leader",
+    ),
+    "priority_arrival": (
+        "s", f"until the next car with priority reaches the conflict; at most {CAP:g}",
+    ),
+    "priority_braking": (
+        "m/s2", f"braking that its crossing asks of those with priority; at most {BRAKING_CAP:g}",
+    ),
+    "gap_time": ("s", "least time between the ego leaving a conflict and a car with priority"),
+    "speed": ("m/s", "of the ego along its heading"),
+    "acceleration": ("m/s2", "of the ego along its heading"),
+    "jerk": ("m/s3", "change of the acceleration"),
+    "lateral_acceleration": ("m/s2", "across the ego, clockwise positive"),
+    "lateral_jerk": ("m/s3", "change of the lateral acceleration"),
+    "progress": ("m", "along the route since the start"),
+    "in_conflict_zone": (TRUTH, "any part of the ego is past the stop line and before the exit"),
+    "collided": (TRUTH, "in contact with anything, whoever caused it"),
+    "struck": (TRUTH, "in contact with what ran into the ego"),
+    "struck_standing": (TRUTH, "in contact with what ran into the ego while it stood"),
+    "cleared": (TRUTH, "the ego's rear has left the junction, from then on"),
+    "command_error": ("m/s2", "between the acceleration and the commanded one"),
+    "background_crashes": ("1", "crashes so far among the other cars"),
+}  # fmt: skip
+"""Unit and meaning of each ground-truth signal."""
+
+
+def _signal(name: str) -> Signal:
+    return Signal(name, *_ABOUT[name])
+
+
+def _of_proposals(name: str) -> Signal:
+    if name in MEANINGS:
+        return Signal(name, TRUTH, MEANINGS[name])
+    return Signal(name, "s", "since the percept behind the last decision of the component's own")
+
 
 DRIVING = Domain(
     name="driving",
@@ -24,9 +70,18 @@ DRIVING = Domain(
     # Parameters are recorded as they are, so functions are named by their import path.
     parameters={"stl": {"signals": "pytest_dura.driving.signals:percept_at"}},
     world=DrivingWorld,
-    signals=NAMES,
-    percept_signals=PERCEPT_NAMES,
-    proposal_signals=SIGNALS,
+    signals=tuple(map(_signal, NAMES)),
+    percept_signals=tuple(map(_signal, PERCEPT_NAMES)),
+    proposal_signals=tuple(map(_of_proposals, SIGNALS)),
+    actions=(
+        Action(
+            "acceleration",
+            "m/s2",
+            "of the ego along its heading; negative to brake",
+            least=-MAX_BRAKING,
+            greatest=MAX_ACCELERATION,
+        ),
+    ),
     channels=CHANNELS,
     fault_targets=FAULT_TARGETS,
     concrete=concrete_world,

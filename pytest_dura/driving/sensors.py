@@ -89,17 +89,43 @@ class Sign(NamedTuple):
     state: str = ""
 
 
+_WORLD = "world: x east, y south, from the middle; angles clockwise from east"
+
 CHANNELS: Mapping[str, Channel] = {
-    "lidar": Channel("objects"),
-    "radar": Channel("array", columns=3),
-    "camera_front": Channel("image"),
-    "camera_third_person": Channel("image"),
-    "imu": Channel("numbers", Imu._fields),
-    "odometry": Channel("numbers", Odometry._fields),
-    "localisation": Channel("pose", Pose._fields),
-    "map": Channel("other"),
-    "controls": Channel("signs"),
-    "command": Channel("numbers", ("acceleration",)),
+    "lidar": Channel(
+        "objects",
+        frame=_WORLD,
+        meaning=f"who and what is within {RANGE:g} m: id, place in m, heading in rad, velocity in "
+        "m/s, length and width in m",
+    ),
+    "radar": Channel(
+        "array",
+        columns=3,
+        units=("m", "rad", "m/s"),
+        frame="ego: azimuth to the left of ahead",
+        meaning="the same objects, measured independently: range, azimuth, range rate",
+    ),
+    "camera_front": Channel(
+        "image", frame="ego: ahead", meaning="the view through the windscreen, in RGB"
+    ),
+    "camera_third_person": Channel(
+        "image", frame="ego: from behind and above", meaning="the ego and its surroundings, in RGB"
+    ),
+    "imu": Channel(
+        "numbers",
+        Imu._fields,
+        units=("m/s2", "m/s2", "rad/s", "rad"),
+        frame="ego: along and across; heading and yaw clockwise, heading from east",
+        meaning="accelerations, yaw rate, and heading by a compass of its own",
+    ),
+    "odometry": Channel(
+        "numbers", Odometry._fields, units=("m/s",), frame="ego: ahead", meaning="wheel speed"
+    ),
+    "localisation": Channel(
+        "pose", Pose._fields, units=("m", "m", "rad"), frame=_WORLD, meaning="pose by GNSS"
+    ),
+    "map": Channel("other", frame=_WORLD, meaning="the route, its stop line, exit and speed limit"),
+    "controls": Channel("signs", meaning="signs and traffic lights that concern the ego"),
 }
 """Content of the channels, for the faults that act on them."""
 

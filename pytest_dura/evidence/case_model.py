@@ -160,7 +160,9 @@ class FaultMetricsEntry(Entry):
     activated: Count
     """Episodes in which it was active."""
     manifested: Count
-    """Episodes in which it changed what the component read, or the command."""
+    """Episodes in which it changed what a role read, or the command."""
+    read_by: list[str]
+    """Roles that read what it changed, in any of them; none for a fault of the command."""
     followed: Count
     """Of those, episodes in which it is known whether it changed a proposal."""
     propagated: Count

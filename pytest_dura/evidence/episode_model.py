@@ -109,7 +109,9 @@ class FaultEntry(Entry):
     activated_at: Number | None
     """First tick at which it acted, in s."""
     manifested_at: Number | None
-    """First tick at which it changed what the component read, or the command, in s."""
+    """First tick at which it changed what a role read, or the command, in s."""
+    read_by: list[str]
+    """Roles that read what it changed; none for a fault of the command."""
     deactivated_at: Number | None
     """First tick at which the latest activation no longer acted, in s."""
     detected_at: Number | None

@@ -149,6 +149,7 @@ class FaultMetrics:
 
     def __init__(self) -> None:
         self._targets: dict[str, Any] = {}
+        self._readers: dict[str, set[str]] = {}
         self._counts: dict[str, Counter[str]] = {}
         self._times: dict[tuple[str, str], array[float]] = {}
 
@@ -157,6 +158,7 @@ class FaultMetrics:
         for fault in episode.faults:
             name = fault.id
             self._targets.setdefault(name, fault.target)
+            self._readers.setdefault(name, set()).update(fault.read_by)
             self._counts.setdefault(name, Counter()).update(_passed_steps(fault))
             if fault.manifested_at is not None:
                 for latency in _LATENCIES:
@@ -186,6 +188,7 @@ class FaultMetrics:
             "id": name,
             "target": self._targets[name],
             **{step: counts[step] for step in _CHAIN_STEPS},
+            "read_by": sorted(self._readers[name]),
             "rates": {
                 rate: counts[part] / counts[whole] if counts[whole] else None
                 for rate, (part, whole) in RATES.items()

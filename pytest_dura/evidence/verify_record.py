@@ -122,6 +122,8 @@ def _chain_problems(episode: EpisodeEntry) -> Iterator[str]:
         for latency, seconds in fault.latencies().items():
             if (recorded := getattr(entry, latency)) != seconds:
                 yield f"{name}: {latency} is {recorded} s, and its times give {seconds}"
+        if fault.read_by and not fault.success:
+            yield f"{name}: read by {', '.join(fault.read_by)}, and it never manifested"
         detected, began = fault.detected_at, fault.began_at
         if detected is not None and (not fault.success or began is None or detected < began):
             yield f"{name}: detected at {detected} s, and no alert of then can answer it"

@@ -146,7 +146,9 @@ def _split(data: bytes) -> tuple[Data, list[NDArray[Any]]]:
 def _episode(head: Data, columns: list[NDArray[Any]], spec: EpisodeSpec) -> Episode:
     _check_texts(head)
     metrics = _metrics_of(head["metrics"], columns)
-    faults = tuple(FaultRecord(**fault) for fault in head["faults"])
+    faults = tuple(
+        FaultRecord(**{**fault, "read_by": tuple(fault["read_by"])}) for fault in head["faults"]
+    )
     metrics.faults = {fault.id: fault for fault in faults}
     recording = head["recording"]
     return Episode(

@@ -160,7 +160,7 @@ class After(FaultPart):
     fault: str = Field(min_length=1, description="Id of the other fault.")
     event: Literal["activated", "manifested", "deactivated"] = Field(
         "activated",
-        description="`manifested`: a value that the component read, or the command, was changed.",
+        description="`manifested`: a value that a role read, or the command, was changed.",
     )
     delay: NotNegative = Field(
         0.0, description="Seconds from that event; at 0 it is the tick that follows."

@@ -129,6 +129,12 @@ class Channel:
             pictures, signs and messages are taken as a whole.
         fields: Names of the fields that hold numbers.
         columns: Numbers in each row of an array; 0 where the rows are numbers themselves.
+        units: Of the fields, or of the columns, one for each.
+        frame: The frame of reference, with its axes and the sense of its angles.
+        meaning: What the channel reports.
+
+    Raises:
+        ConfigurationError: If there are units, and not as many as there are numbers.
     """
 
     kind: Literal[
@@ -136,6 +142,20 @@ class Channel:
     ]
     fields: tuple[str, ...] = ()
     columns: int = 0
+    units: tuple[str, ...] = ()
+    frame: str = ""
+    meaning: str = ""
+
+    def __post_init__(self) -> None:
+        numbers = len(self.fields) or self.columns or len(self.units)
+        if self.units and len(self.units) != numbers:
+            raise ConfigurationError(
+                f"a channel of {numbers} numbers has {len(self.units)} units",
+                key="units",
+                found=", ".join(self.units),
+                expected="a unit for each of " + (", ".join(self.fields) or "the columns"),
+                remedy="give each its unit",
+            )
 
 
 _HOLDS: Mapping[Kind, tuple[str, ...]] = {

@@ -19,7 +19,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.core.state import NOTHING
-from pytest_dura.domains import check_role_name, domain_of, role_spec
+from pytest_dura.domains import DEFAULT_INJECTOR, check_role_name, role_spec
 from pytest_dura.faults.catalogue import BY_CHANCE
 from pytest_dura.library.fault_campaigns import (
     NO_FAULTS,
@@ -29,7 +29,12 @@ from pytest_dura.library.fault_campaigns import (
     check_case_count,
     expand_campaign,
 )
-from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
+from pytest_dura.library.planned_faults import (
+    check_chains,
+    parse_fault,
+    parse_scenario_fault,
+    without_injector,
+)
 from pytest_dura.library.roles import ParameterResolver
 from pytest_dura.library.scenario import (
     Scenario,
@@ -205,8 +210,9 @@ class Case:
             ConfigurationError: For an unknown name, and if there is no generator.
         """
         scenario = self.scenario
-        domain = domain_of(scenario.simulator.path)
-        chosen: dict[str, RoleSpec | None] = {}
+        domain = scenario.system
+        # Faults need an injector wherever they are planned, by a file, an option or a search.
+        chosen: dict[str, RoleSpec | None] = {"fault_injector": RoleSpec(DEFAULT_INJECTOR)}
         if domain is not None:
             chosen |= {role: RoleSpec(path) for role, path in domain.default_roles.items()}
         for role, entry in scenario.roles.items():
@@ -215,6 +221,8 @@ class Case:
             if role not in chosen:
                 check_role_name(role, switched_off=spec is None)
             chosen[role] = spec
+        if self.faults and chosen["fault_injector"] is None:
+            raise without_injector(scenario, self.id)
         absent = [role for role in self.without if chosen.get(role) is None]
         if absent:
             raise ConfigurationError(

@@ -11,9 +11,14 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
 from pytest_dura.core.trust import check_registered
-from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec
+from pytest_dura.domains import Domain, check_role_name, role_spec
 from pytest_dura.library.fault_campaigns import MAX_CASES, Faults, ScenarioFaults, expand_campaign
-from pytest_dura.library.planned_faults import check_chains, parse_fault, parse_scenario_fault
+from pytest_dura.library.planned_faults import (
+    check_chains,
+    parse_fault,
+    parse_scenario_fault,
+    without_injector,
+)
 from pytest_dura.library.scenario import (
     Scenario,
     check_world,
@@ -44,22 +49,26 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
             errors.append(_error_at(scenario, error, key))
             return None
 
+    try:
+        domain = scenario.system
+    except ConfigurationError as error:  # what follows depends on it
+        return [_error_at(scenario, error, "domain")], None
     simulator = attempt("simulator", _simulator, scenario)
     world = None
     if simulator is not None:
         world = attempt("world", check_world, scenario, simulator, scenario.world)
-    domain = domain_of(scenario.simulator.path)
     for role in scenario.roles:
         attempt(f"roles.{role}", _check_role, scenario, role, domain)
     faults = _own_faults(scenario, attempt)
     read = None if faults is None else _campaigns(scenario, tuple(faults.values()), attempt)
+    if read is not None:
+        attempt("roles.fault_injector", _check_injector, scenario, read)
     if world is not None and faults is not None:
         for path in scenario.variation:
             key = f"variation.{path}"
             attempt(key, _check_variation, scenario, simulator, world, faults, path)
-        if not errors:
-            for fault in faults.values():
-                attempt("variation", _check_together, scenario, fault)
+        for fault in () if errors else faults.values():
+            attempt("variation", _check_together, scenario, fault)
     return errors, read
 
 
@@ -92,6 +101,20 @@ def _campaigns(
         if complete:
             faults.append(expanded)
     return ScenarioFaults(own, tuple(faults)) if complete else None
+
+
+def _planned(scenario: Scenario, read: ScenarioFaults) -> Faults | list[Faults]:
+    """Return the faults of each case, or those of the only one."""
+    if not scenario.campaigns:
+        return read.own
+    return [faults for campaign in read.campaigns for faults in campaign]
+
+
+def _check_injector(scenario: Scenario, read: ScenarioFaults) -> None:
+    """Refuse faults where the injector is switched off."""
+    is_off = "fault_injector" in scenario.roles and scenario.roles["fault_injector"] is None
+    if is_off and any(_planned(scenario, read)):
+        raise without_injector(scenario, scenario.name)
 
 
 def _error_at(scenario: Scenario, error: ConfigurationError, key: str) -> ConfigurationError:

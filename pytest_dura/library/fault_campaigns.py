@@ -13,7 +13,7 @@ from typing import Annotated, Any, TypeAlias
 from pydantic import AfterValidator, Field, JsonValue, ValidationError
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
-from pytest_dura.domains import domain_of
+from pytest_dura.domains import Domain
 from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.faults.model import possible_targets
 from pytest_dura.library.documents import MAX_DEPTH, Document, read_yaml, translate
@@ -314,15 +314,20 @@ def _by_name(scenario: Scenario, own: Faults, text: str) -> list[Faults]:
 
 def catalogue_for(scenario: Scenario) -> list[str]:
     """List the types of the catalogue whose defaults can act in the scenario's domain."""
-    return [name for name in FAULT_TYPES if _usable(scenario, name)]
+    return catalogue_of(scenario.system)
 
 
-def _usable(scenario: Scenario, name: str) -> bool:
-    domain, kind = domain_of(scenario.simulator.path), fault_class(name)
+def catalogue_of(domain: Domain | None) -> list[str]:
+    """List the types of the catalogue whose defaults can act in a domain."""
     channels = None if domain is None else domain.channels
-    if domain is None or channels is None or kind.acts_on not in domain.fault_targets:
-        return False
-    return bool(possible_targets(kind.acts_on, channels))
+    if domain is None or channels is None:
+        return []
+    kinds = {name: fault_class(name).acts_on for name in FAULT_TYPES}
+    return [
+        name
+        for name, kind in kinds.items()
+        if kind in domain.fault_targets and possible_targets(kind, channels)
+    ]
 
 
 def _matching(scenario: Scenario, text: str) -> list[str] | None:

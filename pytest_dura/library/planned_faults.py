@@ -9,7 +9,6 @@ from typing import Any
 from pytest_dura.core.episode import Termination
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.trust import check_registered
-from pytest_dura.domains import domain_of
 from pytest_dura.faults.activation import TOLERANCE, Until, parse_condition
 from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
 from pytest_dura.faults.model import (
@@ -37,7 +36,7 @@ class FaultReader:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        domain = domain_of(scenario.simulator.path)
+        domain = scenario.system
         self._targets = {} if domain is None else domain.fault_targets
         self._channels = None if domain is None else domain.channels
         last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
@@ -142,6 +141,24 @@ def parse_scenario_fault(scenario: Scenario, index: int) -> dict[str, Any]:
     except ConfigurationError as error:
         key = f"faults.{index}.{error.key}" if error.key else f"faults.{index}"
         raise error_at(error, file=scenario.file, line=scenario.line_of(key), key=key) from None
+
+
+def without_injector(scenario: Scenario, planned_in: str) -> ConfigurationError:
+    """Make the error for planned faults that nothing would inject.
+
+    Args:
+        scenario: The scenario.
+        planned_in: What plans them.
+    """
+    return ConfigurationError(
+        f"{planned_in!r} plans faults, and the fault_injector is switched off",
+        file=scenario.file or None,
+        line=scenario.line_of("roles.fault_injector"),
+        key="roles.fault_injector",
+        found="null",
+        expected="a fault injector wherever faults are planned",
+        remedy="leave the key out for the default one, or plan no faults",
+    )
 
 
 def check_chains(faults: Sequence[Mapping[str, Any]]) -> None:

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pytest_dura.core.errors import ConfigurationError, combine_errors, did_you_mean, error_at
 from pytest_dura.core.loop_signals import LOOP_SIGNALS, PROPOSAL_PREFIX
-from pytest_dura.domains import Domain, check_role_name, domain_of
+from pytest_dura.domains import Domain, check_role_name
 from pytest_dura.library.documents import Document, validate
 from pytest_dura.library.scenario import (
     Entry,
@@ -269,7 +269,7 @@ def check_formula(scenario: Scenario, check: Check) -> None:
     if not isinstance(check, str) or not check or is_function_path(check):
         return
     formula = read_formula(check)
-    known = _known_signals(domain_of(scenario.simulator.path), formula)
+    known = _known_signals(scenario.system, formula)
     if known is not None:
         read_formula(check, known)
     check_time_step(formula, scenario.time_step)
@@ -298,12 +298,12 @@ def _known_signals(domain: Domain | None, formula: Formula) -> tuple[str, ...] |
         name
         for prefix, names in prefixed.items()
         for name in (
-            [signal for signal in formula.signals if signal.startswith(prefix)]
+            [read for read in formula.signals if read.startswith(prefix)]
             if names is None
-            else [prefix + name for name in names]
+            else [prefix + signal.name for signal in names]
         )
     ]
-    return (*truth, *named, *LOOP_SIGNALS)
+    return (*(signal.name for signal in truth), *named, *LOOP_SIGNALS)
 
 
 def unused_requirements(

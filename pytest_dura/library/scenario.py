@@ -29,7 +29,7 @@ from pytest_dura.core.episode import Policy
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import stream
-from pytest_dura.domains import DOMAINS, domain_of, simulator_spec
+from pytest_dura.domains import DOMAINS, Domain, domain_of, simulator_spec
 from pytest_dura.faults.catalogue import FAULT_TYPES
 from pytest_dura.library.documents import Document, translate, validate
 
@@ -179,7 +179,10 @@ class Scenario(Entry):
     order: int | None = Field(default=None, ge=1)
     """Place in tables, from 1; scenarios without one come last, by name."""
     simulator: RoleField
-    """The alias `driving`, an import path `package.module:Class`, or path and params."""
+    """A registered name such as `driving`, an import path `package.module:Class`, or path and
+    params."""
+    domain: str | None = Field(default=None, min_length=1)
+    """The domain: a registered name, or `package.module:NAME`; default: the simulator's."""
     seed: int | None = Field(default=None, ge=0, lt=2**53)
     """Seed of the first run, from which those of further runs follow; by default all follow from
     the session's seed. A counterexample that was found keeps its seed here."""
@@ -239,6 +242,15 @@ class Scenario(Entry):
         scenario._source = document  # noqa: SLF001 - our own
         return scenario
 
+    @property
+    def system(self) -> Domain | None:
+        """Its domain, if it has one.
+
+        Raises:
+            ConfigurationError: For a domain that is named and is none.
+        """
+        return domain_of(self.simulator.path, self.domain)
+
     def simulator_spec(self) -> RoleSpec:
         """Make the RoleSpec of the scenario's own simulator.
 
@@ -297,7 +309,7 @@ def check_world(
     try:
         return dict(check(world))
     except ValidationError as error:
-        domain = domain_of(simulator.path)
+        domain = domain_of(simulator.path, scenario.domain)
         model = None if domain is None else domain.world
         raise translate(error, model or BaseModel, scenario.source, "world") from None
     except ConfigurationError as error:

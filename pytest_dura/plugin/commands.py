@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pytest_dura.core.episode import Episode, EpisodeSpec
     from pytest_dura.core.registry import Registry
     from pytest_dura.core.role_spec import RoleSpec
+    from pytest_dura.domains import Domain
     from pytest_dura.evidence.episode_model import EpisodeEntry, FaultEntry, TraceEntry
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.evidence.traces import Trace
@@ -65,7 +66,6 @@ def _fault_line(name: str) -> str:
 
 
 def _show_list(session: DuraSession) -> int:
-    from pytest_dura.domains import DOMAINS
     from pytest_dura.faults.catalogue import FAULT_TYPES
     from pytest_dura.requirements.model import describe_check
 
@@ -82,14 +82,14 @@ def _show_list(session: DuraSession) -> int:
             lines.append(f"      fault campaigns: {len(scenario.campaigns)}")
         lines.append(f"      requirements: {', '.join(scenario.requirements) or 'none'}")
     lines += ["", "faults (name them in a marker, a scenario or --dura-faults; docs/faults.md)"]
-    lines += map(_fault_line, FAULT_TYPES)
+    domains = _listed_domains(session)
+    lines += map(_fault_line, FAULT_TYPES if options.builtin_scenarios else _usable_in(domains))
     lines += ["", "requirements"]
     for name, requirement in library.requirements.items():
         lines.append(f"  {name} ({requirement.kind}): {requirement.text}")
         lines += [f"      {line}" for line in describe_check(requirement)]
-    for name in DOMAINS:
-        lines += ["", f"roles of the domain {name} (override the fixture of that name)"]
-        lines += _domain_lines(name)
+    for domain in domains:
+        lines += _domain_lines(domain)
     lines += _registered_lines()
     lines += ["", f"would run with --dura-scenarios, base seed {options.seed}"]
     episodes = 0
@@ -109,15 +109,53 @@ def _show_list(session: DuraSession) -> int:
     return 0
 
 
-def _domain_lines(name: str) -> Iterator[str]:
+def _listed_domains(session: DuraSession) -> list[str | Domain]:
+    """List the domains to show: all, or without the built-in files those of the project."""
+    from pytest_dura.domains import DOMAINS
+    from pytest_dura.plugin.option_values import BUILTIN_DOMAIN
+
+    options = session.options
+    if options.builtin_scenarios:
+        return [*DOMAINS]
+    systems = [scenario.system for scenario in session.library().scenarios.values()]
+    used = {system.name: system for system in systems if system is not None}
+    if not used or options.domain != BUILTIN_DOMAIN:
+        used.setdefault(options.domain, DOMAINS[options.domain])
+    return [used[name] for name in sorted(used)]
+
+
+def _usable_in(domains: Sequence[str | Domain]) -> list[str]:
+    """List the fault types that can act in one of these domains."""
+    from pytest_dura.faults.catalogue import FAULT_TYPES
+    from pytest_dura.library.fault_campaigns import catalogue_of
+
+    usable = {fault for domain in domains for fault in catalogue_of(_loaded(domain))}
+    return [name for name in FAULT_TYPES if name in usable]
+
+
+def _loaded(domain: str | Domain) -> Domain:
     from pytest_dura.domains import DOMAINS
 
+    return DOMAINS[domain] if isinstance(domain, str) else domain
+
+
+def _domain_lines(listed: str | Domain) -> Iterator[str]:
+    """Yield what a domain declares, its default roles, and the short names of others."""
+    from pytest_dura.library.domain_reference import declared
+
     try:
-        domain = DOMAINS[name]
+        domain = _loaded(listed)
+        tables = declared(domain)
         roles, short_names = domain.default_roles, domain.short_names
     except ConfigurationError as error:  # another package's, which is not used here
-        yield f"  {error.problem}"
+        yield from ("", f"domain {listed}", f"  {error.problem}")
         return
+    name = domain.name
+    for table in tables:
+        yield from ("", f"{table.title} of the domain {name}")
+        for first, *rest in table.rows:
+            yield f"  {first}: " + "; ".join(filter(None, rest))
+    yield from ("", f"roles of the domain {name} (override the fixture of that name)")
     yield from (f"  {role}: {path}" for role, path in roles.items())
     for role, names in short_names.items():
         use = "--dura-generator" if role == "generator" else "`roles` in a scenario"
@@ -387,6 +425,9 @@ def _compared(
     if episode.failure is not None:
         lines.append(f"  {episode.failure}")
     lines += [f"  recorded digest {recorded.digest}", f"  replayed digest {episode.digest}"]
+    readers = list(_other_readers(recorded, episode))
+    if is_same and readers:
+        return False, [*lines, "  DIFFERENT: other roles read what a fault changed", *readers]
     lines.append(
         "  the same"
         if is_same
@@ -405,6 +446,15 @@ def _compared(
         reasons = [f"    {line}" for line in str(error).splitlines()]
         return False, [*lines, "  its trace cannot be compared:", *reasons]
     return _by_trace(kept_trace, replayed, recorded, episode, lines)
+
+
+def _other_readers(recorded: RecordedEpisode, episode: Episode) -> Iterator[str]:
+    """Describe the faults that other roles read than recorded; the digest leaves that out."""
+    for fault in recorded.faults:
+        now = list(episode.read_by.get(fault.id, ()))
+        if now != list(fault.read_by):
+            then = ", ".join(fault.read_by) or "none"
+            yield f"    {fault.id}: recorded {then}, now {', '.join(now) or 'none'}"
 
 
 def _by_trace(

@@ -100,7 +100,9 @@ class SessionContext:
 
             self.extend_import_path()
             try:
-                self._library = load_library(self.options.paths)
+                self._library = load_library(
+                    self.options.paths, builtin=self.options.builtin_scenarios
+                )
             except ConfigurationError as error:
                 self._library = error
         if isinstance(self._library, ConfigurationError):

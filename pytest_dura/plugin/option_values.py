@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from pytest_dura.execution.executors import ExecutorChoice
 
 
+BUILTIN_DOMAIN = "driving"
+"""Domain of the built-in scenarios, and of a project that names none."""
+
+
 @dataclass(frozen=True)
 class Setting:
     """An option in a session, before it is read.
@@ -87,6 +91,26 @@ def second_engine(setting: Setting) -> bool:
 def off_switch(setting: Setting) -> bool:
     """Return whether a switch that turns something off was left alone."""
     return not setting.given
+
+
+def builtin_files(setting: Setting) -> bool:
+    """Return whether the built-in files are known; without a value, in projects of their domain.
+
+    Raises:
+        ConfigurationError: For anything but true and false.
+    """
+    if setting.given is None:
+        return str(setting.config.getini("dura_domain")) in ("", BUILTIN_DOMAIN)
+    value = str(setting.given).lower()
+    if value not in ("true", "false"):
+        raise ConfigurationError(
+            "the ini setting dura_builtin_scenarios is true or false",
+            key="dura_builtin_scenarios",
+            found=setting.given,
+            expected="true or false",
+            remedy="correct it, or leave it out",
+        )
+    return value == "true"
 
 
 def is_choice(choice: str) -> Callable[[Setting], bool]:

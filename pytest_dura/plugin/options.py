@@ -17,9 +17,11 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.option_values import (
+    BUILTIN_DOMAIN,
     Setting,
     Shard,
     as_given,
+    builtin_files,
     cassette_file,
     directories,
     executor_choice,
@@ -209,6 +211,23 @@ class Options:
         ini_type="paths",
         default="scenarios",
         default_note=", if it exists",
+    )
+    domain: Option[str] = Option(
+        None,
+        "domain of the project, whose default roles the role fixtures return",
+        as_given,
+        ini="dura_domain",
+        default=BUILTIN_DOMAIN,
+        example="mobile_robot",
+        details="See [registering](extending.md#what-a-domain-declares).",
+    )
+    builtin_scenarios: Option[bool] = Option(
+        None,
+        "whether the built-in scenarios and requirements, which are of `driving`, are known",
+        builtin_files,
+        ini="dura_builtin_scenarios",
+        default="true",
+        default_note=", and false where dura_domain names another domain",
     )
     more_paths: Option[tuple[Path, ...]] = Option(
         "--dura-path",

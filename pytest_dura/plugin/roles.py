@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.option_values import BUILTIN_DOMAIN
 
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
@@ -117,32 +118,41 @@ def _is_fixture(module: ModuleType, name: str) -> bool:
     return made_of == "FixtureFunctionDefinition" or hasattr(value, "_pytestfixturefunction")
 
 
+OF_THE_SCENARIO = "of the scenario"
+"""In place of the path of a role that the project's domain has no default for."""
+
+
 class SessionRoles:
     """Roles of a session: from options, role fixtures and the domain's defaults.
 
     Args:
         config: The session's configuration.
         generator: ``--dura-generator``, if it is given.
+        domain: Name of the project's domain.
     """
 
-    def __init__(self, config: pytest.Config, generator: str | None) -> None:
-        self._config, self._generator = config, generator
+    def __init__(self, config: pytest.Config, generator: str | None, domain: str) -> None:
+        self._config, self._generator, self._domain = config, generator, domain
         self._defaults: dict[str, RoleSpec] = {}
 
     def default(self, role: str) -> RoleSpec:
-        """Return what a role's fixture returns unless overridden: the same object at every call."""
+        """Return what a role's fixture returns unless overridden: the same object at every call.
+
+        A role that the project's domain has no default for stands for that of each scenario.
+        """
         if role not in self._defaults:
             from pytest_dura.core.role_spec import RoleSpec
             from pytest_dura.domains import DOMAINS
             from pytest_dura.library.roles import generator_of_option
 
-            driving, option = DOMAINS["driving"], self._generator
-            if role == "simulator":
-                spec = RoleSpec(driving.simulator)
-            elif role == "generator" and option is not None:
+            option = self._generator
+            if role == "generator" and option is not None:
                 spec = generator_of_option(option)
+            elif role == "simulator":
+                spec = RoleSpec(DOMAINS[self._domain].simulator)
             else:
-                spec = RoleSpec(driving.default_roles[role])
+                roles = DOMAINS[self._domain].default_roles
+                spec = RoleSpec(roles.get(role, OF_THE_SCENARIO))
             self._defaults[role] = spec
         return self._defaults[role]
 
@@ -179,14 +189,24 @@ class SessionRoles:
         """Check the generator that is given.
 
         Raises:
-            ConfigurationError: For one that cannot be used, and for one that is given twice.
+            ConfigurationError: For one that cannot be used, for one that is given twice, and for an
+                unknown domain of the project.
         """
+        self._check_domain()
         if self._generator is None:
             return
         self.default("generator")
         conftest = root_conftest_with(self._config, "generator")
         if conftest is not None:
             raise _given_twice(f"the fixture `generator` in {conftest}")
+
+    def _check_domain(self) -> None:
+        if self._domain == BUILTIN_DOMAIN:
+            return  # ours, and nothing of it need be imported
+        from pytest_dura.domains import DOMAINS
+
+        if self._domain not in DOMAINS:
+            raise DOMAINS.unknown(self._domain, key="ini dura_domain")
 
 
 def _given_twice(where: str) -> ConfigurationError:

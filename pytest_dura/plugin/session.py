@@ -146,7 +146,7 @@ class DuraSession(SessionContext):
     def __init__(self, config: pytest.Config) -> None:
         super().__init__(config)
         options = self.options
-        self.roles = SessionRoles(config, options.generator)
+        self.roles = SessionRoles(config, options.generator, options.domain)
         self.executor = SessionExecutor(
             options.executor, is_worker=self.is_worker, collect_only=config.option.collectonly
         )

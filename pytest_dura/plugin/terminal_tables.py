@@ -304,7 +304,7 @@ def chain_line(fault: FaultEntry) -> str:
     steps = [
         ("planned", fault.planned_at, ""),
         ("activated", fault.activated_at, ""),
-        ("manifested", fault.manifested_at, ""),
+        ("manifested", fault.manifested_at, _read_by(fault)),
         ("propagated", fault.propagated_at, ""),
         ("detected", fault.detected_at, _by(fault.detected_by, fault.pattern)),
         ("recovery", fault.recovery_at, _by(fault.recovery)),
@@ -314,6 +314,10 @@ def chain_line(fault: FaultEntry) -> str:
     if fault.outcome is not None:
         parts.append(fault.outcome)
     return f"{fault.id}: {', '.join(parts) or 'never active'}"
+
+
+def _read_by(fault: FaultEntry) -> str:
+    return f" (read by {', '.join(fault.read_by)})" if fault.read_by else ""
 
 
 def _by(*names: str | None) -> str:

@@ -382,12 +382,16 @@ def _latencies(fault: FaultMetricsEntry) -> str | None:
     return ", ".join(parts) or None
 
 
+def _target(fault: FaultMetricsEntry) -> str:
+    readers = ", ".join(map(name, fault.read_by))
+    on = f"{name(fault.id)} on {name(fault.target)}"
+    return f"{on}, read by {readers}" if readers else on
+
+
 FAULT_COLUMNS: Sequence[Column[FaultRow]] = (
     Column(
         "case and fault",
-        lambda row: name_cell(
-            row.case.id, f"{name(row.fault.id)} on {name(row.fault.target)}", below=True
-        ),
+        lambda row: name_cell(row.case.id, _target(row.fault), below=True),
         shown=Shown.PAGE, kind="",
     ),
     Column("runs", lambda row: row.fault.run, shown=Shown.TERMINAL),
@@ -397,7 +401,7 @@ FAULT_COLUMNS: Sequence[Column[FaultRow]] = (
     ),
     Column(
         "manifested", lambda row: _reached(row.fault.manifested, row.fault.run), short="manif",
-        meaning="changed what the component read, of the planned runs",
+        meaning="changed what a role read, or the command, of the planned runs",
     ),
     Column(
         "propagated", lambda row: _propagated(row.fault), short="prop",

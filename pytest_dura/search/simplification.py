@@ -154,7 +154,7 @@ class Nominal:
 
     def concrete(self, world: Mapping[str, Any], seed: int) -> dict[str, Any]:
         """Write out what the seed draws in a world, where the domain can."""
-        domain = domain_of(self.simulator.path)
+        domain = domain_of(self.simulator.path, self.case.scenario.domain)
         if domain is None:
             return dict(world)
         return domain.concrete_world(world, self.case.scenario.duration, seed)

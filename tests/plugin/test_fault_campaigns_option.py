@@ -174,7 +174,8 @@ def test_the_causal_chain_is_in_the_record_the_table_and_the_failure(project):
     start = next(i for i, line in enumerate(lines) if line.startswith("  fault:  bias: "))
     end = next(i for i in range(start + 1, len(lines)) if not lines[i].startswith(" " * 12))
     assert " ".join(line.strip() for line in lines[start:end]) == (
-        "fault:  bias: planned 0.50, activated 0.50, manifested 0.50, propagated 0.50, violated"
+        "fault:  bias: planned 0.50, activated 0.50, manifested 0.50 "
+        "(read by generator, safety_monitor), propagated 0.50, violated"
     )
 
 
@@ -227,7 +228,7 @@ def test_no_fault_is_blamed_for_what_happens_without_it(project):
     assert verify_bundle(bundle).problems == []
 
 
-def test_an_alert_before_the_component_reads_the_fault_has_detected_it(project):
+def test_an_alert_on_what_the_component_has_not_read_yet_has_detected_it(project):
     project.write(
         "slow.py",
         "from pytest_dura import Alert, Generator, Proposal, SecurityAssessment, SecurityAssessor\n"
@@ -254,7 +255,8 @@ def test_an_alert_before_the_component_reads_the_fault_has_detected_it(project):
     for episode in record["episodes"]:
         (bias,) = episode["faults"]
         times = [bias[f"{step}_at"] for step in ("activated", "detected", "manifested")]
-        assert times == pytest.approx([0.5, 0.5, 1.0])
+        assert times == pytest.approx([0.5, 0.5, 0.5])
+        assert bias["read_by"] == ["generator", "security_assessor"]
         assert bias["detection_latency"] == 0.0
     (fault,) = record["cases"][0]["metrics"]["faults"]
     assert (fault["manifested"], fault["detected"], fault["rates"]["detection"]) == (3, 3, 1.0)
@@ -433,7 +435,10 @@ def test_of_several_components_the_one_that_violates_is_reduced(project):
     assert [row.split()[3:6] for row in rows] == [["(OwnA", "(a))", "1"], ["(OwnB", "(b))", "1"]]
     told = [line for line in result.outlines if line.startswith("  fault:  bias")]
     assert told == [
-        "  fault:  bias: planned 0.50, activated 0.50, manifested 0.50, propagated 0.50, violated"
+        (
+            "  fault:  bias: planned 0.50, activated 0.50, manifested 0.50 (read by generator, "
+            "safety_monitor),"
+        )
     ]
     result = project.run("a", "b", "--dura-reduce=corridor/it#0")
     assert result.ret == 0

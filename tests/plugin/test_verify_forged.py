@@ -336,6 +336,7 @@ FREE = {
         episodes[].faults[].pattern, episodes[].faults[].recovery,
         episodes[].faults[].recovery_at, episodes[].faults[].activations,
         episodes[].faults[].manifest_ticks, episodes[].faults[].by_chance,
+        episodes[].faults[].read_by,
         episodes[].faults[].propagation, episodes[].faults[].propagated_at,
         episodes[].faults[].unknown, monitors[].untimed, monitors[].invalid, monitors[].missing,
         monitors[].false_alarms, monitors[].horizon (other)

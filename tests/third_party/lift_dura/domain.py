@@ -9,7 +9,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from pytest_dura import (
+    Action,
     ActionError,
+    Channel,
     Domain,
     Episode,
     FaultPart,
@@ -18,11 +20,11 @@ from pytest_dura import (
     Measure,
     Moment,
     Proposal,
+    Signal,
     Simulator,
     Tick,
 )
 from pytest_dura.faults import NumberFault
-from pytest_dura.faults.model import Channel
 from pytest_dura.faults.parts import Span
 
 TOP = 10.0
@@ -141,11 +143,23 @@ class Slip(NumberFault):
 
 LIFT = Domain(
     name="lift",
-    roles={"generator": "steady", "fault_injector": "campaign"},
+    roles={"generator": "steady"},
     world=Shaft,
-    signals=("height", "arrived"),
+    signals=(
+        Signal("height", "m", "of the cabin's floor above the lowest one"),
+        Signal("arrived", "0 or 1", "at the floor it was called to, or above"),
+    ),
     percept_signals=(),
     proposal_signals=(),
-    channels={"encoder": Channel("numbers", ("height", "floor"))},
+    actions=(Action("speed", "m/s", "upwards"),),
+    channels={
+        "encoder": Channel(
+            "numbers",
+            ("height", "floor"),
+            units=("m", "m"),
+            frame="shaft: upwards from the lowest floor",
+            meaning="where it is, and where it was called to",
+        )
+    },
     fault_targets={"number": "encoder.height"},
 )

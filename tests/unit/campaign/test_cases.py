@@ -288,7 +288,7 @@ def test_another_simulator_has_no_default_roles() -> None:
     spec = only(scenario).spec(0, 1, {"generator": RoleSpec("thermostat:Controller")})
     assert spec.simulator == RoleSpec("thermostat:Thermostat")
     assert spec.scenario["world"] == {"start": 3.0}
-    assert list(spec.roles) == ["generator"]
+    assert list(spec.roles) == ["generator", "fault_injector"]
 
 
 def test_the_domains_simulator_by_its_path_has_the_domains_roles() -> None:

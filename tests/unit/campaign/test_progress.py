@@ -20,7 +20,7 @@ roles: {{generator: "thermostat:Controller"}}
 faults: {faults}
 requirements: []
 """
-BIAS = "{type: bias, target: thermometer, activation: {at: 0.2}, parameters: {offset: 3.0}}"
+BIAS = "{type: bias, target: clock, activation: {at: 0.2}, parameters: {offset: 3.0}}"
 RATE = Requirement("T-1", check="always (temperature > -300)", at_most=0.5)
 
 
@@ -132,7 +132,7 @@ def test_the_end_is_told_also_of_a_campaign_that_is_broken_off(bench, told):
 
 
 def test_runs_in_place_of_invalid_ones_join_the_budget_and_twins_are_told_as_such(bench, told):
-    # There is no injector, so that no fault ever manifests.
+    # No role reads the clock, so that no fault ever manifests.
     bench.campaign("room/faulty").judge(RATE)
     assert shown(told, "subject", "done", "budget") == [
         ("T-1", 0, 2), ("T-1", 1, 3), ("T-1", 2, 3),

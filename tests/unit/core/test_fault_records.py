@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from pytest_dura import (
     FaultInjector,
     Injection,
     Proposal,
+    RoleView,
     SafetyMonitor,
     SecurityAssessment,
     SecurityAssessor,
@@ -99,14 +101,86 @@ def test_every_way_of_reading_counts(read: Any) -> None:
     assert with_faults(answer).validity == "valid"
 
 
-def test_what_other_roles_read_does_not_count() -> None:
+def test_what_any_role_reads_counts_and_the_record_names_the_readers() -> None:
     episode = with_faults(
         lambda view: Proposal(0.5), safety_monitor=HeatMonitor(), security_assessor=JumpWatch()
     )
-    assert episode.validity == "invalid"
-    # An alert about a fault that reached nobody detects no fault.
-    assert episode.metrics.alerts > 0
-    assert episode.faults[0].detected_at is None
+    (fault,) = episode.faults
+    assert episode.validity == "valid"
+    assert fault.manifested_at == pytest.approx(0.5)
+    assert fault.detected_by == "security_assessor"
+    assert fault.read_by == ("safety_monitor", "security_assessor")
+    assert episode.read_by == {"bias": fault.read_by}
+    assert with_faults(Controller()).read_by == {"bias": ("generator",)}
+
+
+def test_the_digest_leaves_out_who_read_a_fault() -> None:
+    monitored = with_faults(Controller(), safety_monitor=HeatMonitor())
+    renamed = replace(
+        monitored, faults=tuple(replace(fault, read_by=()) for fault in monitored.faults)
+    )
+    assert monitored.read_by["bias"] == ("generator", "safety_monitor")
+    assert monitored.digest == renamed.digest
+
+
+def test_the_injector_is_no_reader_of_what_it_changes_itself() -> None:
+    class Looks(Bias):
+        def run(self, view: RoleView) -> Injection:
+            view.percept["thermometer"]
+            return super().run(view)
+
+    episode = with_faults(lambda view: Proposal(0.5), fault_injector=Looks())
+    assert episode.invalid_reason == "never manifested: bias"
+
+
+class Late(SafetyMonitor):
+    """Looks half a second back, every half second."""
+
+    def trigger(self, view: RoleView) -> bool:
+        return view.index % 5 == 0 and view.index > 5
+
+    def run(self, view: RoleView) -> Assessment:
+        for percept in view.percepts[-5:-2]:
+            percept["thermometer"]
+        return Assessment()
+
+
+def test_a_changed_value_counts_when_a_role_reads_it_later() -> None:
+    (fault,) = with_faults(lambda view: Proposal(0.5), watch=Late()).faults
+    assert fault.deactivated_at == pytest.approx(0.8)
+    assert fault.manifested_at == pytest.approx(1.0)
+    assert fault.manifest_ticks == 1
+    assert fault.read_by == ("watch",)
+
+
+class Shares(SafetyMonitor):
+    """Takes what another role has made of the percept."""
+
+    def run(self, view: RoleView) -> Assessment:
+        view.percept.once(_through_another)
+        return Assessment()
+
+
+def _through_another(percept: Any) -> Any:
+    return percept.once(_temperature) + 1.0
+
+
+def _temperature(percept: Any) -> Any:
+    return percept["thermometer"]
+
+
+class SharesDirectly(Shares):
+    after = ("first",)
+
+    def run(self, view: RoleView) -> Assessment:
+        view.percept.once(_temperature)
+        return Assessment()
+
+
+def test_who_takes_what_was_made_of_a_changed_value_has_read_it() -> None:
+    roles = {"first": Shares(), "second": SharesDirectly(), "third": Shares()}
+    (fault,) = with_faults(lambda view: Proposal(0.5), **roles).faults
+    assert fault.read_by == ("first", "second", "third")
 
 
 def test_reading_in_a_refined_proposal_counts() -> None:

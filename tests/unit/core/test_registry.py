@@ -198,7 +198,8 @@ def test_domains_own_what_begins_with_their_name(install: Any) -> None:
     assert isinstance(crane, Domain)
     assert crane == domain_of("crane") == domain_of("crane:Heavy")
     assert domain_of("lonely") is domain_of("elsewhere:Sim") is None
-    assert crane.default_roles == {"generator": "crane:Slow"}
+    injector = "pytest_dura.faults.injector:CampaignInjector"
+    assert crane.default_roles == {"generator": "crane:Slow", "fault_injector": injector}
     assert crane.simulator == "crane:Crane"
     # A role without a domain is in each, and the domain's own of that name goes before it.
     assert role_spec("generator", RoleSpec("random"), crane).path == "crane:Random"

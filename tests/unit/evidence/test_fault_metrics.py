@@ -29,7 +29,8 @@ def road_free(faults):
 def told(**fields: Any) -> dict[str, Any]:
     chain = {key: fields.pop(key) for key in list(fields) if key in UNTRACED_FAULT}
     record = FaultRecord("f", "lidar", **fields)
-    return {**asdict(record), **record.latencies(), **UNTRACED_FAULT, **chain}
+    data = {**asdict(record), "read_by": list(record.read_by), **record.latencies()}
+    return {**data, **UNTRACED_FAULT, **chain}
 
 
 def metrics(*faults: dict[str, Any]) -> dict[str, Any]:

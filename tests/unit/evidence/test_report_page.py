@@ -176,7 +176,8 @@ def test_the_chain_of_a_fault_has_its_counts_outcomes_and_latencies():
     chain = {
         "id": "ghost", "target": "lidar", "run": 4, "activated": 4, "manifested": 3, "followed": 3,
         "propagated": 2, "detected": 1, "recovery": 1, "recovered": 0, "judged": 3, "violated": 1,
-        "rates": {}, "detection_latency": {"median": 0.25, "max": 1.0}, "recovery_latency": None,
+        "read_by": ["generator", "watch"], "rates": {},
+        "detection_latency": {"median": 0.25, "max": 1.0}, "recovery_latency": None,
         "time_to_recover": None,
     }  # fmt: skip
     case = record["cases"][1]
