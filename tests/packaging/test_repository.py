@@ -164,7 +164,7 @@ def test_every_link_of_the_documentation_leads_somewhere() -> None:
     pages = {name: text for name, text in repository_texts().items() if name.endswith(".md")}
     broken = []
     for name, text in pages.items():
-        prose = re.sub(r"```.*?```|`[^`\n]*`(?!\])", "", text, flags=re.DOTALL)
+        prose = re.sub(r"```.*?```|`[^`\n]*`", "code", text, flags=re.DOTALL)
         for link in re.findall(r"\]\(([^)\s]+)\)", prose):
             file, _, anchor = link.partition("#")
             if urlsplit(link).scheme:
