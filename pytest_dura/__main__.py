@@ -8,11 +8,16 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from io import TextIOWrapper
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pytest_dura import __version__
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import one_line, visible
 
+if TYPE_CHECKING:
+    from pytest_dura.domains import Importer
+
+_IMPORT = "import-"
 _USAGE_ERROR = 2
 _NOT_RENDERED = 3
 _MAX_LENGTH = 2000
@@ -75,8 +80,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "train-detector", help="train a learned detector of faults on episodes without any"
         )
     )
-    options = parser.parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    # Domains are loaded where one of their commands may be meant: others need none of them.
+    importers = {} if given and given[0] in _COMMANDS else _importers()
+    for name in importers:
+        _add_import(commands.add_parser(name, help="make scenarios of a file of another format"))
+    options = parser.parse_args(given)
     try:
+        if options.command in importers:
+            return _import(importers[options.command], options)
         return _COMMANDS[options.command](options)
     except BrokenPipeError:  # the reader, such as `head`, has ended
         # Flushing at exit would raise it again.
@@ -121,6 +133,63 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             name, metavar="N", type=kind, default=default, help=f"{text} (default: {default})"
         )
+
+
+def _importers() -> dict[str, Importer]:
+    """The importers of all domains, by the names of their commands."""
+    from pytest_dura.domains import DOMAINS
+
+    return {
+        f"{_IMPORT}{name}": importer
+        for _, domain in DOMAINS.items()
+        for name, importer in domain.importers.items()
+    }
+
+
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", type=Path, help="the file to import")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path("scenarios"), help="default: scenarios"
+    )
+    parser.add_argument(
+        "--set", metavar="NAME=VALUE", action="append", default=[], help="an option of the format"
+    )
+
+
+def _import(importer: Importer, options: argparse.Namespace) -> int:
+    pairs = [text.partition("=") for text in options.set]
+    wrong = next((name for name, equals, _ in pairs if not (name and equals)), None)
+    if wrong is not None:
+        raise ConfigurationError(
+            "this sets no option", key="--set", found=wrong, expected="NAME=VALUE"
+        )
+    imported = importer(options.file, {name: value for name, _, value in pairs})
+    for name, text in imported.files.items():
+        _write_new(options.out / name, text)
+    _print_any_file_name()
+    for remark in imported.remarks:
+        print(one_line(remark, _MAX_LENGTH))
+    for name in imported.files:
+        print(f"written: {one_line(str(options.out / name), _MAX_LENGTH)}")
+    print(f"{len(imported.remarks)} lines do not map, or not just as they are; they stand above")
+    return 0
+
+
+def _write_new(file: Path, text: str) -> None:
+    """Write a file; one with other content, which a user may have changed, stays."""
+    try:
+        if file.exists() and file.read_text("utf-8") != text:
+            raise ConfigurationError(
+                "there is such a file already, with other content",
+                file=str(file),
+                remedy="remove it, or name another directory: --out=DIR",
+            )
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, "utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(
+            f"the scenario cannot be written: {error}", file=str(file), key="--out"
+        ) from None
 
 
 def _train(options: argparse.Namespace) -> int:

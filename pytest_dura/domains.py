@@ -9,7 +9,8 @@ import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.metrics import COMMAND
@@ -130,6 +131,23 @@ def _check_declared(domain: str, key: str, kind: type[Any], declared: object) ->
 
 
 @dataclass(frozen=True)
+class Imported:
+    """What an importer made of a file of another format.
+
+    Args:
+        files: Scenario files as texts, by name.
+        remarks: What of the file did not map, or not just as it is, each with file and line.
+    """
+
+    files: Mapping[str, str]
+    remarks: Sequence[str]
+
+
+Importer: TypeAlias = "Callable[[Path, Mapping[str, str]], Imported]"
+"""Makes scenarios of a file, with options by name."""
+
+
+@dataclass(frozen=True)
 class Domain:
     """A kind of system.
 
@@ -150,6 +168,8 @@ class Domain:
         fault_targets: Default target of faults, by what their type acts on.
         concrete: Function of world, duration in seconds and seed that returns an equal world in
             which nothing is left to the seed, and returns such a world as it is.
+        importers: What makes scenarios of files of another format, by the format's name: the
+            command ``python -m pytest_dura import-<name>``.
 
     Raises:
         ConfigurationError: For a signal or an action without a unit, and for two of one name.
@@ -166,6 +186,7 @@ class Domain:
     channels: Mapping[str, Channel] | None = None
     fault_targets: Mapping[str, str] = field(default_factory=dict)
     concrete: Callable[[Mapping[str, Any], float, int], dict[str, Any]] | None = None
+    importers: Mapping[str, Importer] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for key in ("signals", "percept_signals", "proposal_signals"):
