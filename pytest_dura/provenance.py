@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module, metadata
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 
@@ -227,6 +228,11 @@ class _FileCollector:
         self._looked_for: set[str] = set()
         self._variables: set[str] = set()
 
+    @property
+    def looked_for(self) -> frozenset[str]:
+        """Top-level modules that the files import, and their own."""
+        return frozenset(self._looked_for)
+
     def user_code(self) -> UserCode | None:
         """Return the result; ``None`` if there are too many files."""
         if len(self._files) > _MAX_PACKAGE_FILES:
@@ -385,22 +391,56 @@ _PACKAGES = (
 )  # fmt: skip
 
 
-def describe_environment(root: Path, evidence: Path) -> dict[str, Any]:
+def describe_environment(
+    root: Path, evidence: Path, files: Mapping[str, Path] = MappingProxyType({})
+) -> dict[str, Any]:
     """Describe versions, platform, and the git repository at ``root``, if it is one.
 
     Args:
         root: The project's root.
         evidence: The evidence folder, whose files do not make the repository dirty.
+        files: Of modules that define simulators and roles, by their dotted names.
     """
+    packages = {name: version for name in _packages() if (version := _version(name))}
     return {
         "python": sys.version.split()[0],
         "platform": platform.platform(),
         "machine": platform.machine(),
         "byte_order": sys.byteorder,
         **describe_arithmetic(),
-        "packages": {name: version for name in _packages() if (version := _version(name))},
+        "packages": imported_versions(files) | packages,
         "git": _git(root, evidence),
     }
+
+
+def imported_versions(files: Mapping[str, Path]) -> dict[str, str]:
+    """Find the versions of the installed packages that modules import, sorted by distribution.
+
+    Of the project's own modules, what their own modules import counts as well; of installed ones
+    only what the module itself imports. Imports are read and not carried out.
+
+    Args:
+        files: Of the modules, by their dotted names.
+    """
+    tops: set[str] = set()
+    for module, file in files.items():
+        try:
+            if module.partition(".")[0] == _OURS or is_installed(file):
+                tops.update((module.partition(".")[0], *_names_in(file.read_bytes())[1]))
+            else:
+                collector = _FileCollector()
+                collector.add(file, module)
+                tops |= collector.looked_for
+        except OSError:  # noqa: PERF203 - gone, or not for us to read
+            continue
+    versions: dict[str, str] = {}
+    for top in tops - {_OURS}:
+        installed = [origin for origin in _origins(top, Path()) if is_installed(origin)]
+        name = _distribution_of(top, installed[0]) if installed else None
+        version = None if name is None else _version(name)
+        if name is not None and version is not None:
+            versions[name] = version
+    return dict(sorted(versions.items()))
 
 
 def describe_arithmetic() -> dict[str, Any]:

@@ -9,9 +9,9 @@ from __future__ import annotations
 import cmath
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from pytest_dura.core.measures import Measure
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.state import Percept, Tick
 
+CHANNELS = "channels."
+"""How the names of sensor channels begin in :attr:`Simulator.lacks`."""
 POSE = ("x", "y", "heading", "speed", "length", "width")
 """Columns of :attr:`Tracks.poses`: m, m, rad, m/s, m, m."""
 
@@ -177,9 +179,30 @@ def _described(array: Any) -> str:
 class Simulator(ABC):
     """World that is reset with a scenario and advanced one tick at a time.
 
-    An adapter must be a pure function of scenario, seed and actions. ``check_simulator`` of
+    An adapter must be a pure function of scenario, seed and actions, or say by
+    :attr:`deterministic` that it is none. ``check_simulator`` of
     ``pytest_dura.core.simulator_conformance`` tests that, and the rest of this contract.
     """
+
+    instances: ClassVar[Literal["many", "one per process"]] = "many"
+    """Whether several may live in one process. Of ``one per process`` the loop runs one episode at
+    a time, from building to closing; many processes simulate as many at a time."""
+
+    deterministic: ClassVar[bool] = True
+    """Whether equal scenarios, seeds and actions give equal ticks to the last bit. If not, a replay
+    and the repetition within a session compare signals within :attr:`tolerances`."""
+
+    tolerances: ClassVar[Mapping[str, float]] = {}
+    """Greatest difference of a signal between two runs of one episode that counts as the same, in
+    the signal's unit, of a simulator that is not deterministic. Signals that it does not name are
+    not compared, and at least one has to be named."""
+
+    lacks: ClassVar[Mapping[str, str]] = {}
+    """What this simulator cannot do, with the reason in a few words: a dotted key of the world
+    (``pedestrians``, ``controls.signals``), or ``channels.`` with the name of a sensor channel.
+
+    A scenario that gives such a key a value, or plans a fault of such a channel, is refused when it
+    is loaded."""
 
     time_step: float = 0.1
     """Simulated seconds per tick."""
@@ -202,6 +225,47 @@ class Simulator(ABC):
                 expected="a number above 0",
             )
         self.time_step = seconds
+
+    @classmethod  # noqa: B027 - most hold nothing
+    def open_process(cls) -> None:
+        """Start what outlives episodes, such as a server, once in each process that simulates.
+
+        It is called before the first episode there. An error refuses the episode.
+        """
+
+    @classmethod  # noqa: B027 - most hold nothing
+    def close_process(cls) -> None:
+        """Stop what :meth:`open_process` started; called at the end of the process.
+
+        A process that is killed does not get there: what it starts should end with it.
+        """
+
+    @classmethod
+    def check_scenario(cls, world: Mapping[str, Any]) -> dict[str, Any]:
+        """Check a scenario's world and fill in its defaults; the base takes any, as it is.
+
+        It is called when a scenario is loaded, and again for each episode with what was drawn.
+
+        Raises:
+            ConfigurationError: If the world cannot be simulated; its ``key`` begins with ``world``.
+        """
+        return dict(world)
+
+    @classmethod
+    def lacking(cls, world: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
+        """Yield what a world needs and :attr:`lacks` names: dotted key, value and reason.
+
+        Args:
+            world: As :meth:`check_scenario` returns it.
+        """
+        for key, reason in cls.lacks.items():
+            if key.startswith(CHANNELS):
+                continue
+            value: Any = world
+            for part in key.split("."):
+                value = value.get(part) if isinstance(value, Mapping) else None
+            if value not in (None, False) and not (isinstance(value, Sized) and not len(value)):
+                yield key, value, reason
 
     @abstractmethod
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
@@ -330,6 +394,41 @@ class Simulator(ABC):
 
     def close(self) -> None:  # noqa: B027 - most simulators hold nothing
         """Release what the simulator holds; it is not used afterwards."""
+
+
+def beyond_tolerance(
+    tolerances: Mapping[str, float],
+    signals: Mapping[str, NDArray[np.float64]],
+    others: Mapping[str, NDArray[np.float64]],
+) -> str | None:
+    """Describe the first signal in which two runs of one episode differ by more than declared.
+
+    Ticks that only one of the runs has are not compared: an end at the goal may come a tick later.
+
+    Args:
+        tolerances: See :attr:`Simulator.tolerances`.
+        signals: Of the first run, by name, each of shape ``(ticks,)``.
+        others: Of the second run.
+
+    Returns:
+        The difference in words, or ``None`` if there is none.
+    """
+    for name, tolerance in tolerances.items():
+        if name not in signals or name not in others:
+            return f"{name} is no signal of both runs"
+        left, right = signals[name], others[name]
+        ticks = min(len(left), len(right))
+        apart = np.abs(left[:ticks] - right[:ticks])
+        outside = np.flatnonzero(~(apart <= tolerance))
+        if len(outside):
+            tick = int(outside[0])
+            return f"{name} differs by {apart[tick]:.4g} at tick {tick}, tolerance {tolerance:g}"
+    return None
+
+
+def describe_tolerances(tolerances: Mapping[str, float]) -> str:
+    """List tolerances in one line."""
+    return ", ".join(f"{name} within {tolerance:g}" for name, tolerance in tolerances.items())
 
 
 def _wrong_action(action: Any) -> str | None:

@@ -1,6 +1,8 @@
 """Conformance of a simulator adapter to the contract of ``Simulator``, optional parts included.
 
-A check of an optional part raises ``NotImplementedError`` where the adapter does not have it.
+A check of an optional part raises ``NotImplementedError`` where the adapter does not have it. Of a
+simulator of which a process runs one, each instance is closed before the next is built. Episodes
+of one that is not deterministic are compared by its signals, within its tolerances.
 """
 
 from __future__ import annotations
@@ -25,10 +27,17 @@ from pytest_dura.core.conformance import (
 )
 from pytest_dura.core.errors import ActionError, ConfigurationError, describe_error
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.core.simulator import Simulator, scene_problems, value_problems
+from pytest_dura.core.simulator import (
+    Simulator,
+    beyond_tolerance,
+    scene_problems,
+    value_problems,
+)
+from pytest_dura.core.simulator_process import simulating
 from pytest_dura.core.state import Lazy, Percept, Tick
 
 PURE = "make the adapter a pure function of scenario, seed and actions"
+_TOLERANT = "declare the tolerance that its repetitions keep, or make it deterministic"
 
 
 @dataclass
@@ -37,6 +46,7 @@ class CheckedEpisode:
 
     ticks: list[Tick]
     copies: list[dict[str, Any]]
+    columns: dict[str, NDArray[np.float64]]
     signals: dict[str, Any]
 
 
@@ -50,6 +60,7 @@ class EpisodeRuns:
         scenario: The scenario to reset it with.
         actions: One per tick.
         seeds: The seed that is checked, and another one.
+        kind: The class of the simulator.
     """
 
     findings: Findings
@@ -57,6 +68,12 @@ class EpisodeRuns:
     scenario: Mapping[str, Any]
     actions: Sequence[Any]
     seeds: tuple[int, int]
+    kind: type[Simulator]
+
+    @property
+    def singly(self) -> bool:
+        """Whether one instance at a time is alive."""
+        return self.kind.instances == "one per process"
 
     def episode(self, simulator: Simulator, seed: int, at: int | None = None) -> CheckedEpisode:
         """Run one episode; rendered at tick ``at``, if given."""
@@ -69,7 +86,7 @@ class EpisodeRuns:
                 break
             ticks.append(simulator.step(simulator.check_action(action)))
             copies.append(leaves(ticks[-1]))
-        return CheckedEpisode(ticks, copies, leaves(simulator.signals(ticks)))
+        return _checked(simulator, ticks, copies)
 
     def interleaved(self) -> CheckedEpisode:
         """Run one episode, in turn with one of the other seed in another instance."""
@@ -84,10 +101,15 @@ class EpisodeRuns:
                 shadow = other.step(other.check_action(action))
             ticks.append(simulator.step(simulator.check_action(action)))
             copies.append(leaves(ticks[-1]))
-        return CheckedEpisode(ticks, copies, leaves(simulator.signals(ticks)))
+        return _checked(simulator, ticks, copies)
 
     def compare(self, episode: CheckedEpisode, other: CheckedEpisode, who: str) -> None:
         """Add a breach if two episodes that should be equal are not."""
+        if not self.kind.deterministic:
+            beyond = beyond_tolerance(self.kind.tolerances, episode.columns, other.columns)
+            if beyond is not None:
+                self.findings.breach(f"{who}: {beyond}", _TOLERANT)
+            return
         for index, (left, right) in enumerate(zip(episode.copies, other.copies, strict=False)):
             if (path := first_difference(left, right)) is not None:
                 self.findings.breach(f"{who} differs at tick {index} in {path}", PURE)
@@ -97,6 +119,13 @@ class EpisodeRuns:
             self.findings.breach(f"{who} ends at another tick: {ends} ticks", PURE)
         elif (path := first_difference(episode.signals, other.signals)) is not None:
             self.findings.breach(f"{who} has another signal {path}", PURE)
+
+
+def _checked(
+    simulator: Simulator, ticks: list[Tick], copies: list[dict[str, Any]]
+) -> CheckedEpisode:
+    columns = simulator.signals(ticks)
+    return CheckedEpisode(ticks, copies, dict(columns), leaves(columns))
 
 
 def _is_over(tick: Tick) -> bool:
@@ -119,13 +148,15 @@ def _other_global_randomness() -> Iterator[None]:
 
 def _check_lazy(runs: EpisodeRuns) -> None:
     """A lazy value that is read later is what it was at its tick, or refuses to be read."""
-    at_once, later = runs.fresh(), runs.fresh()
-    prompt = at_once.reset(runs.scenario, runs.seeds[0]).channels
-    lazy = later.reset(runs.scenario, runs.seeds[0]).channels
+    prompt = runs.fresh().reset(runs.scenario, runs.seeds[0]).channels
     names = [name for name, value in prompt.items() if isinstance(value, Lazy)]
     if not names:
         raise NotImplementedError
     now = {name: leaves(prompt[name].get()) for name in names}
+    if not runs.kind.deterministic:  # another run shows something else at any instant
+        return
+    later = runs.fresh()
+    lazy = later.reset(runs.scenario, runs.seeds[0]).channels
     for action in runs.actions[:3]:
         if _is_over(later.step(later.check_action(action))):
             break
@@ -178,6 +209,9 @@ def _check_snapshot(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
     with suppress(NotImplementedError):
         simulator.render()  # a renderer must not stand in the way
     snapshot = simulator.snapshot()
+    if not runs.kind.deterministic:
+        simulator.restore(snapshot)
+        return
     rest = runs.actions[middle : len(reference.ticks) - 1]
     for attempt in ("the run on from", "the first return to", "the second return to"):
         expected = reference.copies[middle + 1 :]
@@ -216,9 +250,9 @@ def _check_render(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
 
 def _check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
     """The scene of an episode is valid, also of one that ended at once, and changes nothing."""
-    first, other = runs.fresh(), runs.fresh()
     scenes = []
-    for simulator in (first, other):
+    for number in range(2):
+        simulator = runs.fresh()
         ticks = runs.episode(simulator, runs.seeds[0]).ticks
         before = leaves(ticks)
         scene = simulator.scene(ticks, [Percept(tick.channels) for tick in ticks])
@@ -230,13 +264,15 @@ def _check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
         problems = list(scene_problems(scene, len(ticks))) or value_problems(scene)
         for problem in problems:
             runs.findings.breach(*problem)
+        if number == 0:
+            again = runs.episode(simulator, runs.seeds[0])
+            runs.compare(reference, again, "an instance, after scene")
     if scenes[0] == scenes[1] == leaves(None):
         raise NotImplementedError
-    if (path := first_difference(*scenes)) is not None:
+    if runs.kind.deterministic and (path := first_difference(*scenes)) is not None:
         runs.findings.breach(f"another instance has another scene, in {path}", PURE)
-    runs.compare(reference, runs.episode(first, runs.seeds[0]), "an instance, after scene")
-    tick = other.reset(runs.scenario, runs.seeds[0])
-    scene = other.scene([tick], [Percept(tick.channels)])
+    tick = simulator.reset(runs.scenario, runs.seeds[0])
+    scene = simulator.scene([tick], [Percept(tick.channels)])
     for problem in scene_problems(scene, 1) if scene is not None else ():
         runs.findings.breach(*problem)
 
@@ -263,9 +299,25 @@ def check_simulator(
     """
     name, build = named_builder(factory)
     findings = Findings(f"simulator {name}")
+    kind = factory.factory() if isinstance(factory, RoleSpec) else factory
+    with findings.checking("open_process"), simulating(kind):
+        _check_built(findings, build, scenario, list(actions), seeds, time_step)
+    return findings.report()
+
+
+def _check_built(  # noqa: PLR0917 - a private function with a single call
+    findings: Findings,
+    build: Callable[[], Any],
+    scenario: Mapping[str, Any],
+    actions: list[Any],
+    seeds: tuple[int, int],
+    time_step: float | None,
+) -> None:
     built: list[Simulator] = []
 
     def fresh() -> Simulator:
+        if built and built[-1].instances == "one per process":
+            built.pop().close()
         simulator = build()
         if not isinstance(simulator, Simulator):
             raise TypeError(f"the factory gave a {type(simulator).__name__}, not a Simulator")
@@ -274,11 +326,14 @@ def check_simulator(
             simulator.set_time_step(time_step)
         return simulator
 
-    _SimulatorKit(EpisodeRuns(findings, fresh, scenario, list(actions), seeds)).run()
+    kind: type[Simulator] | None = None
+    with findings.checking("it can be built"):
+        kind = type(fresh())
+    if kind is not None:
+        _SimulatorKit(EpisodeRuns(findings, fresh, scenario, actions, seeds, kind)).run()
     for simulator in built:
         with findings.checking("close"):
             simulator.close()
-    return findings.report()
 
 
 class _SimulatorKit:
@@ -288,6 +343,10 @@ class _SimulatorKit:
     def run(self) -> None:
         check = self.findings.checking
         before = leaves(self.runs.scenario)
+        with check("declarations: instances, deterministic, tolerances, lacks"):
+            self._check_declarations()
+        with check("check_scenario: the scenario's world, and its own result"):
+            self._check_world()
         reference: CheckedEpisode | None = None
         with check("an episode can be run"):
             reference = self.runs.episode(self.runs.fresh(), self.runs.seeds[0])
@@ -315,11 +374,40 @@ class _SimulatorKit:
             _check_render(self.runs, reference)
         with check("scene"):
             _check_scene(self.runs, reference)
-        with check("close leaves other instances alone"):
-            self._check_close(reference)
+        if not self.runs.singly:
+            with check("close leaves other instances alone"):
+                self._check_close(reference)
         if (path := first_difference(before, leaves(self.runs.scenario))) is not None:
             self.findings.breach(
                 f"the scenario was changed at {path}", "read the scenario, and copy what you change"
+            )
+
+    def _check_declarations(self) -> None:
+        kind, breach = self.runs.kind, self.findings.breach
+        if kind.instances not in ("many", "one per process"):
+            breach(f"instances is {kind.instances!r}", 'say "many" or "one per process"')
+        if not kind.deterministic and not kind.tolerances:
+            breach("it is not deterministic, and declares no tolerances", _TOLERANT)
+        for name, tolerance in kind.tolerances.items():
+            if not 0.0 <= tolerance < float("inf"):
+                breach(f"the tolerance of {name} is {tolerance!r}", "give a number of at least 0")
+        for key, reason in kind.lacks.items():
+            if not (isinstance(key, str) and isinstance(reason, str) and key and reason):
+                breach(f"lacks has {key!r}: {reason!r}", "map what is lacking to the reason")
+
+    def _check_world(self) -> None:
+        world = self.runs.scenario.get("world", {})
+        checked = self.runs.kind.check_scenario(world)
+        again = self.runs.kind.check_scenario(checked)
+        if (path := first_difference(leaves(checked), leaves(again))) is not None:
+            self.findings.breach(
+                f"check_scenario changes its own result at {path}",
+                "fill in defaults once, so that a checked world stays as it is",
+            )
+        for key, _, reason in self.runs.kind.lacking(checked):
+            self.findings.breach(
+                f"the scenario needs {key}, which it lacks: {reason}",
+                "check it with a scenario that it can simulate",
             )
 
     def _check_ticks(self, ticks: list[Tick], dt: float) -> None:
@@ -421,7 +509,8 @@ class _SimulatorKit:
 
     def _check_determinism(self, reference: CheckedEpisode) -> None:
         seed, other = self.runs.seeds
-        early, late = self.runs.fresh(), self.runs.fresh()
+        early = self.runs.fresh()
+        late = early if self.runs.singly else self.runs.fresh()
         with _other_global_randomness():
             self.runs.compare(reference, self.runs.episode(late, seed), "another instance")
         self.runs.episode(early, other)
@@ -431,6 +520,8 @@ class _SimulatorKit:
         self.runs.compare(
             reference, self.runs.episode(early, seed), "the same instance, reset again"
         )
+        if self.runs.singly:
+            return
         self.runs.compare(
             reference, self.runs.episode(late, seed), "an older instance, after others ran"
         )

@@ -1,7 +1,7 @@
-"""HighwaySimulator: the four-way unsignalised intersection on highway-env.
+"""JunctionSimulator: the four-way intersection, whoever drives the other cars; on highway-env here.
 
-The road is stepped directly: no observation table, no rewards, no spawning that the scenario did
-not ask for, and none of highway-env's class-level settings is touched.
+HighwaySimulator steps highway-env's road directly: no observation table, no rewards, no spawning
+that the scenario did not ask for, and none of highway-env's class-level settings is touched.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import math
 import re
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -41,6 +42,7 @@ from pytest_dura.driving.measures import MEASURES
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
 from pytest_dura.driving.scenario import (
     DrivingWorld,
+    PedestrianStart,
     drawn_arrivals,
     given_arrivals,
     has_room,
@@ -204,11 +206,11 @@ WRECK_TIME = 3.0
 _REMOVED_AT = 80.0
 
 
-class HighwaySimulator(Simulator):
+class JunctionSimulator(Simulator):
     """Ego from the south, traffic and pedestrians as the scenario's ``world`` says.
 
     Actions are what :meth:`Command.of` accepts. See ``DrivingWorld`` for the world, and
-    ``signals.NAMES`` for the signals.
+    ``signals.NAMES`` for the signals. A subclass makes the road, with the drivers on it.
     """
 
     def __init__(self) -> None:
@@ -258,11 +260,8 @@ class HighwaySimulator(Simulator):
 
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
         """Build the road and what the scenario puts on it at time 0."""
-        from pytest_dura.driving import traffic
-
         world = DrivingWorld.model_validate(self.check_scenario(scenario.get("world", {})))
-        road = traffic.JunctionRoad(_network(), np_random=stream(seed, "highway_env"))
-        road.courtesy = world.courtesy
+        road = self._make_road(world, seed)
         self._road, self._index, self._dt = road, 0, self.time_step
         self._route = route(0, world.ego.turn)
         self._map, self._signs = route_map(self._route), signs(self._route)
@@ -273,22 +272,16 @@ class HighwaySimulator(Simulator):
         self._contact: Contact | None = None
         self._background_crashes = 0
         self._wrecks: dict[str, float] = {}
-        self._ego = self._place(
-            traffic.Ego, "EGO", self._route, ARM_LENGTH - world.ego.distance, world.ego.speed
-        )
+        self._ego = self._place(EGO, self._route, ARM_LENGTH - world.ego.distance, world.ego.speed)
         for vehicle in world.vehicles:
             if vehicle.distance is not None:
                 plan = route(ARMS.index(vehicle.arm), vehicle.turn)
                 s = ARM_LENGTH - vehicle.distance
-                driver = self._place(traffic.Driver, vehicle.id, plan, s, vehicle.speed)
-                driver.DELTA = vehicle.exponent
+                self._place(vehicle.id, plan, s, vehicle.speed, vehicle.exponent)
         for person in world.pedestrians:
-            body = traffic.walker(
-                road, person.id, ARMS.index(person.arm), person.offset, person.side
-            )
+            body = self._make_walker(person)
             body.walking, body.start = person.speed, person.start
             road.objects.append(body)
-        road.obstacles = tuple(traffic.standing(road, obstacle) for obstacle in world.obstacles)
         self._kinds = {obstacle.id: obstacle.kind for obstacle in world.obstacles}
         self._obstacle_rows = tuple(
             (
@@ -401,35 +394,32 @@ class HighwaySimulator(Simulator):
         """The third-person view."""
         return camera.third_person(self._state, self._solids())
 
-    def snapshot(self) -> object:
-        """A deep copy of road, vehicles and bookkeeping; the road network is shared."""
-        return copy.deepcopy(vars(self), {id(_network()): _network()})
-
-    def restore(self, snapshot: Any) -> None:
-        """Return to a snapshot."""
-        self.__dict__.update(copy.deepcopy(snapshot, {id(_network()): _network()}))
-
     def close(self) -> None:
         """Forget the road."""
         self._road = self._state = None
 
-    def _place(self, kind: Any, body_id: str, plan: Route, s: float, speed: float) -> Any:
-        x, y, heading = (float(value) for value in plan.pose(s))
-        vehicle = kind(self._road, [x, y], heading=heading, speed=speed)
-        vehicle.body_id, vehicle.plan, vehicle.s, vehicle.number = body_id, plan, s, plan.number
-        vehicle.target_speed = self._map.speed_limit
-        vehicle.plan_route_to(f"o{plan.destination}")
-        if kind.__name__ == "Driver":
-            vehicle.enable_lane_change = False
-        self._road.vehicles.append(vehicle)
-        return vehicle
+    @abstractmethod
+    def _make_road(self, world: DrivingWorld, seed: int) -> Any:
+        """Make the road without cars and pedestrians, with the obstacles of the world.
+
+        It has ``vehicles``, ``objects`` (pedestrians), ``obstacles``, ``halted``, and ``act`` and
+        ``step``, which move the cars and mark those that touch as ``crashed``.
+        """
+
+    @abstractmethod
+    def _place(
+        self, body_id: str, plan: Route, s: float, speed: float, exponent: float | None = None
+    ) -> Any:
+        """Put a car on the road, at ``s`` of its route: a driver, or without exponent the ego."""
+
+    @abstractmethod
+    def _make_walker(self, person: PedestrianStart) -> Any:
+        """Make a pedestrian at its kerb, see :class:`~pytest_dura.driving.moving.Walking`."""
 
     def _admit(self, initially: bool = False) -> None:
         """Place the cars whose time has come and that have room; others wait outside, in order."""
         if not self._arrivals or self._arrivals[0][0] > self._index * self._dt:
             return
-        from pytest_dura.driving.traffic import Driver
-
         now, waiting = self._index * self._dt, []
         for arrival in self._arrivals:
             time, body_id, plan, speed, exponent = arrival
@@ -439,7 +429,7 @@ class HighwaySimulator(Simulator):
             s = arrival.start if initially else 0.0
             taken = [v.s for v in self._road.vehicles if v.plan.origin == plan.origin]
             if has_room(s, taken):
-                self._place(Driver, body_id, plan, s, speed).DELTA = exponent
+                self._place(body_id, plan, s, speed, exponent)
             elif not initially:
                 waiting.append(arrival)
         self._arrivals = waiting
@@ -564,6 +554,49 @@ class HighwaySimulator(Simulator):
             return camera.third_person(state, self._solids())
 
         return frame
+
+
+class HighwaySimulator(JunctionSimulator):
+    """The junction on highway-env: its lanes and its drivers, with right of way added to them."""
+
+    def snapshot(self) -> object:
+        """A deep copy of road, vehicles and bookkeeping; the road network is shared."""
+        return copy.deepcopy(vars(self), {id(_network()): _network()})
+
+    def restore(self, snapshot: Any) -> None:
+        """Return to a snapshot."""
+        self.__dict__.update(copy.deepcopy(snapshot, {id(_network()): _network()}))
+
+    def _make_road(self, world: DrivingWorld, seed: int) -> Any:
+        from pytest_dura.driving import traffic
+
+        road = traffic.JunctionRoad(_network(), np_random=stream(seed, "highway_env"))
+        road.courtesy = world.courtesy
+        road.obstacles = tuple(traffic.standing(road, obstacle) for obstacle in world.obstacles)
+        return road
+
+    def _place(
+        self, body_id: str, plan: Route, s: float, speed: float, exponent: float | None = None
+    ) -> Any:
+        from pytest_dura.driving.traffic import Driver, Ego
+
+        x, y, heading = (float(value) for value in plan.pose(s))
+        kind = Ego if exponent is None else Driver
+        vehicle = kind(self._road, [x, y], heading=heading, speed=speed)
+        vehicle.body_id, vehicle.plan, vehicle.s, vehicle.number = body_id, plan, s, plan.number
+        vehicle.target_speed = self._map.speed_limit
+        vehicle.plan_route_to(f"o{plan.destination}")
+        if exponent is not None:
+            vehicle.enable_lane_change = False
+            vehicle.DELTA = exponent
+        self._road.vehicles.append(vehicle)
+        return vehicle
+
+    def _make_walker(self, person: PedestrianStart) -> Any:
+        from pytest_dura.driving.traffic import walker
+
+        arm = ARMS.index(person.arm)
+        return walker(self._road, person.id, arm, person.offset, person.side)
 
 
 def _check_obstacles(world: DrivingWorld) -> None:

@@ -24,8 +24,8 @@ from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
-from pytest_dura.driving.junction import ARM_LENGTH, ARMS, LANE_OFFSET, STOP_LINE, Route, conflict
-from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
+from pytest_dura.driving.junction import ARM_LENGTH, ARMS, STOP_LINE, Route, conflict
+from pytest_dura.driving.moving import CROSSING, Actuated, Walking, kerb
 from pytest_dura.driving.scenario import StaticObstacle
 
 _SHARPEST_COURSE = math.pi / 4
@@ -274,20 +274,12 @@ class Driver(LaneKeeping, IDMVehicle):
         return float(self.acceleration(ego_vehicle=self, front_vehicle=leader))
 
 
-class Ego(LaneKeeping):
-    """The vehicle that the component drives: highway-env steers it along its lane.
-
-    ``commanded`` is the acceleration asked for; the actuator follows with a bounded slew rate.
-    """
-
-    SLEW = 40.0
-    """m/s3; the brake or drive builds up from zero to full in about a fifth of a second."""
+class Ego(Actuated, LaneKeeping):
+    """The vehicle that the component drives: highway-env steers it along its lane."""
 
     body_id = "EGO"
     plan: Route
     s: float
-    commanded = 0.0
-    executed = 0.0
 
     def act(self, _action: Any = None) -> None:
         """Steer along the lane; the acceleration is set by :meth:`actuate`.
@@ -296,64 +288,12 @@ class Ego(LaneKeeping):
         """
         self.action = {"steering": self.keep_lane(), "acceleration": self.executed}
 
-    def actuate(self, acceleration: float, dt: float) -> None:
-        """Command an acceleration in m/s2 for the next ``dt`` seconds.
 
-        The car does not reverse, and the brake is let off in time for a stop within the slew rate.
-        """
-        self.commanded = acceleration
-        step = self.SLEW * dt
-        target = max(-MAX_BRAKING, min(MAX_ACCELERATION, acceleration))
-        target = max(target, -_braking_to_stop(self.speed / dt, step))
-        executed = max(self.executed - step, min(self.executed + step, target))
-        if self.speed + executed * dt < 0.0:
-            executed = -self.speed / dt
-        self.executed = executed
-
-
-def _braking_to_stop(speed: float, step: float) -> float:
-    """Greatest braking from which the brake can be let off by ``step`` a tick until the car stands.
-
-    ``speed`` is in m/s per tick, the unit of ``step`` and of the result m/s2.
-    """
-    ticks = 1
-    while (braking := speed / ticks + step * (ticks - 1) / 2) > step * ticks:
-        ticks += 1
-    return braking
-
-
-class Pedestrian(Obstacle):
-    """Walks straight ahead; stops while a car stands or passes within a metre before it."""
+class Pedestrian(Walking, Obstacle):
+    """A pedestrian as highway-env knows obstacles."""
 
     LENGTH = PEDESTRIAN_SIZE
     WIDTH = PEDESTRIAN_SIZE
-
-    body_id: str
-    position: NDArray[np.float64]
-    walking = 1.3
-    start = 0.0
-    distance = 20.0
-    walked = 0.0
-
-    def walk(self, time: float, dt: float, vehicles: list[Any]) -> None:
-        """Advance by one tick from ``time`` on."""
-        going = time >= self.start and self.walked < self.distance and not self.crashed
-        if going and any(self._blocked_by(vehicle) for vehicle in vehicles):
-            going = False
-        self.speed = self.walking if going else 0.0
-        self.position = self.position + self.speed * dt * self.direction
-        self.walked += self.speed * dt
-
-    def clearance(self) -> float:
-        """Metres beside a path within which a driver stops: more while the pedestrian walks."""
-        return 3.5 if self.speed > 0.0 else 2.0
-
-    def _blocked_by(self, vehicle: Any) -> bool:
-        ahead = self.position + 1.0 * self.direction
-        offset = ahead - vehicle.position
-        along = abs(float(offset @ vehicle.direction))
-        across = abs(vehicle.direction[0] * offset[1] - vehicle.direction[1] * offset[0])
-        return bool(along < vehicle.LENGTH / 2 + 0.5 and across < vehicle.WIDTH / 2 + 0.5)
 
 
 class Standing(Obstacle):
@@ -558,13 +498,8 @@ def walker(road: Road, body_id: str, arm: int, offset: float, side: str) -> Pede
 
     ``side`` is where it comes from, seen by a driver on that arm who nears the junction.
     """
-    across = 2 * LANE_OFFSET + 1.0
-    sign = 1.0 if side == "right" else -1.0
-    turn = arm * math.pi / 2
-    c, sn = math.cos(turn), math.sin(turn)
-    u, v = sign * across, 11.0 + offset
-    heading = turn + (math.pi if side == "right" else 0.0)
-    person = Pedestrian(road, np.array([c * u - sn * v, sn * u + c * v]), heading, 0.0)
+    x, y, heading = kerb(arm, offset, side)
+    person = Pedestrian(road, np.array([x, y]), heading, 0.0)
     person.body_id = body_id
-    person.distance = 2 * across
+    person.distance = CROSSING
     return person

@@ -349,11 +349,12 @@ class RepeatEntry(Entry):
     """Its digest as it is recorded."""
     repeated_digest: Sha256 | None
     """That of the repetition; null where there is none."""
-    result: Literal["equal", "different", "failed", "skipped"]
-    """Whether the digests are equal; `failed` for a repetition that an infrastructure error ended,
-    `skipped` where a live language model answers."""
+    result: Literal["equal", "within tolerances", "different", "failed", "skipped"]
+    """Whether the digests are equal, or, of a simulator that is not deterministic, the signals
+    within the tolerances that it declares; `failed` for a repetition that an infrastructure error
+    ended, `skipped` where a live language model answers."""
     detail: str
-    """Why it failed or was skipped, in words."""
+    """Why it failed or was skipped, or how signals compare, in words."""
 
 
 class CasePlan(Entry):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 REPEAT_KEYS = ("episode", "digest", "repeated_digest", "result", "detail")
 """Keys of a case's repetition."""
-_REPEAT_RESULTS = ("different", "failed", "equal", "skipped")
+_REPEAT_RESULTS = ("different", "failed", "within tolerances", "equal", "skipped")
 """Results of a repetition. Of several the first in this order counts."""
 
 
@@ -39,10 +39,9 @@ def not_repeatable_lines(cases: Iterable[CaseEntry]) -> Iterator[str]:
         if repeat.result == "failed":
             yield f"{name}: the repetition failed: {repeat.detail}"
         else:
-            yield (
-                f"{name}: run again in this session it came out differently, digests "
-                f"{repeat.digest[:12]} and {(repeat.repeated_digest or '')[:12]}"
-            )
+            how = f"digests {repeat.digest[:12]} and {(repeat.repeated_digest or '')[:12]}"
+            how = repeat.detail or how
+            yield f"{name}: run again in this session it came out differently, {how}"
 
 
 def repeat_objections(cases: Iterable[CaseEntry]) -> Iterator[str]:
@@ -69,7 +68,8 @@ def repeat_problems(case: CaseEntry, digests: Iterable[str]) -> Iterator[str]:
     if repeat.digest not in set(digests):
         yield f"{repeat.episode} was repeated, and is not recorded with that digest"
     equal = repeat.digest == repeat.repeated_digest
-    if repeat.result in ("equal", "different") and equal != (repeat.result == "equal"):
+    compared = ("equal", "within tolerances", "different")
+    if repeat.result in compared and equal != (repeat.result == "equal"):
         yield f"the digests of its repetition are {'' if equal else 'not '}equal"
 
 

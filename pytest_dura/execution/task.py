@@ -16,8 +16,10 @@ from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.simulator_process import simulating
 from pytest_dura.core.state import NOTHING, Event
 from pytest_dura.library.roles import LocalRole, local_object
+from pytest_dura.library.scenario import simulator_class
 from pytest_dura.requirements.checks import RequirementJudge
 from pytest_dura.requirements.model import Requirement
 
@@ -200,7 +202,7 @@ def run_episode(
     Raises:
         ConfigurationError: If a part cannot be built.
     """
-    with Boundary():
+    with Boundary(), simulating(simulator_class(spec.simulator)):
         orchestrator = Orchestrator.build(
             spec, judge, metrics, recorded=recorded, role_timeout=role_timeout
         )

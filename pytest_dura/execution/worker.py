@@ -133,12 +133,22 @@ def main() -> None:
         memory = _memory()
         first = memory if first is None else first
         stays = count < _MAX_CALLS and memory - first <= MAX_MEMORY_GROWTH
+        if not stays:
+            _close_simulators()
         try:
             write_frame(replies, STAYS if stays else RETIRES, reply)
         except OSError:  # the parent is gone
+            _close_simulators()
             os._exit(1)
         if not stays:
             os._exit(0)  # also with threads that roles left behind
+
+
+def _close_simulators() -> None:
+    """Close what simulators started in this process, if any was loaded."""
+    module = sys.modules.get("pytest_dura.core.simulator_process")
+    if module is not None:
+        module.close_classes()
 
 
 def _read(calls: IO[bytes], requests: SimpleQueue[bytes]) -> None:

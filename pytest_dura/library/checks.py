@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from itertools import islice, product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
+from pytest_dura.core.simulator import CHANNELS, SIMULATORS
 from pytest_dura.core.trust import check_registered
-from pytest_dura.domains import Domain, check_role_name, role_spec
+from pytest_dura.domains import Domain, check_role_name, domain_of, role_spec
 from pytest_dura.library.fault_campaigns import MAX_CASES, Faults, ScenarioFaults, expand_campaign
 from pytest_dura.library.planned_faults import (
     check_chains,
@@ -23,10 +24,15 @@ from pytest_dura.library.scenario import (
     Scenario,
     check_world,
     extreme_values,
+    lacks_error,
     replace_value,
+    simulator_class,
     split_path,
     world_checker,
 )
+
+if TYPE_CHECKING:
+    from pytest_dura.library.cases import Case
 
 
 def scenario_problems(scenario: Scenario) -> list[ConfigurationError]:
@@ -63,13 +69,61 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
     read = None if faults is None else _campaigns(scenario, tuple(faults.values()), attempt)
     if read is not None:
         attempt("roles.fault_injector", _check_injector, scenario, read)
-    if world is not None and faults is not None:
+    if simulator is None or faults is None:
+        return errors, read
+    attempt("faults", check_channels, simulator, list(faults.values()))
+    if world is not None:
         for path in scenario.variation:
             key = f"variation.{path}"
             attempt(key, _check_variation, scenario, simulator, world, faults, path)
         for fault in () if errors else faults.values():
             attempt("variation", _check_together, scenario, fault)
     return errors, read
+
+
+def check_simulator_fits(case: Case, simulator: RoleSpec) -> None:
+    """Check a case for another simulator than its scenario's, before anything runs.
+
+    Raises:
+        ConfigurationError: If the simulator is of another domain, refuses the world or an extreme
+            of what varies in it, or lacks what the case needs.
+    """
+    scenario = case.scenario
+    own, registered = scenario.system, SIMULATORS.name_of(simulator.path)
+    # A simulator that is not registered may be one of any domain.
+    if own is not None and registered is not None and domain_of(registered) is not own:
+        raise ConfigurationError(
+            f"{simulator.label} is no simulator of the domain {own.name!r}, which the scenario "
+            f"{scenario.name!r} is of",
+            file=scenario.file or None,
+            line=scenario.line_of("simulator"),
+            key="simulator",
+            found=simulator.path,
+            expected=f"a simulator of the domain {own.name!r}",
+            remedy="leave the scenario out with --dura-select, or name another simulator",
+        )
+    world = check_world(scenario, simulator, scenario.world)
+    for path, spread in scenario.variation.items():
+        fault, inner = split_path(path)
+        for value in () if fault else extreme_values(spread):
+            check_world(scenario, simulator, replace_value(world, inner, value, create=True))
+    check_channels(simulator, case.faults)
+
+
+def check_channels(simulator: RoleSpec, faults: Iterable[Mapping[str, Any]]) -> None:
+    """Refuse faults of sensor channels that a simulator lacks.
+
+    Raises:
+        ConfigurationError: For the first one.
+    """
+    factory = simulator_class(simulator)
+    lacks: Mapping[str, str] = getattr(factory, "lacks", {})
+    for index, fault in enumerate(faults):
+        channel = str(fault["target"]).partition(".")[0]
+        reason = lacks.get(f"{CHANNELS}{channel}")
+        if reason is not None:
+            key = f"faults.{index}.target"
+            raise lacks_error(factory, f"{CHANNELS}{channel}", fault["target"], reason, key=key)
 
 
 def _own_faults(

@@ -11,7 +11,7 @@ from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role
-from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.simulator import SIMULATORS, Simulator
 from pytest_dura.core.state import NOTHING
 from pytest_dura.domains import ROLES, names_of_role
 
@@ -121,6 +121,29 @@ def generator_of_option(text: str) -> RoleSpec:
             _check_class(target, spec)
         else:
             spec.factory()
+    except ConfigurationError as error:
+        raise error_at(error, file="", line=None, key=key) from None
+    return spec
+
+
+def simulator_of_option(text: str) -> RoleSpec:
+    """Make the RoleSpec that ``--dura-simulator`` names.
+
+    It is a registered name, such as ``driving.sumo``, its last part, or an import path.
+
+    Raises:
+        ConfigurationError: If there is none, or it is no Simulator.
+    """
+    key = "--dura-simulator"
+    short: dict[str, str] = {}
+    for name in SIMULATORS:
+        short[name.rpartition(".")[2]] = "" if name.rpartition(".")[2] in short else name
+    name = text if text in SIMULATORS else short.get(text, "")
+    if ":" not in text and not name:
+        raise SIMULATORS.unknown(text, key=key, also="an import path package.module:Class")
+    spec = RoleSpec(SIMULATORS.path(name) if name else text)
+    try:
+        spec.factory(Simulator)
     except ConfigurationError as error:
         raise error_at(error, file="", line=None, key=key) from None
     return spec

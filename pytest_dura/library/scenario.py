@@ -29,6 +29,7 @@ from pytest_dura.core.episode import Policy
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import stream
+from pytest_dura.core.simulator import Simulator
 from pytest_dura.domains import DOMAINS, Domain, domain_of, simulator_spec
 from pytest_dura.faults.catalogue import FAULT_TYPES
 from pytest_dura.library.documents import Document, translate, validate
@@ -298,34 +299,84 @@ class Scenario(Entry):
 def check_world(
     scenario: Scenario, simulator: RoleSpec, world: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Fill in a world's defaults, if the simulator's class has a ``check_scenario``.
+    """Check a world by the simulator's class, which fills in defaults.
 
     Raises:
-        ConfigurationError: If the simulator cannot be imported or refuses the world.
+        ConfigurationError: If the simulator cannot be imported, refuses the world, or lacks
+            something that the world needs.
     """
     check = world_checker(simulator)
-    if check is None:
-        return dict(world)
     try:
-        return dict(check(world))
+        checked = dict(world if check is None else check(world))
+        _check_not_lacking(simulator, checked)
+        return checked  # noqa: TRY300 - what may be raised is above
     except ValidationError as error:
         domain = domain_of(simulator.path, scenario.domain)
         model = None if domain is None else domain.world
         raise translate(error, model or BaseModel, scenario.source, "world") from None
     except ConfigurationError as error:
         key = error.key or "world"
-        key = key if key.startswith("world") else f"world.{key}"
+        key = key if key.startswith(("world", "simulator")) else f"world.{key}"
         raise error_at(error, file=scenario.file, line=scenario.line_of(key), key=key) from None
 
 
 def world_checker(simulator: RoleSpec) -> Any:
-    """Return ``check_scenario`` of the simulator's class, ``None`` if it has none.
+    """Return ``check_scenario`` of the simulator's class, ``None`` if it has none of its own.
 
     Raises:
         ConfigurationError: If the class cannot be imported.
     """
-    factory = type(simulator.instance) if simulator.opaque else simulator.factory()
-    return getattr(factory, "check_scenario", None)
+    check = getattr(simulator_class(simulator), "check_scenario", None)
+    inherited = Simulator.check_scenario.__func__  # type: ignore[attr-defined]
+    return None if getattr(check, "__func__", None) is inherited else check
+
+
+def simulator_class(simulator: RoleSpec) -> Any:
+    """Return the simulator's class, or the function that makes it.
+
+    Raises:
+        ConfigurationError: If it cannot be imported.
+    """
+    return type(simulator.instance) if simulator.opaque else simulator.factory()
+
+
+def tolerances_of(simulator: RoleSpec) -> Mapping[str, float] | None:
+    """Return within what the signals of two runs are compared; ``None`` if digests are.
+
+    Raises:
+        ConfigurationError: If the simulator's class cannot be imported.
+    """
+    factory = simulator_class(simulator)
+    tolerances: Mapping[str, float] = getattr(factory, "tolerances", {})
+    return None if getattr(factory, "deterministic", True) else tolerances
+
+
+def _check_not_lacking(simulator: RoleSpec, world: Mapping[str, Any]) -> None:
+    factory = simulator_class(simulator)
+    lacking = getattr(factory, "lacking", None)
+    for key, value, reason in () if lacking is None else lacking(world):
+        raise lacks_error(factory, key, value, reason, key=f"world.{key}")
+
+
+def lacks_error(
+    factory: Any, feature: str, value: object, reason: str, *, key: str
+) -> ConfigurationError:
+    """Make the error for what a scenario needs and its simulator lacks.
+
+    Args:
+        factory: The simulator's class.
+        feature: As its ``lacks`` names it.
+        value: What the scenario gives.
+        reason: Why it lacks it.
+        key: Where the scenario gives it.
+    """
+    return ConfigurationError(
+        f"{factory.__name__} lacks {feature}: {reason}",
+        key=key,
+        found=value,
+        expected=f"a scenario that needs none of {', '.join(sorted(factory.lacks))}",
+        remedy="run the scenario in another simulator of its domain, or leave this out",
+    )
 
 
 def draw_value(path: str, variation: Range | Choice, seed: int) -> Any:

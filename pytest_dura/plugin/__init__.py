@@ -7,6 +7,7 @@ heavy: what a session needs is imported when it is first used.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Generator
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
@@ -43,6 +44,7 @@ from pytest_dura.plugin.messages import (
     apply_code_places,
     escape_error,
     escape_reason,
+    print_lines,
     usage_errors,
 )
 from pytest_dura.plugin.options import add_options, send_options
@@ -360,6 +362,9 @@ class SessionHooks:
         self._end_forked_copy()
         if self._guard is not None:
             self._guard.close()
+        simulators = sys.modules.get("pytest_dura.core.simulator_process")
+        if simulators is not None:
+            print_lines(simulators.close_classes())
         if self._pytest_session is not None:
             self.session.evidence.enforce_exit_code(self._pytest_session)
         self.session.executor.close()

@@ -8,7 +8,7 @@ violates a requirement.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -418,6 +418,8 @@ def _compared(
     recorded: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
 ) -> tuple[bool, list[str]]:
     """Return whether the episode is the recorded one, and lines that show it."""
+    from pytest_dura.library.scenario import tolerances_of
+
     is_same = recorded.digest == episode.digest
     end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
     outcome = f"{episode.termination} after {end}"
@@ -434,6 +436,9 @@ def _compared(
         else "  DIFFERENT: the code, a package or the platform has changed, "
         "or something is not deterministic"
     )
+    if recorded.trace is None and not is_same and tolerances_of(recorded.spec.simulator):
+        why = "its simulator is not deterministic, and there are no signals to compare"
+        lines[-1] = f"  DIFFERENT, as it may be: {why}"
     if recorded.trace is None:
         note = "  no trace of it was kept (--dura-evidence-level=all keeps each)"
         return is_same, lines if is_same else [*lines, note, *_by_faults(recorded, episode)]
@@ -465,9 +470,15 @@ def _by_trace(
     lines: list[str],
 ) -> tuple[bool, list[str]]:
     """Return whether the episode is the recorded one, and lines that name the difference."""
+    from pytest_dura.core.simulator import beyond_tolerance
     from pytest_dura.evidence.text import one_line
     from pytest_dura.evidence.traces import first_difference
+    from pytest_dura.library.scenario import tolerances_of
 
+    tolerances = tolerances_of(recorded_episode.spec.simulator)
+    if tolerances is not None and recorded_episode.digest != episode.digest:
+        beyond = beyond_tolerance(tolerances, recorded.signals, replayed.signals)
+        return beyond is None, [*lines[:-1], _within(tolerances, beyond)]
     difference = first_difference(recorded, replayed)
     place = one_line(str(difference), 1000)
     if recorded_episode.digest != episode.digest:
@@ -484,6 +495,15 @@ def _by_trace(
     if difference is not None:
         lines = [*lines, f"  what the digest leaves out is not the same: {place}"]
     return True, lines
+
+
+def _within(tolerances: Mapping[str, float], beyond: str | None) -> str:
+    from pytest_dura.core.simulator import describe_tolerances
+
+    if beyond is None:
+        declared = describe_tolerances(tolerances)
+        return f"  the same within the tolerances of its simulator, no further: {declared}"
+    return f"  DIFFERENT beyond the tolerances of its simulator: {beyond}"
 
 
 def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:

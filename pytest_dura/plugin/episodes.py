@@ -26,7 +26,9 @@ from pytest_dura.plugin.outcomes import target_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping
 
+    import numpy as np
     import pytest
+    from numpy.typing import NDArray
 
     from pytest_dura.campaign.events import EpisodeUsed
     from pytest_dura.evidence.model import SessionRecord
@@ -450,6 +452,10 @@ class _DueRepetition:
     digest: str
     skip_reason: str | None
     """Why it cannot be, if so."""
+    signals: Mapping[str, NDArray[np.float64]]
+    """To be compared within :attr:`tolerances`; empty where the digest is."""
+    tolerances: Mapping[str, float] | None
+    """Those of a simulator that is not deterministic; ``None`` for another one."""
 
 
 class Repeats:
@@ -485,12 +491,15 @@ class Repeats:
         if not event.planned or known or episode.failure is not None:
             return
         from pytest_dura.execution.address import model_answers
+        from pytest_dura.library.scenario import tolerances_of
 
         task = self._runner().task(case, episode.spec.run)
         answers = model_answers(task)
         live = answers is not None and not answers.startswith("replay ")
         skip_reason = "a live language model answers" if live else None
-        self._due[key] = _DueRepetition(task, episode.digest, skip_reason)
+        tolerances = tolerances_of(task.spec.simulator)
+        signals = {} if tolerances is None else episode.signals
+        self._due[key] = _DueRepetition(task, episode.digest, skip_reason, signals, tolerances)
 
     def item_ends(
         self, item: pytest.Item, nextitem: pytest.Item | None
@@ -531,13 +540,16 @@ class Repeats:
                 "detail": f"infrastructure: {describe_error(error)}",
             }
         result = "equal" if repetition.digest == due.digest else "different"
+        detail = repetition.failure or ""
         if repetition.failure is not None:
             result = "failed"
-        return {
-            "result": result,
-            "repeated_digest": repetition.digest,
-            "detail": repetition.failure or "",
-        }
+        elif result == "different" and due.tolerances is not None:
+            from pytest_dura.core.simulator import beyond_tolerance, describe_tolerances
+
+            beyond = beyond_tolerance(due.tolerances, due.signals, repetition.signals)
+            result = "within tolerances" if beyond is None else result
+            detail = beyond or describe_tolerances(due.tolerances)
+        return {"result": result, "repeated_digest": repetition.digest, "detail": detail}
 
 
 def _case_id_of(item: pytest.Item) -> str:

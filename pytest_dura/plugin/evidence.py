@@ -237,6 +237,7 @@ class SessionEvidence:
         from pytest_dura.evidence.bundle import begin_bundle, check_directory
         from pytest_dura.evidence.files import DirectoryLock
         from pytest_dura.evidence.gather import RecordBuilder
+        from pytest_dura.plugin.inputs import files_of_roles
         from pytest_dura.provenance import describe_environment, describe_tool
 
         options = self.context.options
@@ -251,7 +252,11 @@ class SessionEvidence:
                     "base_seed": options.seed,
                     "evidence_level": options.evidence_level,
                     "require_repeatable": options.require_repeatable,
-                    "environment": describe_environment(config.rootpath, options.evidence),
+                    "environment": describe_environment(
+                        config.rootpath,
+                        options.evidence,
+                        files_of_roles(self.context, self._roles.chosen_simulator()),
+                    ),
                     "execution": self._executor.to_json(),
                     "argument": self.given.argument and self.given.argument.to_json(),
                     "reuse": self._shared.to_json(),

@@ -7,11 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.files import InputFiles, InputKind
 from pytest_dura.plugin.options import Options
+from pytest_dura.plugin.roles import conftest_files
 from pytest_dura.provenance import MAX_LISTED_FILES, is_installed, user_code
 
 if TYPE_CHECKING:
+    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.baseline import Baseline
     from pytest_dura.plugin.context import SessionContext
 
@@ -169,6 +172,28 @@ class SessionInputs:
             return False
         self._seen.add((kind, name))
         return True
+
+
+def files_of_roles(context: SessionContext, simulator: RoleSpec | None) -> dict[str, Path]:
+    """Find the modules of simulators and roles that the session may use, with their files.
+
+    They are those of all scenarios, so that each shard of a session has the same, and what the
+    ``conftest.py`` files define; nothing is imported for it.
+
+    Args:
+        context: The session's context.
+        simulator: What takes the place of the scenarios' own simulators.
+    """
+    paths = [] if simulator is None else [simulator.path]
+    for scenario in context.library().scenarios.values():
+        try:
+            paths.append(scenario.simulator_spec().path)
+        except ConfigurationError:  # it is said where it is used
+            continue
+        paths += [role.path for role in scenario.roles.values() if role is not None]
+    modules = dict.fromkeys(path.partition(":")[0] for path in paths if ":" in path)
+    files = {module: file for module in modules if (file := _file_of(module)) is not None}
+    return files | {f"conftest of {file.parent}": file for file in conftest_files(context.config)}
 
 
 def _file_of(module: str) -> Path | None:

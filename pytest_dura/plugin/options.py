@@ -280,6 +280,20 @@ class Options:
         repeated_in=("rerun",),
         changes_episodes=True,
     )
+    simulator: Option[str | None] = Option(
+        "--dura-simulator",
+        "the simulator that scenarios run in, instead of their own: the last part of a registered "
+        "name such as driving.sumo, the whole of it, or package.module:Class",
+        as_given,
+        ini="dura_simulator",
+        metavar="NAME",
+        example="sumo",
+        details="Same roles and requirements; see [simulators](simulators.md). A scenario that "
+        "needs what the simulator lacks is refused before anything runs.",
+        activates=True,
+        repeated_in=("rerun",),
+        changes_episodes=True,
+    )
     runs: Option[int | None] = Option(
         "--dura-runs",
         "episodes per case, instead of what is planned",

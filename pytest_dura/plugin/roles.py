@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from pytest_dura.plugin.option_values import BUILTIN_DOMAIN
 
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
+    from pytest_dura.plugin.context import Planned
     from pytest_dura.runner import Runner
 
 
@@ -93,6 +95,11 @@ def defined_in_conftest(config: pytest.Config, file: str, name: str) -> Any:
     )
 
 
+def conftest_files(config: pytest.Config) -> list[Path]:
+    """List the ``conftest.py`` files that pytest has loaded."""
+    return [file for file, _ in _conftests(config)]
+
+
 def _overrides(config: pytest.Config) -> list[tuple[Path, str]]:
     return [
         (file, role)
@@ -129,10 +136,14 @@ class SessionRoles:
         config: The session's configuration.
         generator: ``--dura-generator``, if it is given.
         domain: Name of the project's domain.
+        simulator: ``--dura-simulator``, if it is given.
     """
 
-    def __init__(self, config: pytest.Config, generator: str | None, domain: str) -> None:
+    def __init__(
+        self, config: pytest.Config, generator: str | None, domain: str, simulator: str | None
+    ) -> None:
         self._config, self._generator, self._domain = config, generator, domain
+        self._simulator = simulator
         self._defaults: dict[str, RoleSpec] = {}
 
     def default(self, role: str) -> RoleSpec:
@@ -143,10 +154,12 @@ class SessionRoles:
         if role not in self._defaults:
             from pytest_dura.core.role_spec import RoleSpec
             from pytest_dura.domains import DOMAINS
-            from pytest_dura.library.roles import generator_of_option
+            from pytest_dura.library.roles import generator_of_option, simulator_of_option
 
             option = self._generator
-            if role == "generator" and option is not None:
+            if role == "simulator" and self._simulator is not None:
+                spec = simulator_of_option(self._simulator)
+            elif role == "generator" and option is not None:
                 spec = generator_of_option(option)
             elif role == "simulator":
                 spec = RoleSpec(DOMAINS[self._domain].simulator)
@@ -161,6 +174,10 @@ class SessionRoles:
         if self._generator is None:
             return {}
         return {"generator": self.default("generator")}
+
+    def chosen_simulator(self) -> RoleSpec | None:
+        """Return the simulator of the option, which takes the place of the scenarios' own."""
+        return None if self._simulator is None else self.default("simulator")
 
     def use(self, given: dict[str, Any], runner: Runner) -> None:
         """Let the runner use what the role fixtures of an item returned.
@@ -182,23 +199,47 @@ class SessionRoles:
         }
         if "generator" in overridden and self._generator is not None:
             raise _given_twice("a fixture")
-        runner.simulator = overridden.pop("simulator", None)
+        if "simulator" in overridden and self._simulator is not None:
+            raise _given_twice("a fixture", "simulator")
+        runner.simulator = overridden.pop("simulator", self.chosen_simulator())
         runner.roles = self.chosen() | overridden
 
     def check(self) -> None:
-        """Check the generator that is given.
+        """Check generator and simulator, as far as options give them.
 
         Raises:
             ConfigurationError: For one that cannot be used, for one that is given twice, and for an
                 unknown domain of the project.
         """
         self._check_domain()
-        if self._generator is None:
+        for role, given in (("generator", self._generator), ("simulator", self._simulator)):
+            if given is None:
+                continue
+            self.default(role)
+            conftest = root_conftest_with(self._config, role)
+            if conftest is not None:
+                raise _given_twice(f"the fixture `{role}` in {conftest}", role)
+
+    def check_plan(self, plan: Iterable[Planned]) -> None:
+        """Check that the simulator of the option can simulate what is planned.
+
+        Raises:
+            ConfigurationError: For each scenario that it cannot, all as one.
+        """
+        simulator = self.chosen_simulator()
+        if simulator is None:
             return
-        self.default("generator")
-        conftest = root_conftest_with(self._config, "generator")
-        if conftest is not None:
-            raise _given_twice(f"the fixture `generator` in {conftest}")
+        from pytest_dura.core.errors import combine_errors
+        from pytest_dura.library.checks import check_simulator_fits
+
+        problems: dict[str, ConfigurationError] = {}
+        for planned in plan:
+            try:
+                check_simulator_fits(planned.case, simulator)
+            except ConfigurationError as error:  # noqa: PERF203 - all errors are raised as one
+                problems.setdefault(str(error), error)
+        if problems:
+            raise combine_errors(list(problems.values()))
 
     def _check_domain(self) -> None:
         if self._domain == BUILTIN_DOMAIN:
@@ -209,11 +250,12 @@ class SessionRoles:
             raise DOMAINS.unknown(self._domain, key="ini dura_domain")
 
 
-def _given_twice(where: str) -> ConfigurationError:
+def _given_twice(where: str, role: str = "generator") -> ConfigurationError:
+    what = "the component under test" if role == "generator" else "the simulator"
     return ConfigurationError(
-        "the component under test is given twice",
-        key="--dura-generator",
-        found=f"--dura-generator and {where}",
+        f"{what} is given twice",
+        key=f"--dura-{role}",
+        found=f"--dura-{role} and {where}",
         expected="one of them",
         remedy="drop the option, or the fixture",
     )

@@ -146,7 +146,7 @@ class DuraSession(SessionContext):
     def __init__(self, config: pytest.Config) -> None:
         super().__init__(config)
         options = self.options
-        self.roles = SessionRoles(config, options.generator, options.domain)
+        self.roles = SessionRoles(config, options.generator, options.domain, options.simulator)
         self.executor = SessionExecutor(
             options.executor, is_worker=self.is_worker, collect_only=config.option.collectonly
         )
@@ -261,6 +261,7 @@ class DuraSession(SessionContext):
         return Runner(
             self.library,
             self.options.seed,
+            simulator=self.roles.chosen_simulator(),
             roles=self.roles.chosen(),
             runs=self.options.runs,
             faults=self.options.faults,
@@ -323,6 +324,7 @@ class DuraSession(SessionContext):
         self.own_arguments = set(chosen)
         if self.options.scenarios or self.options.list_only or chosen:
             self.plan += make_plan(self, chosen)
+            self.roles.check_plan(self.plan)
         else:
             self._check_faults_used()
 

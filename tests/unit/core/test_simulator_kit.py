@@ -529,3 +529,76 @@ def test_the_kit_leaves_global_randomness_as_it_found_it() -> None:
     before = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
     check_simulator(Thermostat, SCENARIO, ACTIONS)
     assert (random.getstate(), np.random.get_state()[1].tolist()) == before  # noqa: NPY002
+
+
+class Single(Thermostat):
+    """As libsumo: what is built later replaces what is there."""
+
+    instances = "one per process"
+    newest: Any = None
+
+    def reset(self, scenario: Any, seed: int) -> Tick:
+        type(self).newest = self
+        return super().reset(scenario, seed)
+
+    def step(self, action: Any) -> Tick:
+        if type(self).newest is not self:
+            raise RuntimeError("another one has replaced it")
+        return super().step(action)
+
+
+class Several(Single):
+    instances = "many"
+
+
+def test_of_simulators_with_one_per_process_none_is_stepped_in_turn_with_another() -> None:
+    report = check_simulator(Single, SCENARIO, ACTIONS)
+    assert not any("close leaves" in text for text in report.checked)
+    assert "another one has replaced it" in breaches(Several)
+
+
+class Drafty(Thermostat):
+    """Not deterministic: the temperature differs by up to 0.01 between repetitions."""
+
+    deterministic = False
+    tolerances = {"temperature": 0.05}  # noqa: RUF012 - a declaration
+    drafts = random.Random(7)
+
+    def _tick(self, events: Any) -> Tick:
+        tick = super()._tick(events)
+        blown = self._temperature + self.drafts.uniform(0.0, 0.01)
+        return replace(tick, truth={**tick.truth, "temperature": blown})
+
+
+def test_a_simulator_that_is_not_deterministic_is_compared_within_its_tolerances() -> None:
+    check_simulator(Drafty, SCENARIO, ACTIONS)
+
+    class Strict(Drafty):
+        tolerances = {"temperature": 0.001}  # noqa: RUF012 - a declaration
+
+    class Silent(Drafty):
+        tolerances = {}  # noqa: RUF012 - a declaration
+
+    class Claiming(Drafty):
+        deterministic = True
+
+    assert "temperature differs by 0.0" in breaches(Strict)
+    assert "declares no tolerances" in breaches(Silent)
+    assert "differs at tick 0" in breaches(Claiming)
+
+
+def test_declarations_and_the_scenarios_world_are_checked() -> None:
+    class Wrong(Thermostat):
+        instances = "a few"  # type: ignore[assignment]
+        tolerances = {"temperature": -1.0}  # noqa: RUF012 - a declaration
+        lacks = {"start": "it is never warm", "fuse": ""}  # noqa: RUF012 - a declaration
+
+        @classmethod
+        def check_scenario(cls, world: Any) -> dict[str, Any]:
+            return {**world, "start": world["start"] + 1.0}
+
+    text = breaches(Wrong)
+    for part in ("instances is 'a few'", "tolerance of temperature is -1.0", "lacks has 'fuse'",
+                 "check_scenario changes its own result at ['start']",
+                 "the scenario needs start, which it lacks: it is never warm"):  # fmt: skip
+        assert part in text, text
