@@ -22,8 +22,9 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, PEDESTRIAN_SIZE, boxes_overlap
 from pytest_dura.driving.highway import EGO, JunctionSimulator
-from pytest_dura.driving.junction import ARMS, Route
-from pytest_dura.driving.moving import CROSSING, Actuated, Walking, kerb
+from pytest_dura.driving.lanes import Route
+from pytest_dura.driving.moving import Actuated, Walking, crossing, kerb
+from pytest_dura.driving.roads import Arm
 from pytest_dura.driving.scenario import DrivingWorld, PedestrianStart
 
 NETWORK, TYPES = "four_way.net.xml", "four_way.add.xml"
@@ -52,7 +53,7 @@ _AS_PLACED = 2
 
 def route_name(plan: Route) -> str:
     """Name of a route in :data:`TYPES`, such as ``south_straight``."""
-    return f"{ARMS[plan.origin]}_{plan.turn}"
+    return f"{plan.arm.name}_{plan.turn}"
 
 
 def type_name(exponent: float) -> str:
@@ -324,10 +325,10 @@ class SumoSimulator(JunctionSimulator):
         self._road.vehicles.append(car)
         return car
 
-    def _make_walker(self, person: PedestrianStart) -> SumoWalker:
-        x, y, heading = kerb(ARMS.index(person.arm), person.offset, person.side)
+    def _make_walker(self, person: PedestrianStart, arm: Arm) -> SumoWalker:
+        x, y, heading = kerb(arm, person.offset, person.side)
         walker = SumoWalker(person.id, x, y, heading, 0.0)
-        walker.distance = CROSSING
+        walker.distance = crossing(arm)
         return walker
 
 

@@ -11,10 +11,12 @@ from .bodies import (
 from .channel_faults import PromptTextParameters
 from .explanations import SIGNALS, account_measures
 from .highway import HighwaySimulator
-from .junction import ARM_LENGTH, ARMS, SPEED_LIMIT, Route, all_routes, conflict, route
+from .junction import ARM_LENGTH, ARMS, SPEED_LIMIT, all_routes, route
+from .lanes import Route, conflict, route_between, routes_of
 from .maneuvers import MAX_ACCELERATION, MAX_BRAKING, Command, Maneuver, acceleration_for
 from .measures import MEASURES, clearance_time
 from .percepts import DISTANCE_TOLERANCE, PLACE, SIZE
+from .roads import BUILT_IN, FOUR_WAY, Arm, Road
 from .roles.performance import DrivingOracle
 from .roles.planners import Aggressive, RuleBased
 from .roles.recovery import EmergencyBrake
@@ -42,10 +44,12 @@ from .traffic import Ego
 __all__ = [
     "ARMS",
     "ARM_LENGTH",
+    "BUILT_IN",
     "CAR_LENGTH",
     "CHANNELS",
     "DISTANCE_TOLERANCE",
     "FAULT_TARGETS",
+    "FOUR_WAY",
     "GAP_CAP",
     "LIMITS",
     "MAX_ACCELERATION",
@@ -61,6 +65,7 @@ __all__ = [
     "TRAFFIC_LIGHT",
     "TTC_CAP",
     "Aggressive",
+    "Arm",
     "Body",
     "BodyList",
     "Command",
@@ -75,6 +80,7 @@ __all__ = [
     "PlausibilityAssessor",
     "Pose",
     "PromptTextParameters",
+    "Road",
     "Route",
     "RuleBased",
     "Scene",
@@ -94,6 +100,8 @@ __all__ = [
     "percept_signals",
     "residuals",
     "route",
+    "route_between",
     "route_map",
+    "routes_of",
     "signs",
 ]

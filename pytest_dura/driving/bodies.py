@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.state import sealed
-from pytest_dura.driving.junction import Route
+from pytest_dura.driving.lanes import Route
 
 X, Y, HEADING, VX, VY, LENGTH, WIDTH = range(7)
 COLUMNS = 7

@@ -12,13 +12,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH
-from pytest_dura.driving.junction import ARM_LENGTH, LANE_OFFSET, RIGHT_RADIUS, STOP_LINE
+from pytest_dura.driving.outlines import corners, flat_sides
+from pytest_dura.driving.roads import FOUR_WAY, Arm, Road
 
 Colour = tuple[int, int, int]
 Point = tuple[float, float, float]
@@ -39,8 +41,8 @@ COLOURS: Mapping[str, Colour] = {
 
 _WINDOW, _TYRE, _SKIN, _METAL = (44, 56, 70), (26, 26, 28), (226, 178, 146), (128, 132, 136)
 _WHITE, _LAMP, _REAR_LAMP, _UNLIT = (248, 248, 244), (255, 246, 206), (206, 16, 16), (40, 40, 42)
-LIGHT = 2 * LANE_OFFSET + 0.8
-"""m right of the middle of the road to the post of a signal; the sign stands beyond it."""
+_SIGN, _LIGHT = 1.5, 0.8
+"""m right of the road's edge to the post of a sign, and to that of a signal."""
 _SUN = (-0.45, 0.35, 0.82)
 _AMBIENT = 0.6
 """Share of its colour that a side in the shade keeps."""
@@ -52,10 +54,6 @@ _MARK = 0.1
 """m; half the width of the centre line."""
 _KERB, _PAVEMENT = 0.25, 2.6
 """m from the edge of the road to where the kerb and the pavement end."""
-_ROAD_WIDTH = 2 * LANE_OFFSET
-"""m from the middle of a road to its edge."""
-_CORNER = RIGHT_RADIUS - LANE_OFFSET
-"""m; radius of the kerb between two arms."""
 _GROUND = ("grass", "pavement", "kerb", "road", "marking")
 
 
@@ -109,39 +107,41 @@ THIRD_PERSON = Mount(THIRD_PERSON_SIZE, -11.0, 6.5, 19.0, 70.0, 2)
 """Behind the ego and above it."""
 
 
-def front(ego: Posed, solids: Sequence[Solid]) -> NDArray[np.uint8]:
+def front(ego: Posed, solids: Sequence[Solid], road: Road = FOUR_WAY) -> NDArray[np.uint8]:
     """The view through the windscreen; shape ``(128, 128, 3)``, RGB.
 
     Args:
         ego: Where it is.
         solids: What else stands on the ground.
+        road: On which it is.
     """
-    return _Picture(FRONT, ego).of([*solids, _ego(ego)])
+    return _Picture(FRONT, ego, road).of([*solids, _ego(ego)])
 
 
-def third_person(ego: Posed, solids: Sequence[Solid]) -> NDArray[np.uint8]:
+def third_person(ego: Posed, solids: Sequence[Solid], road: Road = FOUR_WAY) -> NDArray[np.uint8]:
     """The ego from behind and above, and what is ahead of it; shape ``(300, 300, 3)``, RGB.
 
     Args:
         ego: Where it is.
         solids: What else stands on the ground.
+        road: On which it is.
     """
-    return _Picture(THIRD_PERSON, ego).of([*solids, _ego(ego)])
+    return _Picture(THIRD_PERSON, ego, road).of([*solids, _ego(ego)])
 
 
-def sign_beside(arm: int, kind: str, beside: float = _ROAD_WIDTH + 1.5) -> Solid:
-    """A sign, or the head of a signal, at the stop line of an arm, facing who comes on it.
+def sign_beside(arm: Arm, kind: str) -> Solid:
+    """A sign at the stop line of an arm, facing who comes on it; ``kind`` is its colour's."""
+    return _at_line(arm, kind, arm.lane_width + _SIGN)
 
-    Args:
-        arm: Its number.
-        kind: Of :data:`COLOURS`.
-        beside: Metres right of the middle of the road.
-    """
-    turn = arm * math.pi / 2
-    c, s = math.cos(turn), math.sin(turn)
-    along = STOP_LINE + 0.4
-    x, y = c * beside - s * along, s * beside + c * along
-    return Solid(kind, x, y, turn + math.pi / 2)
+
+def light_beside(arm: Arm, state: str) -> Solid:
+    """The head of a signal in a state, at the stop line of an arm, facing who comes on it."""
+    return _at_line(arm, state, arm.lane_width + _LIGHT)
+
+
+def _at_line(arm: Arm, kind: str, beside: float) -> Solid:
+    x, y = arm.place(arm.stop_line + 0.4, beside)
+    return Solid(kind, x, y, arm.angle + math.pi / 2)
 
 
 def _ego(ego: Posed) -> Solid:
@@ -159,7 +159,8 @@ class _Face(NamedTuple):
 class _Picture:
     """A picture that is being made, with ``mount.samples`` times as many pixels along a side."""
 
-    def __init__(self, mount: Mount, ego: Posed) -> None:
+    def __init__(self, mount: Mount, ego: Posed, road: Road) -> None:
+        self._road = road
         size = mount.size * mount.samples
         self._mount, self._size = mount, size
         c, s = math.cos(ego.heading), math.sin(ego.heading)
@@ -216,7 +217,9 @@ class _Picture:
         x = np.float32(self._at[0]) + reach * (f_x + across * r_x + below * d_x)
         y = np.float32(self._at[1]) + reach * (f_y + across * r_y + below * d_y)
         palette = np.array([COLOURS[name] for name in _GROUND], np.uint8)
-        self._pixels[horizon:] = palette[_ground(x.astype(np.float32), y.astype(np.float32))]
+        self._pixels[horizon:] = palette[
+            _ground(x.astype(np.float32), y.astype(np.float32), self._road)
+        ]
 
     def _show(self, face: _Face) -> None:
         (x, y, z), (n_x, n_y, n_z) = face.points[0], face.normal
@@ -272,27 +275,71 @@ class _Picture:
         known[inside] = nearness[inside]
 
 
-def _ground(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _ground(x: NDArray[np.float32], y: NDArray[np.float32], road: Road) -> NDArray[np.uint8]:
     """Index into ``_GROUND`` of each point on the ground."""
-    across_x, across_y = np.abs(x), np.abs(y)
-    off, along = np.minimum(across_x, across_y), np.maximum(across_x, across_y)
-    inner = along < STOP_LINE
-    beyond_edge = off - np.float32(_ROAD_WIDTH)
-    beyond_edge[inner] = _CORNER - np.hypot(
-        STOP_LINE - across_x[inner], STOP_LINE - across_y[inner]
+    # On which arm each point is: the one along which it lies farthest out.
+    along, beside = _dot(x, y, road.arms[0].outward), _dot(x, y, road.arms[0].right)
+    number = np.zeros(x.shape, np.int8)
+    for index, arm in enumerate(road.arms[1:], start=1):
+        out = _dot(x, y, arm.outward)
+        on_it = out > along
+        along = np.maximum(out, along)
+        beside = np.where(on_it, _dot(x, y, arm.right), beside)
+        number[on_it] = index
+    width, stop_line, end, two_lanes, towards = (
+        column[0] if len(set(column.tolist())) == 1 else column[number] for column in _columns(road)
     )
-    beyond_edge[along > STOP_LINE + ARM_LENGTH] = np.inf
+    off = np.abs(beside)
+    inner = along < stop_line
+    beyond_edge = off - width
+    beyond_edge[inner] = _beyond_kerbs(x[inner], y[inner], road)
+    beyond_edge[along > end] = np.inf
     surface = np.zeros(x.shape, np.uint8)
     surface[beyond_edge < _PAVEMENT] = 1
     surface[beyond_edge < _KERB] = 2
     surface[beyond_edge < 0.0] = 3
-    dashes = (off < _MARK) & (along > STOP_LINE + 1.0) & (surface == 3)
+    dashes = (off < _MARK) & (along > stop_line + 1.0) & (surface == 3) & (two_lanes > 0.0)
     dashes[dashes] = along[dashes] % 6.0 < 3.0
     # The lane towards the junction is right of the middle, on each arm.
-    inwards = (x * y > 0.0) == (across_y > across_x)
-    line = inwards & ~inner & (along < STOP_LINE + 0.5) & (off > 0.25) & (off < _ROAD_WIDTH - 0.25)
+    across = (beside > 0.25) & (off < width - 0.25) & (towards > 0.0)
+    line = across & ~inner & (along < stop_line + 0.5)
     surface[dashes | line] = 4
     return surface
+
+
+def _dot(
+    x: NDArray[np.float32], y: NDArray[np.float32], along: tuple[float, float]
+) -> NDArray[np.float32]:
+    product: NDArray[np.float32] = x * np.float32(along[0]) + y * np.float32(along[1])
+    return product
+
+
+@cache
+def _columns(road: Road) -> NDArray[np.float32]:
+    """Of each arm: lane width, stop line, end, whether it has two lanes, and one inwards."""
+    rows = [
+        (arm.lane_width, arm.stop_line, arm.end, arm.lanes == "both", arm.lanes != "out")
+        for arm in road.arms
+    ]
+    columns: NDArray[np.float32] = np.array(rows, np.float32).T
+    return columns
+
+
+def _beyond_kerbs(
+    x: NDArray[np.float32], y: NDArray[np.float32], road: Road
+) -> NDArray[np.float32]:
+    """Metres beyond the kerbs that bound the area between the stop lines; negative within them."""
+    beyond = np.full(x.shape, -np.inf, np.float32)
+    for (centre_x, centre_y), radius in corners(road):
+        away = np.hypot(np.float32(centre_x) - x, np.float32(centre_y) - y)
+        beyond = np.maximum(beyond, np.float32(radius) - away)
+    for (x0, y0), (x1, y1) in flat_sides(road):
+        length = math.hypot(x1 - x0, y1 - y0)
+        # Seen from the first arm to the next one, counter-clockwise, the outside is to the right.
+        out = (y0 - y1) / length, (x1 - x0) / length
+        side = _dot(x, y, out) - np.float32(x0 * out[0] + y0 * out[1])
+        beyond = np.maximum(beyond, side)
+    return beyond
 
 
 def _clipped(points: list[list[float]]) -> list[list[float]]:

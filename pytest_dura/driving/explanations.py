@@ -33,9 +33,9 @@ from pytest_dura.driving.bodies import (
     Y,
     box_time_to_collision,
 )
-from pytest_dura.driving.junction import ARM_LENGTH
 from pytest_dura.driving.maneuvers import TOP_SPEED, Command, Maneuver, acceleration_for, speeds_of
 from pytest_dura.driving.percepts import implausible_values, own_pose, own_speed, plausible_objects
+from pytest_dura.driving.sensors import RouteMap
 
 ANSWERED = "answered"
 INTENTS = {"slow_down": -1, "hold": 0, "speed_up": 1}
@@ -288,7 +288,11 @@ def account_measures(
         if decision.intent is not None and decision.maneuver is not None:
             accelerations = _declared_accelerations(accounts[decision.tick : end])
             moved = _acceleration(
-                ticks[decision.tick : end + 1], decision.maneuver, accelerations, dt
+                ticks[decision.tick : end + 1],
+                decision.maneuver,
+                accelerations,
+                percepts[0]["map"],
+                dt,
             )
             shown["intent_against_motion"] = _against(decision.intent, moved)
         for before in decision.replaced:
@@ -395,7 +399,11 @@ def contradicts(intent: int, maneuver: Maneuver, speed: float) -> bool:
 
 
 def _acceleration(
-    ticks: Sequence[Tick], maneuver: Maneuver, declared: Sequence[float | None], dt: float
+    ticks: Sequence[Tick],
+    maneuver: Maneuver,
+    declared: Sequence[float | None],
+    way: RouteMap,
+    dt: float,
 ) -> float | None:
     """Mean acceleration in m/s2 while a maneuver was carried out; ``None`` if it never was.
 
@@ -405,7 +413,8 @@ def _acceleration(
     lasted = 0
     for (before, after), own in zip(pairwise(ticks), declared, strict=False):
         ego = before.truth["ego"]
-        expected = acceleration_for(Command(maneuver, own), ego.speed, ARM_LENGTH - ego.front)
+        to_line = way.stop_line - ego.front
+        expected = acceleration_for(Command(maneuver, own), ego.speed, to_line, way.speed_limit)
         same = abs(after.truth["ego"].commanded - expected) <= _SAME_COMMAND
         if not same or after.truth["contact"]:
             break

@@ -1,4 +1,4 @@
-"""JunctionSimulator: the four-way intersection, whoever drives the other cars; on highway-env here.
+"""JunctionSimulator: one junction, of whatever geometry, whoever drives there; on highway-env here.
 
 HighwaySimulator steps highway-env's road directly: no observation table, no rewards, no spawning
 that the scenario did not ask for, and none of highway-env's class-level settings is touched.
@@ -12,9 +12,8 @@ import re
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from itertools import groupby
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import POSE, Line, Scene, Simulator, Tracks
 from pytest_dura.core.state import Percept, Tick
-from pytest_dura.driving import camera, explanations, signals
+from pytest_dura.driving import camera, explanations, outlines, signals
 from pytest_dura.driving.bodies import (
     CAR_LENGTH,
     CAR_WIDTH,
@@ -36,20 +35,22 @@ from pytest_dura.driving.bodies import (
     box_gap,
     boxes_overlap,
 )
-from pytest_dura.driving.junction import ARM_LENGTH, ARMS, LANE_OFFSET, STOP_LINE, Route, route
+from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
 from pytest_dura.driving.measures import MEASURES
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
+from pytest_dura.driving.roads import Arm, Road
 from pytest_dura.driving.scenario import (
     DrivingWorld,
     PedestrianStart,
+    check_road,
     drawn_arrivals,
     given_arrivals,
     has_room,
     in_order,
     without_room,
 )
-from pytest_dura.driving.sensors import EgoState, channels, route_map, sign_kind, signs
+from pytest_dura.driving.sensors import EgoState, channels, route_map, signs
 from pytest_dura.driving.signals import HINDSIGHT
 from pytest_dura.driving.traffic_rules import NOT_A_CAR
 
@@ -83,7 +84,7 @@ class Contact:
         )
 
 
-def _attribute_contact(ego: Any, before: EgoState, road: Any, exit_at: float) -> Contact:
+def _attribute_contact(ego: Any, before: EgoState, road: Any, route: Route) -> Contact:
     """The contact that has just crashed the ego; ``before`` is its state one step earlier."""
     box = np.array([[*ego.position, ego.heading, ego.LENGTH, ego.WIDTH]])
     bodies = (*road.vehicles, *road.objects, *road.obstacles)
@@ -100,7 +101,7 @@ def _attribute_contact(ego: Any, before: EgoState, road: Any, exit_at: float) ->
         ego.direction[0] * offset[1] - ego.direction[1] * offset[0], float(ego.direction @ offset)
     )
     half = CAR_LENGTH / 2
-    inside = before.s + half > ARM_LENGTH and before.s - half < exit_at
+    inside = before.s + half > route.stop_line and before.s - half < route.exit
     return Contact(partner.body_id, _side(angle), before.speed, float(partner.speed), inside, code)
 
 
@@ -119,8 +120,6 @@ def _side(angle: float) -> str:
 
 
 EGO = "EGO"
-_ROAD = 2 * LANE_OFFSET
-"""Metres from a road's centre line to its edge: one lane on each side."""
 
 Row = tuple[float, float, float, float]
 
@@ -138,7 +137,7 @@ def _junction_scene(ticks: Sequence[Tick], percepts: Sequence[Percept], route: R
     perceived = [(*own_pose(percept), own_speed(percept)) for percept in percepts]
     percept = _tracks(perceived, [plausible_objects(percept) for percept in percepts])
     planned = Line("route", route.grid[::4, 1:3].astype(np.float32))
-    return Scene((*_road(), planned), truth, percept, EGO)
+    return Scene((*outlines.lines(route.road), planned), truth, percept, EGO)
 
 
 def _tracks(egos: Sequence[Row], bodies: Sequence[BodyList]) -> Tracks:
@@ -174,31 +173,6 @@ def _distinct(ids: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(names)
 
 
-@cache
-def _road() -> tuple[Line, ...]:
-    """Edges, centre lines and stop lines of the four arms."""
-    far = ARM_LENGTH + STOP_LINE
-    lines = []
-    for quarter in range(len(ARMS)):
-        southern = [
-            ("edge", [(-_ROAD, STOP_LINE), (-_ROAD, far)]),
-            ("edge", [(_ROAD, STOP_LINE), (_ROAD, far)]),
-            ("edge", [(_ROAD, STOP_LINE), (STOP_LINE, _ROAD)]),  # the corner to the next arm
-            ("marking", [(0.0, STOP_LINE), (0.0, far)]),
-            ("stop_line", [(0.0, STOP_LINE), (_ROAD, STOP_LINE)]),
-        ]
-        lines += [Line(kind, _turned(points, quarter)) for kind, points in southern]
-    return tuple(lines)
-
-
-def _turned(points: Sequence[tuple[float, float]], quarters: int) -> NDArray[np.float32]:
-    """Points of the southern arm, turned by so many quarters."""
-    cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters]
-    matrix = np.array([[cosine, -sine], [sine, cosine]], np.float32)
-    turned: NDArray[np.float32] = np.array(points, np.float32) @ matrix.T
-    return turned
-
-
 _GOAL_DISTANCE = 25.0
 """Metres behind the junction at which the task is done, as in highway-env's ``has_arrived``."""
 WRECK_TIME = 3.0
@@ -207,7 +181,7 @@ _REMOVED_AT = 80.0
 
 
 class JunctionSimulator(Simulator):
-    """Ego from the south, traffic and pedestrians as the scenario's ``world`` says.
+    """Ego, traffic and pedestrians on the road that the scenario's ``world`` says.
 
     Actions are what :meth:`Command.of` accepts. See ``DrivingWorld`` for the world, and
     ``signals.NAMES`` for the signals. A subclass makes the road, with the drivers on it.
@@ -223,10 +197,12 @@ class JunctionSimulator(Simulator):
 
         Raises:
             pydantic.ValidationError: If the world is none of ours.
-            ConfigurationError: If two bodies have one id, one has an id of random traffic, one that
-                entered before the start has no room, or an obstacle stands where a car starts.
+            ConfigurationError: If a route leaves the road, two bodies have one id, one has an id of
+                random traffic, one that entered before the start has no room, or an obstacle stands
+                where a car starts.
         """
         model = DrivingWorld.model_validate(dict(world))
+        check_road(model)
         ids = ["EGO", *(v.id for v in model.vehicles), *(p.id for p in model.pedestrians)]
         ids += [obstacle.id for obstacle in model.obstacles]
         twice = sorted({i for i in ids if ids.count(i) > 1})
@@ -246,7 +222,7 @@ class JunctionSimulator(Simulator):
                 found=reserved,
                 expected="an id that is not R or S, nor V beside random traffic, with a number",
             )
-        absent = without_room(model, given_arrivals(model.vehicles))
+        absent = without_room(model, given_arrivals(model.vehicles, model.geometry))
         if absent:
             raise ConfigurationError(
                 "a car that entered the road before the start has no room there",
@@ -261,25 +237,27 @@ class JunctionSimulator(Simulator):
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
         """Build the road and what the scenario puts on it at time 0."""
         world = DrivingWorld.model_validate(self.check_scenario(scenario.get("world", {})))
+        geometry = world.geometry
         road = self._make_road(world, seed)
         self._road, self._index, self._dt = road, 0, self.time_step
-        self._route = route(0, world.ego.turn)
+        self._route = world.ego_route
         self._map, self._signs = route_map(self._route), signs(self._route)
         self._lights = {
-            ARMS.index(a): signal for signal in world.controls.signals for a in signal.arms
+            geometry.arm(a): signal for signal in world.controls.signals for a in signal.arms
         }
         self._light_states: dict[int, str] = {}
         self._contact: Contact | None = None
         self._background_crashes = 0
         self._wrecks: dict[str, float] = {}
-        self._ego = self._place(EGO, self._route, ARM_LENGTH - world.ego.distance, world.ego.speed)
+        start = self._route.stop_line - world.ego.distance
+        self._ego = self._place(EGO, self._route, start, world.ego.speed)
         for vehicle in world.vehicles:
             if vehicle.distance is not None:
-                plan = route(ARMS.index(vehicle.arm), vehicle.turn)
-                s = ARM_LENGTH - vehicle.distance
+                plan = vehicle.route(geometry)
+                s = plan.stop_line - vehicle.distance
                 self._place(vehicle.id, plan, s, vehicle.speed, vehicle.exponent)
         for person in world.pedestrians:
-            body = self._make_walker(person)
+            body = self._make_walker(person, geometry.arms[geometry.arm(person.arm)])
             body.walking, body.start = person.speed, person.start
             road.objects.append(body)
         self._kinds = {obstacle.id: obstacle.kind for obstacle in world.obstacles}
@@ -295,10 +273,11 @@ class JunctionSimulator(Simulator):
             for obstacle in road.obstacles
         )
         self._switch_lights()
-        drawn = drawn_arrivals(world.traffic, seed, scenario.get("duration", 60.0))
-        self._arrivals = in_order([*given_arrivals(world.vehicles), *drawn])
+        drawn = drawn_arrivals(world.traffic, seed, scenario.get("duration", 60.0), geometry)
+        self._arrivals = in_order([*given_arrivals(world.vehicles, geometry), *drawn])
         self._admit(initially=True)
         self._state = self._observe_ego(0.0, self._ego.heading)
+        _check_pose(self._state, self._route)
         return self._tick(())
 
     def step(self, action: Any) -> Tick:
@@ -316,7 +295,8 @@ class JunctionSimulator(Simulator):
         return Command(action.maneuver, self._acceleration(action))
 
     def _acceleration(self, action: Command) -> float:
-        return acceleration_for(action, self._state.speed, ARM_LENGTH - self._state.front)
+        to_line = self._route.stop_line - self._state.front
+        return acceleration_for(action, self._state.speed, to_line, self._map.speed_limit)
 
     def drive(self, acceleration: float) -> None:
         """Step the road alone: the ego at an acceleration in m/s2, the others as they decide.
@@ -392,7 +372,7 @@ class JunctionSimulator(Simulator):
 
     def render(self) -> NDArray[np.uint8]:
         """The third-person view."""
-        return camera.third_person(self._state, self._solids())
+        return camera.third_person(self._state, self._solids(), self._route.road)
 
     def close(self) -> None:
         """Forget the road."""
@@ -413,8 +393,8 @@ class JunctionSimulator(Simulator):
         """Put a car on the road, at ``s`` of its route: a driver, or without exponent the ego."""
 
     @abstractmethod
-    def _make_walker(self, person: PedestrianStart) -> Any:
-        """Make a pedestrian at its kerb, see :class:`~pytest_dura.driving.moving.Walking`."""
+    def _make_walker(self, person: PedestrianStart, arm: Arm) -> Any:
+        """Make a pedestrian at an arm's kerb; see :class:`~pytest_dura.driving.moving.Walking`."""
 
     def _admit(self, initially: bool = False) -> None:
         """Place the cars whose time has come and that have room; others wait outside, in order."""
@@ -451,7 +431,7 @@ class JunctionSimulator(Simulator):
         events: list[tuple[str, str, str]] = []
         ego = self._ego
         if ego.crashed and self._contact is None:
-            self._contact = _attribute_contact(ego, before, self._road, self._route.exit)
+            self._contact = _attribute_contact(ego, before, self._road, self._route)
             events.append(("collision", self._contact.partner, self._contact.describe()))
         fresh = [
             body
@@ -514,9 +494,15 @@ class JunctionSimulator(Simulator):
             )
             for body in self._bodies()
         ]  # fmt: skip
-        solids += [camera.sign_beside(arm, sign_kind(arm)) for arm in range(len(ARMS))]
-        lights = self._light_states.items()
-        return solids + [camera.sign_beside(arm, state, camera.LIGHT) for arm, state in lights]
+        road = self._route.road
+        for name in road.entries:
+            number = road.arm(name)
+            kind = road.sign(number)
+            if kind:
+                solids.append(camera.sign_beside(road.arms[number], kind))
+        for number, state in self._light_states.items():
+            solids.append(camera.light_beside(road.arms[number], state))
+        return solids
 
     def _tick(self, events: tuple[tuple[str, str, str], ...]) -> Tick:
         state, bodies = self._state, self._bodies()
@@ -550,8 +536,8 @@ class JunctionSimulator(Simulator):
                     remedy="read the channel when the role runs, and keep the array",
                 )
             if view == "front":
-                return camera.front(state, self._solids())
-            return camera.third_person(state, self._solids())
+                return camera.front(state, self._solids(), self._route.road)
+            return camera.third_person(state, self._solids(), self._route.road)
 
         return frame
 
@@ -561,18 +547,22 @@ class HighwaySimulator(JunctionSimulator):
 
     def snapshot(self) -> object:
         """A deep copy of road, vehicles and bookkeeping; the road network is shared."""
-        return copy.deepcopy(vars(self), {id(_network()): _network()})
+        return copy.deepcopy(vars(self), _shared(self._road))
 
     def restore(self, snapshot: Any) -> None:
         """Return to a snapshot."""
-        self.__dict__.update(copy.deepcopy(snapshot, {id(_network()): _network()}))
+        self.__dict__.update(copy.deepcopy(snapshot, _shared(snapshot["_road"])))
 
     def _make_road(self, world: DrivingWorld, seed: int) -> Any:
         from pytest_dura.driving import traffic
 
-        road = traffic.JunctionRoad(_network(), np_random=stream(seed, "highway_env"))
+        geometry = world.geometry
+        road = traffic.JunctionRoad(_network(geometry), np_random=stream(seed, "highway_env"))
         road.courtesy = world.courtesy
-        road.obstacles = tuple(traffic.standing(road, obstacle) for obstacle in world.obstacles)
+        road.obstacles = tuple(
+            traffic.standing(road, geometry.arms[geometry.arm(obstacle.arm)], obstacle)
+            for obstacle in world.obstacles
+        )
         return road
 
     def _place(
@@ -592,10 +582,9 @@ class HighwaySimulator(JunctionSimulator):
         self._road.vehicles.append(vehicle)
         return vehicle
 
-    def _make_walker(self, person: PedestrianStart) -> Any:
+    def _make_walker(self, person: PedestrianStart, arm: Arm) -> Any:
         from pytest_dura.driving.traffic import walker
 
-        arm = ARMS.index(person.arm)
         return walker(self._road, person.id, arm, person.offset, person.side)
 
 
@@ -605,17 +594,19 @@ def _check_obstacles(world: DrivingWorld) -> None:
         return
     from pytest_dura.driving.traffic import placed
 
-    starts = {"EGO": (0, world.ego.turn, world.ego.distance)}
+    road = world.geometry
+    starts = {"EGO": (world.ego_route, world.ego.distance)}
     starts |= {
-        car.id: (ARMS.index(car.arm), car.turn, car.distance)
+        car.id: (car.route(road), car.distance)
         for car in world.vehicles
         if car.distance is not None
     }
     for index, obstacle in enumerate(world.obstacles):
-        x, y, heading = placed(ARMS.index(obstacle.arm), obstacle.offset, obstacle.beside)
+        arm = road.arms[road.arm(obstacle.arm)]
+        x, y, heading = placed(arm, obstacle.offset, obstacle.beside)
         box = np.array([[x, y, heading, *obstacle.size]])
-        for name, (arm, turn, distance) in starts.items():
-            at = [float(value) for value in route(arm, turn).pose(ARM_LENGTH - distance)]
+        for name, (plan, distance) in starts.items():
+            at = [float(value) for value in plan.pose(plan.stop_line - distance)]
             if boxes_overlap(box, np.array([[*at, CAR_LENGTH, CAR_WIDTH]]))[0]:
                 raise ConfigurationError(
                     f"an obstacle stands where the car {name} starts",
@@ -626,17 +617,36 @@ def _check_obstacles(world: DrivingWorld) -> None:
                 )
 
 
-@lru_cache(maxsize=1)
-def _network() -> Any:
-    """highway-env's intersection, built once and shared: nothing changes it.
+_ON_ROUTE = 0.5
+"""m beside its route, or rad off its heading, up to which a pose is on it."""
 
-    Its builder needs nothing of the environment but two settings.
+
+def _check_pose(ego: EgoState, route: Route) -> None:
+    """Refuse an ego that is not on its route, by what the built network made of its pose.
+
+    Raises:
+        ConfigurationError: With the distance to the route.
     """
-    from highway_env.envs.intersection_env import IntersectionEnv
+    turned = math.remainder(ego.heading - route.heading_at(ego.s), 2.0 * math.pi)
+    on_route = 0.0 <= ego.s <= route.length
+    if not on_route or abs(ego.lateral) > _ON_ROUTE or abs(turned) > _ON_ROUTE:
+        raise ConfigurationError(
+            f"the ego does not start on its route {route}",
+            key="world.ego",
+            found=f"{ego.lateral:.1f} m beside it, {math.degrees(turned):.0f} degrees off",
+            expected=f"a pose on it, from 0 to {route.length:.0f} m",
+            remedy="correct `distance`, or the road",
+        )
 
-    from pytest_dura.driving.traffic import LaneNetwork
 
-    settings = {"show_trajectories": False, "neighbour_vehicles_connected_lanes": False}
-    stage = SimpleNamespace(np_random=None, config=settings, road=None)
-    IntersectionEnv._make_road(stage)  # noqa: SLF001 - the only builder there is
-    return LaneNetwork(stage.road.network)
+def _shared(road: Any) -> dict[int, Any]:
+    """The network of a road, which copies share, as a memo of ``deepcopy``."""
+    return {} if road is None else {id(road.network): road.network}
+
+
+@cache
+def _network(road: Road) -> Any:
+    """highway-env's lanes of a road, built once and shared: nothing changes it."""
+    from pytest_dura.driving.traffic import lane_network
+
+    return lane_network(road)

@@ -136,13 +136,16 @@ def speeds_of(maneuver: Maneuver) -> tuple[float, float]:
     return 0.0, _CREEPING if maneuver is Maneuver.YIELD else 0.0
 
 
-def acceleration_for(command: Command, speed: float, to_stop_line: float) -> float:
+def acceleration_for(
+    command: Command, speed: float, to_stop_line: float, limit: float = math.inf
+) -> float:
     """The acceleration in m/s2 that a command asks for, within the vehicle's envelope.
 
     Args:
         command: The command.
         speed: Of the ego in m/s.
         to_stop_line: Metres from the ego's front to the stop line; negative past it.
+        limit: Speed limit of the road in m/s, above which no maneuver aims.
     """
     if command.acceleration is not None:
         return max(-MAX_BRAKING, min(MAX_ACCELERATION, command.acceleration))
@@ -150,8 +153,8 @@ def acceleration_for(command: Command, speed: float, to_stop_line: float) -> flo
     if maneuver is Maneuver.EMERGENCY_BRAKE:
         return -MAX_BRAKING
     if maneuver in _TARGETS:
-        target, limit = _TARGETS[maneuver]
-        return _track_speed(target, speed, limit)
+        target, most = _TARGETS[maneuver]
+        return _track_speed(min(target, limit), speed, most)
     if to_stop_line < 0.0 or braking_distance(speed, MAX_BRAKING) > to_stop_line:
         return -COMFORT_BRAKING
     if maneuver is Maneuver.WAIT:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.driving.junction import LANE_OFFSET, STOP_LINE
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
+from pytest_dura.driving.roads import Arm
 
 
 class Actuated:
@@ -86,11 +86,12 @@ class Walking:
         return bool(along < vehicle.LENGTH / 2 + 0.5 and across < vehicle.WIDTH / 2 + 0.5)
 
 
-CROSSING = 2 * (2 * LANE_OFFSET + 1.0)
-"""Metres that a pedestrian walks: from a metre beside the road to a metre beside it."""
+def crossing(arm: Arm) -> float:
+    """Metres that a pedestrian walks: from a metre beside an arm to a metre beside it."""
+    return 2 * (arm.lane_width + 1.0)
 
 
-def kerb(arm: int, offset: float, side: str) -> tuple[float, float, float]:
+def kerb(arm: Arm, offset: float, side: str) -> tuple[float, float, float]:
     """Place and heading of a pedestrian who is about to cross an arm.
 
     Args:
@@ -99,8 +100,5 @@ def kerb(arm: int, offset: float, side: str) -> tuple[float, float, float]:
         side: Where it comes from, seen by a driver on that arm who nears the junction.
     """
     sign = 1.0 if side == "right" else -1.0
-    turn = arm * math.pi / 2
-    c, sn = math.cos(turn), math.sin(turn)
-    u, v = sign * CROSSING / 2, STOP_LINE + offset
-    heading = turn + (math.pi if side == "right" else 0.0)
-    return c * u - sn * v, sn * u + c * v, heading
+    heading = arm.angle + (math.pi if side == "right" else 0.0)
+    return *arm.place(arm.stop_line + offset, sign * crossing(arm) / 2), heading

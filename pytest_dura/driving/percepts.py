@@ -35,7 +35,7 @@ from pytest_dura.driving.bodies import (
     Body,
     BodyList,
 )
-from pytest_dura.driving.junction import LANE_OFFSET
+from pytest_dura.driving.lanes import other_roads
 from pytest_dura.driving.sensors import RANGE, Imu, Pose
 
 PLACE = 10_000.0
@@ -375,8 +375,8 @@ class CrossCheck:
 def with_unexplained_returns(percept: Mapping[str, Any]) -> BodyList:
     """The lidar objects, and a car for each radar return that none of them explains.
 
-    Radar gives no course: a car on the crossing road is taken to drive on its lane at 9 m/s, one
-    elsewhere to stand.
+    Radar gives no course: a car on a road other than the ego's is taken to drive on its lane at
+    9 m/s, one elsewhere to stand. Needs the channel map as well.
     """
     return (
         plausible_objects(percept)
@@ -391,8 +391,11 @@ def _with_returns(percept: Mapping[str, Any], bodies: BodyList) -> BodyList:
     near = _near(bodies.data, places)
     for row in np.flatnonzero(~near.any(axis=0)).tolist():
         x, y = places[row].tolist()
-        on_road = abs(y) < 2 * LANE_OFFSET
-        vx = math.copysign(_ASSUMED_SPEED, y) if on_road else 0.0
-        heading = 0.0 if vx >= 0 else math.pi
-        bodies = bodies.with_body(Body(f"R{row}", x, y, heading, vx, 0.0, CAR_LENGTH, CAR_WIDTH))
+        heading, vx, vy = 0.0, 0.0, 0.0
+        for arm in other_roads(percept["map"].route):
+            if 0.0 <= arm.beside(x, y) < arm.lane_width:
+                vx, vy = (_ASSUMED_SPEED * part for part in arm.inward)
+                heading = math.atan2(vy, vx)
+                break
+        bodies = bodies.with_body(Body(f"R{row}", x, y, heading, vx, vy, CAR_LENGTH, CAR_WIDTH))
     return bodies

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import HEADING, LENGTH, NO_BODIES, VX, VY, WIDTH, BodyList
-from pytest_dura.driving.junction import SPEED_LIMIT, Route
+from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -159,7 +159,7 @@ class Predictor:
         bodies = self._within_reach(scene, scene.speed)
         if not bodies.ids:
             return np.empty((len(accelerations), len(self.times), 0)), NO_BODIES
-        driven = advance(scene.speed, accelerations, self.steps, SPEED_LIMIT)
+        driven = advance(scene.speed, accelerations, self.steps, scene.limit)
         return self._apart(scene, driven, bodies, dt), bodies
 
     def along(self, scene: Scene, driven: Floats, dt: float) -> tuple[Floats, BodyList]:

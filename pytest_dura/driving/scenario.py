@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import (
     BaseModel,
     ConfigDict,
+    Discriminator,
     Field,
     SerializerFunctionWrapHandler,
+    Tag,
     ValidationInfo,
     field_validator,
     model_serializer,
     model_validator,
 )
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import stream
-from pytest_dura.driving.junction import ARM_LENGTH, ARMS, TURNS, Route, route
+from pytest_dura.driving.lanes import Route, route_between
+from pytest_dura.driving.roads import BUILT_IN, FOUR_WAY, Arm, Lanes, Road, Turn, named_road
 
-Arm = Literal["south", "west", "north", "east"]
-Turn = Literal["left", "straight", "right"]
+ArmName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
@@ -35,14 +38,83 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class EgoStart(_Model):
-    """The ego comes from the south, on the minor road, and gives way."""
+def _refuse_both(who: str, way: Any) -> None:
+    if way.to is not None and "turn" in way.model_fields_set:
+        raise ValueError(f"{who} has both a `turn` and an arm to go `to`; give one of the two")
 
-    distance: Annotated[float, Field(gt=5, le=95)] = Field(
-        50.0, description="From its centre to the stop line, in m."
+
+def _without_defaults(data: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
+    """The data without these keys where they are none, and without a turn that ``to`` replaces."""
+    if data.get("to") is not None:
+        del data["turn"]
+    return {key: value for key, value in data.items() if key not in keys or value is not None}
+
+
+class ArmData(_Model):
+    """An arm of a road, with a lane in each direction or in one; traffic keeps to the right."""
+
+    name: ArmName = Field(description="Its name in the scenario.")
+    bearing: Annotated[float, Field(ge=0, lt=360)] = Field(
+        description="Where it leads, seen from the centre: degrees of a compass, north 0, east 90."
+    )
+    priority: Annotated[int, Field(ge=1, le=9)] = Field(
+        1, description="Right of way: the greater goes first; a left turn counts as one less."
+    )
+    length: Annotated[float, Field(ge=60, le=400)] = Field(
+        100.0, description="From its outer end to the stop line, in m."
+    )
+    stop_line: Annotated[float, Field(ge=4, le=60)] = Field(
+        11.0, description="From the centre to the stop line, in m."
+    )
+    lane_width: Annotated[float, Field(ge=2.6, le=6)] = Field(
+        4.0, description="Of each lane, in m."
+    )
+    lanes: Lanes = Field(
+        "both", description="Lanes towards the junction (in), away from it (out), or both."
+    )
+
+
+class RoadData(_Model):
+    """A road that a scenario describes: one junction."""
+
+    arms: Annotated[tuple[ArmData, ...], Field(strict=False, min_length=2, max_length=8)] = Field(
+        description="The ego comes from the first one, unless it says otherwise."
+    )
+    speed_limit: Annotated[float, Field(ge=3, le=20)] = Field(10.0, description="In m/s.")
+
+    def road(self) -> Road:
+        """The road that it describes."""
+        arms = tuple(Arm(**arm.model_dump()) for arm in self.arms)
+        return Road("custom", arms, self.speed_limit)
+
+
+def _kind_of_road(value: object) -> str:
+    return "<data>" if isinstance(value, (Mapping, RoadData)) else "<name>"
+
+
+class EgoStart(_Model):
+    """Where the ego comes from and goes to."""
+
+    distance: Annotated[float, Field(gt=5, allow_inf_nan=False)] = Field(
+        50.0,
+        description="From its centre to the stop line, in m; at most its arm's length less 5 m.",
     )
     speed: Annotated[float, Field(ge=0, le=10)] = Field(8.0, description="At the start, in m/s.")
     turn: Turn = Field("straight", description="Where it goes.")
+    arm: ArmName | None = Field(
+        None, description="Where it comes from; by default the road's first arm, the south."
+    )
+    to: ArmName | None = Field(None, description="Instead of a turn: the arm on which it leaves.")
+
+    @model_validator(mode="after")
+    def _turn_or_to(self) -> EgoStart:
+        _refuse_both("the ego", self)
+        return self
+
+    @model_serializer(mode="wrap")
+    def _plain(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without what older worlds do not have where it is at its default: digests stay equal."""
+        return _without_defaults(handler(self), ("arm", "to"))
 
 
 class Turns(_Model):
@@ -64,8 +136,8 @@ class Traffic(_Model):
         description="Least time between two arrivals, in s; less than the mean.",
         validate_default=True,
     )
-    arms: tuple[Arm, ...] = Field(
-        ("west", "north", "east"), strict=False, description="Arms with traffic."
+    arms: tuple[ArmName, ...] | None = Field(
+        None, strict=False, description="Arms with traffic; by default all but the ego's."
     )
     speed: Annotated[float, Field(gt=0, le=10)] = Field(8.0, description="Mean speed, in m/s.")
     speed_deviation: Annotated[float, Field(ge=0, le=2)] = Field(0.7, description="In m/s.")
@@ -90,10 +162,13 @@ class ExplicitVehicle(_Model):
         description="Its name in records; not EGO, nor R or S with a number, nor V with a number "
         "beside random traffic."
     )
-    arm: Arm = Field(description="Where it comes from.")
+    arm: ArmName = Field(description="Where it comes from.")
     turn: Turn = Field("straight", description="Where it goes.")
-    distance: Annotated[float, Field(ge=3, le=99)] | None = Field(
-        None, description="From its centre to its stop line at the start, in m."
+    to: ArmName | None = Field(None, description="Instead of a turn: the arm on which it leaves.")
+    distance: Annotated[float, Field(ge=3, allow_inf_nan=False)] | None = Field(
+        None,
+        description="From its centre to its stop line at the start, in m; at most its arm's length "
+        "less 1 m.",
     )
     enters: Annotated[float, Field(ge=_EARLIEST, allow_inf_nan=False)] | None = Field(
         None,
@@ -113,15 +188,18 @@ class ExplicitVehicle(_Model):
             raise ValueError(
                 f"the vehicle {self.id} needs one of `distance`, at the start, and `enters`"
             )
+        _refuse_both(f"the vehicle {self.id}", self)
         return self
+
+    def route(self, road: Road) -> Route:
+        """Its route on a road."""
+        origin = road.arm(self.arm)
+        return route_between(road, origin, _destination(road, origin, self.turn, self.to))
 
     @model_serializer(mode="wrap")
     def _plain(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Without what older worlds do not have where it is at its default: digests stay equal."""
-        data: dict[str, Any] = handler(self)
-        for key in ("distance", "enters"):
-            if data[key] is None:
-                del data[key]
+        data = _without_defaults(handler(self), ("distance", "enters", "to"))
         if self.exponent == ExplicitVehicle.model_fields["exponent"].default:
             del data["exponent"]
         return data
@@ -131,7 +209,7 @@ class PedestrianStart(_Model):
     """A pedestrian who crosses an arm from kerb to kerb."""
 
     id: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")] = "P1"
-    arm: Arm = Field("south", description="The arm that is crossed.")
+    arm: ArmName = Field("south", description="The arm that is crossed.")
     offset: Annotated[float, Field(ge=1, le=60)] = Field(
         3.0, description="From the stop line outwards, in m."
     )
@@ -152,9 +230,10 @@ class StaticObstacle(_Model):
         description="A car of 4.5 by 1.8 m, a row of cones of 3 by 0.4 m, or a kerb island of 6 by "
         "1 m; its length lies along the arm."
     )
-    arm: Arm = "south"
-    offset: Annotated[float, Field(ge=0, le=99)] = Field(
-        description="From the stop line outwards to its centre, in m."
+    arm: ArmName = "south"
+    offset: NotNegative = Field(
+        description="From the stop line outwards to its centre, in m; at most the arm's length "
+        "less 1 m."
     )
     beside: Annotated[float, Field(ge=-15, le=15)] = Field(
         description="From the middle of the road to its centre, in m; positive to the right of a "
@@ -181,7 +260,7 @@ class TrafficLight(_Model):
     so they do for requirements on the right of way.
     """
 
-    arms: tuple[Arm, ...] = Field(strict=False, min_length=1)
+    arms: tuple[ArmName, ...] = Field(strict=False, min_length=1)
     phases: tuple[Phase, ...] = Field(strict=False, min_length=1)
     offset: NotNegative = Field(0.0, description="How far into its phases it begins, in s.")
 
@@ -212,6 +291,13 @@ class Controls(_Model):
 class DrivingWorld(_Model):
     """What a driving scenario may say under ``world``."""
 
+    road: Annotated[
+        Annotated[str, Tag("<name>")] | Annotated[RoadData, Tag("<data>")],
+        Discriminator(_kind_of_road),
+    ] = Field(
+        FOUR_WAY.name,
+        description=f"A built-in road ({', '.join(BUILT_IN)}), or the data of another.",
+    )
     ego: EgoStart = EgoStart()
     traffic: Traffic | None = Field(None, description="Random traffic; left out, there is none.")
     vehicles: tuple[ExplicitVehicle, ...] = Field((), strict=False)
@@ -229,11 +315,114 @@ class DrivingWorld(_Model):
     def _plain(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Without what older worlds do not have where there is none of it."""
         data: dict[str, Any] = handler(self)
+        if self.road == FOUR_WAY.name:
+            del data["road"]
+        if self.traffic is not None and self.traffic.arms is None:
+            data["traffic"]["arms"] = self._other_arms()
         if not self.obstacles:
             del data["obstacles"]
         if not self.controls.signals:
             del data["controls"]
         return data
+
+    @property
+    def geometry(self) -> Road:
+        """The road.
+
+        Raises:
+            ConfigurationError: If there is none of this name.
+        """
+        return named_road(self.road) if isinstance(self.road, str) else self.road.road()
+
+    @property
+    def ego_route(self) -> Route:
+        """The ego's route.
+
+        Raises:
+            ConfigurationError: If it leaves the road.
+        """
+        road, ego = self.geometry, self.ego
+        origin = 0 if ego.arm is None else road.arm(ego.arm, "world.ego.arm")
+        way = _destination(road, origin, ego.turn, ego.to, "world.ego")
+        return route_between(road, origin, way)
+
+    def _other_arms(self) -> list[str]:
+        """The arms that others may come from, and the ego does not."""
+        own = self.ego.arm or self.geometry.names[0]
+        return [name for name in self.geometry.entries if name != own]
+
+
+def _destination(road: Road, origin: int, turn: str, to: str | None, key: str | None = None) -> int:
+    """The number of the arm on which somebody leaves; ``key`` is who, in the scenario."""
+    if to is None:
+        return road.destination(origin, turn, key and f"{key}.turn")
+    number = road.arm(to, key and f"{key}.to")
+    ways = road.destinations(origin)
+    if number in ways:
+        return number
+    name = road.names[origin]
+    raise ConfigurationError(
+        f"no route leads from the arm {name} to the arm {to} of the road {road.name}",
+        key=key and f"{key}.to",
+        found=to,
+        expected="one of " + ", ".join(road.names[way] for way in ways)
+        if ways
+        else "another `arm`: nobody can come from this one",
+        remedy="name another arm",
+    )
+
+
+def check_road(world: DrivingWorld) -> None:
+    """Refuse a road that cannot be, and what of the world is not on it.
+
+    Raises:
+        ConfigurationError: With the key, the value and what could stand there.
+    """
+    road = world.geometry
+    road.check()
+    ego = world.ego_route
+    _check_distance("world.ego.distance", world.ego.distance, ego.stop_line - 5.0, ego.arm.name)
+    for index, vehicle in enumerate(world.vehicles):
+        key = f"world.vehicles.{index}"
+        origin = road.arm(vehicle.arm, f"{key}.arm")
+        _destination(road, origin, vehicle.turn, vehicle.to, key)
+        if vehicle.distance is not None:
+            most = road.arms[origin].length - 1.0
+            _check_distance(f"{key}.distance", vehicle.distance, most, vehicle.arm)
+    crowds: dict[str, Sequence[PedestrianStart | StaticObstacle]] = {
+        "pedestrians": world.pedestrians,
+        "obstacles": world.obstacles,
+    }
+    for kind, things in crowds.items():
+        for index, thing in enumerate(things):
+            key = f"world.{kind}.{index}"
+            arm = road.arms[road.arm(thing.arm, f"{key}.arm")]
+            _check_distance(f"{key}.offset", thing.offset, arm.length - 1.0, arm.name)
+    for number, light in enumerate(world.controls.signals):
+        for name in light.arms:
+            road.arm(name, f"world.controls.signals.{number}.arms")
+    if world.traffic is not None:
+        for name in world.traffic.arms or ():
+            road.arm(name, "world.traffic.arms")
+            if name not in road.entries:
+                raise ConfigurationError(
+                    f"nobody can come from the arm {name} of the road {road.name}",
+                    key="world.traffic.arms",
+                    found=name,
+                    expected="some of " + ", ".join(road.entries),
+                    remedy="leave it out",
+                )
+
+
+def _check_distance(key: str, distance: float, most: float, arm: str) -> None:
+    if distance > most:
+        raise ConfigurationError(
+            f"that far out, the arm {arm} has ended",
+            key=key,
+            found=distance,
+            expected=f"at most {most:g} m",
+            remedy="bring it nearer to the stop line, or make the arm longer",
+        )
 
 
 _ENTRY_SPACE = 14.0
@@ -267,37 +456,45 @@ def has_room(s: float, taken: Iterable[float]) -> bool:
     return not any(abs(other - s) < _ENTRY_SPACE for other in taken)
 
 
-def drawn_arrivals(traffic: Traffic | None, seed: int, duration: float) -> list[Arrival]:
+def drawn_arrivals(
+    traffic: Traffic | None, seed: int, duration: float, road: Road = FOUR_WAY
+) -> list[Arrival]:
     """All arrivals of random traffic in an episode, in order of time.
 
     Drawn beforehand, one stream per arm: what the ego does cannot change the traffic's demand.
+    Several ways that are the same turn share its weight, and the other turns that of a missing one.
     """
     if traffic is None:
         return []
     drawn = []
-    weights = np.array([traffic.turns.left, traffic.turns.straight, traffic.turns.right])
-    for arm in traffic.arms:
+    for arm in road.entries[1:] if traffic.arms is None else traffic.arms:
+        origin = road.arm(arm)
+        ways = road.destinations(origin)
+        turns = [road.turn(origin, way) for way in ways]
+        weights = np.array([getattr(traffic.turns, turn) / turns.count(turn) for turn in turns])
+        if not weights.any():
+            continue  # nobody takes any of the turns that there are
         rng = stream(seed, f"traffic:{arm}")
         # Cars that entered up to nine seconds ago are on the arm when the episode begins.
         time = _EARLIEST + rng.exponential(traffic.headway)
         while time < duration:
-            turn = TURNS[int(rng.choice(3, p=weights / weights.sum()))]
+            way = ways[int(rng.choice(len(ways), p=weights / weights.sum()))]
             speed = float(rng.normal(traffic.speed, traffic.speed_deviation))
             exponent = float(rng.uniform(3.5, 4.5))
-            plan = route(ARMS.index(arm), turn)
+            plan = route_between(road, origin, way)
             drawn.append(Arrival(time, "", plan, float(np.clip(speed, 4.0, 10.0)), exponent))
             mean = traffic.headway - traffic.minimum_headway
             time += traffic.minimum_headway + rng.exponential(mean)
     return [arrival._replace(body_id=f"V{i}") for i, arrival in enumerate(in_order(drawn), 1)]
 
 
-def given_arrivals(vehicles: Iterable[ExplicitVehicle]) -> list[Arrival]:
+def given_arrivals(vehicles: Iterable[ExplicitVehicle], road: Road = FOUR_WAY) -> list[Arrival]:
     """The arrivals of those vehicles that enter the road."""
     return [
         Arrival(
             vehicle.enters,
             vehicle.id,
-            route(ARMS.index(vehicle.arm), vehicle.turn),
+            vehicle.route(road),
             vehicle.speed,
             vehicle.exponent,
         )
@@ -313,10 +510,12 @@ def in_order(arrivals: Iterable[Arrival]) -> list[Arrival]:
 
 def without_room(world: DrivingWorld, arrivals: Iterable[Arrival]) -> list[str]:
     """Ids of arrivals that should be on the road at the start, at places that others take."""
-    taken = defaultdict(list, {0: [ARM_LENGTH - world.ego.distance]})
+    ego, road = world.ego_route, world.geometry
+    taken = defaultdict(list, {ego.origin: [ego.stop_line - world.ego.distance]})
     for vehicle in world.vehicles:
         if vehicle.distance is not None:
-            taken[ARMS.index(vehicle.arm)].append(ARM_LENGTH - vehicle.distance)
+            origin = road.arm(vehicle.arm)
+            taken[origin].append(road.arms[origin].length - vehicle.distance)
     absent = []
     for arrival in in_order(arrivals):
         if arrival.time > 0.0:
@@ -344,8 +543,10 @@ def concrete_world(world: Mapping[str, Any], duration: float, seed: int) -> dict
     """
     model = DrivingWorld.model_validate(dict(world))
     if model.traffic is not None:
-        drawn = drawn_arrivals(model.traffic, seed, duration)
-        absent = without_room(model, [*given_arrivals(model.vehicles), *drawn])
+        road = model.geometry
+        traffic = model.model_dump()["traffic"]
+        drawn = drawn_arrivals(Traffic.model_validate(traffic), seed, duration, road)
+        absent = without_room(model, [*given_arrivals(model.vehicles, road), *drawn])
         cars = [_vehicle(arrival) for arrival in drawn if arrival.body_id not in absent]
         model = model.model_copy(update={"traffic": None, "vehicles": (*model.vehicles, *cars)})
     return model.model_dump(mode="json")
@@ -355,10 +556,18 @@ def _vehicle(car: Arrival) -> ExplicitVehicle:
     return ExplicitVehicle.model_validate(
         {
             "id": car.body_id,
-            "arm": ARMS[car.plan.origin],
-            "turn": car.plan.turn,
+            "arm": car.plan.arm.name,
+            **_way(car.plan),
             "enters": car.time,
             "speed": car.speed,
             "exponent": car.exponent,
         }
     )
+
+
+def _way(plan: Route) -> dict[str, str]:
+    """A route as a vehicle's ``turn``, or its ``to`` where a turn does not say which arm."""
+    road, ways = plan.road, plan.road.destinations(plan.origin)
+    if sum(road.turn(plan.origin, way) == plan.turn for way in ways) > 1:
+        return {"to": plan.leaves.name}
+    return {"turn": plan.turn}

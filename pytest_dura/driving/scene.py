@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from pytest_dura.core.state import shared
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, WIDTH, Body, BodyList
-from pytest_dura.driving.junction import LANE_OFFSET, Route
+from pytest_dura.driving.lanes import Crossing, Route, crossings, joined
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
 from pytest_dura.driving.sensors import Pose, RouteMap
 
@@ -79,6 +79,11 @@ class Scene:
         return self.stop_line - self.s - HALF
 
     @property
+    def limit(self) -> float:
+        """Speed limit of the road, in m/s."""
+        return self.route.road.speed_limit
+
+    @property
     def entered(self) -> bool:
         """Whether the front has crossed the stop line."""
         return self.to_stop_line < 0.0
@@ -108,37 +113,79 @@ class Scene:
 
 
 class Approach(NamedTuple):
-    """A car that comes towards the junction on a road that crosses the ego's.
+    """A car with right of way that comes towards the ego's lane on another arm, ``arm``.
 
     ``distance`` is metres from its front to the ego's lane, and ``past`` metres until its rear has
-    left that lane.
+    left that lane. ``meets`` is the ``s`` at which the ego's lane meets its path.
     """
 
     body: Body
+    arm: str
     distance: float
     past: float
     speed: float
+    meets: float
+
+
+_BESIDE_ROAD = 0.5
+"""m beside a road, within which a car is on it."""
+_SAME_COURSE = 0.5
+"""Cosine of the angle to a road up to which a car drives along it."""
 
 
 def crossing(scene: Scene) -> list[Approach]:
-    """Cars on the east-west road that have yet to cross the ego's lane.
+    """Cars with right of way that have yet to cross the ego's lane.
 
-    Their turns are unknown and taken to be straight on, which crosses the ego's lane.
+    Of who comes on a crossing road, the turn is unknown and taken to be straight on, which crosses
+    the lane. Who comes against an ego that turns left, or on a road that the ego joins, is taken to
+    follow the lane to where the two routes conflict.
     """
+    route = scene.route
     approaches = []
     for body in scene.bodies:
-        if body.is_pedestrian or abs(body.y) > 2 * LANE_OFFSET + 0.5:
+        if body.is_pedestrian:
             continue
-        direction = math.cos(body.heading)
-        if abs(direction) < 0.5:
-            continue
-        to_lane = (LANE_OFFSET - body.x) * math.copysign(1.0, direction)
-        half = body.length / 2 + CAR_WIDTH / 2 + 0.5
-        past = to_lane + half
-        if past > 0.0:
-            speed = math.hypot(body.vx, body.vy)
-            approaches.append(Approach(body, max(to_lane - half, 0.0), past, speed))
+        approach = next(
+            (seen for way in crossings(route) if (seen := _across(body, way)) is not None), None
+        )
+        if approach is None and joined(route):
+            approach = _joining(body, route)
+        if approach is not None and approach.past > 0.0:
+            approaches.append(approach)
     return approaches
+
+
+def _across(body: Body, way: Crossing) -> Approach | None:
+    """The body as it comes along a crossing road; ``None`` if it does not."""
+    arm = way.arm
+    if abs(arm.beside(body.x, body.y)) > arm.lane_width + _BESIDE_ROAD:
+        return None
+    dx, dy = arm.inward
+    if math.cos(body.heading) * dx + math.sin(body.heading) * dy < _SAME_COURSE:
+        return None
+    to_lane = (way.x - body.x) * dx + (way.y - body.y) * dy
+    sine = abs(way.sine)
+    half = body.length / 2 + CAR_WIDTH / 2 / sine + _BESIDE_ROAD / sine
+    half += body.width / 2 * abs(way.cosine) / sine
+    beyond = ((body.x - way.foot[0]) * dy - (body.y - way.foot[1]) * dx) / way.sine
+    speed = math.hypot(body.vx, body.vy)
+    return Approach(
+        body, arm.name, max(to_lane - half, 0.0), to_lane + half, speed, way.at + beyond
+    )
+
+
+def _joining(body: Body, route: Route) -> Approach | None:
+    """The body as it follows a lane with which the route conflicts; ``None`` if it does not."""
+    for other, (_, ends, begins, leaves) in joined(route):
+        s, lateral = other.project(body.x, body.y)
+        if abs(lateral) > other.arm.offset + _BESIDE_ROAD:
+            continue
+        if math.cos(body.heading - other.heading_at(s)) < _SAME_COURSE:
+            continue
+        half, speed = body.length / 2, math.hypot(body.vx, body.vy)
+        distance = max(begins - half - s, 0.0)
+        return Approach(body, other.arm.name, distance, leaves + half - s, speed, ends)
+    return None
 
 
 def time_to_cover(distance: float, speed: float, acceleration: float, top: float) -> float:

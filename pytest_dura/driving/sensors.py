@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.state import Lazy, sealed
 from pytest_dura.driving.bodies import CAR_LENGTH, BodyList
-from pytest_dura.driving.junction import ARM_LENGTH, SPEED_LIMIT, Route
+from pytest_dura.driving.lanes import Route
+from pytest_dura.driving.roads import Road
 from pytest_dura.faults.model import Channel
 
 RANGE = 80.0
@@ -59,10 +60,10 @@ class Waypoint(NamedTuple):
 
 
 class RouteMap(NamedTuple):
-    """The planned route; the same object at every tick.
+    """The planned route on its road; the same object at every tick.
 
-    ``route`` gives poses along it; ``stop_line`` and ``exit`` are metres along it, ``destination``
-    an arm. ``speed_limit`` is in m/s. ``waypoints`` are ``WAYPOINT_SPACING`` apart.
+    ``route`` gives poses along it; ``stop_line`` and ``exit`` are metres along it. ``speed_limit``
+    is in m/s. ``waypoints`` are ``WAYPOINT_SPACING`` apart. ``road`` has the geometry of all arms.
     """
 
     route: Route
@@ -70,6 +71,11 @@ class RouteMap(NamedTuple):
     exit: float
     speed_limit: float
     waypoints: tuple[Waypoint, ...] = ()
+
+    @property
+    def road(self) -> Road:
+        """The road that the route crosses."""
+        return self.route.road
 
 
 TRAFFIC_LIGHT = "traffic_light"
@@ -170,24 +176,22 @@ def route_map(route: Route) -> RouteMap:
     along = np.append(np.arange(0.0, route.length, WAYPOINT_SPACING), route.length)
     points = zip(along.tolist(), *(column.tolist() for column in route.pose(along)), strict=True)
     waypoints = tuple(Waypoint(*point) for point in points)
-    return RouteMap(route, ARM_LENGTH, route.exit, SPEED_LIMIT, waypoints)
-
-
-def sign_kind(arm: int) -> str:
-    """The sign that stands on an arm: the north-south road gives way."""
-    return "priority_road" if arm % 2 else "give_way"
+    return RouteMap(route, route.stop_line, route.exit, route.road.speed_limit, waypoints)
 
 
 @cache
 def signs(route: Route, light: str = "") -> tuple[Sign, ...]:
-    """The sign of a route, and the traffic light at its stop line, if there is one.
+    """The sign of a route's arm and the traffic light at its stop line, as far as there are any.
 
     Args:
         route: Whose arm they stand on.
         light: What the light shows; empty without one.
     """
-    sign = Sign(sign_kind(route.origin), ARM_LENGTH)
-    return (sign, Sign(TRAFFIC_LIGHT, ARM_LENGTH, "", light)) if light else (sign,)
+    kind, at = route.road.sign(route.origin), route.stop_line
+    shown = [Sign(kind, at)] if kind else []
+    if light:
+        shown.append(Sign(TRAFFIC_LIGHT, at, "", light))
+    return tuple(shown)
 
 
 def radar_returns(ego: EgoState, bodies: BodyList) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.state import Percept, Tick
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, GAP_CAP, TTC_CAP, proximity
-from pytest_dura.driving.junction import ARM_LENGTH, Route
+from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.percepts import (
     all_objects,
     implausible_values,
@@ -223,7 +223,7 @@ def truth_signals(ticks: Sequence[Tick], route: Route, dt: float) -> dict[str, F
         "lateral_acceleration": lateral,
         "lateral_jerk": np.diff(lateral, prepend=lateral[:1]) / dt,
         "progress": s - s[0],
-        "in_conflict_zone": ((s + half > ARM_LENGTH) & (s - half < route.exit)).astype(float),
+        "in_conflict_zone": ((s + half > route.stop_line) & (s - half < route.exit)).astype(float),
         "collided": collided,
         "struck": (contact >= 2).astype(float),
         "struck_standing": (contact == 3).astype(float),

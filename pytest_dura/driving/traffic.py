@@ -24,8 +24,10 @@ from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
-from pytest_dura.driving.junction import ARM_LENGTH, ARMS, STOP_LINE, Route, conflict
-from pytest_dura.driving.moving import CROSSING, Actuated, Walking, kerb
+from pytest_dura.driving.lanes import Route, conflict, routes_of
+from pytest_dura.driving.moving import Actuated, Walking, crossing, kerb
+from pytest_dura.driving.roads import Arm
+from pytest_dura.driving.roads import Road as Geometry
 from pytest_dura.driving.scenario import StaticObstacle
 
 _SHARPEST_COURSE = math.pi / 4
@@ -373,12 +375,12 @@ class JunctionRoad(Road):
 
     def limit_for(self, me: Driver) -> float:
         """The acceleration that leaders on the route and right of way allow, in m/s2."""
-        limit = math.inf
-        before_line = me.s + CAR_LENGTH / 2 <= ARM_LENGTH
-        near = before_line and me.s > ARM_LENGTH - _LOOK_AHEAD
-        stop_distance = ARM_LENGTH - _STOP_MARGIN - CAR_LENGTH / 2 - me.s
+        limit, line = math.inf, me.plan.stop_line
+        before_line = me.s + CAR_LENGTH / 2 <= line
+        near = before_line and me.s > line - _LOOK_AHEAD
+        stop_distance = line - _STOP_MARGIN - CAR_LENGTH / 2 - me.s
         # A car that can still stop before the line itself is not committed, though past the margin.
-        room = max(ARM_LENGTH - CAR_LENGTH / 2 - me.s, 0.0)
+        room = max(line - CAR_LENGTH / 2 - me.s, 0.0)
         committed = me.speed**2 / (2 * _READY_BRAKING) > room
         must_stop = near and not committed and me.plan.origin in self.halted
         for other in self.vehicles:
@@ -410,9 +412,10 @@ class JunctionRoad(Road):
         if meeting is None:
             return False
         mine_in, mine_out, other_in, other_out = meeting
-        if other.s - CAR_LENGTH / 2 > other_out or other.s < ARM_LENGTH - _LOOK_AHEAD:
+        line = other.plan.stop_line
+        if other.s - CAR_LENGTH / 2 > other_out or other.s < line - _LOOK_AHEAD:
             return False
-        inside = other.s + CAR_LENGTH / 2 > ARM_LENGTH
+        inside = other.s + CAR_LENGTH / 2 > line
         if not inside and other.plan.priority <= me.plan.priority:
             return False
         if not inside and (other.speed < 0.5 or other.plan.origin in self.halted):
@@ -444,12 +447,13 @@ def _distance_ahead(me: Any, other: Any) -> float | None:
     """Metres between centres if ``other`` is ahead of ``me`` on its route, else ``None``."""
     if other.plan.origin == me.plan.origin:
         same = other.plan is me.plan
-        shared = me.plan.length if same else ARM_LENGTH + 8.0
+        shared = me.plan.length if same else me.plan.stop_line + 8.0
         if other.s > me.s and other.s < shared:
             return float(other.s - me.s)
     if other.plan.destination == me.plan.destination:
         left, other_left = me.plan.length - me.s, other.plan.length - other.s
-        if other_left < left and other.s > other.plan.exit - 6.0 and me.s > ARM_LENGTH - 5.0:
+        behind = me.s > me.plan.stop_line - 5.0
+        if other_left < left and other.s > other.plan.exit - 6.0 and behind:
             return float(left - other_left)
     return None
 
@@ -473,27 +477,24 @@ def _follow(me: Driver, distance: float, speed: float) -> float:
     rate = math.sqrt(-me.COMFORT_ACC_MAX * me.COMFORT_ACC_MIN)
     gap = me.DISTANCE_WANTED + me.speed * me.TIME_WANTED
     gap += me.speed * (me.speed - speed) / (2 * rate)
-    free = 1.0 - (max(me.speed, 0.0) / 10.0) ** me.DELTA
+    free = 1.0 - (max(me.speed, 0.0) / me.plan.road.speed_limit) ** me.DELTA
     return float(me.COMFORT_ACC_MAX * (free - (max(gap, 0.0) / max(distance, 0.1)) ** 2))
 
 
-def standing(road: Road, obstacle: StaticObstacle) -> Standing:
-    """The body of an obstacle."""
-    x, y, heading = placed(ARMS.index(obstacle.arm), obstacle.offset, obstacle.beside)
+def standing(road: Road, arm: Arm, obstacle: StaticObstacle) -> Standing:
+    """The body of an obstacle on or beside an arm."""
+    x, y, heading = placed(arm, obstacle.offset, obstacle.beside)
     body = Standing(road, np.array([x, y]), heading, obstacle.size)
     body.body_id = obstacle.id
     return body
 
 
-def placed(arm: int, offset: float, beside: float) -> tuple[float, float, float]:
+def placed(arm: Arm, offset: float, beside: float) -> tuple[float, float, float]:
     """Place and heading on an arm: metres out from the stop line, and right of its middle."""
-    turn = arm * math.pi / 2
-    c, sn = math.cos(turn), math.sin(turn)
-    out = STOP_LINE + offset
-    return c * beside - sn * out, sn * beside + c * out, turn - math.pi / 2
+    return (*arm.place(arm.stop_line + offset, beside), arm.angle - math.pi / 2)
 
 
-def walker(road: Road, body_id: str, arm: int, offset: float, side: str) -> Pedestrian:
+def walker(road: Road, body_id: str, arm: Arm, offset: float, side: str) -> Pedestrian:
     """A pedestrian at the kerb of an arm, about to cross it ``offset`` m out from the stop line.
 
     ``side`` is where it comes from, seen by a driver on that arm who nears the junction.
@@ -501,5 +502,84 @@ def walker(road: Road, body_id: str, arm: int, offset: float, side: str) -> Pede
     x, y, heading = kerb(arm, offset, side)
     person = Pedestrian(road, np.array([x, y]), heading, 0.0)
     person.body_id = body_id
-    person.distance = CROSSING
+    person.distance = crossing(arm)
     return person
+
+
+def lane_network(road: Geometry) -> LaneNetwork:
+    """highway-env's lanes of a road; for the built-in four-way junction, its own to the last bit.
+
+    Nodes are ``o0`` (the outer end of arm 0), ``ir0`` (its stop line) and ``il0`` (where it is
+    left for the outer end); where a way across is more than one lane, further ones lie between.
+    """
+    network = RoadNetwork()
+    for number in range(len(road.arms)):
+        arm, frame = road.arms[number], _rotation(road.arms[number].angle)
+        if road.destinations(number):
+            start = frame @ np.array([arm.offset, arm.length + arm.stop_line])
+            end = frame @ np.array([arm.offset, arm.stop_line])
+            lane = _straight(arm, start, end, arm.priority, road.speed_limit)
+            network.add_lane(f"o{number}", f"ir{number}", lane)
+        ways = [way for way in routes_of(road) if way.origin == number]
+        # Right, left and straight on, as highway-env has them.
+        for way in sorted(ways, key=lambda way: ("right", "left", "straight").index(way.turn)):
+            _add_way(network, way)
+        before = (number - 1) % len(road.arms)
+        if road.arms[before].lanes != "in":
+            _add_exit(network, road, before)
+    return LaneNetwork(network)
+
+
+def _rotation(angle: float) -> NDArray[np.float64]:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def _straight(arm: Arm, start: Any, end: Any, priority: int, limit: float) -> StraightLane:
+    return StraightLane(start, end, width=arm.lane_width, priority=priority, speed_limit=limit)
+
+
+def _add_exit(network: RoadNetwork, road: Geometry, number: int) -> None:
+    """Add the lane that leaves on an arm, in the frame of the arm a quarter farther on."""
+    arm = road.arms[number]
+    frame = _rotation(math.radians((arm.bearing - 90.0) % 360.0))
+    outer = frame @ np.array([arm.length + arm.stop_line, arm.offset])
+    inner = frame @ np.array([arm.stop_line, arm.offset])
+    lane = _straight(arm, inner, outer, arm.priority, road.speed_limit)
+    network.add_lane(f"il{number}", f"o{number}", lane)
+
+
+def _add_way(network: RoadNetwork, way: Route) -> None:
+    """Add the lanes from a stop line to where an arm is left: straight, an arc, straight."""
+    arm, curve, limit = way.arm, way.curve, way.road.speed_limit
+    frame, last = _rotation(arm.angle), f"il{way.destination}"
+    at = [f"ir{way.origin}", f"{way.origin}-{way.destination}a", f"{way.origin}-{way.destination}b"]
+    begins = np.array([arm.offset, arm.stop_line])
+    if not curve.turned:
+        end = frame @ np.array([arm.offset, arm.stop_line - curve.length])
+        lane = _straight(arm, frame @ begins, end, way.priority, limit)
+        network.add_lane(at[0], last, lane)
+        return
+    node = at[0]
+    if curve.lead:
+        turns = begins - np.array([0.0, curve.lead])
+        lane = _straight(arm, frame @ begins, frame @ turns, way.priority, limit)
+        network.add_lane(node, at[1], lane)
+        node, begins = at[1], turns
+    right = curve.turned > 0.0
+    side = curve.radius if right else -curve.radius
+    phase = math.pi if right else 0.0
+    lane = CircularLane(
+        frame @ (begins + np.array([side, 0.0])),
+        curve.radius,
+        arm.angle + phase,
+        arm.angle + (phase + curve.turned),
+        clockwise=right,
+        width=arm.lane_width,
+        priority=way.priority,
+        speed_limit=limit,
+    )
+    network.add_lane(node, at[2] if curve.tail else last, lane)
+    if curve.tail:
+        x, y, _ = way.pose(np.array([way.exit - curve.tail, way.exit]))
+        start, end = np.array([x[0], y[0]]), np.array([x[1], y[1]])
+        network.add_lane(at[2], last, _straight(arm, start, end, way.priority, limit))

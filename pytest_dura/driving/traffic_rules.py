@@ -33,7 +33,7 @@ from pytest_dura.driving.bodies import (
     WIDTH,
     BodyList,
 )
-from pytest_dura.driving.junction import ARM_LENGTH, SPEED_LIMIT, Route, all_routes, conflict
+from pytest_dura.driving.lanes import Route, conflict, routes_of
 from pytest_dura.driving.maneuvers import COMFORT_BRAKING, MAX_ACCELERATION, MAX_BRAKING
 
 Floats = NDArray[np.float64]
@@ -144,8 +144,6 @@ _REACTION = 0.4
 _HEADWAY = 1.0
 """s that the other is to keep behind the ego; conflicts of less count as serious (Allen, Shin and
 Cooper, "Analysis of Traffic Conflicts and Collisions", 1978)."""
-_DECISION = SPEED_LIMIT * _RESPONSE + SPEED_LIMIT**2 / (2 * COMFORT_BRAKING)
-"""m before its stop line at which an ego that means to stop there begins to brake."""
 _HALF = CAR_LENGTH / 2
 _WAITING = 0.5
 """m/s; slower cars stand, for whatever reason, and are not on their way."""
@@ -154,14 +152,23 @@ NOT_A_CAR = -1
 """Route number of a body without a route."""
 
 
+def decision_distance(limit: float) -> float:
+    """Metres before its stop line at which an ego that means to stop there begins to brake.
+
+    Args:
+        limit: Speed limit of the road, in m/s.
+    """
+    return limit * _RESPONSE + limit**2 / (2 * COMFORT_BRAKING)
+
+
 class RightOfWay(NamedTuple):
     """Right of way at each tick, shape ``(ticks,)`` each.
 
     ``arrival`` is the seconds until the next car with priority would reach the conflict at constant
-    speed, while the ego has to decide (from ``_DECISION`` metres before its stop line on) or is in
-    its way. ``braking`` (m/s2) and ``gap_time`` (s) are the worst of all cars with priority that
-    reach the conflict after the ego, from the tick at which the ego crosses the line until it has
-    left the conflict.
+    speed, while the ego has to decide (from :func:`decision_distance` before its stop line on) or
+    is in its way. ``braking`` (m/s2) and ``gap_time`` (s) are the worst of all cars with priority
+    that reach the conflict after the ego, from the tick at which the ego crosses the line until it
+    has left the conflict.
     """
 
     arrival: Floats
@@ -197,7 +204,8 @@ def right_of_way(
     numbers = np.fromiter(chain.from_iterable(routes), int, len(data))
     owner = np.repeat(np.arange(len(s)), counts)
     names = list(chain.from_iterable(at_tick.ids for at_tick in bodies))
-    for other in all_routes():
+    decides = route.stop_line - decision_distance(route.road.speed_limit)
+    for other in routes_of(route.road):
         meeting = conflict(route, other) if other.priority > route.priority else None
         rows = np.flatnonzero(numbers == other.number)
         if meeting is None or not len(rows):
@@ -208,11 +216,11 @@ def right_of_way(
         distance = other_begins - _HALF - other.project_all(data[rows, :2])[0]
         speeds = np.hypot(data[rows, VX], data[rows, VY])
         coming = np.flatnonzero((distance > 0.0) & (speeds > _WAITING))
-        concerned = (s + _HALF > ARM_LENGTH - _DECISION) & (s - _HALF <= ends)
+        concerned = (s + _HALF > decides) & (s - _HALF <= ends)
         time, at = distance[coming] / speeds[coming], owner[rows[coming]]
         np.minimum.at(way.arrival, at, np.where(concerned[at], np.minimum(time, CAP), CAP))
         cars = _Cars(owner[rows], [names[row] for row in rows.tolist()], distance, speeds)
-        stay = _stay(s, speed, begins, ends)
+        stay = _stay(s, speed, route.stop_line, begins, ends)
         if stay is not None:
             _demand(way, stay, cars, dt)
     return way
@@ -247,12 +255,12 @@ class _Stay(NamedTuple):
     leaves: int | None
 
 
-def _stay(s: Floats, speed: Floats, begins: float, ends: float) -> _Stay | None:
+def _stay(s: Floats, speed: Floats, stop_line: float, begins: float, ends: float) -> _Stay | None:
     inside = np.flatnonzero((s + _HALF >= begins) & (s - _HALF <= ends))
     if not len(inside):
         return None
     enters, last = int(inside[0]), int(inside[-1])
-    line = int(np.argmax(s + _HALF > ARM_LENGTH))
+    line = int(np.argmax(s + _HALF > stop_line))
     stops = s + _HALF + speed**2 / (2 * MAX_BRAKING) <= begins
     decides = int(np.flatnonzero(stops[: enters + 1]).max(initial=line))
     return _Stay(line, max(line, decides), enters, last + 1 if last + 1 < len(s) else None)

@@ -65,20 +65,30 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
         world = attempt("world", check_world, scenario, simulator, scenario.world)
     for role in scenario.roles:
         attempt(f"roles.{role}", _check_role, scenario, role, domain)
+    read, faults = _check_faults(scenario, simulator, attempt)
+    if world is None or faults is None:
+        return errors, read
+    for path in scenario.variation:
+        key = f"variation.{path}"
+        attempt(key, _check_variation, scenario, simulator, world, faults, path)
+    for fault in () if errors else faults.values():
+        attempt("variation", _check_together, scenario, fault)
+    return errors, read
+
+
+def _check_faults(
+    scenario: Scenario, simulator: RoleSpec | None, attempt: Callable[..., Any]
+) -> tuple[ScenarioFaults | None, dict[str, dict[str, Any]] | None]:
+    """Check the scenario's own faults and its campaigns; return both as far as they can be used."""
     faults = _own_faults(scenario, attempt)
-    read = None if faults is None else _campaigns(scenario, tuple(faults.values()), attempt)
+    if faults is None:
+        return None, None
+    read = _campaigns(scenario, tuple(faults.values()), attempt)
     if read is not None:
         attempt("roles.fault_injector", _check_injector, scenario, read)
-    if simulator is None or faults is None:
-        return errors, read
-    attempt("faults", check_channels, simulator, list(faults.values()))
-    if world is not None:
-        for path in scenario.variation:
-            key = f"variation.{path}"
-            attempt(key, _check_variation, scenario, simulator, world, faults, path)
-        for fault in () if errors else faults.values():
-            attempt("variation", _check_together, scenario, fault)
-    return errors, read
+    if simulator is not None:
+        attempt("faults", check_channels, simulator, list(faults.values()))
+    return read, faults
 
 
 def check_simulator_fits(case: Case, simulator: RoleSpec) -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from published_road import network, published_road
 
 from pytest_dura.core import Orchestrator, Policy, RoleSpec
+from pytest_dura.driving import FOUR_WAY
 from pytest_dura.driving.highway import _network
 from pytest_dura.library import expand_cases, load_library
 
@@ -54,9 +55,9 @@ def test_the_nearest_lane_is_highway_env_s(place) -> None:
     x, y, heading = place
     position = np.array([x, y])
     expected = PUBLISHED.get_closest_lane_index(position, heading)
-    assert _network().get_closest_lane_index(position, heading) == expected
+    assert _network(FOUR_WAY).get_closest_lane_index(position, heading) == expected
     unheaded = PUBLISHED.get_closest_lane_index(position)
-    assert _network().get_closest_lane_index(position) == unheaded
+    assert _network(FOUR_WAY).get_closest_lane_index(position) == unheaded
 
 
 @pytest.mark.parametrize("x", [math.nan, math.inf, -math.inf])
@@ -64,12 +65,12 @@ def test_a_place_that_is_none_is_left_to_highway_env(x) -> None:
     position = np.array([x, 3.0])
     with np.errstate(invalid="ignore"):
         expected = PUBLISHED.get_closest_lane_index(position, 0.1)
-        assert _network().get_closest_lane_index(position, 0.1) == expected
+        assert _network(FOUR_WAY).get_closest_lane_index(position, 0.1) == expected
 
 
 def test_highway_env_is_rarely_asked() -> None:
     places = np.random.default_rng(4).uniform((-60, -60, -4), (60, 60, 4), (2000, 3)).tolist()
-    assert sum(_network()._nearest(*place) is None for place in places) == 0
+    assert sum(_network(FOUR_WAY)._nearest(*place) is None for place in places) == 0
 
 
 @given(place=PLACES, margin=st.sampled_from([0.0, 1.0]))
@@ -78,7 +79,7 @@ def test_a_lane_that_may_not_hold_a_place_does_not(place, margin) -> None:
     x, y, _ = place
     for index, lane in LANES.items():
         on = bool(lane.on_lane(np.array([x, y]), margin=margin))
-        assert _network().may_hold(index, x, y, margin) or not on
+        assert _network(FOUR_WAY).may_hold(index, x, y, margin) or not on
 
 
 def test_a_lane_of_another_kind_is_refused() -> None:
@@ -106,7 +107,7 @@ def test_the_steering_angle_is_highway_env_s_to_the_last_bit(place, speed, lane)
     from pytest_dura.driving.traffic import JunctionRoad
 
     x, y, heading = place
-    ego = Ego(JunctionRoad(_network()), [x, y], heading=heading, speed=speed)
+    ego = Ego(JunctionRoad(_network(FOUR_WAY)), [x, y], heading=heading, speed=speed)
     assert ego.steering_control(lane) == ControlledVehicle.steering_control(ego, lane)
 
 

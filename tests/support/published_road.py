@@ -15,7 +15,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 
-from pytest_dura.driving import highway, traffic
+from pytest_dura.driving import FOUR_WAY, highway, traffic
 
 
 class Driver(traffic.Driver):
@@ -70,7 +70,7 @@ class JunctionRoad(traffic.JunctionRoad):
 def network() -> RoadNetwork:
     """The junction's lanes in a network of highway-env's."""
     plain = RoadNetwork()
-    plain.graph = highway._network().graph
+    plain.graph = highway._network(FOUR_WAY).graph
     return plain
 
 

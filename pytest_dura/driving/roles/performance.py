@@ -117,7 +117,7 @@ class DrivingOracle(PerformanceOracle):
         }
         values[DISCOMFORT] = max(abs(values[name]) / limit for name, limit in self._limits.items())
         if view.command is not None and self._before is not None:
-            commanded = acceleration_for(view.command, *self._before)
+            commanded = acceleration_for(view.command, *self._before, way.speed_limit)
             values["control_error"] = abs(imu.acceleration - commanded)
         cleared = s >= end
         self._standing = self._standing + view.dt if speed < STANDING and not cleared else 0.0

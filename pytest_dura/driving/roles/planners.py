@@ -13,7 +13,6 @@ from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import GeneratorView, Proposal
 from pytest_dura.driving import prediction
 from pytest_dura.driving.bodies import VX, VY
-from pytest_dura.driving.junction import SPEED_LIMIT, STOP_LINE
 from pytest_dura.driving.maneuvers import (
     COMFORT_BRAKING,
     MAX_ACCELERATION,
@@ -84,7 +83,7 @@ class RuleBased(Generator):
         self._predictor.observe(view.index, scene.bodies)
         self._watch_who_waits(scene)
         command, why = self._on_the_way(scene, view.dt)
-        acceleration = acceleration_for(command, scene.speed, scene.to_stop_line)
+        acceleration = acceleration_for(command, scene.speed, scene.to_stop_line, scene.limit)
         if command.maneuver is Maneuver.WAIT:
             acceleration = min(acceleration, _unhurried(scene.to_stop_line, scene.speed))
         follow = self._follow(scene.leader(), scene.speed)
@@ -109,7 +108,7 @@ class RuleBased(Generator):
                     return Command(Maneuver.WAIT), f"gives way to {blocked}"
                 if to_line > 20.0:
                     return Command(Maneuver.PROCEED), "accepts the gap"
-                launch = min(MAX_ACCELERATION, SPEED_LIMIT - scene.speed)
+                launch = min(MAX_ACCELERATION, scene.limit - scene.speed)
                 return Command(Maneuver.ACCELERATE, launch), "accepts the gap"
         return self._inside(scene, dt)
 
@@ -119,25 +118,24 @@ class RuleBased(Generator):
         for body in scene.bodies:
             speeds[body.id] = speed = math.hypot(body.vx, body.vy)
             slower = speed < self._speeds.get(body.id, 0.0) - 0.05
-            outside = max(abs(body.x), abs(body.y)) > STOP_LINE
+            outside = not scene.route.road.inside(body.x, body.y)
             if outside and (speed < 1.0 or (speed < 5.0 and slower)):
                 waits[body.id] = self._waits.get(body.id, 0) + 1
         self._waits, self._speeds = waits, speeds
 
     def _who_comes(self, scene: Scene, dt: float) -> str | None:
-        """Id of a car on the crossing road that would arrive before the ego has crossed."""
-        queues: set[bool] = set()
+        """Id of a car with right of way that would arrive before the ego has crossed."""
+        queues: set[str] = set()
         for other in sorted(crossing(scene), key=lambda approach: approach.distance):
-            eastbound = math.cos(other.body.heading) > 0.0
-            if eastbound in queues:
+            if other.arm in queues:
                 continue
             if self._waits.get(other.body.id, 0) >= self.PATIENCE:
-                queues.add(eastbound)  # who is behind it waits as well
+                queues.add(other.arm)  # who is behind it waits as well
                 continue
             # Far enough for the rear to have left the other's lane.
-            beyond = scene.stop_line + STOP_LINE - other.body.y + other.body.width / 2 + HALF + 0.5
-            clear = time_to_cover(beyond - scene.s, scene.speed, 3.5, SPEED_LIMIT)
-            arrives = time_to_cover(other.distance, other.speed, 2.5, SPEED_LIMIT)
+            beyond = other.meets + other.body.width / 2 + HALF + 0.5
+            clear = time_to_cover(beyond - scene.s, scene.speed, 3.5, scene.limit)
+            arrives = time_to_cover(other.distance, other.speed, 2.5, scene.limit)
             if arrives < clear + self.margin:
                 return other.body.id
         candidate = (MAX_ACCELERATION if scene.to_stop_line < 20.0 else 2.0,)
@@ -152,7 +150,7 @@ class RuleBased(Generator):
         acceleration = self.CANDIDATES[choice]
         if acceleration > 0.0:
             maneuver = Maneuver.ACCELERATE if acceleration > 2.0 else Maneuver.PROCEED
-            return Command(maneuver, min(acceleration, SPEED_LIMIT - scene.speed)), "crosses"
+            return Command(maneuver, min(acceleration, scene.limit - scene.speed)), "crosses"
         if acceleration == 0.0:
             return Command(Maneuver.PROCEED_CAUTIOUSLY, 0.0), f"keeps its distance to {who}"
         maneuver = Maneuver.YIELD if acceleration > -5.0 else Maneuver.EMERGENCY_BRAKE

@@ -12,7 +12,6 @@ import numpy as np
 from pytest_dura.core.roles import Assessed, Assessment, Recovery, RecoveryPlanner, RoleContext
 from pytest_dura.core.state import NOTHING, Percept, Proposal, RoleView
 from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.junction import SPEED_LIMIT
 from pytest_dura.driving.maneuvers import (
     COMFORT_BRAKING,
     MAX_ACCELERATION,
@@ -175,7 +174,7 @@ class SafeStop(RecoveryPlanner):
         for row, acceleration in enumerate(self.LEAVING):
             way = scene.exit + HALF - scene.s
             time = (
-                time_to_cover(way, scene.speed, acceleration, SPEED_LIMIT)
+                time_to_cover(way, scene.speed, acceleration, scene.limit)
                 if (acceleration > 0.0)
                 else way / max(scene.speed, 0.1)
             )
@@ -183,7 +182,7 @@ class SafeStop(RecoveryPlanner):
                 continue
             until_out = apart[row, self._predictor.times <= time + dt]
             if not until_out.size or until_out.min() >= self.separation:
-                return min(acceleration, SPEED_LIMIT - scene.speed)
+                return min(acceleration, scene.limit - scene.speed)
         return None
 
     def _braking(self, scene: Scene, dt: float) -> float:
@@ -280,7 +279,7 @@ class Replan(RecoveryPlanner):
         """Metres driven at each instant."""
         speed, way, driven = scene.speed, 0.0, []
         for _ in self._predictor.times:
-            acceleration = acceleration_for(command, speed, scene.to_stop_line - way)
+            acceleration = acceleration_for(command, speed, scene.to_stop_line - way, scene.limit)
             reached = max(speed + acceleration * self.STEP, 0.0)
             way += (speed + reached) / 2.0 * self.STEP
             speed = reached
@@ -349,5 +348,5 @@ def _without(percept: Percept, distrusted: set[str]) -> BodyList:
     """The objects that are trusted, and a car for each radar return that they do not explain."""
     bodies = _lidar_objects(percept)
     kept = bodies.rows([row for row, name in enumerate(bodies.ids) if name not in distrusted])
-    names = ("localisation", "odometry", "radar")
+    names = ("localisation", "odometry", "radar", "map")
     return with_unexplained_returns({"lidar": kept, **{name: percept[name] for name in names}})

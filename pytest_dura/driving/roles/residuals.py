@@ -17,7 +17,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment, SecurityAssessor
 from pytest_dura.core.state import NOTHING, Alert, RoleView
 from pytest_dura.driving.bodies import CAR_LENGTH, VX, VY
-from pytest_dura.driving.junction import Route
+from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
 from pytest_dura.driving.scene import HALF
 from pytest_dura.driving.sensors import Imu, Pose
@@ -121,7 +121,8 @@ def command_residual(command: Command, before: Snapshot, now: Snapshot, dt: floa
     if command.acceleration is None and command.maneuver in (Maneuver.WAIT, Maneuver.YIELD):
         s, _ = before.route.project(before.pose.x, before.pose.y)
         to_line = before.stop_line - s - HALF
-    commanded = acceleration_for(command, before.speed, to_line)
+    limit = before.route.road.speed_limit
+    commanded = acceleration_for(command, before.speed, to_line, limit)
     last, reach = before.imu.acceleration, ACTUATOR_SLEW * dt
     least = max(last - reach, min(last + reach, commanded))
     most = max(least, 0.0) if before.speed < _LETS_OFF else least

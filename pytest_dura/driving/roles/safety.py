@@ -18,7 +18,6 @@ from pytest_dura.core.roles import Assessed, Assessment, RoleContext, SafetyMoni
 from pytest_dura.core.state import RoleView
 from pytest_dura.driving import prediction
 from pytest_dura.driving.bodies import LENGTH, VX, VY, WIDTH
-from pytest_dura.driving.junction import SPEED_LIMIT
 from pytest_dura.driving.maneuvers import MAX_BRAKING, acceleration_for, braking_distance
 from pytest_dura.driving.percepts import implausible_values
 from pytest_dura.driving.prediction import (
@@ -70,7 +69,7 @@ def nearest(
     ids, numbers, point = bodies.ids, bodies.numbers, scene.route.point
     turning = predictor.rates([ids[row] for row in within], dt)
     rates = turning or [0.0] * len(within)
-    ways = [scene.s + step for step in driven(scene.speed, acceleration, times, SPEED_LIMIT)]
+    ways = [scene.s + step for step in driven(scene.speed, acceleration, times, scene.limit)]
     egos = scene.route.trail(ways)
     bounds = []
     for number, row in enumerate(within):
@@ -221,7 +220,9 @@ class SeparationMonitor(SafetyMonitor):
         self._predictor.observe(view.index, scene.bodies)
         if view.proposal is None:
             return Assessment(Assessed.SAFE, SEPARATION_CAP)
-        acceleration = acceleration_for(view.proposal.action, scene.speed, scene.to_stop_line)
+        acceleration = acceleration_for(
+            view.proposal.action, scene.speed, scene.to_stop_line, scene.limit
+        )
         separation, who = self._separation(scene, acceleration, view.dt)
         reasons, verdict = [], Assessed.SAFE
         doubts = implausible_values(view.percept)
@@ -270,11 +271,11 @@ class SeparationMonitor(SafetyMonitor):
             return None
         # A proposal after which the ego can still stop before the line takes no right of way.
         reached = max(scene.speed + acceleration * ENTRY, 0.0)
-        (driven,) = prediction.driven(scene.speed, acceleration, (ENTRY,), SPEED_LIMIT)
+        (driven,) = prediction.driven(scene.speed, acceleration, (ENTRY,), scene.limit)
         if driven + braking_distance(reached, MAX_BRAKING) < to_line:
             return None
         through = scene.exit - scene.s
-        clears = time_to_cover(through, scene.speed, max(acceleration, 1.5), SPEED_LIMIT)
+        clears = time_to_cover(through, scene.speed, max(acceleration, 1.5), scene.limit)
         for other in crossing(scene):
             if other.speed > 1.0 and 0.0 < other.distance < other.speed * clears:
                 return f"takes the right of way of {other.body.id}"

@@ -11,7 +11,13 @@ from pytest_dura.core.metrics import REACTIONS
 from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment, SecurityAssessor
 from pytest_dura.core.state import Alert, RoleView
 from pytest_dura.driving.bodies import VX, VY, BodyList
-from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING, Maneuver, acceleration_for
+from pytest_dura.driving.maneuvers import (
+    MAX_ACCELERATION,
+    MAX_BRAKING,
+    Command,
+    Maneuver,
+    acceleration_for,
+)
 from pytest_dura.driving.percepts import (
     compare_sensors,
     out_of_range,
@@ -20,7 +26,7 @@ from pytest_dura.driving.percepts import (
     plausible_objects,
     sensors_agree,
 )
-from pytest_dura.driving.scene import ego_of
+from pytest_dura.driving.scene import Ego, ego_of
 from pytest_dura.driving.sensors import RANGE
 from pytest_dura.faults.activation import AttackPlan
 
@@ -134,12 +140,11 @@ class ReactionWatch:
     def _brakes(view: RoleView) -> bool:
         if view.proposal is None:
             return False
-        ego = ego_of(view.percept)
-        return acceleration_for(view.proposal.action, ego.speed, ego.to_stop_line) < BRAKING
+        return _asked(view.proposal.action, ego_of(view.percept)) < BRAKING
 
 
-_ROAD_END = 85.0
-"""m from the centre; farther out, bodies come and go at the ends of the arms."""
+_ROAD_END = 26.0
+"""m before the end of an arm; farther out, bodies come and go."""
 
 
 class PlausibilityAssessor(SecurityAssessor):
@@ -214,12 +219,13 @@ class PlausibilityAssessor(SecurityAssessor):
     def _look(self, view: RoleView) -> list[Alert]:
         percept = view.percept
         bodies, pose = plausible_objects(percept), own_pose(percept)
+        road = percept["map"].road
         self._tracker.update(view.index, bodies)
         alerts, rows, dt = [], bodies.numbers, view.dt
         for row in self._tracker.newcomers():
             x, y = rows[row][:2]
             distance = float(np.hypot(x - pose.x, y - pose.y))
-            if distance < RANGE - 8.0 and max(abs(x), abs(y)) < _ROAD_END:
+            if distance < RANGE - 8.0 and road.before_ends(x, y, _ROAD_END):
                 detail = f"appeared {distance:.1f} m away"
                 alerts.append(Alert("object_from_nowhere", bodies.ids[row], detail))
         for row, dx, dy in self._tracker.displacements():
@@ -270,8 +276,12 @@ class PlausibilityAssessor(SecurityAssessor):
 def _numbers(view: RoleView) -> dict[str, float]:
     """The proposal as conditions of attacks read it: its acceleration in m/s2."""
     assert view.proposal is not None
-    ego = ego_of(view.percept)
-    return {"acceleration": acceleration_for(view.proposal.action, ego.speed, ego.to_stop_line)}
+    return {"acceleration": _asked(view.proposal.action, ego_of(view.percept))}
+
+
+def _asked(command: Command, ego: Ego) -> float:
+    """The acceleration in m/s2 that a command asks for."""
+    return acceleration_for(command, ego.speed, ego.to_stop_line, ego.way.speed_limit)
 
 
 _QUIET = SecurityAssessment()

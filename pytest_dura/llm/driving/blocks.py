@@ -16,7 +16,6 @@ from pytest_dura.core.errors import ActionError
 from pytest_dura.core.state import GeneratorView, PastDecision
 from pytest_dura.driving.bodies import CAR_LENGTH
 from pytest_dura.driving.channel_faults import POSTER
-from pytest_dura.driving.junction import ARMS
 from pytest_dura.driving.maneuvers import Command, acceleration_for
 from pytest_dura.driving.percepts import DISTANCE_TOLERANCE, PLACE
 from pytest_dura.driving.sensors import TRAFFIC_LIGHT, Pose, RouteMap, Sign
@@ -228,15 +227,18 @@ def _feedback_facts(feedback: Sequence[str]) -> dict[str, Any]:
 
 
 def _last_command(
-    last: PastDecision | None, speed: float | None, to_stop_line: float | None
+    last: PastDecision | None,
+    speed: float | None,
+    to_stop_line: float | None,
+    on_map: RouteMap | None,
 ) -> dict[str, Any]:
     """The maneuver carried out last, and the acceleration in m/s2 that it asks for now."""
     command = _command(last.executed) if last is not None else None
     if command is None:
         return {"last": None if last is not None else "none yet", "acceleration": None}
     acceleration = command.acceleration
-    if speed is not None and to_stop_line is not None:
-        acceleration = acceleration_for(command, speed, to_stop_line)
+    if speed is not None and to_stop_line is not None and on_map is not None:
+        acceleration = acceleration_for(command, speed, to_stop_line, on_map.speed_limit)
     return {"last": command.maneuver.value, "acceleration": rounded(acceleration)}
 
 
@@ -319,7 +321,7 @@ def percept_prompt(
     facts: dict[str, Mapping[str, Any]] = {
         "EGO": {
             "speed": rounded(speed),
-            **_last_command(last, speed, to_stop),
+            **_last_command(last, speed, to_stop, on_map),
             **_lane(on_map, at),
         },
         "LIDAR": _lidar_facts(bodies, pose, speed),
@@ -348,9 +350,9 @@ def _lane(on_map: RouteMap | None, at: tuple[float, float] | None) -> dict[str, 
     to_stop_line = on_map.stop_line - at[0] - _HALF
     cleared = at[0] - _HALF > on_map.exit
     place = "approach" if to_stop_line >= 0.0 else "cleared" if cleared else "junction"
-    arm = on_map.route.destination if cleared else on_map.route.origin
+    arm = on_map.route.leaves if cleared else on_map.route.arm
     return {
-        "place": place, "to_stop_line": rounded(to_stop_line), "arm": ARMS[arm],
+        "place": place, "to_stop_line": rounded(to_stop_line), "arm": arm.name,
         "offset": rounded(at[1]),
     }  # fmt: skip
 
@@ -383,7 +385,7 @@ def _map(on_map: RouteMap | None, front: float | None, pose: Pose | None) -> dic
         return {**facts, **nothing, "waypoints": ()}
     return {
         **facts,
-        "origin": ARMS[on_map.route.origin],
+        "origin": on_map.route.arm.name,
         "stop_line": None if front is None else rounded(on_map.stop_line - front),
         "exit": None if front is None else rounded(on_map.exit - front),
         "limit": rounded(on_map.speed_limit),
@@ -414,7 +416,7 @@ def _ways(
 def _goal(on_map: RouteMap | None) -> dict[str, Any]:
     if on_map is None:
         return {"missing": 1, "turn": None, "destination": None}
-    return {"missing": 0, "turn": on_map.route.turn, "destination": ARMS[on_map.route.destination]}
+    return {"missing": 0, "turn": on_map.route.turn, "destination": on_map.route.leaves.name}
 
 
 def _controls(signs: Sequence[Sign] | None, front: float | None) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from pytest_dura.driving.maneuvers import (
     Maneuver,
     acceleration_for,
 )
+from pytest_dura.driving.roads import FOUR_WAY, Road
 from pytest_dura.driving.scene import Scene
 from pytest_dura.driving.sensors import Imu, Odometry, Pose, Sign, route_map, signs
 from pytest_dura.llm.answers import IDS, OBSERVATIONS, REASONING, answer_schema
@@ -40,7 +41,7 @@ from pytest_dura.llm.driving.blocks import (
     percept_prompt,
     sign_facts,
 )
-from pytest_dura.llm.driving.readings import VIEWS, rounded
+from pytest_dura.llm.driving.readings import VIEWS, own_map, rounded
 from pytest_dura.llm.planner import LlmGenerator, Settings
 from pytest_dura.llm.port import Message
 from pytest_dura.llm.prompts import Block, Prompt, Sources, Templates, blind, paraphrased, reordered
@@ -65,8 +66,19 @@ VOCABULARY: Mapping[str, Any] = {
     "most_ids": IDS,
     "observations": OBSERVATIONS,
     "reasoning": REASONING,
+    "arms": None,
 }
-"""Variables of the template of the system message."""
+"""Variables of the template of the system message, on the built-in four-way junction."""
+
+
+def right_of_way(road: Road) -> tuple[tuple[str, str], ...] | None:
+    """Name of each arm that somebody may come from, and its sign; none of the four-way junction.
+
+    That is told in words of its own, as the crossing of an east-west and a north-south road.
+    """
+    if road.crosswise:
+        return None
+    return tuple((name, road.sign(road.arm(name))) for name in road.entries)
 
 
 ATTACK: str = PromptTextParameters().text
@@ -181,21 +193,30 @@ def _percept(along: float) -> dict[str, Any]:
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def driving_templates(directory: Path | None = None) -> Templates:
+def driving_templates(
+    directory: Path | None = None, arms: tuple[tuple[str, str], ...] | None = None
+) -> Templates:
     """Load the built-in templates, or those of a user's directory in their place.
 
     They are compiled once as long as no file changes.
 
+    Args:
+        directory: A user's.
+        arms: Of the road, see :func:`right_of_way`.
+
     Raises:
         ConfigurationError: For files that cannot be used, with file and line.
     """
-    return _compiled(directory, Sources.read(TEMPLATES, directory).digest)
+    return _compiled(directory, Sources.read(TEMPLATES, directory).digest, arms)
 
 
-@lru_cache(maxsize=8)
-def _compiled(directory: Path | None, _digest: str) -> Templates:
+@lru_cache(maxsize=16)
+def _compiled(
+    directory: Path | None, _digest: str, arms: tuple[tuple[str, str], ...] | None
+) -> Templates:
+    vocabulary = {**VOCABULARY, "arms": None if arms is None else dict(arms)}
     return Templates.load(
-        TEMPLATES, directory, vocabulary=VOCABULARY, schema=SCHEMA, probes=probes()
+        TEMPLATES, directory, vocabulary=vocabulary, schema=SCHEMA, probes=probes()
     )
 
 
@@ -236,6 +257,9 @@ class LlmPlanner(LlmGenerator):
         """The sensors' blocks and pictures, and the outcomes of the latest decisions."""
         cameras = tuple(VIEWS) if self.settings.images is None else self.settings.images
         images = cameras if self.settings.known_server.vision else ()
+        on_map = own_map(view.percept)
+        if on_map is not None:
+            self._templates = _templates(self.settings, on_map.road)
         return driving_prompt(view, past, images=images)
 
     def messages(self, prompt: Prompt) -> tuple[Message, ...]:
@@ -264,7 +288,7 @@ class LlmPlanner(LlmGenerator):
         command = self.command(maneuver)
         if fresh:
             scene = Scene.of(view.percept)
-            acceleration = acceleration_for(command, scene.speed, scene.to_stop_line)
+            acceleration = acceleration_for(command, scene.speed, scene.to_stop_line, scene.limit)
             if math.isfinite(acceleration):
                 # A decision that was refused at this very tick is none to go on from.
                 before = [each for each in self._accelerations if each[0] < view.time]
@@ -281,5 +305,6 @@ class LlmPlanner(LlmGenerator):
         return {} if action.acceleration is None else {"acceleration": action.acceleration}
 
 
-def _templates(settings: Settings) -> Templates:
-    return driving_templates(None if settings.templates is None else Path(settings.templates))
+def _templates(settings: Settings, road: Road = FOUR_WAY) -> Templates:
+    directory = None if settings.templates is None else Path(settings.templates)
+    return driving_templates(directory, right_of_way(road))

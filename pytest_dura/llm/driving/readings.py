@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import BodyList
-from pytest_dura.driving.junction import Route
+from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.percepts import (
     ACCELERATION,
     ANGLE,

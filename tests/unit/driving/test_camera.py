@@ -11,7 +11,7 @@ from roads import begin, drive, run, spec_of_drive
 
 from pytest_dura import Generator, GeneratorView, Proposal, RoleSpec
 from pytest_dura.core import RoleContext
-from pytest_dura.driving import Pose, camera, route
+from pytest_dura.driving import FOUR_WAY, Pose, camera, route
 from pytest_dura.driving.camera import COLOURS, Solid, front, third_person
 
 Picture = np.ndarray[Any, Any]
@@ -92,7 +92,7 @@ def test_who_is_in_the_world_is_in_its_pictures(
 @pytest.mark.parametrize("arm, kind", [(0, "give_way"), (1, "priority_road")])
 def test_the_sign_of_an_arm_covers_enough_pixels_of_its_own_colour(arm: int, kind: str) -> None:
     near = Pose(*(float(value) for value in route(arm, "straight").pose(88.0)))
-    sign = camera.sign_beside(arm, kind)
+    sign = camera.sign_beside(FOUR_WAY.arms[arm], kind)
     assert count(front(near, [sign]), kind) >= 12
     assert count(front(near, []), kind) == 0
     assert count(third_person(near, [sign]), kind) - count(third_person(near, []), kind) >= 15

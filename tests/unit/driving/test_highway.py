@@ -390,7 +390,7 @@ def test_an_id_stands_for_one_body(world: dict[str, Any], told: str) -> None:
         {"traffic": {"headway": math.nan}},
         {"traffic": {"headway": 2.0}},
         {"traffic": {"headway": 5.0, "minimum_headway": 5.0}},
-        {"traffic": {"arms": ["up"]}},
+        {"traffic": {"arms": ["Up!"]}},
         {"vehicles": [{"id": "a", "arm": "west", "distance": 9}]},
         {"pedestrians": [{"speed": 9.0}]},
         {"courtesy": "always"},
