@@ -23,8 +23,7 @@ from pytest_dura.core.seeding import derive_seed
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, PEDESTRIAN_SIZE, boxes_overlap
 from pytest_dura.driving.highway import EGO, JunctionSimulator
 from pytest_dura.driving.lanes import Route
-from pytest_dura.driving.moving import Actuated, Walking, crossing, kerb
-from pytest_dura.driving.roads import Arm
+from pytest_dura.driving.moving import Actuated, Walking, crossing_length, kerb
 from pytest_dura.driving.scenario import DrivingWorld, PedestrianStart
 
 NETWORK, TYPES = "four_way.net.xml", "four_way.add.xml"
@@ -258,6 +257,7 @@ class SumoSimulator(JunctionSimulator):
     lacks = {  # noqa: RUF012 - declared as a class variable by the base
         "obstacles": "SUMO's drivers would not see them",
         "controls.signals": "its network has signs alone",
+        "road": "its network is that of the four-way junction",
     }
 
     @classmethod
@@ -325,10 +325,12 @@ class SumoSimulator(JunctionSimulator):
         self._road.vehicles.append(car)
         return car
 
-    def _make_walker(self, person: PedestrianStart, arm: Arm) -> SumoWalker:
+    def _make_walker(self, person: PedestrianStart) -> SumoWalker:
+        road = self._route.road
+        arm = road.arms[road.arm(person.arm)]
         x, y, heading = kerb(arm, person.offset, person.side)
         walker = SumoWalker(person.id, x, y, heading, 0.0)
-        walker.distance = crossing(arm)
+        walker.distance = crossing_length(arm)
         return walker
 
 

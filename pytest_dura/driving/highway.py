@@ -1,4 +1,4 @@
-"""JunctionSimulator: one junction, of whatever geometry, whoever drives there; on highway-env here.
+"""JunctionSimulator: one junction, whoever drives the other cars; on highway-env here.
 
 HighwaySimulator steps highway-env's road directly: no observation table, no rewards, no spawning
 that the scenario did not ask for, and none of highway-env's class-level settings is touched.
@@ -39,7 +39,7 @@ from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
 from pytest_dura.driving.measures import MEASURES
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
-from pytest_dura.driving.roads import Arm, Road
+from pytest_dura.driving.roads import Road
 from pytest_dura.driving.scenario import (
     DrivingWorld,
     PedestrianStart,
@@ -257,7 +257,7 @@ class JunctionSimulator(Simulator):
                 s = plan.stop_line - vehicle.distance
                 self._place(vehicle.id, plan, s, vehicle.speed, vehicle.exponent)
         for person in world.pedestrians:
-            body = self._make_walker(person, geometry.arms[geometry.arm(person.arm)])
+            body = self._make_walker(person)
             body.walking, body.start = person.speed, person.start
             road.objects.append(body)
         self._kinds = {obstacle.id: obstacle.kind for obstacle in world.obstacles}
@@ -393,8 +393,8 @@ class JunctionSimulator(Simulator):
         """Put a car on the road, at ``s`` of its route: a driver, or without exponent the ego."""
 
     @abstractmethod
-    def _make_walker(self, person: PedestrianStart, arm: Arm) -> Any:
-        """Make a pedestrian at an arm's kerb; see :class:`~pytest_dura.driving.moving.Walking`."""
+    def _make_walker(self, person: PedestrianStart) -> Any:
+        """Make a pedestrian at its kerb, see :class:`~pytest_dura.driving.moving.Walking`."""
 
     def _admit(self, initially: bool = False) -> None:
         """Place the cars whose time has come and that have room; others wait outside, in order."""
@@ -582,9 +582,11 @@ class HighwaySimulator(JunctionSimulator):
         self._road.vehicles.append(vehicle)
         return vehicle
 
-    def _make_walker(self, person: PedestrianStart, arm: Arm) -> Any:
+    def _make_walker(self, person: PedestrianStart) -> Any:
         from pytest_dura.driving.traffic import walker
 
+        road = self._route.road
+        arm = road.arms[road.arm(person.arm)]
         return walker(self._road, person.id, arm, person.offset, person.side)
 
 

@@ -158,12 +158,14 @@ class Route:
         """``s`` of the nearest point and the signed lateral offset (right of it positive)."""
         c, sn, begins, offset, arc = self._frame
         u, v = c * x - sn * y, sn * x + c * y
-        if arc is None or v >= arc.v:
+        if arc is None or (v >= arc.v and not arc.sharp):
             return begins - v, u - offset
         end_u, end_v, ex, ey = arc.end_u, arc.end_v, arc.ex, arc.ey
-        past = (u - end_u) * ex + (v - end_v) * ey
+        past, beside = (u - end_u) * ex + (v - end_v) * ey, (v - end_v) * ex - (u - end_u) * ey
+        if v >= arc.v and (past < 0.0 or abs(u - offset) <= abs(beside)):
+            return begins - v, u - offset
         if past >= 0.0:
-            return self._last + past, (v - end_v) * ex - (u - end_u) * ey
+            return self._last + past, beside
         sign, radius = self._sign, self.curve.radius
         angle = math.atan2(arc.v - v, (arc.u - u) * sign)
         distance = math.hypot(u - arc.u, v - arc.v)
@@ -181,7 +183,9 @@ class Route:
         u, v = arm.offset + self._sign * curve.radius, arm.stop_line - curve.lead
         end_u = u + self._sign * curve.radius * ey
         end_v = v - self._sign * curve.radius * ex
-        return (*frame, _Arc(u, v, end_u, end_v, ex, ey, abs(curve.turned)))
+        turned = abs(curve.turned)
+        sharp = turned > math.pi / 2 + 1e-9
+        return (*frame, _Arc(u, v, end_u, end_v, ex, ey, turned, sharp))
 
     @cached_property
     def _leaving(self) -> tuple[float, float]:
@@ -243,18 +247,24 @@ class Route:
             return s, lateral, np.full(len(points), turn - math.pi / 2)
         sign, radius = self._sign, self.curve.radius
         past = (u - arc.end_u) * arc.ex + (v - arc.end_v) * arc.ey
-        turning, leaving = (v < arc.v) & (past < 0.0), (v < arc.v) & (past >= 0.0)
+        after = (v - arc.end_v) * arc.ex - (u - arc.end_u) * arc.ey
+        behind = v < arc.v
+        if arc.sharp:
+            behind |= (past >= 0.0) & (np.abs(after) < np.abs(lateral))
+        turning, leaving = behind & (past < 0.0), behind & (past >= 0.0)
         angle = np.minimum(np.arctan2(arc.v - v, (arc.u - u) * sign), arc.turned)
         s = np.where(turning, self._first + radius * angle, np.where(leaving, self._last + past, s))
         beside = (radius - np.hypot(u - arc.u, v - arc.v)) * sign
-        after = (v - arc.end_v) * arc.ex - (u - arc.end_u) * arc.ey
         lateral = np.where(turning, beside, np.where(leaving, after, lateral))
         turned = sign * np.where(turning, angle, np.where(leaving, arc.turned, 0.0))
         return s, lateral, turned + (turn - math.pi / 2)
 
 
 class _Arc(NamedTuple):
-    """The arc of a route in its arm's frame: centre, end, unit vector at its end, and angle."""
+    """The arc of a route in its arm's frame: centre, end, unit vector at its end, and angle.
+
+    ``sharp`` is one of more than a quarter, after which the route comes back beside its beginning.
+    """
 
     u: float
     v: float
@@ -263,6 +273,7 @@ class _Arc(NamedTuple):
     ex: float
     ey: float
     turned: float
+    sharp: bool
 
 
 @cache

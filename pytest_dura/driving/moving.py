@@ -86,8 +86,8 @@ class Walking:
         return bool(along < vehicle.LENGTH / 2 + 0.5 and across < vehicle.WIDTH / 2 + 0.5)
 
 
-def crossing(arm: Arm) -> float:
-    """Metres that a pedestrian walks: from a metre beside an arm to a metre beside it."""
+def crossing_length(arm: Arm) -> float:
+    """Metres that a pedestrian walks: from a metre beside the road to a metre beside it."""
     return 2 * (arm.lane_width + 1.0)
 
 
@@ -100,5 +100,5 @@ def kerb(arm: Arm, offset: float, side: str) -> tuple[float, float, float]:
         side: Where it comes from, seen by a driver on that arm who nears the junction.
     """
     sign = 1.0 if side == "right" else -1.0
-    heading = arm.angle + (math.pi if side == "right" else 0.0)
-    return *arm.place(arm.stop_line + offset, sign * crossing(arm) / 2), heading
+    x, y = arm.place(arm.stop_line + offset, sign * crossing_length(arm) / 2)
+    return x, y, arm.angle + (math.pi if side == "right" else 0.0)

@@ -279,7 +279,7 @@ class Road:
         if abs(degrees) > SHARPEST or radius < LEAST_RADIUS:
             raise ConfigurationError(
                 f"no car can turn from the arm {start.name} to the arm {end.name}",
-                key=f"arms.{origin}",
+                key=f"world.road.arms.{origin}",
                 found=f"a turn of {degrees:.0f} degrees with a radius of {radius:.1f} m",
                 expected=f"at most {SHARPEST:g} degrees, and at least {LEAST_RADIUS:g} m",
                 remedy="move the stop lines outwards, give both arms lanes of one width, or let "
@@ -293,20 +293,20 @@ class Road:
         """Refuse a geometry that cannot be.
 
         Raises:
-            ConfigurationError: With the number of the arm as ``key``, such as ``arms.1``.
+            ConfigurationError: With the arm's number in ``key``, as in ``world.road.arms.1``.
         """
         if len(set(self.names)) < len(self.names):
             twice = next(name for name in self.names if self.names.count(name) > 1)
             raise ConfigurationError(
                 "two arms have the same name",
-                key="arms",
+                key="world.road.arms",
                 found=twice,
                 expected="names that are unique",
             )
         if not self.entries:
             raise ConfigurationError(
                 "no route leads across the road",
-                key="arms",
+                key="world.road.arms",
                 found=", ".join(f"{arm.name}: {arm.lanes}" for arm in self.arms),
                 expected="an arm with a lane towards the junction, and another with one away",
                 remedy="correct `lanes` of an arm",
@@ -330,7 +330,7 @@ class Road:
         if apart < least - _ROUNDING:
             raise ConfigurationError(
                 f"the arms {arm.name} and {beside.name} are too near each other",
-                key=f"arms.{number}.bearing",
+                key=f"world.road.arms.{number}.bearing",
                 found=f"{math.degrees(apart):.0f} degrees",
                 expected=f"at least {math.degrees(least):.0f} degrees",
             )
@@ -341,7 +341,7 @@ class Road:
         if arm.stop_line < meet:
             raise ConfigurationError(
                 f"the stop line of the arm {arm.name} lies on the arm {beside.name}",
-                key=f"arms.{number}.stop_line",
+                key=f"world.road.arms.{number}.stop_line",
                 found=arm.stop_line,
                 expected=f"at least {math.ceil(meet * 10.0) / 10.0:g} m",
                 remedy="move it outwards",

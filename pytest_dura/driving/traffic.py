@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
 from pytest_dura.driving.lanes import Route, conflict, routes_of
-from pytest_dura.driving.moving import Actuated, Walking, crossing, kerb
+from pytest_dura.driving.moving import Actuated, Walking, crossing_length, kerb
 from pytest_dura.driving.roads import Arm
 from pytest_dura.driving.roads import Road as Geometry
 from pytest_dura.driving.scenario import StaticObstacle
@@ -502,7 +502,7 @@ def walker(road: Road, body_id: str, arm: Arm, offset: float, side: str) -> Pede
     x, y, heading = kerb(arm, offset, side)
     person = Pedestrian(road, np.array([x, y]), heading, 0.0)
     person.body_id = body_id
-    person.distance = crossing(arm)
+    person.distance = crossing_length(arm)
     return person
 
 
