@@ -132,6 +132,7 @@ CHANNELS: Mapping[str, Channel] = {
     ),
     "map": Channel("other", frame=_WORLD, meaning="the route, its stop line, exit and speed limit"),
     "controls": Channel("signs", meaning="signs and traffic lights that concern the ego"),
+    "command": Channel("numbers", ("acceleration",), units=("m/s2",)),
 }
 """Content of the channels, for the faults that act on them."""
 

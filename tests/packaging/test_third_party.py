@@ -48,11 +48,12 @@ def python(installed, tmp_path_factory):
     kept = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
     path = os.pathsep.join(filter(None, [str(installed), os.environ.get("PYTHONPATH")]))
 
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: str, beside: Path | None = None) -> subprocess.CompletedProcess[str]:
+        found_in = path if beside is None else f"{beside}{os.pathsep}{path}"
         return subprocess.run(
             [sys.executable, "-m", *arguments],
             cwd=project,
-            env={**kept, "PYTHONPATH": path},
+            env={**kept, "PYTHONPATH": found_in},
             capture_output=True,
             text=True,
             check=False,
@@ -75,6 +76,20 @@ def test_what_the_package_registers_is_listed(python):
     assert done.returncode == 0, done.stdout + done.stderr
     for line in (
         "  slip (number): The encoder slipped: it shows ``metres`` too little.",
+        "channels of the domain lift",
+        (
+            "  encoder: numbers; height [m], floor [m]; shaft: upwards from the lowest floor; "
+            "where it is, and where it was called to"
+        ),
+        "signals of the domain lift",
+        "  height: [m]; of the cabin's floor above the lowest one",
+        "actions of the domain lift",
+        "  command.speed: [m/s]; any; upwards",
+        "fault targets of the domain lift",
+        "  number: encoder.height",
+        "measures of the domain lift",
+        "  overrun: share; runs half a metre too far",
+        "  fault_injector: pytest_dura.faults.injector:CampaignInjector",
         "roles of the domain lift (override the fixture of that name)",
         "  generator: lift_dura.domain:Steady",
         "  steady: lift_dura.domain:Steady",
@@ -136,3 +151,61 @@ def test_the_catalogue_of_a_domain_has_the_package_s_faults(python):
     assert "  shaft/up+slip::TOP-1" in done.stdout.splitlines(), done.stdout
     assert "  shaft/up+bias::TOP-1" in done.stdout.splitlines()
     assert "  shaft/up+object-miss::TOP-1" not in done.stdout.splitlines()
+
+
+def test_the_page_of_the_package_s_domain_is_printed(python):
+    done = python("pytest_dura.library.domain_reference", "lift")
+    assert done.returncode == 0, done.stderr
+    assert "### Signals of lift" in done.stdout
+    assert "| `height` | [m] | of the cabin's floor above the lowest one |" in done.stdout
+    unknown = python("pytest_dura.library.domain_reference", "lfit")
+    assert unknown.returncode != 0
+    assert "unknown domain 'lfit'" in unknown.stderr
+
+
+def test_the_schema_for_editors_has_the_package_s_world_and_fault(python):
+    code = (
+        "import json; from pytest_dura.library.scenario import scenario_schema; "
+        "print(json.dumps(scenario_schema()))"
+    )
+    (python.project / "print_schema.py").write_text(code)
+    schema = json.loads(python("print_schema").stdout)
+    assert "floor" in schema["$defs"]["Shaft"]["properties"]
+    assert "slip" in schema["$defs"]["FaultEntry"]["properties"]["type"]["enum"]
+
+
+def other_package(folder: Path, code: str, domain: str = "crane") -> Path:
+    """A second package, as pip would install it, whose module registers a domain."""
+    about = folder / "crane_dura-2.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: crane-dura\nVersion: 2.0\n")
+    point = f"[pytest_dura.domains]\n{domain} = crane_dura:CRANE\n"
+    (about / "entry_points.txt").write_text(point)
+    (folder / "crane_dura.py").write_text(f"from pytest_dura import Domain, Signal\n{code}\n")
+    return folder
+
+
+def test_two_domains_of_one_name_are_an_error_that_names_both(python, tmp_path):
+    other = other_package(tmp_path / "other", "CRANE = Domain('lift')", domain="lift")
+    done = python("pytest", "--dura-scenarios", "--dura-select=shaft/*", beside=other)
+    assert done.returncode == 4, done.stdout
+    text = done.stdout + done.stderr
+    assert "two packages register the domain 'lift'" in text
+    assert "lift-dura 1.2 (lift_dura.domain:LIFT)" in text
+    assert "crane-dura 2.0 (crane_dura:CRANE)" in text
+    assert "Traceback" not in text
+
+
+@pytest.mark.parametrize("declared", ["'load'", "Signal('load')", "Signal('load', meaning='it')"])
+def test_a_signal_without_a_unit_is_refused_where_its_domain_is_used(python, tmp_path, declared):
+    code = f"CRANE = Domain('crane', signals=({declared},))"
+    other = other_package(tmp_path / "other", code)
+    listed = python("pytest", "--dura-list", "--dura-select=shaft/*", beside=other)
+    assert listed.returncode == 0, listed.stderr  # another package's, which is not used here
+    assert "the domain 'crane' of crane-dura 2.0 cannot be loaded" in listed.stdout
+    assert "signal 'load'" in listed.stdout
+    (python.project / "of_crane.ini").write_text("[pytest]\ndura_domain = crane\n")
+    used = python("pytest", "-c", "of_crane.ini", "--dura-list", beside=other)
+    assert used.returncode == 4, used.stdout
+    assert "has no unit" in used.stderr
+    assert "Traceback" not in used.stderr

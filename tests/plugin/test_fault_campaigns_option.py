@@ -256,7 +256,7 @@ def test_an_alert_on_what_the_component_has_not_read_yet_has_detected_it(project
         (bias,) = episode["faults"]
         times = [bias[f"{step}_at"] for step in ("activated", "detected", "manifested")]
         assert times == pytest.approx([0.5, 0.5, 0.5])
-        assert bias["read_by"] == ["generator", "security_assessor"]
+        assert bias["read_by"] == ["generator", "safety_monitor", "security_assessor"]
         assert bias["detection_latency"] == 0.0
     (fault,) = record["cases"][0]["metrics"]["faults"]
     assert (fault["manifested"], fault["detected"], fault["rates"]["detection"]) == (3, 3, 1.0)

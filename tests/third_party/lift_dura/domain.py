@@ -99,7 +99,7 @@ class Lift(Simulator):
     def check_action(self, action: Any) -> float:
         """Return a speed."""
         if not isinstance(action, float):
-            raise ActionError("a lift takes a speed", found=action, expected="a float")
+            raise ActionError("a lift takes a speed, a float")
         return action
 
     def fallback_action(self) -> float:

@@ -184,8 +184,8 @@ def test_the_chain_of_a_fault_has_its_counts_outcomes_and_latencies():
     cases = [record["cases"][0], {**case, "metrics": {**case["metrics"], "faults": [chain]}}]
     words = section(render(session_record(cases=cases)), "faults")
     assert (
-        "a/clear+ghost ghost on lidar 4/4 3/4 2/3 1/3 1/3 0/1 1/3 4 tolerated detection 0.25 s"
-        in words
+        "a/clear+ghost ghost on lidar, read by generator, watch 4/4 3/4 2/3 1/3 1/3 0/1 1/3 "
+        "4 tolerated detection 0.25 s" in words
     )
 
 

@@ -1,0 +1,1 @@
+"""A mobile robot with differential drive, as a domain of pytest-dura."""
