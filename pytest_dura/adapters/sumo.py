@@ -78,6 +78,8 @@ class _Body:
     """A body with a box, as the junction's simulator handles it."""
 
     LENGTH, WIDTH = CAR_LENGTH, CAR_WIDTH
+    reach = math.hypot(CAR_LENGTH, CAR_WIDTH) / 2
+    """Half of the diagonal in m."""
 
     def __init__(self, body_id: str, x: float, y: float, heading: float, speed: float) -> None:
         self.body_id, self.speed, self.crashed = body_id, speed, False
@@ -92,11 +94,6 @@ class _Body:
     def velocity(self) -> Any:
         """In m/s, shape ``(2,)``."""
         return self.speed * self.direction
-
-    @property
-    def reach(self) -> float:
-        """Half of the diagonal in m."""
-        return math.hypot(self.LENGTH, self.WIDTH) / 2
 
     @property
     def box(self) -> tuple[float, ...]:
@@ -138,6 +135,7 @@ class SumoWalker(Walking, _Body):
     """A pedestrian of driving; SUMO's drivers see it as a person of theirs."""
 
     LENGTH = WIDTH = PEDESTRIAN_SIZE
+    reach = math.hypot(PEDESTRIAN_SIZE, PEDESTRIAN_SIZE) / 2
 
 
 class SumoRoad:
@@ -227,13 +225,12 @@ class SumoRoad:
 
     def _mark_contacts(self) -> None:
         """Mark both of two bodies whose boxes overlap, one of them a car; wrecks stand still."""
-        bodies: list[_Body] = [*self.vehicles, *self.objects]
-        for i, car in enumerate(self.vehicles):
-            for other in bodies[i + 1 :]:
-                if car.crashed and other.crashed:
-                    continue
-                offset = other.position - car.position
-                if math.hypot(*offset.tolist()) > car.reach + other.reach + _TOUCH:
+        bodies = [
+            (body, *body.position.tolist(), body.reach) for body in (*self.vehicles, *self.objects)
+        ]
+        for i, (car, x, y, reach) in enumerate(bodies[: len(self.vehicles)]):
+            for other, other_x, other_y, other_reach in bodies[i + 1 :]:
+                if math.hypot(other_x - x, other_y - y) > reach + other_reach + _TOUCH:
                     continue
                 if boxes_overlap(np.array([car.box]), np.array([other.box]))[0]:
                     for body in (car, other):

@@ -7,7 +7,10 @@ import importlib.util
 import pytest
 
 SIMULATORS = """
+import os
 import random
+from pathlib import Path
+
 import cma
 from corridor import Corridor
 
@@ -18,6 +21,21 @@ class Bare(Corridor):
 
 class Wide(Corridor):
     pass
+
+
+class Served(Corridor):
+    @classmethod
+    def note(cls, what):
+        with Path("served.log").open("a") as opened:
+            opened.write(f"{what} {os.getpid()}\\n")
+
+    @classmethod
+    def open_process(cls):
+        cls.note("open")
+
+    @classmethod
+    def close_process(cls):
+        cls.note("close")
 
 
 class Drafty(Corridor):
@@ -148,6 +166,19 @@ def test_a_replay_without_a_trace_says_that_it_cannot_compare(simulators):
     result = simulators.run("--dura-replay=corridor/free#0")
     assert result.ret == 1
     result.stdout.fnmatch_lines(["  DIFFERENT, as it may be: its simulator is not deterministic*"])
+
+
+def test_a_class_is_opened_once_in_each_process_and_closed_at_its_end(simulators):
+    given = ("--dura-simulator=simulators:Served", "--dura-runs=4")
+    log = simulators.path / "served.log"
+    simulators.scenarios(*given)
+    opened, closed = log.read_text().splitlines()
+    assert opened.replace("open", "close") == closed
+    log.unlink()
+    simulators.scenarios(*given, "--dura-executor=processes:2")
+    opened = [line for line in log.read_text().splitlines() if line.startswith("open")]
+    assert 1 <= len(opened) == len(set(opened)) <= 2
+    assert closed.replace("close", "open") not in opened  # this process simulates nothing
 
 
 @pytest.mark.skipif(

@@ -15,7 +15,7 @@ from thermostat import Controller, Thermostat
 from pytest_dura import ConfigurationError, EpisodeSpec, RoleSpec, Tick
 from pytest_dura.core.simulator import Simulator, beyond_tolerance
 from pytest_dura.core.simulator_process import close_classes, open_class, simulating
-from pytest_dura.execution import run_episode
+from pytest_dura.execution import run_episode, worker
 
 
 class Server(Thermostat):
@@ -120,6 +120,12 @@ def test_a_class_that_cannot_be_closed_is_named_and_the_others_are_closed():
     open_class(Stubborn)
     (problem,) = close_classes()
     assert problem.startswith("Stubborn cannot be closed: OSError: the server does not end")
+    assert Server.calls == {"open": 1, "close": 1}
+
+
+def test_a_process_that_simulates_for_others_closes_before_it_gives_way():
+    open_class(Server)
+    worker._close_simulators()
     assert Server.calls == {"open": 1, "close": 1}
 
 
