@@ -32,6 +32,7 @@ from pytest_dura.plugin.terminal_tables import (
     failure_mode_table,
     fault_table,
     monitor_table,
+    most_rows,
     pair_table,
     reliance_table,
     worst_cases,
@@ -390,7 +391,7 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
     # Runs without a role that serve a comparison are shown in its table.
     twins = {verdict.pairs.case for verdict in record.head.verdicts if verdict.pairs}
     shown = [case for case in record.head.cases if not case.without or case.id not in twins]
-    most = None if context.config.option.verbose > 0 else MOST_ROWS
+    most = most_rows(context)
     listed = worst_cases(shown, record.head.verdicts, most=most)
     overall = record.head.overall
     for line in case_table(listed, overall, record.head.measures):

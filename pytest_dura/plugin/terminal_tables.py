@@ -50,6 +50,7 @@ if TYPE_CHECKING:
         PairsEntry,
         VerdictEntry,
     )
+    from pytest_dura.plugin.context import SessionContext
 
 Row = TypeVar("Row")
 WIDTH = 100
@@ -246,6 +247,11 @@ MOST_ROWS = 100
 """Rows of a table, verdicts, or failures that are shown at most, unless ``-v`` is given."""
 VERDICT_RANK = {"violated": 0, "undecided": 1, "supported": 2}
 WHERE_ALL_ARE = "-v shows all of them, as do the report and evidence.json"
+
+
+def most_rows(context: SessionContext) -> int | None:
+    """Return how many rows a table shows in this session; ``None`` for all."""
+    return None if context.config.option.verbose > 0 else MOST_ROWS
 
 
 def keep_worst(rows: Sequence[T], ranks: Sequence[int], *, most: int | None = MOST_ROWS) -> list[T]:

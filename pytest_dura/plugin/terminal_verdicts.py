@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.context import replay_command, rerun_command
 from pytest_dura.plugin.terminal_tables import (
-    MOST_ROWS,
     VERDICT_RANK,
     WHERE_ALL_ARE,
     WIDTH,
@@ -17,6 +16,7 @@ from pytest_dura.plugin.terminal_tables import (
     chain_line,
     keep_worst,
     left_out_lines,
+    most_rows,
 )
 from pytest_dura.reports.columns import Column, Shown, legend, shown_in
 from pytest_dura.reports.searches import (
@@ -60,7 +60,7 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
     if not verdicts:
         return
     terminal.line("")
-    most = None if context.config.option.verbose > 0 else MOST_ROWS
+    most = most_rows(context)
     shown = keep_worst(verdicts, [VERDICT_RANK[verdict.verdict] for verdict in verdicts], most=most)
     shown_ids = {id(verdict) for verdict in shown}
     by_heading: dict[tuple[str, ...], list[VerdictEntry]] = {}
@@ -223,7 +223,7 @@ def show_searches(context: SessionContext, terminal: Any, record: SessionRecord)
     searches = record.head.searches
     if not searches:
         return
-    most = None if context.config.option.verbose > 0 else MOST_ROWS
+    most = most_rows(context)
     ranks = [
         min(outcome_rank(search, outcome) for outcome in search.outcomes) for search in searches
     ]

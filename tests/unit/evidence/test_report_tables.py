@@ -78,7 +78,7 @@ def test_the_legend_has_what_every_column_means() -> None:
     assert row.split()[:5] == ["ghost", "on", "a/clear", "4", "3"]
     legend = " ".join(lines)
     assert all(len(line) <= 100 for line in lines)
-    for meaning in ("act: it began", "manif: changed what the component read", "viol: "):
+    for meaning in ("act: it began", "manif: changed what a role read", "viol: "):
         assert meaning in legend
 
 
