@@ -81,12 +81,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     )
     given = sys.argv[1:] if arguments is None else list(arguments)
-    # Domains are loaded where one of their commands may be meant: others need none of them.
-    importers = {} if given and given[0] in _COMMANDS else _importers()
-    for name in importers:
-        _add_import(commands.add_parser(name, help="make scenarios of a file of another format"))
-    options = parser.parse_args(given)
     try:
+        # Domains are loaded where one of their commands may be meant: others need none of them.
+        importers = {} if given and given[0] in _COMMANDS else _importers()
+        for name in importers:
+            _add_import(
+                commands.add_parser(name, help="make scenarios of a file of another format")
+            )
+        options = parser.parse_args(given)
         if options.command in importers:
             return _import(importers[options.command], options)
         return _COMMANDS[options.command](options)

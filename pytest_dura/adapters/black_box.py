@@ -190,6 +190,8 @@ class BlackBox:
         signals: Names of the signals. The inputs are signals, too.
         files: What it depends on beside its Python code, such as an executable: another content
             makes other episodes.
+        tolerances: For a tool whose equal runs differ a little: within what signals count as the
+            same, see :attr:`pytest_dura.Simulator.tolerances`. By default equal runs are equal.
 
     Raises:
         ConfigurationError: For names that are used twice or that formulas cannot name.
@@ -202,7 +204,10 @@ class BlackBox:
         signals: Sequence[str],
         *,
         files: Sequence[str | Path] = (),
+        tolerances: Mapping[str, float] = NOTHING,
     ) -> None:
+        self.tolerances = {name: float(value) for name, value in tolerances.items()}
+        self.deterministic = not tolerances
         self.simulate, self.inputs, self.signals = simulate, tuple(inputs), tuple(signals)
         self.files = tuple(map(Path, files))
         names = [*(given.name for given in self.inputs), *self.signals]
@@ -214,6 +219,14 @@ class BlackBox:
                 found=wrong[0] if wrong else "no signal",
                 expected="at least one signal, each name once, of letters, digits, underscores "
                 "and dots, and not `time`",
+            )
+        unknown = sorted(set(tolerances) - set(self.signals))
+        if unknown or not all(0.0 < value < math.inf for value in self.tolerances.values()):
+            raise ConfigurationError(
+                "the tolerances of a black box cannot be used",
+                key="tolerances",
+                found=unknown[0] if unknown else self.tolerances,
+                expected=f"numbers above 0 for {', '.join(self.signals)}",
             )
         factory(self)  # a file may name it, as it may name a subclass of Simulator
 

@@ -38,6 +38,7 @@ class Fmu(BlackBox):
         signals: Variables of the FMU that requirements read.
         variables: The FMU's name of an input or signal that is called otherwise here.
         start_values: Values of parameters, by the FMU's names.
+        tolerances: See :class:`BlackBox`.
 
     Raises:
         ConfigurationError: For names that cannot be used. What the FMU itself does not have is
@@ -52,10 +53,11 @@ class Fmu(BlackBox):
         *,
         variables: Mapping[str, str] = NOTHING,
         start_values: Mapping[str, Any] = NOTHING,
+        tolerances: Mapping[str, float] = NOTHING,
     ) -> None:
         self.file, self.start_values = Path(file), dict(start_values)
         self._variables = dict(variables)
-        super().__init__(self._simulate, inputs, signals, files=[file])
+        super().__init__(self._simulate, inputs, signals, files=[file], tolerances=tolerances)
 
     def check_scenario(self, world: Mapping[str, Any]) -> dict[str, Any]:
         """Return the inputs that a scenario gives, defaults filled in.

@@ -111,14 +111,29 @@ def test_a_run_that_fails_is_missing_with_its_reason(tank, change, reason) -> No
     assert tank.verdict("TANK-1", "tank/filling")["verdict"] == "undecided"
 
 
-def test_a_box_that_differs_from_run_to_run_is_named_as_such(tank) -> None:
+def drifting(arguments=""):
+    """The page's plant, of which each run differs from the one before by a millimetre."""
     source = FILES["plant.py"].replace("def tank(", "CALLS = []\n\n\ndef tank(")
     source = source.replace("    run = solve_ivp(", "    CALLS.append(0)\n    run = solve_ivp(")
     source = source.replace("run.y[0]}", "run.y[0] + 0.001 * len(CALLS)}")
-    tank.write("plant.py", source)
+    return source.replace('signals=["level"]', f'signals=["level"]{arguments}')
+
+
+def test_a_box_that_differs_from_run_to_run_is_named_as_such(tank) -> None:
+    tank.write("plant.py", drifting())
     result = tank.scenarios("--dura-require-repeatable", "--dura-runs=2", select="tank/*")
     assert result.ret == 1
     assert "not repeatable" in re.sub(r"\s+", " ", output(result))
+
+
+def test_a_box_may_say_within_what_its_runs_are_the_same(tank) -> None:
+    tank.write("plant.py", drifting(", tolerances={'level': 0.01}"))
+    arguments = ["--dura-require-repeatable", "--dura-runs=2"]
+    result = tank.scenarios(*arguments, select="tank/*")
+    assert result.ret == 0, output(result)
+    assert '"within tolerances"' in (tank.path / "dura-evidence" / "evidence.json").read_text()
+    tank.write("plant.py", drifting(", tolerances={'level': 0.0001}"))
+    assert tank.scenarios(*arguments, select="tank/*").ret == 1
 
 
 def test_a_changed_file_makes_other_episodes(tank) -> None:

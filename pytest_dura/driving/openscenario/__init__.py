@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +18,14 @@ from pytest_dura.driving.openscenario.document import Element, read_document
 from pytest_dura.driving.openscenario.mapping import World, world_of
 from pytest_dura.driving.openscenario.parameters import Parameters, declared, distributed
 from pytest_dura.driving.openscenario.place import Frame
+from pytest_dura.driving.openscenario.roads import RoadNetwork
 
 _DURATION = 40.0
 _RUNS = 15
 _REQUIREMENTS = ["SAF-1", "SAF-2"]
 _REASONS = {
-    "LanePosition": "places on a road network are not read; positions in the world are",
-    "RoadPosition": "places on a road network are not read; positions in the world are",
+    "LanePosition": "of a route the end alone is read, and places on a road network that is there",
+    "RoadPosition": "of a route the end alone is read, and places on a road network that is there",
     "WorldPosition": "of a route the end alone is read",
     "Waypoint": "of a route the end alone is read",
     "Route": "a name or a return to the beginning has no counterpart",
@@ -92,8 +95,10 @@ def import_openscenario(file: Path, options: Mapping[str, str]) -> Imported:
     if distribution is not None:
         _check_version(root)
         plan = distributed(distribution, parameters, remarks.add)
-    world = world_of(described, parameters, frame, remarks.add)
-    variation = dict(_variation(described, parameters, frame, world, remarks))
+    network = _network(described)
+    make = partial(world_of, described, frame=frame, network=network, remark=remarks.add)
+    world = make(parameters)
+    variation = dict(_variation(make, parameters, world, remarks))
     text = _text(file, described, world, variation, plan)
     for each in {id(described): described, id(root): root}.values():
         remarks.add_unused(each)
@@ -118,6 +123,19 @@ def _frame(options: Mapping[str, str]) -> Frame:
     return Frame(x, y, heading)
 
 
+def _network(root: Element) -> RoadNetwork | None:
+    """Read the road network that a file names; ``None`` if there is no such file."""
+    elements = [element for child in root.children for element in child.children]
+    logic = next((element for element in elements if element.tag == "LogicFile"), None)
+    name = None if logic is None else logic.attributes.get("filepath")
+    file = None if name is None else Path(root.file).parent / name
+    if file is None or logic is None or not os.path.isfile(file):  # noqa: PTH113 - never raises
+        return None
+    root.find("RoadNetwork", "LogicFile")
+    logic.get("filepath")
+    return RoadNetwork.read(file)
+
+
 def _check_version(root: Element) -> None:
     header = root.find("FileHeader")
     if root.tag != "OpenSCENARIO" or header is None:
@@ -133,16 +151,13 @@ def _check_version(root: Element) -> None:
 
 
 def _variation(
-    root: Element, parameters: Parameters, frame: Frame, world: World, remarks: _Remarks
+    make: Callable[[Parameters], World], parameters: Parameters, world: World, remarks: _Remarks
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield what each parameter with a spread sets, by trying its values."""
     nominal = dict(_leaves(world.data))
     owners: dict[str, str] = {}
     for name, spread in parameters.spreads.items():
-        worlds = [
-            world_of(root, parameters.with_value(name, sample), frame, remarks.add)
-            for sample in spread.samples
-        ]
+        worlds = [make(parameters.with_value(name, sample)) for sample in spread.samples]
         columns = [dict(_leaves(each.data)) for each in worlds]
         if any(column.keys() != nominal.keys() for column in columns):
             remarks.add(spread.where, f"{name} changes who is there: it is held")

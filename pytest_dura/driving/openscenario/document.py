@@ -6,6 +6,7 @@ refused.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -119,6 +120,8 @@ def read_document(file: Path) -> Element:
         ConfigurationError: If it cannot be read, is too large, is no XML, or has a document type.
     """
     name = str(file)
+    if not os.path.isfile(file):  # noqa: PTH113 - never raises; what is no file could block
+        raise ConfigurationError("there is no such file", file=name, expected="a file to import")
     try:
         with file.open("rb") as opened:
             content = opened.read(MAX_BYTES + 1)

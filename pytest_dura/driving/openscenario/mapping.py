@@ -12,6 +12,7 @@ from pytest_dura.driving.junction import ARM_LENGTH, ARMS, SPEED_LIMIT
 from pytest_dura.driving.openscenario.document import Element
 from pytest_dura.driving.openscenario.parameters import Parameters
 from pytest_dura.driving.openscenario.place import LANE_WIDTH, Frame, Pose, Spot, turn_between
+from pytest_dura.driving.openscenario.roads import RoadNetwork
 
 Remark = Callable[[Element, str], None]
 
@@ -74,24 +75,40 @@ class World:
     ids: dict[str, str] = field(default_factory=dict)
 
 
-def world_of(root: Element, parameters: Parameters, frame: Frame, remark: Remark) -> World:
+def world_of(
+    root: Element,
+    parameters: Parameters,
+    *,
+    frame: Frame,
+    network: RoadNetwork | None,
+    remark: Remark,
+) -> World:
     """Map a scenario.
 
     Args:
         root: The outermost element of the file.
         parameters: Values of its parameters.
         frame: Where our junction lies in it; ``south`` is found here.
+        network: Its roads, if they are known.
         remark: Takes elements that are used, but not just as they are.
 
     Raises:
         ConfigurationError: For a file without an ego that has a place on one of the arms.
     """
-    return _Mapping(root, parameters, frame, remark).world()
+    return _Mapping(root, parameters, frame, network, remark).world()
 
 
 class _Mapping:
-    def __init__(self, root: Element, parameters: Parameters, frame: Frame, remark: Remark) -> None:
+    def __init__(
+        self,
+        root: Element,
+        parameters: Parameters,
+        frame: Frame,
+        network: RoadNetwork | None,
+        remark: Remark,
+    ) -> None:
         self.root, self.parameters, self.frame, self.remark = root, parameters, frame, remark
+        self.network = network
         self.entities: dict[str, Entity] = {}
         self.ids: dict[str, str] = {}
 
@@ -106,8 +123,8 @@ class _Mapping:
             ego.element.refuse(
                 f"{ego.name!r} has no place that can be mapped",
                 key="Storyboard.Init",
-                expected="a TeleportAction with a WorldPosition, or relative to one",
-                remedy="export positions in world coordinates",
+                expected="a TeleportAction to a place in the world, or on a road that can be read",
+                remedy="put the road network where LogicFile says, or export places in the world",
             )
         spot = self.frame.spot(ego.middle)
         self.frame = replace(self.frame, south=spot.arm)
@@ -153,7 +170,9 @@ class _Mapping:
             for action in private.all("PrivateAction")
         ]
         # A relative position or speed may refer to an entity that comes later in the file.
-        for _ in range(len(self.entities) + 1):
+        before = len(waiting) + 1
+        while before > len(waiting):
+            before = len(waiting)
             waiting = [pair for pair in waiting if not self._take(*pair)]
 
     def _entity(self, private: Element) -> Entity:
@@ -206,6 +225,8 @@ class _Mapping:
                 if given.attributes.get(name) is not None and number(given, name) != 0.0:
                     self.remark(given, f"{name} is left out: the road is flat")
             return Pose(number(given, "x"), number(given, "y"), number(given, "h", 0.0))
+        if given.tag in ("LanePosition", "RoadPosition"):
+            return self._road_pose(given)
         if given.tag not in ("RelativeWorldPosition", "RelativeObjectPosition"):
             return None
         other = self.entities.get(self.parameters.text(given, "entityRef"))
@@ -215,15 +236,33 @@ class _Mapping:
         dx, dy = number(given, "dx", 0.0), number(given, "dy", 0.0)
         if number(given, "dz", 0.0) != 0.0:
             self.remark(given, "dz is left out: the road is flat")
-        turn, absolute = 0.0, False
-        if (orientation := given.find("Orientation")) is not None:
-            turn = number(orientation, "h", 0.0)
-            absolute = orientation.get("type") == "absolute"
         if given.tag == "RelativeObjectPosition":
-            pose = other.pose.moved(dx, dy, turn)
+            return self._oriented(given, other.pose.moved(dx, dy))
+        return self._oriented(given, Pose(other.pose.x + dx, other.pose.y + dy, other.pose.heading))
+
+    def _road_pose(self, given: Element) -> Pose | None:
+        """Find a place on the road network, where that is read."""
+        if self.network is None:
+            return None
+        text, number = self.parameters.text, self.parameters.number
+        s = number(given, "s")
+        if given.tag == "RoadPosition":
+            pose = self.network.at(text(given, "roadId"), s, number(given, "t"))
         else:
-            pose = Pose(other.pose.x + dx, other.pose.y + dy, other.pose.heading + turn)
-        return replace(pose, heading=turn) if absolute else pose
+            lane, offset = text(given, "laneId"), number(given, "offset", 0.0)
+            pose = self.network.on_lane(text(given, "roadId"), lane, s, offset)
+        if pose is None:
+            self.remark(given, "there is no such place on a straight or an arc of the road network")
+            return None
+        return self._oriented(given, pose)
+
+    def _oriented(self, given: Element, pose: Pose) -> Pose:
+        orientation = given.find("Orientation")
+        if orientation is None:
+            return pose
+        turn = self.parameters.number(orientation, "h", 0.0)
+        absolute = orientation.get("type") == "absolute"
+        return replace(pose, heading=turn if absolute else pose.heading + turn)
 
     def _speed(self, action: Element) -> float | None:
         dynamics = action.find("SpeedActionDynamics")

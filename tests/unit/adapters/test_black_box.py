@@ -107,3 +107,9 @@ def test_it_keeps_the_contract_of_a_simulator() -> None:
 def test_it_takes_no_action_of_another_component() -> None:
     with pytest.raises(Exception, match="inputs are those of the scenario"):
         BOX().check_action(1.0)
+
+
+@pytest.mark.parametrize("tolerances", [{"z": 0.1}, {"u": 0.1}, {"y": 0.0}, {"y": float("nan")}])
+def test_tolerances_are_of_signals_and_above_zero(tolerances) -> None:
+    with pytest.raises(ConfigurationError, match="tolerances"):
+        BlackBox(double, [Input("u", 0.0, 1.0)], ["y"], tolerances=tolerances)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import re
 import shutil
 from pathlib import Path
@@ -262,7 +263,7 @@ def test_one_beyond_the_arm_s_end_enters_later_and_one_beside_the_lane_is_parked
         (("Inside", CAR, xosc.WorldPosition(2, 2), 5.0), "begins inside the junction"),
         (
             ("Laned", CAR, xosc.LanePosition(10, 0, -1, 1), 5.0),
-            "places on a road network are not read",
+            "places on a road network that is there",
         ),
         (("Aimless", CAR, at("east", 40.0), 5.0), "has no route: it goes straight on"),
         (("r2", CAR, at("east", 40.0), 5.0), "is called X_R2 here"),
@@ -277,6 +278,71 @@ def test_what_is_not_just_as_it_was_is_named_with_its_line(
     (remark,) = [remark for remark in remarks if said in remark]
     number, tag = re.search(r":(\d+): (\w+)", remark).groups()
     assert f"<{tag}" in lines[int(number) - 1]
+
+
+ROADS = """<?xml version="1.0"?>
+<OpenDRIVE><header revMajor="1" revMinor="6"/>
+{roads}
+</OpenDRIVE>
+"""
+ROAD = """<road id="{id}" length="{length}" junction="-1">
+<planView><geometry s="0" x="{x}" y="{y}" hdg="{heading}" length="{length}">
+{shape}</geometry></planView>
+<lanes><laneOffset s="0" a="0.5" b="0" c="0" d="0"/><laneSection s="0">
+<left><lane id="1" type="driving"><width sOffset="0" a="4" b="0" c="0" d="0"/></lane></left>
+<center><lane id="0" type="none"/></center>
+<right><lane id="-1" type="shoulder"><width sOffset="0" a="1" b="0.01" c="0" d="0"/></lane>
+<lane id="-2" type="driving"><width sOffset="0" a="3" b="0" c="0" d="0"/></lane></right>
+</laneSection></lanes></road>"""
+
+
+def write_roads(folder):
+    roads = [
+        # From the south to the junction: 0.5 m to the left of what lanes are counted from.
+        ROAD.format(id="1", length=100, x=0, y=-100, heading=math.pi / 2, shape="<line/>"),
+        # From the junction to the west, which its left lane comes back from.
+        ROAD.format(id="2", length=100, x=0, y=-0.5, heading=math.pi, shape="<line/>"),
+        # A quarter of a circle of 60 m, which ends at (0, 60), driving south.
+        ROAD.format(
+            id="3", length=60 * math.pi / 2, x=60, y=120, heading=math.pi,
+            shape=f'<arc curvature="{1 / 60}"/>',
+        ),
+    ]  # fmt: skip
+    (folder / "road.xodr").write_text(ROADS.format(roads="".join(roads)))
+
+
+def test_places_on_lanes_are_found_in_the_road_network(tmp_path) -> None:
+    write_roads(tmp_path)
+    file = File().add("Ego", CAR, xosc.LanePosition(50, 0.0, -2, 1), 5.0, leaving("west"))
+    file.add("Left", CAR, xosc.LanePosition(60, 0, 1, 2), 5.0)
+    file.add("Arc", CAR, xosc.RoadPosition(60 * math.pi / 2, -2.0, 3), 5.0)
+    scenario, remarks = imported(file, tmp_path)
+    world = scenario["world"]
+    # The lanes right of the reference line are 1.5 m and 3 m wide there: 0.5 - 1.5 - 1.5 m.
+    assert any("'Ego' begins in the middle" in r and "0.50 m to its left" in r for r in remarks)
+    assert world["ego"]["distance"] == pytest.approx(50.0 - 11.0 - AXLE, abs=1e-3)
+    left, arc = world["vehicles"]
+    assert (left["arm"], left["distance"]) == ("west", pytest.approx(60 - 11 - AXLE, abs=1e-3))
+    assert (arc["arm"], arc["distance"]) == ("north", pytest.approx(60 - 11 - AXLE, abs=1e-3))
+    assert not any("LogicFile" in remark for remark in remarks)
+
+
+@pytest.mark.parametrize(
+    "place", [(50, 0, -3, 1), (150, 0, -2, 1), (50, 0, -2, 7), (50, 0, "left", 1)]
+)
+def test_a_place_that_the_road_network_lacks_is_named(place, crossing, tmp_path) -> None:
+    write_roads(tmp_path)
+    crossing.add("Lost", CAR, xosc.LanePosition(*place), 5.0)
+    scenario, remarks = imported(crossing, tmp_path)
+    assert len(scenario["world"]["vehicles"]) == 1
+    assert any("LanePosition: there is no such place" in remark for remark in remarks)
+
+
+def test_a_hostile_road_network_is_an_error(crossing, tmp_path) -> None:
+    (tmp_path / "road.xodr").write_text("<!DOCTYPE a []><OpenDRIVE/>")
+    with pytest.raises(ConfigurationError, match="document type") as caught:
+        imported(crossing, tmp_path)
+    assert caught.value.file.endswith("road.xodr")
 
 
 def test_every_element_and_attribute_is_used_or_named(crossing, tmp_path) -> None:
@@ -349,6 +415,18 @@ def test_a_value_that_is_no_number_is_refused_with_its_line(value, tmp_path) -> 
     with pytest.raises(ConfigurationError, match=r"is no number|no parameter 'missing'") as caught:
         import_openscenario(file, {})
     assert "AbsoluteTargetSpeed" in file.read_text().splitlines()[caught.value.line - 1]
+
+
+def test_what_is_no_file_is_refused_and_a_relative_place_may_come_first(tmp_path) -> None:
+    os.mkfifo(tmp_path / "pipe.xosc")
+    for name in ("pipe.xosc", "missing.xosc", ".", "x" * 300):
+        with pytest.raises(ConfigurationError, match="no such file"):
+            import_openscenario(tmp_path / name, {})
+    file = File().add("Behind", CAR, xosc.RelativeObjectPosition("Ego", -20.0, 0.0), 4.0)
+    file.add("Ego", CAR, at("south", 40.0), 5.0)
+    scenario, _ = imported(file, tmp_path)
+    (behind,) = scenario["world"]["vehicles"]
+    assert (behind["arm"], behind["distance"]) == ("south", 60.0)
 
 
 def test_expressions_are_evaluated(tmp_path) -> None:
