@@ -10,7 +10,6 @@ The peak is that of the whole pytest process, from its import to the last file o
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -19,6 +18,8 @@ from pathlib import Path
 from subprocess import DEVNULL, Popen
 
 from machine import machine, table
+
+from pytest_dura.evidence import open_record
 
 WORLD = """
 import numpy as np
@@ -86,8 +87,8 @@ def measured(episodes: int) -> tuple[float, float, float]:
             process.returncode = os.waitstatus_to_exitcode(status)
         seconds = time.perf_counter() - begun
         bundle = folder / "dura-evidence"
-        record = json.loads((bundle / "evidence.json").read_text())
-        if process.returncode or len(record["episodes"]) != episodes:
+        record = open_record(bundle / "evidence.json")
+        if process.returncode or sum(1 for _ in record.episodes()) != episodes:
             raise RuntimeError(f"pytest returned {process.returncode}")
         size = sum(file.stat().st_size for file in bundle.rglob("*") if file.is_file())
         return usage.ru_maxrss / 1024, seconds, size / 1e6

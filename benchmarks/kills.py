@@ -8,7 +8,6 @@ what comes out with the same session undisturbed.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import random
 import shutil
@@ -27,6 +26,8 @@ from typing import Any
 
 import psutil
 from machine import machine, table
+
+from pytest_dura.evidence import SessionRecord, open_record
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT / "tests/support"))
@@ -126,27 +127,24 @@ class Project:
         lines = file.read_text().splitlines() if file.exists() else []
         return [(seed, int(pid)) for seed, pid in map(str.split, lines)]
 
-    def record(self) -> dict[str, Any]:
+    def record(self) -> SessionRecord:
         """What the evidence says."""
-        found: dict[str, Any] = json.loads(
-            (self.folder / "dura-evidence/evidence.json").read_text()
-        )
-        return found
+        return open_record(self.folder / "dura-evidence/evidence.json")
 
     @property
     def resumable(self) -> bool:
         """Whether the last session was not whole, so that its episodes are kept."""
         kept = (self.folder / "dura-evidence/.episodes").is_dir()
-        return kept or self.record()["status"] != "complete"
+        return kept or self.record().head.status != "complete"
 
 
-def outcome(record: dict[str, Any]) -> dict[str, Any]:
+def outcome(record: SessionRecord) -> dict[str, Any]:
     """What two sessions have to agree in: every episode by its digest, and every verdict."""
-    keys = ("requirement", "case", "verdict", "episodes", "violations", "missing")
+    keys = {"requirement", "case", "verdict", "episodes", "violations", "missing"}
     return {
-        "episodes": sorted((one["id"], one["digest"]) for one in record["episodes"]),
-        "verdicts": [{key: one[key] for key in keys} for one in record["verdicts"]],
-        "gate": record["gate"]["result"],
+        "episodes": sorted((one.id, one.digest) for one in record.episodes()),
+        "verdicts": [one.to_json(include=keys) for one in record.head.verdicts],
+        "gate": record.head.gate.result,
     }
 
 
@@ -201,15 +199,15 @@ class Trial:
             began = time.monotonic()
             code, wait = self._ended(process, began)
             first = self.project.record()
-            if first["gate"]["result"] == "passed" and outcome(first) != expected:
+            if first.head.gate.result == "passed" and outcome(first) != expected:
                 self.problems.append("a pass that is none")
-            if code == 0 and first["gate"]["result"] != "passed":
+            if code == 0 and first.head.gate.result != "passed":
                 self.problems.append("exit code 0 without a pass")
             before, resumed, last = len(self.project.simulations()), "whole", code
             if self.project.resumable:
                 process = self._begun(stack, "--dura-resume", again=True)
                 last = process.wait(_STUCK)
-                taken = self.project.record()["reuse"]["taken_over"]
+                taken = self.project.record().head.reuse.taken_over
                 resumed = f"{taken} of {RUNS} taken over"
             self._compare(expected, last)
             twice = sum(Counter(seed for seed, _ in self.project.simulations()).values()) - RUNS
@@ -298,7 +296,7 @@ class Trial:
         record = self.project.record()
         if outcome(record) != expected:
             self.problems.append("other episodes or verdicts")
-        names = Counter(one["id"] for one in record["episodes"])
+        names = Counter(one.id for one in record.episodes())
         if sorted(names.values()) != [1] * len(expected["episodes"]):
             self.problems.append("an episode is lost or doubled")
         if code != (0 if expected["gate"] == "passed" else 1):

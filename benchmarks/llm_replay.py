@@ -11,7 +11,6 @@ tests and a built-in scenario, one run each, replayed as well before the file is
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
 import sqlite3
@@ -22,9 +21,10 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 from machine import machine, table
+
+from pytest_dura.evidence import SessionRecord, open_record
 
 SUPPORT = Path(__file__).parents[1] / "tests" / "support"
 SERVER = ("DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY", "DURA_LLM_ABOUT")
@@ -64,14 +64,13 @@ def session(folder: Path, mode: str, options: Sequence[str], environment: dict[s
     return seconds
 
 
-def evidence(folder: Path, mode: str) -> dict[str, Any]:
-    record: dict[str, Any] = json.loads((folder / mode / "evidence.json").read_text())
-    return record
+def evidence(folder: Path, mode: str) -> SessionRecord:
+    return open_record(folder / mode / "evidence.json")
 
 
 def digests(folder: Path, mode: str) -> dict[str, str]:
     """The digest of each episode."""
-    return {each["id"]: each["digest"] for each in evidence(folder, mode)["episodes"]}
+    return {each.id: each.digest for each in evidence(folder, mode).episodes()}
 
 
 def ship(folder: Path, environment: dict[str, str]) -> None:
@@ -123,12 +122,12 @@ def main() -> None:
         replay = session(folder, "replay", options, {})
         recorded, replayed = digests(folder, "record"), digests(folder, "replay")
         equal = sum(replayed.get(name) == digest for name, digest in recorded.items())
-        (model,) = evidence(folder, "record")["models"]
+        (model,) = evidence(folder, "record").head.models
         size = (folder / "dura-cassette.sqlite").stat().st_size
     print(f"{machine()}\n")
     print(
-        f"{len(recorded)} episodes, {equal} with equal digests; {model['asked']} requests asked, "
-        f"{model['reused']} answered from the cassette, which has {size / 1e6:.1f} MB\n"
+        f"{len(recorded)} episodes, {equal} with equal digests; {model.asked} requests asked, "
+        f"{model.reused} answered from the cassette, which has {size / 1e6:.1f} MB\n"
     )
     print(table(["session", "s"], [["recorded", f"{live:.0f}"], ["replayed", f"{replay:.0f}"]]))
     print(f"\nreplayed {live / replay:.1f} times as fast")

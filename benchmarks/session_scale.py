@@ -11,7 +11,6 @@ each counts.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from subprocess import DEVNULL, run
 
 from machine import machine, table
 
+from pytest_dura.evidence import open_record
 from pytest_dura.library import load_library
 
 COUNTED = "intersection/nominal"
@@ -47,10 +47,10 @@ def session(folder: Path, name: str, *arguments: str) -> tuple[float, int]:
     start = time.perf_counter()
     done = run([*command, *options, *arguments], cwd=folder, stdout=DEVNULL, check=False)
     seconds = time.perf_counter() - start
-    record = json.loads((evidence / "evidence.json").read_text())
-    if record["status"] != "complete" or done.returncode not in (0, 1):
+    record = open_record(evidence / "evidence.json")
+    if record.head.status != "complete" or done.returncode not in (0, 1):
         raise SystemExit(f"the session {name} did not come to its end: exit {done.returncode}")
-    return seconds, len(record["episodes"])
+    return seconds, record.head.totals.episodes
 
 
 def best(folder: Path, repeats: int, **sessions: tuple[str, ...]) -> dict[str, tuple[float, int]]:

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.bundle import RECORD_FILE, load_record
+from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import SpecEntry
+from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.schema import check_record
 from pytest_dura.evidence.verdict_model import BaselineEntry, VerdictEntry
 from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 from pytest_dura.requirements.comparison import (
@@ -466,10 +466,7 @@ class Baseline:
         file = relative_to / path
         if file.is_dir():
             file /= RECORD_FILE
-        data, digest = load_record(file, _BASELINE_OPTION)
-        for problem in check_record(data):
-            raise _damaged_baseline(file, problem)
-        record = SessionRecord.of(data, file.parent)
+        record = open_record(file, _BASELINE_OPTION, may_be_link=True)
         head = record.head
         # The files of the component are in the baseline's own record.
         component = head.component_under_test.to_json()
@@ -480,7 +477,7 @@ class Baseline:
             raise _damaged_baseline(file, f"{type(error).__name__}: {error}") from None
         baseline = cls(
             path=path,
-            sha256=digest,
+            sha256=str(file_entry(file)["sha256"]),
             created=head.created,
             status=head.status,
             base_seed=head.base_seed,

@@ -5,7 +5,6 @@ A reader never sees half a file, nor a killed session that reads as a pass.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -14,10 +13,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
 
+from pydantic import ValidationError
+
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.files import temporary_prefix
 from pytest_dura.core.registry import Registry
-from pytest_dura.evidence.entry import Entry, plain_data
+from pytest_dura.evidence.entry import Entry
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import SPOOL_PREFIX
 from pytest_dura.evidence.files import (
     LOCK_FILE,
@@ -31,8 +33,14 @@ from pytest_dura.evidence.files import (
     write_file,
 )
 from pytest_dura.evidence.gather import SCHEMA_VERSION
-from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.schema import SCHEMA_FILE, schema_text
+from pytest_dura.evidence.model import RecordHead, SessionRecord
+from pytest_dura.evidence.schema import (
+    SCHEMA_FILE,
+    Mismatch,
+    check_parts,
+    check_record,
+    schema_text,
+)
 from pytest_dura.evidence.traces import TRACE_FOLDER, is_trace_name
 
 
@@ -235,25 +243,64 @@ def _entries(directory: Path) -> Iterator[Path]:
                 yield entry
 
 
-def read_session_record(directory: Path) -> SessionRecord:
-    """Read the record of an evidence directory as a :class:`SessionRecord`.
+class DamagedRecordError(ConfigurationError):
+    """A record that does not agree with the models.
+
+    Args:
+        file: The file.
+        mismatches: Where, at least one.
+    """
+
+    def __init__(self, file: Path, mismatches: Sequence[Mismatch]) -> None:
+        self.mismatches = mismatches
+        first, more = mismatches[0], len(mismatches) - 1
+        super().__init__(
+            "this record is damaged" + (f" at this and {more} more places" if more else ""),
+            file=str(file),
+            key=first.pointer,
+            found=first.found,
+            expected=first.expected or "a record as pytest-dura wrote it",
+            remedy="restore the file, or run the session again",
+        )
+
+
+def open_record(
+    file: Path, key: str = "--dura-evidence", *, may_be_link: bool = False
+) -> SessionRecord:
+    """Open a record of this version, all of which is checked by the models.
 
     The episodes of a large one stay in its file; a smaller one is in memory as a whole.
 
+    Args:
+        file: The file.
+        key: The option that named it.
+        may_be_link: Whether it may be a symbolic link; in a bundle that would lead to what is no
+            part of it.
+
     Raises:
-        ConfigurationError: If there is none, or it cannot be read, or its file is a link, which
-            leads to what is no part of the directory.
+        DamagedRecordError: If it does not agree with the models.
+        ConfigurationError: If there is none, or it cannot be read.
     """
-    file = directory / RECORD_FILE
-    if file.is_symlink():
-        raise _unreadable_record("the record is a symbolic link", file, "--dura-evidence")
+    if file.is_symlink() and not may_be_link:
+        raise _unreadable_record("the record is a symbolic link", file, key)
     streamed = _streamed_record(file)
-    if streamed is not None:
-        return SessionRecord.of_head(streamed.head, directory, streamed.episodes)
-    record = read_record(directory)
-    if not isinstance(record.get("episodes"), list):
-        raise _unreadable_record("this record has no episodes", file, "--dura-evidence")
-    return SessionRecord.of(record, directory)
+    if streamed is None:
+        data = _read_record(file, key)
+        try:
+            return SessionRecord.of(data, file.parent)
+        except ValidationError:
+            raise DamagedRecordError(file, check_record(data)) from None
+
+    def episodes() -> Iterator[EpisodeEntry]:
+        return map(EpisodeEntry.model_validate, streamed.episodes())
+
+    try:
+        head = RecordHead.model_validate(streamed.head)
+        for _ in episodes():
+            pass
+    except ValidationError:
+        raise DamagedRecordError(file, check_parts(streamed.head, streamed.episodes())) from None
+    return SessionRecord(head, file.parent, episodes)
 
 
 def _streamed_record(file: Path) -> StreamedRecord | None:
@@ -268,28 +315,14 @@ def _streamed_record(file: Path) -> StreamedRecord | None:
     return record
 
 
-def read_record(directory: Path) -> dict[str, Any]:
-    """Read the record of an evidence directory as plain data.
-
-    Raises:
-        ConfigurationError: If there is none, or it cannot be read.
-    """
-    return load_record(directory / RECORD_FILE)[0]
-
-
-def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any], str]:
-    """Read the record in a file, and compute the SHA-256 of that file.
-
-    Args:
-        file: The file.
-        key: The option that named it.
+def _read_record(file: Path, key: str) -> dict[str, Any]:
+    """Read a record of this version as plain data, which is not checked yet.
 
     Raises:
         ConfigurationError: If there is none, or it cannot be read.
     """
     try:
-        data = file.read_bytes()
-        record = _strict_json(data)
+        record: dict[str, Any] = _strict_json(file.read_bytes())
         version = record["schema_version"]
     except FileNotFoundError:
         raise _unreadable_record("there is no evidence here", file, key) from None
@@ -305,7 +338,7 @@ def load_record(file: Path, key: str = "--dura-evidence") -> tuple[dict[str, Any
             expected=SCHEMA_VERSION,
             remedy="use the version that the record names under `tool`",
         )
-    return record, hashlib.sha256(data).hexdigest()
+    return record
 
 
 def _strict_json(data: bytes) -> Any:
@@ -336,10 +369,9 @@ def _unreadable_record(problem: str, file: Path, key: str) -> ConfigurationError
 
 def _record_text(record: SessionRecord) -> Iterator[str]:
     """Write the record as JSON, indented by one, with the episodes after the cases."""
-    head = plain_data(record.head)
+    head = record.head.to_json()
     names = list(head)
-    place = names.index("cases") + 1 if "cases" in names else len(names)
-    names.insert(place, _EPISODES_KEY)
+    names.insert(names.index("cases") + 1, _EPISODES_KEY)
     yield "{"
     for number, name in enumerate(names):
         yield ",\n " if number else "\n "
@@ -351,14 +383,13 @@ def _record_text(record: SessionRecord) -> Iterator[str]:
     yield "\n}\n"
 
 
-def _list_text(values: Iterable[Any]) -> Iterator[str]:
+def _list_text(entries: Iterable[Entry]) -> Iterator[str]:
     """Write a list within the outermost object."""
     number = -1
-    for number, value in enumerate(values):
+    for number, entry in enumerate(entries):
         yield ",\n  " if number else "[\n  "
         # In JSON a line break is never inside of a text.
-        plain = value.to_json() if isinstance(value, Entry) else value
-        yield _json_text(plain).replace("\n", "\n  ")
+        yield _json_text(entry.to_json()).replace("\n", "\n  ")
     yield "[]" if number < 0 else "\n ]"
 
 

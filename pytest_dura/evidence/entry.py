@@ -7,7 +7,7 @@ The models are the single description of ``evidence.json``: its JSON Schema and 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -42,60 +42,6 @@ class Entry(BaseModel):
         """Copy with other values, which are validated."""
         present = {name: self.__dict__[name] for name in self.model_fields_set & vars(self).keys()}
         return self.model_validate({**present, **(self.model_extra or {}), **changes})
-
-    if not TYPE_CHECKING:  # transitional: tests look keys up by string; mypy refuses it here
-
-        def __getitem__(self, key: str) -> Any:
-            """Value of a key that is there."""
-            if key in self.model_fields_set:
-                return self.__dict__[key] if key in self.__dict__ else (self.model_extra or {})[key]
-            raise KeyError(key)
-
-        def get(self, key: str, default: Any = None) -> Any:
-            """Value of a key, or the default."""
-            return self[key] if key in self.model_fields_set else default
-
-        def keys(self) -> list[str]:
-            """Keys that are there, in the order of the fields."""
-            names = [name for name in self.__dict__ if name in self.model_fields_set]
-            return [*names, *(self.model_extra or ())]
-
-        def __contains__(self, key: object) -> bool:
-            """Whether a key is there."""
-            return key in self.model_fields_set
-
-        def __iter__(self) -> Iterator[str]:
-            """Iterate over the keys."""
-            return iter(self.keys())
-
-        def __len__(self) -> int:
-            """Count the keys."""
-            return len(self.keys())
-
-        def __or__(self, changes: Mapping[str, Any]) -> JsonObject:
-            """Copy with changes, as a mapping."""
-            return {**self, **changes}
-
-        def __ror__(self, before: Mapping[str, Any]) -> JsonObject:
-            """Copy over a mapping."""
-            return {**before, **self}
-
-        def __eq__(self, other: object) -> bool:
-            """Compare with an entry or with plain data."""
-            return self.to_json() == (other.to_json() if isinstance(other, Entry) else other)
-
-        __hash__ = BaseModel.__hash__
-
-        def __getattr__(self, name: str) -> Any:
-            """Methods of a mapping, whose names are those of fields elsewhere."""
-            if name == "items":
-                return lambda: [(key, self[key]) for key in self.keys()]
-            if name == "values":
-                return lambda: [self[key] for key in self.keys()]
-            return super().__getattr__(name)
-
-
-Mapping.register(Entry)  # transitional
 
 
 class OpenEntry(Entry):

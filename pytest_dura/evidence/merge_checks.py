@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError, shorten
-from pytest_dura.evidence.bundle import RECORD_FILE, read_session_record
+from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.gather import question_key
@@ -95,7 +95,7 @@ def _read_part(directory: Path) -> ShardBundle:
             remedy=f"see `python -m pytest_dura verify {directory}`; copy it again, or run the "
             "shard again",
         )
-    record = read_session_record(directory)
+    record = open_record(directory / RECORD_FILE)
     if record.head.shard is None:
         merged = record.head.merged_from is not None
         raise ConfigurationError(

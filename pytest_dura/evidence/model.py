@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
-
-from pydantic import ValidationError
+from typing import Any, Literal
 
 from pytest_dura.evidence.case_model import CaseEntry, CoverageEntry, OverallEntry, RequirementEntry
-from pytest_dura.evidence.entry import Absent, Count, Entry, JsonObject, Positive, plain_data
+from pytest_dura.evidence.entry import Absent, Count, Entry, JsonObject, Positive
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import (
@@ -176,54 +174,29 @@ class SessionRecord:
     directory: Path
     read_episodes: Callable[[], Iterator[EpisodeEntry]]
 
-    def __post_init__(self) -> None:
-        # transitional: a head that is not whole yet, or not valid, stays a mapping.
-        if not isinstance(self.head, RecordHead):
-            object.__setattr__(self, "head", _typed(RecordHead, plain_data(self.head)))
-
-    if not TYPE_CHECKING:  # transitional: tests look keys up by string; mypy refuses it here
-
-        def __getitem__(self, key: str) -> Any:
-            """Value of a top-level key, ``episodes`` apart."""
-            return self.head[key]
-
     def episodes(self) -> Iterator[EpisodeEntry]:
         """Iterate over the episodes, in the order of the record."""
-        return (
-            episode if isinstance(episode, EpisodeEntry) else _typed(EpisodeEntry, episode)
-            for episode in self.read_episodes()
-        )  # transitional: an episode that is not valid stays a mapping
+        return self.read_episodes()
 
     def to_json(self) -> JsonObject:
         """Convert to plain data, with all episodes."""
-        episodes = [plain_data(episode) for episode in self.episodes()]
-        return {**plain_data(self.head), "episodes": episodes}
+        episodes = [episode.to_json() for episode in self.episodes()]
+        return {**self.head.to_json(), "episodes": episodes}
 
     @classmethod
     def of(cls, record: Mapping[str, Any], directory: Path) -> SessionRecord:
-        """Wrap a record that is in memory as a whole."""
-        head: Any = {key: value for key, value in record.items() if key != "episodes"}
-        episodes = [_typed(EpisodeEntry, episode) for episode in record["episodes"]]
-        return cls(head, directory, lambda: iter(episodes))
+        """Make a record of plain data that is in memory as a whole.
 
-    @classmethod
-    def of_head(
-        cls, head: Any, directory: Path, read_episodes: Callable[[], Iterator[Any]]
-    ) -> SessionRecord:
-        """Wrap a record whose episodes are read one at a time."""
-        return cls(head, directory, read_episodes)
+        Raises:
+            ValidationError: If it does not agree with the models.
+        """
+        head = {key: value for key, value in record.items() if key != "episodes"}
+        whole = WholeRecord.model_validate({**head, "episodes": record.get("episodes")})
+        return cls(RecordHead.model_validate(head), directory, whole.episodes.__iter__)
 
     def changed(self, **changes: Any) -> SessionRecord:
         """Copy with other values of top-level keys, as plain data or entries."""
-        head: Any = {**plain_data(self.head), **changes}
-        return replace(self, head=head)
-
-
-def _typed(model: type[Entry], data: Any) -> Any:  # transitional
-    try:
-        return model.model_validate(data)
-    except ValidationError:
-        return data
+        return replace(self, head=self.head.replace(**changes))
 
 
 def components_under_test(record: SessionRecord) -> list[ComponentUnderTest | ComponentEntry]:

@@ -17,15 +17,15 @@ from inspect import getsource
 from itertools import islice, pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
-from pytest_dura.evidence.entry import Entry, JsonObject, plain_data
+from pytest_dura.evidence.entry import Entry, JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.model import SessionRecord, WholeRecord
+from pytest_dura.evidence.model import WholeRecord
 
 SCHEMA_FILE = "evidence.schema.json"
 MAX_PROBLEMS = 20
@@ -63,46 +63,77 @@ def record_vocabulary() -> frozenset[str]:
     return frozenset(names)
 
 
-def check_record(record: SessionRecord | Mapping[str, Any]) -> list[str]:
-    """List what is wrong with a record, each place with its JSON pointer.
+class Mismatch(NamedTuple):
+    """Place at which a record does not agree with its models.
 
-    The episodes are checked one at a time. At most :data:`MAX_PROBLEMS` are listed.
+    Args:
+        pointer: JSON pointer of the place.
+        found: What is there, or what is wrong with it.
+        expected: What would have been accepted; empty if ``found`` says it.
     """
-    if not isinstance(record, (SessionRecord, Mapping)):
-        return [f"/: found {_kind(record)}, expected object"]
-    listed: Any = record.episodes() if isinstance(record, SessionRecord) else record.get("episodes")
-    head = dict(plain_data(record.head) if isinstance(record, SessionRecord) else record)
-    if isinstance(record, SessionRecord) or isinstance(listed, list):
-        head["episodes"] = []
-    else:
-        listed = ()
-    return list(islice(_record_problems(head, listed), MAX_PROBLEMS))
+
+    pointer: str
+    found: str
+    expected: str = ""
+
+    def __str__(self) -> str:
+        """Describe it on one line."""
+        what = f"found {self.found}, expected {self.expected}" if self.expected else self.found
+        return f"{self.pointer}: {what}"
 
 
-def _record_problems(head: JsonObject, episodes: Iterable[Any]) -> Iterator[str]:
-    yield from _problems(WholeRecord, head, record_schema(), "")
+def check_record(record: Any) -> list[Mismatch]:
+    """List what is wrong with plain data that is to be a record; empty for a record.
+
+    At most :data:`MAX_PROBLEMS` are listed.
+    """
+    if not isinstance(record, Mapping):
+        return [Mismatch("/", _kind(record), "object")]
+    episodes = record.get("episodes")
+    if not isinstance(episodes, list):
+        return list(islice(_mismatches(WholeRecord, record, record_schema(), ""), MAX_PROBLEMS))
+    head = {key: value for key, value in record.items() if key != "episodes"}
+    return check_parts(head, episodes)
+
+
+def check_parts(head: Mapping[str, Any], episodes: Iterable[Any]) -> list[Mismatch]:
+    """List what is wrong with a record whose episodes are read one at a time.
+
+    Args:
+        head: Every top-level key but ``episodes``.
+        episodes: The episodes, as plain data.
+    """
+    return list(islice(_mismatches_of_parts(head, episodes), MAX_PROBLEMS))
+
+
+def _mismatches_of_parts(head: Mapping[str, Any], episodes: Iterable[Any]) -> Iterator[Mismatch]:
+    yield from _mismatches(WholeRecord, {**head, "episodes": []}, record_schema(), "")
     schema = record_schema()["$defs"]["episode"]
     for number, episode in enumerate(episodes):
-        yield from _problems(EpisodeEntry, episode, schema, f"/episodes/{number}")
+        yield from _mismatches(EpisodeEntry, episode, schema, f"/episodes/{number}")
 
 
 _WRONG_KEYS = {"missing": "missing key", "extra_forbidden": "unknown key"}
 
 
-def _problems(model: type[Entry], data: Any, schema: JsonObject, prefix: str) -> Iterable[str]:
+def _mismatches(
+    model: type[Entry], data: Any, schema: JsonObject, prefix: str
+) -> Iterable[Mismatch]:
     try:
         model.model_validate(data)
     except ValidationError as error:
-        problems: dict[str, list[str]] = {}
+        problems: dict[Mismatch, list[str]] = {}
         for entry in error.errors(include_url=False, include_context=False, include_input=False):
             wrong_key = _WRONG_KEYS.get(entry["type"])
             location = entry["loc"][:-1] if wrong_key else entry["loc"]
             path, node, value = _place(location, schema, data)
-            pointer = prefix + _pointer(path) or "/"
-            why = wrong_key or _why(node, value) or entry["msg"]
-            keys = problems.setdefault(f"{pointer}: {why}", [])
+            what = (wrong_key,) if wrong_key else _why(node, value) or (entry["msg"],)
+            keys = problems.setdefault(Mismatch(prefix + _pointer(path) or "/", *what), [])
             keys += [str(entry["loc"][-1])] if wrong_key else []
-        return [f"{text} {_key_list(keys)}".rstrip() for text, keys in problems.items()]
+        return [
+            mismatch._replace(found=f"{mismatch.found} {_key_list(keys)}".rstrip())
+            for mismatch, keys in problems.items()
+        ]
     return ()
 
 
@@ -149,16 +180,16 @@ _LIMITS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
 }
 
 
-def _why(node: JsonObject, value: Any) -> str:
-    """Describe what the schema expects instead of a value; empty if it accepts the value."""
+def _why(node: JsonObject, value: Any) -> tuple[str, str] | None:
+    """Describe a value and what the schema expects instead; ``None`` if it accepts the value."""
     types = _listed(node.get("type", []))
     if types and not any(_is_of(value, name) for name in types):
-        return f"found {_kind(value)}, expected {' or '.join(dict.fromkeys(types))}"
+        return _kind(value), " or ".join(dict.fromkeys(types))
     for keyword, (words, accepts) in _LIMITS.items():
         if keyword in node and value is not None and not accepts(value, node[keyword]):
             expected = " or ".join(map(_shown, _listed(node[keyword])))
-            return f"found {_shown(value)}, expected {words}{expected}"
-    return ""
+            return _shown(value), f"{words}{expected}"
+    return None
 
 
 def _listed(value: Any) -> list[Any]:

@@ -31,7 +31,8 @@ from pytest_dura.core.simulator import SIMULATORS
 from pytest_dura.evidence.bundle import (
     FORMATS,
     RECORD_FILE,
-    read_session_record,
+    DamagedRecordError,
+    open_record,
     rendered_files,
 )
 from pytest_dura.evidence.case_model import RequirementEntry
@@ -44,7 +45,6 @@ from pytest_dura.evidence.gate import judge_again
 from pytest_dura.evidence.junit import junit_problems
 from pytest_dura.evidence.mcap import read_trace
 from pytest_dura.evidence.model import SessionRecord, Totals
-from pytest_dura.evidence.schema import check_record
 from pytest_dura.evidence.traces import Trace, trace_path
 from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
 from pytest_dura.evidence.verify_record import differences, record_problems
@@ -411,7 +411,11 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
         )
     verification = Verification([], len(names))
     try:
-        record = read_session_record(directory)
+        record = open_record(directory / RECORD_FILE)
+    except DamagedRecordError as error:
+        verification.problems += [f"{RECORD_FILE}: schema: {each}" for each in error.mismatches]
+        verification.problems += hash_problems(directory, _resume_files(names))
+        return verification  # what follows needs the shape of the schema
     except ConfigurationError as error:
         verification.problems += [*manifest_problems(directory), f"{RECORD_FILE}: {error}"]
         return verification
@@ -429,13 +433,8 @@ def _check_sentences(
     verification: Verification, record: SessionRecord, names: Iterable[str]
 ) -> None:
     problems = verification.problems
-    mismatches = check_record(record)
-    resumable = bool(mismatches) or record.head.gate.result != "passed"
-    kept = [name for name in names if resumable and _RESUME_FILE.fullmatch(name)]
-    problems += [f"{RECORD_FILE}: schema: {text}" for text in mismatches]
+    kept = () if record.head.gate.result == "passed" else _resume_files(names)
     problems += hash_problems(record.directory, kept)
-    if mismatches:
-        return  # what follows needs the shape of the schema
     problems += _extra_files(record)
     verification.totals = record.head.totals
     problems += record_problems(record)
@@ -444,6 +443,11 @@ def _check_sentences(
     verification.not_rendered = _other_version(record)
     if verification.not_rendered is None:
         problems += rendering_problems(record)
+
+
+def _resume_files(names: Iterable[str]) -> list[str]:
+    """Select the files from which a session that failed can be resumed."""
+    return [name for name in names if _RESUME_FILE.fullmatch(name)]
 
 
 def _extra_files(record: SessionRecord) -> Iterator[str]:

@@ -246,9 +246,9 @@ def _recorded_episodes(
         ConfigurationError: For an unknown episode, a damaged record, and an episode that cannot be
             built again.
     """
-    from pytest_dura.evidence.bundle import read_session_record
+    from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 
-    record = read_session_record(options.evidence)
+    record = open_record(options.evidence / RECORD_FILE)
     _check_whole(options.evidence, option)
     with _damage_as_error(options, name, option):
         return record, [

@@ -13,6 +13,7 @@ import pytest
 from forked_workers import AVAILABLE, ForkedWorkers, import_all
 
 from pytest_dura.evidence import all_formats
+from pytest_dura.evidence.model import WholeRecord
 from pytest_dura.library import builtin_paths, read_yaml
 
 # In-process runs forget what they imported: what is ours would be compiled anew for each of them,
@@ -37,20 +38,22 @@ class Outcome:
     path: Path
 
     def evidence(self, folder="dura-evidence"):
-        return json.loads((self.path / folder / "evidence.json").read_text())
+        """The record, read and checked by the models alone."""
+        text = (self.path / folder / "evidence.json").read_text()
+        return WholeRecord.model_validate(json.loads(text))
 
     def verdict(self, requirement, case="corridor/it"):
         (verdict,) = [
             verdict
-            for verdict in self.evidence()["verdicts"]
-            if (verdict["requirement"], verdict["case"]) == (requirement, case)
+            for verdict in self.evidence().verdicts
+            if (verdict.requirement, verdict.case) == (requirement, case)
         ]
         return verdict
 
     def verdicts(self):
         return {
-            (verdict["case"], verdict["requirement"]): verdict["verdict"]
-            for verdict in self.evidence()["verdicts"]
+            (verdict.case, verdict.requirement): verdict.verdict
+            for verdict in self.evidence().verdicts
         }
 
 

@@ -163,7 +163,7 @@ def test_labels_link_and_parameters(allure, project):
         "confidence": "0.95",
         "base seed": "3",
     }
-    assert float(told["bound"]) == project.verdict("GAP-1", "corridor/tight")["bound"]["upper"]
+    assert float(told["bound"]) == project.verdict("GAP-1", "corridor/tight").bound.upper
     assert all(one.excluded for one in result.parameters)
 
 
@@ -175,7 +175,7 @@ def test_attachments_are_what_they_are_said_to_be(reference):
     result = found.found["corridor.tight#GAP-1"]
     verdict = json.loads(found.bodies(result)["verdict GAP-1"])
     told = session.verdict("GAP-1", "corridor/tight")
-    assert verdict == {key: told[key] for key in verdict}
+    assert verdict == told.to_json(include=set(verdict))
     assert verdict["counterexamples"][0]["episode"] == "corridor/tight#0"
     (worst,) = result.steps
     types = {one.name: one.type for one in worst.attachments}
@@ -233,8 +233,8 @@ def test_reports_do_not_change_the_evidence(project, reference):
     def kept(session):
         record = session.evidence()
         names = ("id", "planned", "digest", "trace")
-        episodes = [[one[name] for name in names] for one in record["episodes"]]
-        return episodes, record["verdicts"]
+        episodes = [[getattr(one, name) for name in names] for one in record.episodes]
+        return episodes, record.verdicts
 
     project.run(*SCENARIOS, RECKLESS)
     assert kept(reference("plain")) == kept(project)

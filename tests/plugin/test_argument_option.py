@@ -30,9 +30,9 @@ def test_the_users_goal_stands_on_top_and_its_file_is_an_input(project, workers)
     assert case["S1"]["supportedBy"]
     assert "may be let loose" in (project.path / "dura-evidence/assurance-case.svg").read_text()
     digest = hashlib.sha256(ARGUMENT.encode()).hexdigest()
-    (told,) = [one for one in project.evidence()["inputs"] if one["kind"] == "argument"]
-    assert (told["path"], told["sha256"]) == ("safety/argument.yaml", digest)
-    assert project.evidence()["argument"]["path"] == "safety/argument.yaml"
+    (told,) = [one for one in project.evidence().inputs if one.kind == "argument"]
+    assert (told.path, told.sha256) == ("safety/argument.yaml", digest)
+    assert project.evidence().argument.path == "safety/argument.yaml"
 
 
 def test_an_argument_over_shards_stands_on_top_of_the_merged_whole_alone(project):
@@ -83,7 +83,7 @@ def test_an_argument_that_turns_out_not_to_fit_fails_the_gate_in_one_line(projec
     project.write("argument.yaml", ARGUMENT.replace("requirement:GAP-1", "verdict:GAP-1@nowhere"))
     result = project.run("corridor/tight", "--dura-argument=argument.yaml")
     assert result.ret == 1
-    (told,) = [one for one in project.evidence()["gate"]["reasons"] if "gsn.yaml could" in one]
+    (told,) = [one for one in project.evidence().gate.reasons if "gsn.yaml could" in one]
     assert "argument.yaml:7: this element does not exist; key: S1.supportedBy; found:" in told
     assert "\n" not in told
     assert ".py" not in told

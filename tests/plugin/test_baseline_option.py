@@ -60,22 +60,22 @@ def test_a_rate_that_got_worse_fails_the_gate_or_is_told(rates, choice, code):
     result.assert_outcomes(passed=1)
     assert result.ret == code
     evidence = rates.evidence()
-    (verdict,), baseline = evidence["verdicts"], evidence["baseline"]
-    assert 5 < verdict["violations"] < 15
-    (found,) = baseline["comparisons"]
-    assert (found["word"], found["test"]) == ("worse", "McNemar")
-    assert (found["component"], found["baseline_component"]) == ("Hasty", "Careful")
-    assert found["only_now"] == found["violations"] == verdict["violations"]
-    assert found["p_worse"] == mcnemar_one_sided(verdict["violations"], 0)
+    (verdict,), baseline = evidence.verdicts, evidence.baseline
+    assert 5 < verdict.violations < 15
+    (found,) = baseline.comparisons
+    assert (found.word, found.test) == ("worse", "McNemar")
+    assert (found.component, found.baseline_component) == ("Hasty", "Careful")
+    assert found.only_now == found.violations == verdict.violations
+    assert found.p_worse == mcnemar_one_sided(verdict.violations, 0)
     file = rates.path / "old/evidence.json"
-    assert baseline["path"] == "old/evidence.json"
-    assert baseline["sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
-    assert baseline["component"]["name"] == "Careful"
-    assert baseline["created"] == json.loads(file.read_text())["created"]
-    n, p = verdict["violations"], f"{found['p_worse']:.2g}"
+    assert baseline.path == "old/evidence.json"
+    assert baseline.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+    assert baseline.component["name"] == "Careful"
+    assert baseline.created == json.loads(file.read_text())["created"]
+    n, p = verdict.violations, f"{found.p_worse:.2g}"
     result.stdout.fnmatch_lines(
         [
-            f"dura: compared with the baseline old/evidence.json (Careful, {baseline['created']})",
+            f"dura: compared with the baseline old/evidence.json (Careful, {baseline.created})",
             "baseline old/evidence.json: 1 comparison, 1 worse, 0 better",
             f"worse  {n}/20*0/20*{p}*{p}*McNemar*OWN-1 on corridor/free",
         ]
@@ -96,8 +96,8 @@ def test_the_last_session_can_be_the_baseline_that_this_one_replaces(rates, dist
     shutil.move(rates.path / "old", rates.path / "dura-evidence")
     result = rates.run("--dura-baseline=dura-evidence", OLD, *distributed)
     assert result.ret == 0
-    (found,) = rates.evidence()["baseline"]["comparisons"]
-    assert (found["word"], found["p_worse"], found["p_better"]) == (
+    (found,) = rates.evidence().baseline.comparisons
+    assert (found.word, found.p_worse, found.p_better) == (
         "no evidence of a change", 1.0, 1.0,
     )  # fmt: skip
     told = "no evidence of a change, violated in 0/20 now, 0/20 then: OWN-1 on corridor/free"
@@ -106,8 +106,8 @@ def test_the_last_session_can_be_the_baseline_that_this_one_replaces(rates, dist
 
 def test_another_base_seed_is_another_sample(rates):
     rates.run("--dura-baseline=old", "--dura-seed=7", NEW)
-    (found,) = rates.evidence()["baseline"]["comparisons"]
-    assert (found["word"], found["test"]) == ("worse", "Fisher")
+    (found,) = rates.evidence().baseline.comparisons
+    assert (found.word, found.test) == ("worse", "Fisher")
 
 
 def test_what_cannot_be_compared_is_listed(project):
@@ -150,7 +150,7 @@ def test_nor_does_one_that_ran_no_episode(project):
 
 def test_without_a_baseline_there_is_none_in_the_record(project):
     result = project.run("corridor/tight")
-    assert project.evidence()["baseline"] is None
+    assert project.evidence().baseline is None
     assert not any(line.startswith("baseline") for line in result.outlines)
 
 
@@ -169,7 +169,7 @@ UNUSABLE = {
     "foreign": ("[]", ["*this is no evidence record (TypeError)"]),
     "version": ({"schema_version": "0"}, ["*another version*", "*found:    '0'", "*expected: 3"]),
     "running": ({"status": "running"}, ["*was killed, or is still running", "*'running'"]),
-    "damaged": ({"verdicts": [{}]}, ["*the baseline is damaged", "*missing key*", "*remedy:*"]),
+    "damaged": ({"verdicts": [{}]}, ["*this record is damaged*", "*missing key*", "*remedy:*"]),
 }  # fmt: skip
 
 

@@ -61,10 +61,10 @@ def test_the_page_s_search_finds_what_the_page_shows(tank) -> None:
 def test_a_campaign_supports_what_random_inputs_do_not_violate(tank) -> None:
     result = tank.scenarios(select="tank/*")
     assert result.ret == 0, output(result)
-    assert tank.verdict("TANK-1", "tank/filling")["verdict"] == "supported"
+    assert tank.verdict("TANK-1", "tank/filling").verdict == "supported"
     record = tank.evidence()
-    assert record["component_under_test"]["name"] == "TANK"
-    assert len({episode["digest"] for episode in record["episodes"]}) == 20
+    assert record.component_under_test.name == "TANK"
+    assert len({episode.digest for episode in record.episodes}) == 20
     assert verify_bundle(tank.path / "dura-evidence").problems == []
 
 
@@ -72,7 +72,7 @@ def test_an_episode_is_replayed_from_the_record(tank) -> None:
     tank.scenarios(select="tank/*")
     result = tank.run("--dura-replay=tank/filling#3")
     assert result.ret == 0, output(result)
-    digest = next(e["digest"] for e in tank.evidence()["episodes"] if e["id"].endswith("#3"))
+    digest = next(e.digest for e in tank.evidence().episodes if e.id.endswith("#3"))
     assert output(result).count(digest) == 2
 
 
@@ -108,7 +108,7 @@ def test_a_run_that_fails_is_missing_with_its_reason(tank, change, reason) -> No
     assert result.ret == 1
     text = re.sub(r"\s+", " ", output(result))
     assert reason in text
-    assert tank.verdict("TANK-1", "tank/filling")["verdict"] == "undecided"
+    assert tank.verdict("TANK-1", "tank/filling").verdict == "undecided"
 
 
 def drifting(arguments=""):

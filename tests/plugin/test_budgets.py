@@ -20,10 +20,10 @@ def write(project, runs=BUDGET, *, method="default", world="{wall: 4.0}", **keys
 
 def saved(project, result, verdict):
     """How many runs were saved: the same number in the evidence and in the terminal."""
-    count = verdict["saved"]
-    assert count == verdict["planned"] - verdict["run"]
+    count = verdict.saved
+    assert count == verdict.planned - verdict.run
     assert f", {count} of 40 runs saved" in result.stdout.str()
-    assert len(project.evidence()["episodes"]) == verdict["run"]
+    assert len(project.evidence().episodes) == verdict.run
     return count
 
 
@@ -32,10 +32,10 @@ def test_a_hopeless_component_is_rejected_after_few_runs(project, method):
     write(project, method=method, generator="Reckless")
     result = project.run("corridor/it")
     found = expect(project, result, "violated", "0.95 confidence rejects a rate of at most 0.3")
-    assert found["violations"] == found["run"] == found["episodes"]
-    assert found["run"] <= 5
+    assert found.violations == found.run == found.episodes
+    assert found.run <= 5
     assert saved(project, result, found) >= 35
-    assert found["method"] == ("sprt" if method == "sprt" else "e-process")
+    assert found.method == ("sprt" if method == "sprt" else "e-process")
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -43,11 +43,11 @@ def test_a_perfect_component_is_accepted_early(project, method):
     write(project, method=method)
     result = project.run("corridor/it")
     found = expect(project, result, "supported", "supports a rate of at most 0.3")
-    assert found["violations"] == 0
+    assert found.violations == 0
     # No method may accept 0 of n while n such runs are likely at the limit.
-    assert 0.7 ** found["run"] <= 0.05
+    assert 0.7**found.run <= 0.05
     assert saved(project, result, found) > 0
-    assert found["bound"]["upper"] <= 0.3
+    assert found.bound.upper <= 0.3
 
 
 def test_a_budget_that_is_used_up_is_undecided(project):
@@ -55,7 +55,7 @@ def test_a_budget_that_is_used_up_is_undecided(project):
     write(project, runs, world="{wall: 4.0}")
     result = project.run("corridor/it")
     found = expect(project, result, "undecided", "has not decided on at most 0.3 within 6 runs")
-    assert (found["planned"], found["run"], found["saved"]) == (6, 6, 0)
+    assert (found.planned, found.run, found.saved) == (6, 6, 0)
     assert "saved" not in result.stdout.str().partition("= dura =")[2]
 
 
@@ -63,7 +63,7 @@ def test_a_component_that_fails_too_often_but_not_always_is_rejected(project):
     variation = "{world.wall: {choice: [1.0, 90.0]}}"
     write(project, world="{wall: 90.0}", variation=variation, generator="Reckless")
     found = expect(project, project.run("corridor/it"), "violated")
-    assert 0 < found["violations"] < found["episodes"] < 40
+    assert 0 < found.violations < found.episodes < 40
 
 
 def test_a_fixed_number_of_runs_ends_where_the_rest_cannot_change_it(project):
@@ -72,7 +72,7 @@ def test_a_fixed_number_of_runs_ends_where_the_rest_cannot_change_it(project):
     scenario(project, runs=BUDGET, generator="Reckless", world="{wall: 1.0}", requirements="[R-1]")
     result = project.run("corridor/it")
     found = expect(project, result, "violated", "at 0.95 confidence the rate is above 0.31")
-    assert (found["run"], saved(project, result, found)) == (18, 22)
+    assert (found.run, saved(project, result, found)) == (18, 22)
 
 
 def test_without_a_rate_runs_end_at_the_first_violation(project):
@@ -87,7 +87,7 @@ def test_a_missing_episode_ends_the_runs_and_is_undecided(project):
     write(project, world="{breaks_at: 2}")
     result = project.run("corridor/it")
     found = expect(project, result, "undecided", "1 of 1 episodes are missing (infrastructure)")
-    assert (found["run"], found["saved"]) == (1, 0)
+    assert (found.run, found.saved) == (1, 0)
 
 
 TEST = """
@@ -115,7 +115,7 @@ def test_a_marker_may_set_the_budget_and_a_test_the_method(project, runs, rate, 
         scenario(project, world="{wall: 4.0}", generator=generator)
         result = project.run("test_it.py")
         found = expect(project, result, word, requirement="always (gap > 0)")
-        assert (found["planned"], found["method"]) == (40, method)
+        assert (found.planned, found.method) == (40, method)
         assert saved(project, result, found) > 0
 
 
@@ -163,4 +163,4 @@ def test_a_rate_that_makes_no_sense_shows_the_users_line_and_runs_nothing(projec
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(told)
     assert "pytest_dura/" not in result.stdout.str()
-    assert project.evidence()["episodes"] == []
+    assert project.evidence().episodes == []

@@ -63,7 +63,7 @@ def test_a_check_that_returns_a_number_of_things_decides_nothing(project):
     scenario(project, requirements="[R-1]")
     result = project.scenarios("--dura-generator=corridor:Careful")
     assert result.ret == 1
-    assert project.verdict("R-1")["verdict"] == "undecided"
+    assert project.verdict("R-1").verdict == "undecided"
     assert "returned the int 0, not a truth value" in output(result)
     assert "compare it, as in `count == 0`" in output(result)
 
@@ -85,8 +85,8 @@ def test_a_verdict_by_assertion_says_so_and_what_the_test_looked_at(project, mod
     result = project.run("test_it.py", *mode)
     assert result.ret == 0
     found = project.verdict("OWN-1", "corridor/free")
-    assert (found["verdict"], found["check"]) == ("supported", "")
-    assert found["assertion"] == {
+    assert (found.verdict, found.check) == ("supported", "")
+    assert found.assertion.to_json() == {
         "alone": True, "by_check": 0, "observed": ["collided", "signals.gap"], "false": [],
         "failed": [],
     }  # fmt: skip
@@ -100,8 +100,8 @@ def test_a_verdict_by_the_own_check_of_a_requirement_says_nothing_of_assertions(
     project.write("test_it.py", a_test(["pass"], marks=["requirement('GAP-1')"]))
     result = project.run("test_it.py")
     assert result.ret == 0
-    found = project.verdict("GAP-1", "corridor/free")["assertion"]
-    assert (found["alone"], found["observed"]) == (False, [])
+    found = project.verdict("GAP-1", "corridor/free").assertion
+    assert (found.alone, found.observed) == (False, [])
     assert "by assertion" not in output(result)
 
 
@@ -113,7 +113,7 @@ def test_a_test_that_looks_at_nothing_supports_nothing(project, body):
     project.write("test_it.py", a_test([body], marks=[OWN]))
     result = project.run("test_it.py")
     assert result.ret == 1
-    assert project.verdict("OWN-1", "corridor/free")["verdict"] == "undecided"
+    assert project.verdict("OWN-1", "corridor/free").verdict == "undecided"
     assert "invalid: the test looked at nothing of corridor/free#0" in output(result)
     relaxed = project.run("test_it.py", "--dura-undecided=warn")
     relaxed.assert_outcomes(skipped=2)
@@ -128,8 +128,8 @@ def test_a_formula_that_is_false_in_a_passing_test_is_shown(project):
     project.write("test_it.py", a_test(body, marks=[OWN]))
     result = project.run("test_it.py")
     assert result.ret == 0
-    found = project.verdict("OWN-1", "corridor/free")["assertion"]
-    assert found["false"] == [
+    found = project.verdict("OWN-1", "corridor/free").assertion
+    assert [false.to_json() for false in found.false] == [
         {"check": "always (gap > 50)", "episodes": 2},
         {"check": "eventually (x > 99)", "episodes": 2},
     ]
@@ -150,9 +150,9 @@ def test_what_failed_is_shown_and_not_a_check_that_held(project, option):
     assert told[2].endswith("< 0.5 (test_it.py:6), in corridor/free#0")
     assert not [line for line in told if line.startswith("  check:")]
     found = project.verdict("GAP-1", "corridor/free")
-    assert found["assertion"]["by_check"] == 0
-    assert [one["episode"][-2:] for one in found["assertion"]["failed"]] == ["#0", "#1"]
-    assert "(test_it.py:6)" in found["assertion"]["failed"][0]["message"]
+    assert found.assertion.by_check == 0
+    assert [one.episode[-2:] for one in found.assertion.failed] == ["#0", "#1"]
+    assert "(test_it.py:6)" in found.assertion.failed[0].message
     for page in rendered(project):
         assert "failed: too far; assert" in page
     assert "0.5 (test_it.py:6)" in (project.path / "junit.xml").read_text()
@@ -164,7 +164,7 @@ def test_a_check_that_is_violated_is_shown_beside_a_failed_assertion(project):
     told = output(result).partition("violated: GAP-1 on corridor/free")[2]
     assert "  failed: too far; assert " in told
     assert "  check:  always (gap > 0)" in told
-    assert project.verdict("GAP-1", "corridor/free")["assertion"]["by_check"] == 2
+    assert project.verdict("GAP-1", "corridor/free").assertion.by_check == 2
 
 
 CRASH = """
@@ -293,9 +293,9 @@ def test_what_is_left_out_of_the_plan_stands_beside_the_gate(project, arguments,
     result = project.run("test_it.py", *arguments)
     told = "passed, 1 of 2 planned verdicts asked for"
     assert f"gate: {told}, 1 supported" in output(result)
-    found = project.evidence()["selection"]
-    assert (found["planned"], found["asked"]) == (2, 1)
-    assert found["left_out"] == ["test_it.py::test_rate on corridor/free"]
+    found = project.evidence().selection
+    assert (found.planned, found.asked) == (2, 1)
+    assert found.left_out == ["test_it.py::test_rate on corridor/free"]
     summary, report = rendered(project)
     assert summary.startswith(f"# Gate {told}\n")
     assert "Left out: test" in summary
@@ -313,7 +313,7 @@ def test_fewer_runs_than_planned_stand_beside_the_gate(project):
 def test_scenario_items_that_are_left_out_count_too(project):
     result = project.scenarios("-k", "GAP")
     assert "gate: passed, 2 of 3 planned verdicts asked for, 2 supported" in output(result)
-    assert project.evidence()["selection"]["left_out"] == ["corridor/free::GO-1"]
+    assert project.evidence().selection.left_out == ["corridor/free::GO-1"]
 
 
 @pytest.mark.parametrize("body", ["return None", "pass"])
@@ -326,6 +326,6 @@ def test_a_role_that_is_switched_off_is_shown_as_off(project, body):
     assert "dura: safety_monitor is OFF: the fixture in conftest.py" in output(result)
     told = "safety_monitor is OFF in 2 of 2 cases"
     assert f"\n{told}\n" in output(result)
-    assert [one["off"] for one in project.evidence()["cases"]] == [["safety_monitor"]] * 2
+    assert [one.off for one in project.evidence().cases] == [["safety_monitor"]] * 2
     assert told.replace("_", "\\_") in rendered(project)[0]
     assert told in rendered(project)[1]

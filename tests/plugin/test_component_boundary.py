@@ -183,10 +183,10 @@ def slug(text):
 def events(project):
     """What the record says of each component: tick and detail of its first failure."""
     found = {}
-    for episode in project.evidence()["episodes"]:
-        for event in episode["events"]:
-            if event["kind"] == "component_failure":
-                found.setdefault(episode["case"], []).append((event["tick"], event["detail"]))
+    for episode in project.evidence().episodes:
+        for event in episode.events:
+            if event.kind == "component_failure":
+                found.setdefault(episode.case, []).append((event.tick, event.detail))
     return found
 
 
@@ -252,10 +252,10 @@ def test_whatever_a_component_does_is_judged_and_its_episode_goes_on(project, de
         assert tick == 2
         assert text.startswith(detail)
     record = project.evidence()
-    assert {episode["validity"] for episode in record["episodes"]} == {"valid"}
-    assert {verdict["verdict"] for verdict in record["verdicts"]} == {"supported"}
-    assert [one for one in record["verdicts"] if one["waiver"] is not None] == []
-    assert (result.ret, record["status"]) == (0, "complete")
+    assert {episode.validity for episode in record.episodes} == {"valid"}
+    assert {verdict.verdict for verdict in record.verdicts} == {"supported"}
+    assert [one for one in record.verdicts if one.waiver is not None] == []
+    assert (result.ret, record.status) == (0, "complete")
 
 
 def test_a_component_cannot_hide_that_it_tried_to_end_the_process(project):
@@ -295,13 +295,13 @@ def test_roles_and_simulators_make_an_episode_missing(project, deed, mode):
     quiet(result)
     result.assert_outcomes(failed=4, passed=1)
     record = project.evidence()
-    failures = {episode["case"]: episode["failure"] for episode in record["episodes"]}
+    failures = {episode.case: episode.failure for episode in record.episodes}
     assert failures.pop("corridor/r-e") is None
     for case, failure in failures.items():
         who = "safety_monitor at tick 2" if case.endswith("a") else "simulator at tick "
         assert failure.startswith(f"infrastructure: {who}")
         assert RAISES[deed].removeprefix("raised ") in failure
-    assert {one["verdict"] for one in record["verdicts"]} == {"undecided", "supported"}
+    assert {one.verdict for one in record.verdicts} == {"undecided", "supported"}
     assert result.ret == 1
 
 
@@ -355,7 +355,7 @@ def test_a_copy_that_comes_back_to_pytest_writes_no_evidence(project):
     assert project.run("test_it.py").ret == 0
     child = int((project.path / "child").read_text())
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 70
-    assert len(project.evidence()["episodes"]) == 1
+    assert len(project.evidence().episodes) == 1
 
 
 @pytest.mark.parametrize("mode", [["-n", "2"], [PROCESSES]], ids=["n2", "processes"])
@@ -369,14 +369,14 @@ def test_a_worker_that_ends_itself_in_c_is_lost_and_no_success(project, mode):
     words = project.verdicts()
     assert words["corridor/d-dies", "GAP-1"] == "undecided"
     assert words["corridor/d-well", "GAP-1"] == "supported"
-    assert project.evidence()["gate"]["result"] == "failed"
+    assert project.evidence().gate.result == "failed"
 
 
 def test_an_exit_in_c_leaves_a_session_that_says_so(project):
     project.write("hostile.py", PARTS)
     scenario(project, generator=path("Component", "C"), runs=1, requirements="[GAP-1]")
     project.pytester.runpytest_subprocess("corridor/it")
-    assert project.evidence()["status"] == "running"
+    assert project.evidence().status == "running"
     assert main(["verify", str(project.path / "dura-evidence")]) != 0
 
 
@@ -402,7 +402,7 @@ def test_what_a_component_leaves_behind_ends_no_session_with_a_success(project, 
     scenario(project, generator=f"later:{name}", runs=1, requirements="[GAP-1]")
     result = project.pytester.runpytest_subprocess("corridor/it")
     assert result.ret != 0
-    assert project.evidence()["gate"]["result"] != "passed"
+    assert project.evidence().gate.result != "passed"
 
 
 def test_the_process_is_as_it_was_after_a_session(project):

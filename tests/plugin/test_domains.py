@@ -40,15 +40,15 @@ def car(project):
 def test_a_fault_that_only_the_monitor_reads_gives_valid_runs_and_names_it(car):
     result = car.run("car/blinded")
     verdict = car.verdict("SPEED-1", "car/blinded")
-    assert (verdict["verdict"], verdict["episodes"], verdict["invalid"]) == ("supported", 2, 0)
+    assert (verdict.verdict, verdict.episodes, verdict.invalid) == ("supported", 2, 0)
     record = car.evidence()
-    for episode in record["episodes"]:
-        (fault,) = episode["faults"]
-        assert episode["validity"] == "valid"
-        assert fault["read_by"] == ["safety_monitor"]
-        assert fault["manifested_at"] == 0.5
-    (chain,) = record["cases"][0]["metrics"]["faults"]
-    assert (chain["manifested"], chain["read_by"]) == (2, ["safety_monitor"])
+    for episode in record.episodes:
+        (fault,) = episode.faults
+        assert episode.validity == "valid"
+        assert fault.read_by == ["safety_monitor"]
+        assert fault.manifested_at == 0.5
+    (chain,) = record.cases[0].metrics.faults
+    assert (chain.manifested, chain.read_by) == (2, ["safety_monitor"])
     page = (car.path / "dura-evidence" / "report.html").read_text()
     assert "on odometry.speed, read by safety_monitor" in page
     assert result.ret == 0
@@ -57,7 +57,7 @@ def test_a_fault_that_only_the_monitor_reads_gives_valid_runs_and_names_it(car):
 
 def test_a_replay_compares_who_read_a_fault(car):
     car.run("car/blinded")
-    record = car.evidence()
+    record = car.evidence().to_json()
     for episode in record["episodes"]:
         episode["faults"][0]["read_by"] = ["generator"]
     bundle = car.path / "dura-evidence"
@@ -78,10 +78,8 @@ def test_a_replay_compares_who_read_a_fault(car):
 def test_a_fault_that_nobody_reads_is_invalid_all_the_same(car):
     write_car(car, ", safety_monitor: null")
     car.run("car/blinded")
-    assert car.verdict("SPEED-1", "car/blinded")["verdict"] == "undecided"
-    assert {one["invalid_reason"] for one in car.evidence()["episodes"]} == {
-        "never manifested: stuck-at"
-    }
+    assert car.verdict("SPEED-1", "car/blinded").verdict == "undecided"
+    assert {one.invalid_reason for one in car.evidence().episodes} == {"never manifested: stuck-at"}
 
 
 def test_a_file_with_faults_and_without_an_injector_is_refused_at_its_line(car):
@@ -167,10 +165,10 @@ def test_a_domain_named_in_a_scenario_gets_faults_and_an_injector(tank):
     verdicts = project.verdicts()
     assert set(verdicts) == {("tank/filling", "LEVEL-1"), ("tank/filling+bias", "LEVEL-1")}
     assert verdicts["tank/filling", "LEVEL-1"] == "supported"
-    (faulty,) = [one for one in project.evidence()["episodes"] if one["faults"]]
-    assert faulty["validity"] == "valid"
-    assert faulty["faults"][0]["read_by"] == ["generator"]
-    assert faulty["faults"][0]["target"] == "gauge.level"
+    (faulty,) = [one for one in project.evidence().episodes if one.faults]
+    assert faulty.validity == "valid"
+    assert faulty.faults[0].read_by == ["generator"]
+    assert faulty.faults[0].target == "gauge.level"
 
 
 def test_the_list_without_built_in_files_shows_the_project_s_domains_alone(tank):

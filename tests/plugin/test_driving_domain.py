@@ -20,7 +20,7 @@ def digests(project):
             check=False,
             capture_output=True,
         )
-        return {one["id"]: one["digest"] for one in project.evidence()["episodes"]}
+        return {one.id: one.digest for one in project.evidence().episodes}
 
     return run
 
@@ -29,7 +29,7 @@ def test_an_episode_has_one_digest_in_every_process(project, digests):
     there = digests(PYTHONHASHSEED="2")
     assert list(there) == ["intersection/trajectory-spoofing#0"]
     project.run("intersection/nominal::SAF-1", "intersection/trajectory-spoofing", "--dura-runs=1")
-    here = {one["id"]: one["digest"] for one in project.evidence()["episodes"]}
+    here = {one.id: one.digest for one in project.evidence().episodes}
     assert {"intersection/nominal#0", *there} <= here.keys()
     assert there.items() <= here.items()
     assert project.run("--dura-replay=intersection/trajectory-spoofing#0").ret == 0

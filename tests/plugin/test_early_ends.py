@@ -67,22 +67,22 @@ def test_runs_that_crash_before_a_window_count_as_violations(crashing):
     )  # fmt: skip
     result = crashing.run("corridor/it::R-1")
     found = expect(crashing, result, "undecided", "ended before it was decided")
-    opened = len(found["open"])
+    opened = len(found.open)
     assert 3 <= opened <= 20
-    assert (found["episodes"], found["violations"], found["run"]) == (80, 0, 80)
-    assert found["bound"]["upper"] == upper_bound(opened, 80, 0.95)
+    assert (found.episodes, found.violations, found.run) == (80, 0, 80)
+    assert found.bound.upper == upper_bound(opened, 80, 0.95)
     assert f"{opened} ended before it was decided" in result.stdout.str()
-    ends = {one["id"]: one["termination"] for one in crashing.evidence()["episodes"]}
-    assert {name for name, end in ends.items() if end == "critical"} == set(found["open"])
+    ends = {one.id: one.termination for one in crashing.evidence().episodes}
+    assert {name for name, end in ends.items() if end == "critical"} == set(found.open)
 
 
 def test_one_open_run_leaves_a_requirement_without_a_rate_undecided(crashing):
     crash(crashing, LATE, variation="{world.crash: {choice: [2, 0]}}", runs=6)
     result = crashing.run("corridor/it")
     found = expect(crashing, result, "undecided", "ended before it was decided (")
-    assert 0 < len(found["open"]) < 6
+    assert 0 < len(found.open) < 6
     assert re.search(r"\d of 6 valid episodes ended before it was decided \(\d critical\)",
-                     found["reason"])  # fmt: skip
+                     found.reason)  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_one_open_run_leaves_a_requirement_without_a_rate_undecided(crashing):
 def test_an_eventuality_that_is_due_at_a_crash_is_violated(crashing, check):
     crash(crashing, check)
     found = expect(crashing, crashing.run("corridor/it"), "violated", "valid episodes violated it")
-    assert (found["violations"], found["open"]) == (found["episodes"], [])
+    assert (found.violations, found.open) == (found.episodes, [])
 
 
 def test_a_halt_leaves_open_what_was_to_hold_always(crashing):
@@ -106,7 +106,7 @@ def test_a_halt_leaves_open_what_was_to_hold_always(crashing):
     file.write_text(file.read_text() + "policy: halt\n")
     result = crashing.run("corridor/it")
     found = expect(crashing, result, "undecided", "ended before it was decided")
-    assert len(found["open"]) == found["episodes"] > 0
+    assert len(found.open) == found.episodes > 0
 
 
 @pytest.mark.parametrize(
@@ -117,8 +117,8 @@ def test_an_end_by_goal_is_judged_on_the_trace_as_it_stands(crashing, check, wor
     # The first window lies behind the end altogether: such passes are vacuous.
     crash(crashing, check, world="{goal: 2}")
     found = expect(crashing, crashing.run("corridor/it"), word)
-    assert (found["open"], found["invalid"]) == ([], 0)
-    assert ("vacuous" in found["reason"]) == (word == "undecided")
+    assert (found.open, found.invalid) == ([], 0)
+    assert ("vacuous" in found.reason) == (word == "undecided")
 
 
 def test_a_window_beyond_the_duration_is_refused_at_its_place(crashing):
@@ -136,8 +136,8 @@ def test_a_crash_that_no_requirement_sees_is_undecided(crashing):
     result = crashing.run("corridor/it")
     reason = "a crash that no requirement sees: corridor/it#0"
     found = expect(crashing, result, "undecided", reason)
-    assert len(found["unseen_crashes"]) == found["run"]
-    assert found["open"] == []
+    assert len(found.unseen_crashes) == found.run
+    assert found.open == []
 
 
 def test_a_crash_that_another_requirement_sees_is_no_obstacle(crashing):
@@ -157,9 +157,9 @@ def test_an_invalid_run_that_violates_fails_the_gate_in_words_of_its_own(project
     )  # fmt: skip
     result = project.run("corridor/it", "--dura-undecided=warn")
     found = expect(project, result, "violated", "violated, without effect of the fault, in 3 of 3")
-    assert (found["episodes"], found["violations"], found["invalid"]) == (0, 0, 3)
-    assert (found["without_effect"], found["bound"]["upper"]) == (3, None)
-    assert [one["valid"] for one in found["counterexamples"]] == [False] * 3
+    assert (found.episodes, found.violations, found.invalid) == (0, 0, 3)
+    assert (found.without_effect, found.bound.upper) == (3, None)
+    assert [one.valid for one in found.counterexamples] == [False] * 3
     assert "valid episodes violated it" not in result.stdout.str()
 
 
@@ -175,9 +175,9 @@ def test_a_rate_is_not_supported_beside_invalid_runs_that_violate(project):
     )  # fmt: skip
     result = project.run("corridor/it")
     found = expect(project, result, "undecided", "violated, without effect of the fault")
-    assert found["without_effect"] > 0
-    assert 0 < found["violations"] < found["episodes"]
-    assert found["bound"]["upper"] == upper_bound(found["violations"], found["episodes"], 0.95)
+    assert found.without_effect > 0
+    assert 0 < found.violations < found.episodes
+    assert found.bound.upper == upper_bound(found.violations, found.episodes, 0.95)
 
 
 def test_every_format_agrees_on_runs_without_effect_of_the_fault(project):

@@ -33,7 +33,7 @@ def session(project, scenario, *arguments, **roles):
     items = [f"intersection/{scenario}::{name}" for name in ("REC-1", "SAF-1")]
     result = project.run(*items, *arguments)
     evidence = project.evidence()
-    found = {one["role"]: (one["finding"], one["detail"]) for one in evidence["effectiveness"]}
+    found = {one.role: (one.finding, one.detail) for one in evidence.effectiveness}
     shown = " ".join(" ".join(result.outlines).split())
     page = (project.path / "dura-evidence" / "report.html").read_text()
     for role, (_, detail) in found.items():

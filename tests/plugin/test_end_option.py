@@ -18,10 +18,7 @@ def bounded(project, check=SOON, **given):
 
 
 def ends(project):
-    return [
-        (one["termination"], one["timings"]["simulated_seconds"])
-        for one in project.evidence()["episodes"]
-    ]
+    return [(one.termination, one.timings.simulated_seconds) for one in project.evidence().episodes]
 
 
 def test_episodes_end_once_all_is_decided_and_everything_says_so(project):
@@ -30,8 +27,8 @@ def test_episodes_end_once_all_is_decided_and_everything_says_so(project):
     result.assert_outcomes(passed=1)
     assert ends(project) == [("decided", 1.5)] * 2
     record = project.evidence()
-    assert record["cases"][0]["metrics"]["ended_early"] == 2
-    assert record["episodes"][0]["spec"]["termination"]["decided"] is True
+    assert record.cases[0].metrics.ended_early == 2
+    assert record.episodes[0].spec.termination.decided is True
     assert "2 episodes ended early, once all was decided" in result.stdout.str()
     told = "2 of 2 episodes ended early, once every requirement of their case was decided"
     for file in ("report.html", "summary.md"):
@@ -45,8 +42,8 @@ def test_without_the_option_no_word_of_it_is_said(project):
     result = project.run("corridor/it")
     assert ends(project) == [("time", 6.0)]
     record = project.evidence()
-    assert record["cases"][0]["metrics"]["ended_early"] == 0
-    assert "decided" not in record["episodes"][0]["spec"]["termination"]
+    assert record.cases[0].metrics.ended_early == 0
+    assert record.episodes[0].spec.termination.decided is None
     assert "ended early" not in result.stdout.str()
     assert "ended early" not in (project.path / "dura-evidence/summary.md").read_text()
 
@@ -84,9 +81,9 @@ def test_verdicts_are_those_of_whole_episodes(project):
     for option in ("--dura-end=complete", OPTION):
         project.run("--dura-scenarios", *select, option)
         kept = ("verdict", "episodes", "violations", "invalid", "vacuous", "bound")
-        verdicts = project.evidence()["verdicts"]
-        times = [[x["time"] for x in one["counterexamples"]] for one in verdicts]
-        found.append(([{key: one[key] for key in kept} for one in verdicts], times))
+        verdicts = project.evidence().verdicts
+        times = [[x.time for x in one.counterexamples] for one in verdicts]
+        found.append(([{key: getattr(one, key) for key in kept} for one in verdicts], times))
         early = [one for one in ends(project) if one[0] == "decided"]
     assert found[0] == found[1]
     assert 3 <= len(early) < len(verdicts) == 10

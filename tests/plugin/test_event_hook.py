@@ -74,7 +74,7 @@ def test_each_kind_of_event_is_seen_where_its_item_runs(eventful, workers, monke
     assert {kind for kind, _, _ in seen} == {kind.__name__ for kind in get_args(SessionEvent)}
     places = {place for _, place, _ in seen}
     assert places <= {"gw0", "gw1"} if workers else places == {""}
-    assert len(verdicts(eventful)) == len(eventful.evidence()["verdicts"])
+    assert len(verdicts(eventful)) == len(eventful.evidence().verdicts)
     uses = Counter(fields["case"] for kind, _, fields in seen if kind == "EpisodeUsed")
     assert uses
 
@@ -139,7 +139,7 @@ def test_a_hook_that_raises_fails_its_items_and_the_gate(project, mode, statemen
     assert re.search(rf"^E? *{message}", text, re.MULTILINE)
     assert re.search(rf"^infrastructure: {message}", text, re.MULTILINE)
     assert "INTERNALERROR" not in text + result.stderr.str()
-    assert project.evidence()["gate"]["result"] == "failed"
+    assert project.evidence().gate.result == "failed"
 
 
 def test_a_hook_that_raises_fails_the_gate_though_the_test_catches_it(project):
@@ -185,4 +185,4 @@ def test_a_hook_may_end_the_session(project):
     assert "seen enough" in result.stdout.str() + result.stderr.str()
     assert "the hook pytest_dura_event raised" not in result.stdout.str()
     assert result.ret != 0
-    assert project.evidence()["status"] == "interrupted"
+    assert project.evidence().status == "interrupted"

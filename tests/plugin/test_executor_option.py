@@ -12,22 +12,23 @@ from corridors import scenario
 
 
 def told(project):
-    evidence = project.evidence()
+    keys = {"cases", "episodes", "verdicts", "requirements"}
+    evidence = project.evidence().to_json(include=keys)
     for episode in evidence["episodes"]:
         del episode["metrics"]["processing_us"], episode["timings"]["processing_seconds"]
-    return {key: evidence[key] for key in ("cases", "episodes", "verdicts", "requirements")}
+    return evidence
 
 
 def test_a_pool_of_processes_leaves_the_same_record(project):
     project.scenarios()
     plain = told(project)
-    assert project.evidence()["execution"] == {"executor": "in-process", "processes": None}
+    assert project.evidence().execution.to_json() == {"executor": "in-process", "processes": None}
     before = psutil.Process(os.getpid()).children()
     result = project.scenarios("--dura-executor=processes:2")
     result.stdout.fnmatch_lines(["dura: episodes are simulated in 2 processes"])
     result.stdout.no_fnmatch_line("*simulated in pytest's own process*")
     assert told(project) == plain
-    assert project.evidence()["execution"] == {"executor": "processes", "processes": 2}
+    assert project.evidence().execution.to_json() == {"executor": "processes", "processes": 2}
     assert psutil.Process(os.getpid()).children() == before
     assert not (project.path / "dura-evidence" / ".episodes").exists()
 
@@ -100,11 +101,11 @@ def test_a_component_that_no_alarm_interrupts_is_ended_with_its_process(project)
     )
     assert time.monotonic() - began < 60.0
     assert result.ret == 1
-    ends = {one["case"]: one["failure"] for one in project.evidence()["episodes"]}
+    ends = {one.case: one.failure for one in project.evidence().episodes}
     assert ends["corridor/it"].startswith("infrastructure: its process was ended, since it took")
-    assert project.verdict("GAP-1", "corridor/it")["verdict"] == "undecided"
-    assert project.verdict("GAP-1", "corridor/well")["verdict"] == "supported"
-    assert project.evidence()["gate"]["result"] == "failed"
+    assert project.verdict("GAP-1", "corridor/it").verdict == "undecided"
+    assert project.verdict("GAP-1", "corridor/well").verdict == "supported"
+    assert project.evidence().gate.result == "failed"
 
 
 def test_without_a_cluster_nothing_is_run_or_written(project, monkeypatch):

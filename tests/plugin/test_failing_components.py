@@ -43,8 +43,8 @@ def judged(project, words, *mode):
         ("corridor/fails", "GO-1"): "violated",
     }
     assert "the component made a valid proposal at only 0 of" in text
-    events = project.evidence()["episodes"][0]["events"]
-    assert events[0]["kind"] == "component_failure"
+    events = project.evidence().episodes[0].events
+    assert events[0].kind == "component_failure"
 
 
 def test_a_role_that_fails_is_infrastructure(project, mode):
@@ -56,8 +56,8 @@ def test_a_role_that_fails_is_infrastructure(project, mode):
     assert "undecided: GAP-1 on corridor/broken" in text
     assert set(project.verdicts().values()) == {"undecided"}
     evidence = project.evidence()
-    assert evidence["episodes"][0]["validity"] == "missing"
-    assert evidence["verdicts"][0]["missing"] == 2
+    assert evidence.episodes[0].validity == "missing"
+    assert evidence.verdicts[0].missing == 2
     assert "0 (2)" in text
 
 
@@ -80,10 +80,10 @@ def test_a_fault_that_never_manifests_has_more_runs_follow(project):
     result, text = failing(project, "idle")
     result.assert_outcomes(failed=2)
     assert "invalid:  corridor/idle#0: never manifested: ghost-obstacle" in text
-    (verdict, _) = project.evidence()["verdicts"]
+    (verdict, _) = project.evidence().verdicts
     # One run in five may be replaced.
-    assert (verdict["planned"], verdict["run"], verdict["invalid"]) == (5, 6, 6)
-    assert [one["id"] for one in project.evidence()["episodes"]][-1] == "corridor/idle#5"
+    assert (verdict.planned, verdict.run, verdict.invalid) == (5, 6, 6)
+    assert [one.id for one in project.evidence().episodes][-1] == "corridor/idle#5"
 
 
 def test_undecided_can_be_relaxed_to_a_skip_but_a_violation_cannot(project):
@@ -117,7 +117,7 @@ def test_a_test_cannot_pass_on_an_invalid_episode(project, name):
     result = project.run("test_it.py")
     result.assert_outcomes(failed=2)
     assert "invalid: corridor/idle#0: never manifested: ghost-obstacle" in result.stdout.str()
-    verdicts = [(one["verdict"], one["invalid"]) for one in project.evidence()["verdicts"]]
+    verdicts = [(one.verdict, one.invalid) for one in project.evidence().verdicts]
     assert verdicts == ([] if name is None else [("undecided", 2)])
 
 
@@ -132,10 +132,10 @@ def test_a_violation_on_an_invalid_episode_is_a_violation(project):
     )
     project.write("test_it.py", TEST.format("idle"))
     project.run("test_it.py").assert_outcomes(failed=2)
-    (verdict,) = project.evidence()["verdicts"]
-    assert (verdict["verdict"], verdict["violations"]) == ("violated", 0)
-    assert (verdict["without_effect"], verdict["invalid"], verdict["episodes"]) == (2, 2, 0)
-    assert verdict["reason"].startswith("violated, without effect of the fault")
+    (verdict,) = project.evidence().verdicts
+    assert (verdict.verdict, verdict.violations) == ("violated", 0)
+    assert (verdict.without_effect, verdict.invalid, verdict.episodes) == (2, 2, 0)
+    assert verdict.reason.startswith("violated, without effect of the fault")
 
 
 def test_a_test_cannot_pass_on_a_missing_episode(project):
@@ -144,15 +144,15 @@ def test_a_test_cannot_pass_on_a_missing_episode(project):
     result = project.run("test_it.py")
     result.assert_outcomes(failed=2)
     assert "infrastructure: simulator at tick 2" in result.stdout.str()
-    (verdict,) = project.evidence()["verdicts"]
-    assert (verdict["verdict"], verdict["missing"]) == ("undecided", 2)
+    (verdict,) = project.evidence().verdicts
+    assert (verdict.verdict, verdict.missing) == ("undecided", 2)
 
 
 def test_a_broken_test_says_nothing_of_the_component(project):
     project.write("test_it.py", TEST.format("tight").replace("episode.collided", "episode.colided"))
     project.run("test_it.py").assert_outcomes(failed=2)
-    (verdict,) = project.evidence()["verdicts"]
-    assert (verdict["verdict"], verdict["missing"]) == ("undecided", 2)
+    (verdict,) = project.evidence().verdicts
+    assert (verdict.verdict, verdict.missing) == ("undecided", 2)
 
 
 def test_a_generator_with_a_constructor_that_needs_something(project):

@@ -8,8 +8,6 @@ import pytest
 from stated_counts import stated_counts
 
 from pytest_dura.evidence import SessionRecord, verify_bundle
-from pytest_dura.evidence.case_model import CaseEntry
-from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.verify import conclusion_problems
 from pytest_dura.evidence.verify_record import episode_problems
 
@@ -80,32 +78,30 @@ def chatty(project):
 
 
 def modes_of(case):
-    return {one["name"]: one for one in case["metrics"]["failure_modes"]}
+    return {one.name: one for one in case.metrics.failure_modes}
 
 
 def test_a_session_says_how_its_component_fails_beside_a_null_component(chatty):
     result = chatty.scenarios(select="talk/*")
     record = chatty.evidence()
-    (case,) = record["cases"]
-    odd = sum(
-        one["metrics"]["tallies"]["cites_unperceived"]["hits"] > 0 for one in record["episodes"]
-    )
+    (case,) = record.cases
+    odd = sum(one.metrics.tallies["cites_unperceived"].hits > 0 for one in record.episodes)
     assert 0 < odd < 4, "seeds of both kinds"
     found = modes_of(case)
     cites, control = found["cites_unperceived"], found["accelerates_into_conflict"]
-    assert (cites["hits"], cites["of"], cites["null_of"]) == (3 * odd, 12, 0)
-    assert (cites["episodes"], cites["of_episodes"]) == (odd, 4)
-    assert cites["upper"] > odd / 4
-    assert (control["kind"], control["share"], control["null_share"]) == ("control", 1.0, 0.0)
-    assert found["intent_against_maneuver"]["null_share"] == 1.0
-    assert found["misses_threat"]["of"] == 0
+    assert (cites.hits, cites.of, cites.null_of) == (3 * odd, 12, 0)
+    assert (cites.episodes, cites.of_episodes) == (odd, 4)
+    assert cites.upper > odd / 4
+    assert (control.kind, control.share, control.null_share) == ("control", 1.0, 0.0)
+    assert found["intent_against_maneuver"].null_share == 1.0
+    assert found["misses_threat"].of == 0
     times = {"decisions": 12, "p50": 0.25, "p95": 0.25, "max": 0.25}
-    assert case["metrics"]["answer_times"] == times
+    assert case.metrics.answer_times.to_json() == times
     ages = {"decisions": 12, "p50": 0.2, "p95": 0.2, "max": 0.2}
-    assert case["metrics"]["answer_ages"] == ages
+    assert case.metrics.answer_ages.to_json() == ages
     assert chatty.verdicts() == {("talk/it", "CITE-1"): "violated"}
     violated = chatty.verdict("CITE-1", "talk/it")
-    assert violated["violations"] == odd
+    assert violated.violations == odd
 
     lines = result.outlines
     table = lines.index(next(line for line in lines if line.startswith("failure modes ")))
@@ -137,16 +133,16 @@ def test_each_case_has_its_own_table_where_asked_for(project):
 def test_reports_show_the_same_table(chatty):
     chatty.scenarios(select="talk/*")
     bundle = chatty.path / "dura-evidence"
-    (case,) = chatty.evidence()["cases"]
+    (case,) = chatty.evidence().cases
     cites = modes_of(case)["cites_unperceived"]
     summary = (bundle / "summary.md").read_text()
-    row = f"| `cites unperceived` | failure | `Chatty` | {cites['hits']} of 12 |"
+    row = f"| `cites unperceived` | failure | `Chatty` | {cites.hits} of 12 |"
     assert row in summary
-    record = SessionRecord.of(chatty.evidence(), bundle)
-    assert stated_counts("summary.md", summary) == record["totals"]
+    totals = chatty.evidence().totals.to_json()
+    assert stated_counts("summary.md", summary) == totals
     page = (bundle / "report.html").read_text()
     table = page[page.index('id="failure-modes"') :]
-    assert f">{cites['hits']}/12<" in table
+    assert f">{cites.hits}/12<" in table
     assert "Negative control" in table
     assert "ignores its input" in table
     for report in (summary, table):
@@ -162,14 +158,14 @@ def test_a_component_without_accounts_has_no_table_and_supports_nothing(project)
     assert project.verdicts() == {("talk/silent", "CITE-1"): "undecided"}
     result.stdout.fnmatch_lines(["*the component gives no account of its proposals*"])
     assert "failure modes" not in result.stdout.str()
-    (case,) = project.evidence()["cases"]
-    assert case["metrics"]["failure_modes"] == []
-    assert case["metrics"]["answer_times"] is None
-    assert case["metrics"]["answer_ages"] is None
+    (case,) = project.evidence().cases
+    assert case.metrics.failure_modes == []
+    assert case.metrics.answer_times is None
+    assert case.metrics.answer_ages is None
     bundle = project.path / "dura-evidence"
     assert "Failure modes" not in (bundle / "summary.md").read_text()
     assert 'id="failure-modes"' not in (bundle / "report.html").read_text()
-    assert project.verdict("CITE-1", "talk/silent")["invalid"] == 4
+    assert project.verdict("CITE-1", "talk/silent").invalid == 4
 
 
 def test_what_is_violated_without_any_account_is_violated(project):
@@ -190,21 +186,29 @@ def test_a_misspelt_failure_mode_is_an_error_of_the_collection(project):
     assert "Traceback" not in text
 
 
+def forged_mode(record, name):
+    """A failure mode in the plain data of a record."""
+    (found,) = [
+        one for one in record["cases"][0]["metrics"]["failure_modes"] if one["name"] == name
+    ]
+    return found
+
+
 FORGED = (
     (
         lambda record: record["episodes"][0]["metrics"]["tallies"]["fallback"].update(of=1),
         "metrics/failure_modes",
     ),
     (
-        lambda record: modes_of(record["cases"][0])["cites_unperceived"].update(hits=0),
+        lambda record: forged_mode(record, "cites_unperceived").update(hits=0),
         "metrics/failure_modes",
     ),
     (
-        lambda record: modes_of(record["cases"][0])["timeout"].update(upper=0.01),
+        lambda record: forged_mode(record, "timeout").update(upper=0.01),
         "metrics/failure_modes",
     ),
     (
-        lambda record: modes_of(record["cases"][0])["cites_unperceived"].update(kind="comparison"),
+        lambda record: forged_mode(record, "cites_unperceived").update(kind="comparison"),
         "metrics/failure_modes",
     ),
     (
@@ -228,7 +232,7 @@ FORGED = (
 
 def test_forged_tallies_are_found(chatty):
     chatty.scenarios(select="talk/*")
-    text = json.dumps(chatty.evidence())
+    text = json.dumps(chatty.evidence().to_json())
     for change, place in (None, ""), *FORGED:
         record = json.loads(text)
         if change is not None:
@@ -243,20 +247,25 @@ def test_forged_tallies_are_found(chatty):
 
 def problems_of(record):
     """What is wrong with the only episode of a record."""
-    (episode,), (case,) = record["episodes"], record["cases"]
-    read = EpisodeEntry.model_validate(episode), CaseEntry.model_validate(case)
-    return list(episode_problems(*read, record["base_seed"]))
+    (episode,), (case,) = record.episodes, record.cases
+    return list(episode_problems(episode, case, record.base_seed))
 
 
 def test_more_failures_than_decisions_are_found(chatty):
     chatty.scenarios("--dura-runs=1", select="talk/*")
     record = chatty.evidence()
-    (episode,) = record["episodes"]
+    (episode,) = record.episodes
     assert problems_of(record) == []
-    episode["metrics"]["tallies"]["fallback"].update(hits=16, of=16)
-    episode["metrics"]["answer_seconds"] *= 9
-    episode["metrics"]["answer_ages"] *= 8
-    problems = problems_of(record)
+    metrics = episode.metrics
+    episode = episode.replace(
+        metrics=metrics.replace(
+            tallies=metrics.tallies
+            | {"fallback": metrics.tallies["fallback"].replace(hits=16, of=16)},
+            answer_seconds=metrics.answer_seconds * 9,
+            answer_ages=metrics.answer_ages * 8,
+        )
+    )
+    problems = problems_of(record.replace(episodes=[episode]))
     assert [one.partition(": ")[2] for one in problems] == [
         "16 of 16 for fallback (hits), in 15 decisions",
         "the times of 27 answers, in 15 decisions",
@@ -267,9 +276,9 @@ def test_more_failures_than_decisions_are_found(chatty):
 def test_a_decision_that_is_older_than_its_episode_is_found(chatty):
     chatty.scenarios("--dura-runs=1", select="talk/*")
     record = chatty.evidence()
-    (episode,) = record["episodes"]
+    (episode,) = record.episodes
     for age, problems in (1.5, 0), (1.6, 1):
-        episode["metrics"]["answer_ages"][-1] = age
+        episode.metrics.answer_ages[-1] = age
         found = problems_of(record)
         assert len(found) == problems
     assert found[0].endswith("a decision came into force 1.6 s after its percept, within 1.5 s")

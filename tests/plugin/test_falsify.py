@@ -54,7 +54,7 @@ def found_files(project):
 
 
 def the_search(project):
-    (one,) = project.evidence()["searches"]
+    (one,) = project.evidence().searches
     return one
 
 
@@ -63,11 +63,11 @@ def test_what_is_found_is_confirmed_kept_and_run_from_then_on(project):
     assert result.ret == 1
     (file,) = found_files(project)
     search = the_search(project)
-    (outcome,) = search["outcomes"]
-    counterexample = outcome["counterexample"]
-    assert outcome["word"] == "falsified"
-    assert counterexample["repeats"] == {"runs": 1, "violated": 1, "equal": 1}
-    assert counterexample["file"] == f"scenarios/found/{file.name}"
+    (outcome,) = search.outcomes
+    counterexample = outcome.counterexample
+    assert outcome.word == "falsified"
+    assert counterexample.repeats.to_json() == {"runs": 1, "violated": 1, "equal": 1}
+    assert counterexample.file == f"scenarios/found/{file.name}"
     assert (
         f"kept:      scenarios/found/{file.name}, which --dura-scenarios runs from now on"
         in output(result)
@@ -79,10 +79,10 @@ def test_what_is_found_is_confirmed_kept_and_run_from_then_on(project):
 
     again = project.scenarios("--dura-generator=hasty:Hasty", select="found/*")
     assert again.ret == 1
-    assert project.verdict("GAP-1", kept["name"])["verdict"] == "violated"
+    assert project.verdict("GAP-1", kept["name"]).verdict == "violated"
     mended = project.run(f"{kept['name']}::GAP-1", "--dura-generator=hasty:Mended")
     assert mended.ret == 0
-    assert project.verdict("GAP-1", kept["name"])["verdict"] == "supported"
+    assert project.verdict("GAP-1", kept["name"]).verdict == "supported"
 
 
 def test_what_finds_nothing_passes_and_claims_nothing(project):
@@ -90,10 +90,10 @@ def test_what_finds_nothing_passes_and_claims_nothing(project):
     assert result.ret == 0
     assert found_files(project) == []
     record = project.evidence()
-    (outcome,) = the_search(project)["outcomes"]
-    assert (outcome["word"], outcome["simulations"]) == ("nothing found", 60)
-    assert record["verdicts"] == []
-    assert record["episodes"] == []
+    (outcome,) = the_search(project).outcomes
+    assert (outcome.word, outcome.simulations) == ("nothing found", 60)
+    assert record.verdicts == []
+    assert record.episodes == []
     text = output(result)
     assert "nothing found in 60 simulations" in text
     assert not {"safe", "supported", "holds"} & set(text.split())
@@ -171,14 +171,14 @@ class Moody(Careful):
     project.write("test_search.py", SEARCH.format(arguments="budget=30"))
     result = project.run("test_search.py", "--dura-generator=moody:Moody")
     assert result.ret == 1
-    (outcome,) = the_search(project)["outcomes"]
-    repeats = outcome["counterexample"]["repeats"]
-    assert outcome["word"] == "not repeatable"
-    assert (repeats["runs"], repeats["equal"]) == (10, 0)
-    assert repeats["violated"] in (3, 4)
-    assert f"and in {repeats['violated']} of 10 replays, 0 of them equal" in output(result)
+    (outcome,) = the_search(project).outcomes
+    repeats = outcome.counterexample.repeats
+    assert outcome.word == "not repeatable"
+    assert (repeats.runs, repeats.equal) == (10, 0)
+    assert repeats.violated in (3, 4)
+    assert f"and in {repeats.violated} of 10 replays, 0 of them equal" in output(result)
     assert found_files(project) == []
-    assert outcome["counterexample"]["shrinking"] is None
+    assert outcome.counterexample.shrinking is None
 
 
 def test_a_swallowed_violation_fails_the_gate(project):
@@ -197,7 +197,7 @@ def test_it(campaign):
     )
     result = project.run("test_search.py", "--dura-generator=hasty:Hasty")
     assert result.ret == 1
-    assert project.evidence()["gate"]["result"] == "failed"
+    assert project.evidence().gate.result == "failed"
 
 
 def test_a_check_that_no_file_defines_is_kept_with_a_requirement_of_its_own(project):
@@ -219,8 +219,8 @@ def test_episodes_that_may_end_early_are_found_and_kept_all_the_same(project):
     file.write_text(file.read_text() + "end_at_violation: true\n")
     arguments = hasty(project, arguments='"always (gap > 0.01)", budget=60')
     assert project.run(*arguments).ret == 1
-    (outcome,) = the_search(project)["outcomes"]
-    assert outcome["word"] == "falsified"
+    (outcome,) = the_search(project).outcomes
+    assert outcome.word == "falsified"
     assert len(found_files(project)) == 1
 
 
@@ -228,17 +228,17 @@ def test_several_requirements_are_searched_at_once(project):
     arguments = hasty(project, arguments='["GAP-1", "always (x < 9.9)"], budget=60, shrink=0')
     project.run(*arguments)
     search = the_search(project)
-    assert [one["word"] for one in search["outcomes"]] == ["falsified", "falsified"]
-    assert search["simulations"] == max(one["simulations"] for one in search["outcomes"])
+    assert [one.word for one in search.outcomes] == ["falsified", "falsified"]
+    assert search.simulations == max(one.simulations for one in search.outcomes)
 
 
 def test_what_is_found_does_not_depend_on_who_simulates(project):
     told = []
     for executor in ("in-process", "processes:2"):
         project.run(*hasty(project, RARE), f"--dura-executor={executor}")
-        (outcome,) = the_search(project)["outcomes"]
-        counterexample = dict(outcome["counterexample"])
-        told.append((outcome["simulations"], outcome["searcher"], counterexample))
+        (outcome,) = the_search(project).outcomes
+        counterexample = outcome.counterexample.to_json()
+        told.append((outcome.simulations, outcome.searcher, counterexample))
     assert told[0] == told[1]
 
 
@@ -252,8 +252,8 @@ def test_faults_that_never_act_leave_the_search_undecided(project):
     result = project.run(*hasty(project, arguments=arguments, generator="hasty:Mended"))
     assert result.ret == 1
     search = the_search(project)
-    assert search["outcomes"][0]["word"] == "undecided"
-    assert search["unknown"] == search["idle"] > 4
+    assert search.outcomes[0].word == "undecided"
+    assert search.unknown == search.idle > 4
     assert verify_bundle(project.path / "dura-evidence").problems == []
 
 
@@ -274,8 +274,8 @@ requirements: [GAP-1]
     project.write("test_search.py", text)
     result = project.run("test_search.py")
     assert result.ret == 1
-    (outcome,) = the_search(project)["outcomes"]
-    assert outcome["word"] == "undecided"
+    (outcome,) = the_search(project).outcomes
+    assert outcome.word == "undecided"
     assert "searched:  10 of 10 simulations, 10 without an answer" in output(result)
 
 
@@ -283,8 +283,8 @@ def test_what_cannot_be_kept_is_found_all_the_same(project):
     project.write("scenarios/found", "a file where the folder would be")
     result = project.run(*hasty(project, arguments="budget=60, shrink=0"))
     assert result.ret == 1
-    (outcome,) = the_search(project)["outcomes"]
-    assert (outcome["word"], outcome["counterexample"]["file"]) == ("falsified", None)
+    (outcome,) = the_search(project).outcomes
+    assert (outcome.word, outcome.counterexample.file) == ("falsified", None)
     assert "falsified: GAP-1 on corridor/free" in output(result)
     assert "not kept: " in output(result)
     assert "a counterexample cannot be kept" in output(result)
@@ -316,8 +316,8 @@ def test_a_file_that_brings_up_another_margin_is_not_kept(project):
     project.write("test_search.py", SEARCH.format(arguments=check))
     result = project.run("test_search.py", "--dura-generator=fading:Fading")
     assert result.ret == 1
-    (outcome,) = the_search(project)["outcomes"]
-    assert (outcome["word"], outcome["counterexample"]["file"]) == ("falsified", None)
+    (outcome,) = the_search(project).outcomes
+    assert (outcome.word, outcome.counterexample.file) == ("falsified", None)
     assert "does not come up again from its file" in output(result)
     assert found_files(project) == []
 
@@ -325,8 +325,8 @@ def test_a_file_that_brings_up_another_margin_is_not_kept(project):
 def test_a_check_that_no_file_can_name_is_falsified_and_said_not_to_be_kept(project):
     check = "lambda episode: episode.signals['gap'].min() - 0.01, budget=60, shrink=0"
     result = project.run(*hasty(project, arguments=check))
-    (outcome,) = the_search(project)["outcomes"]
-    assert outcome["word"] == "falsified"
+    (outcome,) = the_search(project).outcomes
+    assert outcome.word == "falsified"
     assert "no file can name this check" in output(result)
     assert found_files(project) == []
 

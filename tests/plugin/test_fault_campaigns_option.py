@@ -27,7 +27,7 @@ def campaigns(project, *entries):
 
 
 def words(project):
-    return {one["case"]: one["verdict"] for one in project.evidence()["verdicts"]}
+    return {one.case: one.verdict for one in project.evidence().verdicts}
 
 
 @pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
@@ -151,21 +151,23 @@ def test_the_causal_chain_is_in_the_record_the_table_and_the_failure(project):
     near_the_wall(project, faults=f"[{BIAS}, {NOISE}]", runs=3)
     result = project.run("corridor/it")
     record = project.evidence()
-    for episode in record["episodes"]:
-        bias, noise = episode["faults"]
-        assert (bias["planned_at"], bias["activated_at"], bias["manifested_at"]) == (0.5, 0.5, 0.5)
-        assert (bias["propagation"], bias["propagated_at"]) == ("propagated", 0.5)
-        assert (bias["outcome"], bias["violated"]) == ("violated", ["GAP-1"])
-        assert bias["violated_without"] == []
+    for episode in record.episodes:
+        bias, noise = episode.faults
+        assert (bias.planned_at, bias.activated_at, bias.manifested_at) == (0.5, 0.5, 0.5)
+        assert (bias.propagation, bias.propagated_at) == ("propagated", 0.5)
+        assert (bias.outcome, bias.violated) == ("violated", ["GAP-1"])
+        assert bias.violated_without == []
         # The noise was there before the proposals changed, and may have had its part in it.
-        assert (noise["manifested_at"], noise["propagation"]) == (0.0, "propagated")
-    assert {one["case"] for one in record["episodes"]} == {"corridor/it"}, "twins are no runs"
-    (case,) = record["cases"]
-    first, second = case["metrics"]["faults"]
-    assert first["id"] == "bias"
-    assert [first[key] for key in ("run", "activated", "manifested", "followed")] == [3] * 4
-    assert [first[key] for key in ("propagated", "violated", "detected")] == [3, 3, 0]
-    assert second["id"] == "noise"
+        assert (noise.manifested_at, noise.propagation) == (0.0, "propagated")
+    assert {one.case for one in record.episodes} == {"corridor/it"}, "twins are no runs"
+    (case,) = record.cases
+    first, second = case.metrics.faults
+    assert first.id == "bias"
+    assert [getattr(first, key) for key in ("run", "activated", "manifested", "followed")] == [
+        3
+    ] * 4
+    assert [getattr(first, key) for key in ("propagated", "violated", "detected")] == [3, 3, 0]
+    assert second.id == "noise"
     lines = result.outlines
     head = next(line for line in lines if line.startswith("fault "))
     assert head.split()[1:6] == ["runs", "act", "manif", "prop", "det"]
@@ -201,15 +203,15 @@ def test_no_fault_is_blamed_for_what_happens_without_it(project):
     result = project.run("corridor/it")
     assert result.ret == 1
     record = project.evidence()
-    for episode in record["episodes"]:
-        (noise,) = episode["faults"]
-        assert (noise["violated"], noise["violated_without"]) == (["GAP-1"], ["GAP-1"])
-        assert noise["outcome"] == "violated also without it"
-    (fault,) = record["cases"][0]["metrics"]["faults"]
-    assert (fault["judged"], fault["violated"], fault["violated_without"]) == (3, 0, 3)
-    (verdict,) = record["verdicts"]
-    assert verdict["verdict"] == "violated"
-    assert (verdict["violations"], verdict["also_without"]) == (3, 3)
+    for episode in record.episodes:
+        (noise,) = episode.faults
+        assert (noise.violated, noise.violated_without) == (["GAP-1"], ["GAP-1"])
+        assert noise.outcome == "violated also without it"
+    (fault,) = record.cases[0].metrics.faults
+    assert (fault.judged, fault.violated, fault.violated_without) == (3, 0, 3)
+    (verdict,) = record.verdicts
+    assert verdict.verdict == "violated"
+    assert (verdict.violations, verdict.also_without) == (3, 3)
     terminal = result.stdout.str()
     row = next(line for line in result.outlines if line.startswith("noise on corridor/it "))
     assert row.split()[-1] == "0+3"
@@ -252,14 +254,14 @@ def test_an_alert_on_what_the_component_has_not_read_yet_has_detected_it(project
     )
     result = project.run("corridor/it")
     record = project.evidence()
-    for episode in record["episodes"]:
-        (bias,) = episode["faults"]
-        times = [bias[f"{step}_at"] for step in ("activated", "detected", "manifested")]
+    for episode in record.episodes:
+        (bias,) = episode.faults
+        times = [getattr(bias, f"{step}_at") for step in ("activated", "detected", "manifested")]
         assert times == pytest.approx([0.5, 0.5, 0.5])
-        assert bias["read_by"] == ["generator", "safety_monitor", "security_assessor"]
-        assert bias["detection_latency"] == 0.0
-    (fault,) = record["cases"][0]["metrics"]["faults"]
-    assert (fault["manifested"], fault["detected"], fault["rates"]["detection"]) == (3, 3, 1.0)
+        assert bias.read_by == ["generator", "safety_monitor", "security_assessor"]
+        assert bias.detection_latency == 0.0
+    (fault,) = record.cases[0].metrics.faults
+    assert (fault.manifested, fault.detected, fault.rates.detection) == (3, 3, 1.0)
     row = next(line for line in result.outlines if line.startswith("bias on corridor/it "))
     assert row.split()[7:9] == ["3", "0.0"]
     assert verify_bundle(project.path / "dura-evidence").problems == []
@@ -278,16 +280,16 @@ def test_the_table_names_the_whole_case_of_several_faults(project):
 def test_a_fault_that_changes_no_proposal_is_contained(project):
     near_the_wall(project, faults=f"[{NOISE}]")
     project.run("corridor/it")
-    for episode in project.evidence()["episodes"]:
-        (noise,) = episode["faults"]
-        assert (noise["propagation"], noise["outcome"]) == ("contained", "contained")
+    for episode in project.evidence().episodes:
+        (noise,) = episode.faults
+        assert (noise.propagation, noise.outcome) == ("contained", "contained")
 
 
 def test_without_twins_it_is_unknown_what_a_fault_changed(project):
     near_the_wall(project, faults=f"[{NOISE}]")
     result = project.run("corridor/it", "--dura-no-twins")
-    (noise,) = project.evidence()["episodes"][0]["faults"]
-    assert (noise["propagation"], noise["outcome"]) == (None, "tolerated")
+    (noise,) = project.evidence().episodes[0].faults
+    assert (noise.propagation, noise.outcome) == (None, "tolerated")
     row = next(line for line in result.outlines if line.startswith("noise on corridor/it "))
     assert row.split()[3:7] == ["2", "2", "2", "-"]
 
@@ -304,9 +306,9 @@ def test_a_component_that_is_not_deterministic_is_told_apart_from_a_fault(projec
     )
     near_the_wall(project, generator="erratic:Erratic", faults=f"[{NOISE}]", runs=1)
     project.run("corridor/it")
-    (noise,) = project.evidence()["episodes"][0]["faults"]
-    assert (noise["manifested_at"], noise["propagation"]) == (0.0, "unknown")
-    assert noise["unknown"] == "two runs without faults differ from 0.00 s on"
+    (noise,) = project.evidence().episodes[0].faults
+    assert (noise.manifested_at, noise.propagation) == (0.0, "unknown")
+    assert noise.unknown == "two runs without faults differ from 0.00 s on"
 
 
 def test_an_instance_that_remembers_earlier_episodes_is_told_apart_from_a_fault(project):
@@ -326,10 +328,10 @@ def test_an_instance_that_remembers_earlier_episodes_is_told_apart_from_a_fault(
     )
     near_the_wall(project, faults=f"[{BIAS}]", runs=1)
     project.run("corridor/it")
-    (bias,) = project.evidence()["episodes"][0]["faults"]
-    assert bias["manifested_at"] is not None
-    assert (bias["propagation"], bias["propagated_at"]) == ("unknown", None)
-    assert bias["unknown"] == "two runs without faults differ from 0.00 s on"
+    (bias,) = project.evidence().episodes[0].faults
+    assert bias.manifested_at is not None
+    assert (bias.propagation, bias.propagated_at) == ("unknown", None)
+    assert bias.unknown == "two runs without faults differ from 0.00 s on"
 
 
 def test_the_smallest_set_of_faults_is_found_and_can_be_replayed(project):
@@ -399,8 +401,8 @@ def test_a_fault_whose_time_never_comes_leaves_the_episodes_invalid(project):
     near_the_wall(project, faults=f"[{LATE}]")
     result = project.run("corridor/it")
     assert result.ret == 1
-    (verdict,) = project.evidence()["verdicts"]
-    assert verdict["verdict"] == "undecided"
+    (verdict,) = project.evidence().verdicts
+    assert verdict.verdict == "undecided"
     assert "  invalid: never manifested: gain" in result.outlines
     assert "  fault:  gain: idle" in result.outlines
 
@@ -444,8 +446,8 @@ def test_of_several_components_the_one_that_violates_is_reduced(project):
     assert result.ret == 0
     head = "corridor/it#0 (OwnB (b)): 2 faults, violates GAP-1; at most 100 runs"
     assert head in result.outlines
-    (case,) = project.evidence("dura-evidence-reduced")["cases"]
-    assert (case["id"], case["component"]) == ("corridor/it+bias", "OwnB (b)")
+    (case,) = project.evidence("dura-evidence-reduced").cases
+    assert (case.id, case.component) == ("corridor/it+bias", "OwnB (b)")
     replay = ["--dura-replay=corridor/it+bias#0", "--dura-evidence=dura-evidence-reduced"]
     result = project.run("a", "b", *replay)
     assert result.ret == 0
@@ -468,7 +470,7 @@ def test_a_green_gate_reads_as_full_conformance_where_two_scenarios_have_other_f
     near_the_wall(project, name="too", faults=f"[{DRIFT}]")
     result = project.run("corridor/it", "corridor/too")
     assert result.ret == 0
-    untested = [one for one in project.evidence()["coverage"]["cells"] if one["verdict"] is None]
+    untested = [one for one in project.evidence().coverage.cells if one.verdict is None]
     assert untested, "each fault in the other scenario, which nobody declared"
     assert [score for score, _ in conformance(project).values()] == [1]
 

@@ -82,7 +82,7 @@ def test_a_long_text_of_a_component_is_cut_where_it_enters(project, name, word):
     evidence = project.path / "dura-evidence"
     size = sum(one.stat().st_size for one in evidence.rglob("*") if one.is_file())
     assert size < 20_000_000
-    events = [one["detail"] for one in project.evidence()["episodes"][0]["events"]]
+    events = [one.detail for one in project.evidence().episodes[0].events]
     assert name == "Verbose" or any("… (4990000 characters cut)" in one for one in events)
 
 

@@ -36,7 +36,7 @@ def pytest_sessionfinish(session):
 
 
 def gate(project):
-    return project.evidence()["gate"]
+    return project.evidence().gate
 
 
 @pytest.mark.parametrize(
@@ -53,21 +53,21 @@ def test_no_plugin_makes_a_failed_session_a_success(project, conftest):
     scenario(project, requirements="[GAP-1]", **FAILING)
     project.write("conftest.py", conftest)
     assert project.run("corridor/it").ret == 1
-    assert gate(project)["result"] == "failed"
+    assert gate(project).result == "failed"
 
 
 def test_an_end_that_is_cut_short_before_the_evidence_is_written_is_no_success(project):
     scenario(project, requirements="[GAP-1]")
     project.write("conftest.py", finish("tryfirst", "pytest.exit('enough', returncode=0)"))
     assert project.run("corridor/it").ret == 3
-    assert project.evidence()["status"] == "running"
+    assert project.evidence().status == "running"
 
 
 def test_no_test_is_no_pass_though_a_plugin_calls_it_a_success(project):
     scenario(project, requirements="[GAP-1]")
     project.write("conftest.py", finish("tryfirst", "session.exitstatus = 0"))
     assert project.run("corridor/it", "-k", "nothing").ret == 1
-    assert gate(project)["reasons"] == ["no test was run"]
+    assert gate(project).reasons == ["no test was run"]
 
 
 @pytest.mark.parametrize(
@@ -89,8 +89,8 @@ def test_a_test_of_which_nothing_was_heard_is_no_pass(project, conftest, reason)
     project.write("conftest.py", conftest)
     project.write("test_it.py", f"{CAMPAIGN}\ndef test_other(): pass\n")
     assert project.run("test_it.py").ret == 1
-    assert gate(project)["result"] == "failed"
-    assert reason in gate(project)["reasons"][0]
+    assert gate(project).result == "failed"
+    assert reason in gate(project).reasons[0]
 
 
 def test_an_exit_with_code_0_is_an_interrupted_session(project):
@@ -99,8 +99,8 @@ def test_an_exit_with_code_0_is_an_interrupted_session(project):
         "test_it.py", f"{CAMPAIGN}\ndef test_then(): pytest.exit('enough', returncode=0)\n"
     )
     assert project.run("test_it.py", "--dura-undecided=warn").ret == 2
-    assert project.evidence()["status"] == "interrupted"
-    assert gate(project)["result"] == "incomplete"
+    assert project.evidence().status == "interrupted"
+    assert gate(project).result == "incomplete"
 
 
 def test_a_trace_that_was_removed_meanwhile_fails_the_session(project):
@@ -108,7 +108,7 @@ def test_a_trace_that_was_removed_meanwhile_fails_the_session(project):
     removes = "\nimport shutil\ndef test_then(): shutil.rmtree('dura-evidence/episodes')\n"
     project.write("test_it.py", CAMPAIGN + removes)
     assert project.run("test_it.py").ret == 1
-    assert "it is not there as it was written" in gate(project)["reasons"][0]
+    assert "it is not there as it was written" in gate(project).reasons[0]
 
 
 def test_a_session_without_verdicts_is_no_pass_to_a_policy(project):

@@ -53,8 +53,8 @@ def logged(project, monkeypatch):
 
 
 def told(evidence):
-    digests = {(one["id"], one["digest"]) for one in evidence["episodes"]}
-    words = [(one["requirement"], one["verdict"], one["run"]) for one in evidence["verdicts"]]
+    digests = {(one.id, one.digest) for one in evidence.episodes}
+    words = [(one.requirement, one.verdict, one.run) for one in evidence.verdicts]
     return digests, sorted(words)
 
 
@@ -68,9 +68,9 @@ def test_who_has_no_item_left_helps_with_the_pairs_of_the_others(logged, monkeyp
     counts = Counter(seed for seed, _, _ in simulated)
     # The first run is repeated, and so are its twins of both kinds, which have cases of their own.
     assert sorted(counts.values()) == [3] * 9 + [3 + 3]
-    seeds = {one["id"]: one["seed"] for one in evidence["episodes"]}
-    repeated = [seeds[case["repeat"]["episode"]] for case in evidence["cases"]]
-    assert repeated == [evidence["episodes"][0]["seed"]] * 3
+    seeds = {one.id: one.seed for one in evidence.episodes}
+    repeated = [seeds[case.repeat.episode] for case in evidence.cases]
+    assert repeated == [evidence.episodes[0].seed] * 3
     helped = [process for _, process, test in simulated if test == "-"]
     assert len(helped) > 1, "simulated while no test was running"
     assert len(set(helped)) == 1
@@ -108,10 +108,10 @@ def test_nobody_helps_with_what_others_would_not_find(logged, project, monkeypat
 def test_helping_ends_where_the_requirement_is_decided(logged):
     runs = "{until: decided, at_most: 40}"
     evidence, simulated = logged("-n2", runs=runs, requirements=["BASE", "PAIR"])
-    verdicts = {one["requirement"]: one for one in evidence["verdicts"]}
-    assert {one["verdict"] for one in verdicts.values()} == {"supported"}
-    needed = verdicts["BASE"]["run"] + verdicts["PAIR"]["run"]
+    verdicts = {one.requirement: one for one in evidence.verdicts}
+    assert {one.verdict for one in verdicts.values()} == {"supported"}
+    needed = verdicts["BASE"].run + verdicts["PAIR"].run
     assert needed < 40
-    repeated = sum(case["repeat"] is not None for case in evidence["cases"])
+    repeated = sum(case.repeat is not None for case in evidence.cases)
     assert repeated == 2, "one of the runs and one of their twins"
     assert len(simulated) - repeated <= needed + 2, "but for what a worker began while it waited"

@@ -156,9 +156,9 @@ def check_evidence(project, capsys):
     directory = project.path / "dura-evidence"
     found = verify_bundle(directory, project.path / "junit.xml")
     assert found.problems == []
-    assert found.totals["violated"] == 4
-    assert found.totals["missing"] == 1
-    assert {one["text"] for one in project.evidence()["requirements"]} >= {TEXT}
+    assert found.totals.violated == 4
+    assert found.totals.missing == 1
+    assert {one.text for one in project.evidence().requirements} >= {TEXT}
     assert main(["verify", str(directory)]) == 0
     assert capsys.readouterr().out.endswith("\nintact\n")
     for file in directory.iterdir():

@@ -85,9 +85,9 @@ def junit(project):
 def by_words(record):
     """The verdicts of the record as a JUnit file tells them, per-episode tests apart."""
     found = {}
-    for one in record["verdicts"]:
-        key = junit_key(one["case"], one["requirement"], one["item"])
-        found.setdefault(key, []).append(one["verdict"])
+    for one in record.verdicts:
+        key = junit_key(one.case, one.requirement, one.item)
+        found.setdefault(key, []).append(one.verdict)
     return {key: tuple(sorted(words)) for key, words in found.items()}
 
 
@@ -95,8 +95,8 @@ def test_a_scenario_item_has_the_figures_of_its_verdict(junit, project):
     found = junit("--dura-scenarios", "--dura-select=corridor/tight", RECKLESS, "--dura-seed=7")
     told = found.of("corridor.tight::GAP-1")
     verdict = project.verdict("GAP-1", "corridor/tight")
-    episode = project.evidence()["episodes"][0]
-    assert told.pop("reason") == verdict["reason"]
+    episode = project.evidence().episodes[0]
+    assert told.pop("reason") == verdict.reason
     assert told == {
         "item": "corridor/tight::GAP-1",
         "base_seed": "7",
@@ -116,10 +116,10 @@ def test_a_scenario_item_has_the_figures_of_its_verdict(junit, project):
         "vacuous": "0",
         "bound_upper": "1.0",
         "bound_confidence": "0.95",
-        "bound_method": verdict["bound"]["method"],
-        "margin": str(verdict["margin"]),
+        "bound_method": verdict.bound.method,
+        "margin": str(verdict.margin),
         "counterexample": "corridor/tight#0",
-        "counterexample_seed": str(episode["seed"]),
+        "counterexample_seed": str(episode.seed),
         "replay": "pytest --dura-replay='corridor/tight#0'",
     }
 
@@ -137,14 +137,14 @@ def test_a_test_on_an_episode_names_it(junit, project):
     project.write("test_it.py", ON_EPISODES)
     found = junit("test_it.py", RECKLESS)
     pairs = found.tests["test_it::test_each[corridor/tight#0]"]
-    episode = project.evidence()["episodes"][0]
+    episode = project.evidence().episodes[0]
     head, group = pairs[:7], pairs[7:]
     assert dict(head) == {
         "item": "test_it.py::test_each[corridor/tight#0]",
         "base_seed": "0",
         "episode": "corridor/tight#0",
-        "seed": str(episode["seed"]),
-        "digest": episode["digest"],
+        "seed": str(episode.seed),
+        "digest": episode.digest,
         "validity": "valid",
         "replay": "pytest --dura-replay='corridor/tight#0' test_it.py",
     }
@@ -158,11 +158,9 @@ def test_a_test_on_an_episode_names_it(junit, project):
         ("corridor/tight", "OWN-1", "test_it.py::test_each"): Counter(satisfied=0, violated=3),
     }
     assert junit_verdicts(found.text) == {}
-    for one in project.evidence()["verdicts"]:
-        counts = outcomes[
-            junit_key(one["case"], one["requirement"], gather.test_function(one["item"]))
-        ]
-        assert (counts["violated"], counts.total()) == (one["violations"], one["run"])
+    for one in project.evidence().verdicts:
+        counts = outcomes[junit_key(one.case, one.requirement, gather.test_function(one.item))]
+        assert (counts["violated"], counts.total()) == (one.violations, one.run)
 
 
 def test_verdicts_are_those_of_the_record(junit, project):
@@ -226,8 +224,8 @@ def test_it(episode):
     (name,) = [value for name, value in pairs if name == "requirement"]
     assert name.startswith(r"<R&1>\n\x1b\ud800iii")
     (outcome,) = list(junit_outcomes(found.text))
-    (verdict,) = project.evidence()["verdicts"]
-    assert outcome == junit_key("corridor/tight", verdict["requirement"], "test_it.py::test_it")
+    (verdict,) = project.evidence().verdicts
+    assert outcome == junit_key("corridor/tight", verdict.requirement, "test_it.py::test_it")
 
 
 def test_tests_without_our_fixtures_have_nothing(junit, project):

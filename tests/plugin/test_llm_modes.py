@@ -17,7 +17,7 @@ from corridors import scenario
 from test_fault_campaigns_option import BIAS, NOISE, near_the_wall
 from test_secrets import texts
 
-from pytest_dura.evidence import SessionRecord, read_record, record_problems, verify_bundle
+from pytest_dura.evidence import SessionRecord, record_problems, verify_bundle
 from pytest_dura.llm import session as sessions
 
 SUPPORT = str(Path(__file__).parents[1] / "support")
@@ -134,7 +134,7 @@ def run(project, mode, *more, runs=2):
 
 
 def digests(project, folder="dura-evidence"):
-    return {one["id"]: one["digest"] for one in project.evidence(folder)["episodes"]}
+    return {one.id: one.digest for one in project.evidence(folder).episodes}
 
 
 def prompts(server):
@@ -154,8 +154,8 @@ def test_what_two_workers_record_one_process_replays_alone(talking, server, cut_
     assert len(digests(talking, "two")) == 6
     assert (talking.path / "dura-cassette.sqlite").read_bytes() == before
     assert prompts(server) == asked
-    specs = [one["spec"] for one in talking.evidence("two")["episodes"]]
-    params = {json.dumps(one["roles"]["generator"]["params"], sort_keys=True) for one in specs}
+    specs = [one.spec for one in talking.evidence("two").episodes]
+    params = {json.dumps(one.roles["generator"].params, sort_keys=True) for one in specs}
     (told,) = map(json.loads, params)
     assert told["model"] == server.model
     assert told["capabilities"]["enforced"] is False
@@ -178,8 +178,8 @@ def test_an_equal_request_is_asked_once_in_record_and_each_time_in_live(talking,
     once = len(prompts(server))
     run(talking, "record")
     assert len(prompts(server)) == once
-    told = talking.evidence()["models"][0]
-    assert (told["asked"], told["reused"]) == (0, once)
+    told = talking.evidence().models[0]
+    assert (told.asked, told.reused) == (0, once)
     run(talking, "live")
     assert len(prompts(server)) == 2 * once
 
@@ -188,9 +188,9 @@ def test_an_equal_request_is_asked_once_in_record_and_each_time_in_live(talking,
 def test_workers_go_by_what_the_controller_found_out(talking, server, mode):
     run(talking, mode, "-n", "2", "--dura-evidence=one", runs=1)
     probing = [one for one in server.requests if "gap" not in one.prompt]
-    (told,) = talking.evidence("one")["models"]
-    assert told["asked"] == len(prompts(server)) > 0
-    assert len(probing) == told["capabilities"]["requests"] - 1
+    (told,) = talking.evidence("one").models
+    assert told.asked == len(prompts(server)) > 0
+    assert len(probing) == told.capabilities["requests"] - 1
 
 
 def test_the_evidence_names_model_server_and_cassette(talking, server):
@@ -198,24 +198,24 @@ def test_the_evidence_names_model_server_and_cassette(talking, server):
     can = "structured output json_schema (not enforced), vision no, seed yes"
     line = f"dura: language model {server.model} at {server.base_url} (record), {can}"
     assert line in result.outlines
-    (told,) = talking.evidence()["models"]
+    (told,) = talking.evidence().models
     tape = talking.path / "dura-cassette.sqlite"
     with closing(sqlite3.connect(tape)) as opened:
         (stored,) = opened.execute("SELECT COUNT(*) FROM exchanges").fetchone()
-    assert told["cassette"]["file"] == "dura-cassette.sqlite"
-    assert told["cassette"]["exchanges"] == stored == told["asked"] == len(prompts(server))
-    assert (told["reused"], told["injected"], told["missed"]) == (0, 0, 0)
-    assert (told["component"], told["model"], told["mode"]) == ("Talker", server.model, "record")
-    assert told["base_url"] == server.base_url
-    assert told["prompts"] == "a" * 64
-    assert told["capabilities"]["vision"] is False
-    (given,) = [one for one in talking.evidence()["inputs"] if one["kind"] == "cassette"]
-    assert given["path"] == "dura-cassette.sqlite"
-    assert given["sha256"] == told["cassette"]["sha256"]
-    assert not given["changed"]
+    assert told.cassette.file == "dura-cassette.sqlite"
+    assert told.cassette.exchanges == stored == told.asked == len(prompts(server))
+    assert (told.reused, told.injected, told.missed) == (0, 0, 0)
+    assert (told.component, told.model, told.mode) == ("Talker", server.model, "record")
+    assert told.base_url == server.base_url
+    assert told.prompts == "a" * 64
+    assert told.capabilities["vision"] is False
+    (given,) = [one for one in talking.evidence().inputs if one.kind == "cassette"]
+    assert given.path == "dura-cassette.sqlite"
+    assert given.sha256 == told.cassette.sha256
+    assert not given.changed
     bundle = talking.path / "dura-evidence"
     assert verify_bundle(bundle).intact
-    record = read_record(bundle)
+    record = talking.evidence().to_json()
     record["models"][0]["cassette"]["sha256"] = "0" * 64
     forged = SessionRecord.of(record, bundle)
     (why,) = record_problems(forged)
@@ -226,15 +226,15 @@ def test_the_evidence_names_model_server_and_cassette(talking, server):
 
 def test_a_replayed_session_tells_what_it_took_from_the_cassette(talking, cut_off):
     run(talking, "record")
-    before = talking.evidence()["models"][0]
+    before = talking.evidence().models[0]
     cut_off()
     run(talking, "replay")
-    (told,) = talking.evidence()["models"]
-    assert (told["mode"], told["asked"], told["missed"]) == ("replay", 0, 0)
-    assert told["reused"] == before["asked"] + before["reused"]
-    assert told["cassette"]["exchanges"] == before["cassette"]["exchanges"]
+    (told,) = talking.evidence().models
+    assert (told.mode, told.asked, told.missed) == ("replay", 0, 0)
+    assert told.reused == before.asked + before.reused
+    assert told.cassette.exchanges == before.cassette.exchanges
     for key in ("base_url", "fingerprint", "capabilities", "prompts"):
-        assert told[key] == before[key]
+        assert getattr(told, key) == getattr(before, key)
 
 
 def first_line(result):
@@ -254,8 +254,8 @@ def test_the_first_line_of_a_replay_and_the_evidence_name_what_spoke(
     result = run(talking, "replay", "--dura-cassette=tapes/one.sqlite", *workers, runs=1)
     spoke = r"dura: answers replayed from tapes/one\.sqlite: a parrot, recorded \d{4}-\d\d-\d\d"
     assert re.fullmatch(spoke, first_line(result))
-    (told,) = talking.evidence()["models"]
-    assert told["about"] == "a parrot"
+    (told,) = talking.evidence().models
+    assert told.about == "a parrot"
     assert "(`a parrot`)" in (talking.path / "dura-evidence" / "summary.md").read_text()
 
 
@@ -266,7 +266,7 @@ def test_a_model_that_nobody_described_goes_by_its_name(talking, server, cut_off
     assert line.startswith(
         f"dura: answers replayed from dura-cassette.sqlite: {server.model}, recorded 2"
     )
-    assert talking.evidence()["models"][0]["about"] == ""
+    assert talking.evidence().models[0].about == ""
 
 
 def test_words_about_the_model_that_are_no_line_end_the_session(talking, monkeypatch):
@@ -284,14 +284,14 @@ def test_a_miss_is_no_failure_of_the_component_and_the_gate_fails(talking, cut_o
     result = run(talking, "replay", runs=1)
     assert result.ret == 1
     words = "infrastructure: cassette at tick 0 (t = 0.0 s): the cassette dura-cassette.sqlite has "
-    for one in talking.evidence()["episodes"]:
-        assert one["validity"] == "missing"
-        assert one["failure"].startswith(words)
+    for one in talking.evidence().episodes:
+        assert one.validity == "missing"
+        assert one.failure.startswith(words)
         differs = "line 3, block SIGHT (recorded 'asked politely', asked 'asked rudely')"
-        assert one["failure"].endswith(differs)
+        assert one.failure.endswith(differs)
     assert set(talking.verdicts().values()) == {"undecided"}
-    assert talking.evidence()["gate"]["result"] == "failed"
-    assert talking.evidence()["models"][0]["missed"] == len(talking.evidence()["episodes"])
+    assert talking.evidence().gate.result == "failed"
+    assert talking.evidence().models[0].missed == len(talking.evidence().episodes)
 
 
 @pytest.mark.parametrize("mode", ["record", "replay"])
@@ -337,10 +337,10 @@ def test_a_component_of_a_conftest_is_replayed_with_what_it_was_settled_to(talki
         "def generator(): return Local\n",
     )
     talking.scenarios("--dura-llm=record", select="corridor/it")
-    role = talking.evidence()["episodes"][0]["spec"]["roles"]["generator"]
-    assert role["path"] == "conftest.py:Local"
-    assert role["params"]["model"] == "scripted"
-    assert talking.evidence()["models"][0]["component"] == "Local"
+    role = talking.evidence().episodes[0].spec.roles["generator"]
+    assert role.path == "conftest.py:Local"
+    assert role.params["model"] == "scripted"
+    assert talking.evidence().models[0].component == "Local"
     cut_off()
     result = talking.run("--dura-replay=corridor/it#1", "--dura-llm=replay")
     assert "  the same" in result.outlines
@@ -424,13 +424,13 @@ def test_collecting_and_listing_ask_nobody(talking, server):
 def test_what_one_session_found_out_is_forgotten_in_the_next(talking, server):
     with ScriptedServer(otherwise=answers("0.1")) as other:
         run(talking, "live", "--dura-evidence=one")
-        first = talking.evidence("one")["models"]
+        first = talking.evidence("one").models
         talking.pytester._monkeypatch.setenv("DURA_LLM_BASE_URL", other.base_url)
         run(talking, "live", "--dura-evidence=two")
-        second = talking.evidence("two")["models"]
-    assert [one["base_url"] for one in (*first, *second)] == [server.base_url, other.base_url]
-    assert first[0]["cassette"] is None
-    assert first[0]["reused"] == 0
+        second = talking.evidence("two").models
+    assert [one.base_url for one in (*first, *second)] == [server.base_url, other.base_url]
+    assert first[0].cassette is None
+    assert first[0].reused == 0
     assert sessions.in_use() is None
 
 
@@ -464,7 +464,7 @@ def test_a_key_that_the_server_sends_back_is_in_no_file(talking, server):
     result = run(talking, "record", "--dura-evidence-level=all", "--junit-xml=junit.xml", "-rA")
     assert any(KEY in one.headers["authorization"] for one in server.requests)
     told = talking.evidence()
-    assert "Incorrect API key provided" in json.dumps(told["episodes"])
+    assert "Incorrect API key provided" in json.dumps(told.to_json(include={"episodes"}))
     assert "your key is" in (talking.path / "dura-cassette.sqlite").read_text("latin-1")
     assert KEY not in result.stdout.str() + result.stderr.str()
     for form in (KEY.encode(), b64encode(KEY.encode()).rstrip(b"="), KEY.encode("utf-32-le")):
@@ -482,4 +482,4 @@ def test_a_session_without_a_language_model_imports_nothing_that_one_needs(proje
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=project.path
     )
     assert told.stdout.splitlines()[-1] == "[]"
-    assert project.evidence()["models"] == []
+    assert project.evidence().models == []

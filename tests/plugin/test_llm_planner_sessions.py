@@ -49,7 +49,7 @@ def run(project, *arguments):
 
 
 def accounts(episode):
-    return {name: (one["hits"], one["of"]) for name, one in episode["metrics"]["tallies"].items()}
+    return {name: (one.hits, one.of) for name, one in episode.metrics.tallies.items()}
 
 
 @pytest.fixture
@@ -81,16 +81,16 @@ def test_a_session_with_the_null_model_is_replayed_without_its_server(
     monkeypatch.setenv("DURA_LLM_BASE_URL", "http://127.0.0.1:9/v1")
     replayed = run(project, "--dura-llm=replay", "--dura-evidence=two")
     assert replayed.parseoutcomes() == recorded.parseoutcomes()
-    (one,), (two,) = (project.evidence(name)["episodes"] for name in ("one", "two"))
-    assert one["digest"] == two["digest"]
-    assert one["metrics"]["answer_seconds"] == two["metrics"]["answer_seconds"]
-    assert min(one["metrics"]["answer_seconds"]) > 0.0
+    (one,), (two,) = (project.evidence(name).episodes for name in ("one", "two"))
+    assert one.digest == two.digest
+    assert one.metrics.answer_seconds == two.metrics.answer_seconds
+    assert min(one.metrics.answer_seconds) > 0.0
     told = accounts(one)
-    assert told["fallback"][1] == len(one["metrics"]["answer_seconds"])
+    assert told["fallback"][1] == len(one.metrics.answer_seconds)
     assert told["accelerates_into_conflict"][1] > 0
-    (model,) = project.evidence("two")["models"]
-    assert (model["model"], model["asked"], model["missed"]) == ("null", 0, 0)
-    assert model["capabilities"]["structured"] == "json_schema"
+    (model,) = project.evidence("two").models
+    assert (model.model, model.asked, model.missed) == ("null", 0, 0)
+    assert model.capabilities["structured"] == "json_schema"
     for name in ("one", "two"):
         assert verify_bundle(project.path / name).problems == []
 
@@ -114,11 +114,11 @@ def test_a_server_that_dies_fails_its_decisions_and_not_the_session(
     named(scripted_server(otherwise=dies))
     result = run(project)
     result.assert_outcomes(failed=1)
-    (verdict,) = project.evidence()["verdicts"]
-    assert (verdict["verdict"], verdict["violations"]) == ("undecided", 0)
-    (episode,) = project.evidence()["episodes"]
-    assert (episode["validity"], accounts(episode)["unavailable"]) == ("valid", (2, 3))
-    assert "HTTP 500: out of memory" in str(episode["events"])
+    (verdict,) = project.evidence().verdicts
+    assert (verdict.verdict, verdict.violations) == ("undecided", 0)
+    (episode,) = project.evidence().episodes
+    assert (episode.validity, accounts(episode)["unavailable"]) == ("valid", (2, 3))
+    assert "HTTP 500: out of memory" in str(episode.events)
 
 
 def test_faults_on_the_way_to_the_model_are_campaigns_like_any(project, scripted_server, named):
@@ -128,11 +128,11 @@ def test_faults_on_the_way_to_the_model_are_campaigns_like_any(project, scripted
     )
     named(scripted_server(otherwise=answers_by(answers)))
     result = run(project, "--dura-faults=prompt-drop,model-failure,prompt-paraphrase")
-    cases = {one["id"]: one for one in project.evidence()["cases"]}
+    cases = {one.id: one for one in project.evidence().cases}
     assert set(cases) == {f"brief/crossing+{name}" for name in (
         "prompt-drop", "model-failure", "prompt-paraphrase",
     )}  # fmt: skip
-    for episode in project.evidence()["episodes"]:
-        assert episode["validity"] == "valid"
-        assert [one["manifested_at"] is not None for one in episode["faults"]] == [True]
+    for episode in project.evidence().episodes:
+        assert episode.validity == "valid"
+        assert [one.manifested_at is not None for one in episode.faults] == [True]
     assert "INTERNALERROR" not in result.stdout.str()

@@ -48,7 +48,7 @@ def simulations(project):
 
 
 def digests(project):
-    return sorted((one["id"], one["digest"]) for one in project.evidence()["episodes"])
+    return sorted((one.id, one.digest) for one in project.evidence().episodes)
 
 
 @pytest.fixture
@@ -77,9 +77,9 @@ def check_whole(project, whole, result, simulated, repeats=1):
     seeds = simulations(project)
     assert len(seeds) == simulated + repeats
     assert seeds.count(seeds[0]) == 1 + repeats
-    (case,) = project.evidence()["cases"]
-    assert (case["repeat"]["episode"], case["repeat"]["result"]) == ("corridor/it#0", "equal")
-    assert project.evidence()["gate"]["result"] == "passed"
+    (case,) = project.evidence().cases
+    assert (case.repeat.episode, case.repeat.result) == ("corridor/it#0", "equal")
+    assert project.evidence().gate.result == "passed"
     assert not (project.path / "dura-evidence/.episodes").exists()
     bundle = project.path / "dura-evidence"
     assert verify_bundle(bundle).problems == []
@@ -105,7 +105,7 @@ def test_a_session_that_lost_a_worker_keeps_its_episodes_and_goes_on(counted):
     result = project.run("corridor/it", "-n", "1")
     assert result.ret == 1
     record = project.evidence()
-    assert (record["status"], record["gate"]["result"]) == ("complete", "failed")
+    assert (record.status, record.gate.result) == ("complete", "failed")
     assert "to go on: pytest corridor/it -n 1 --dura-resume" in output(result)
     check_kept_episodes_are_no_difference(project.path / "dura-evidence")
     result = project.run("corridor/it", "-n", "1", "--dura-resume")
@@ -137,7 +137,7 @@ def test_a_session_that_could_start_no_process_goes_on(counted, monkeypatch):
         result = project.run("corridor/it", "--dura-executor=processes:1")
     assert result.ret == 1
     assert "a process that simulates did not start: it was ended by SIGKILL" in output(result)
-    assert project.verdict("GAP-1")["verdict"] == "undecided"
+    assert project.verdict("GAP-1").verdict == "undecided"
     result = project.run("corridor/it", "--dura-executor=processes:1", "--dura-resume")
     check_whole(project, whole, result, 5)
 
@@ -147,7 +147,7 @@ def test_an_episode_that_is_missing_is_had_by_resuming(counted):
     project.write("kills", f"{third} 2")
     result = project.run("corridor/it", "--dura-executor=processes:1")
     assert result.ret == 1
-    assert "1 of 5 episodes are missing" in project.verdict("GAP-1")["reason"]
+    assert "1 of 5 episodes are missing" in project.verdict("GAP-1").reason
     assert "it ended 2 processes that simulated it" in output(result)
     result = project.run("corridor/it", "--dura-executor=processes:1", "--dura-resume")
     assert "dura: resuming: 5 episodes of the session of 20" in output(result)
@@ -165,8 +165,8 @@ def test_a_component_that_closes_the_sessions_files_ends_it_and_nobody_waits(pro
         result
     )
     record = project.evidence()
-    assert (record["status"], record["gate"]["result"]) == ("interrupted", "incomplete")
-    assert {one["verdict"] for one in record["verdicts"]} == {"undecided"}
+    assert (record.status, record.gate.result) == ("interrupted", "incomplete")
+    assert {one.verdict for one in record.verdicts} == {"undecided"}
     (project.path / "closes.py").write_text(CLOSES.format(deed="pass"))
     result = project.run("corridor/it", "corridor/well", "--dura-resume")
     assert result.ret == 0

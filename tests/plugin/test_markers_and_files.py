@@ -44,7 +44,7 @@ def test_a_requirement_of_a_file_cannot_be_decided_otherwise(project, rate, call
     result = project.run("test_it.py")
     result.assert_outcomes(failed=1)
     found = expect(project, result, "undecided")
-    assert found["run"] == 0
+    assert found.run == 0
     text = result.stdout.str()
     assert "the requirement 'R-1' is defined in a file, and is decided as it says there" in text
     assert f"key:      {key}" in text
@@ -69,8 +69,8 @@ def test_what_its_file_says_may_be_repeated(project, rate, call):
     scenario(project, recovery_planner="Brake")
     write_test(project, f"import checks; campaign.{call}", "requirement('R-1')")
     found = expect(project, project.run("test_it.py"), "supported")
-    assert found["bound"]["at_most"] == rate.get("at_most")
-    assert (found["pairs"] is not None) is ("paired" in rate or "paired" in call)
+    assert found.bound.at_most == rate.get("at_most")
+    assert (found.pairs is not None) is ("paired" in rate or "paired" in call)
 
 
 def test_a_rate_of_a_file_is_decided_on_all_runs_and_fails_none_of_them(project):
@@ -81,7 +81,7 @@ def test_a_rate_of_a_file_is_decided_on_all_runs_and_fails_none_of_them(project)
     result = project.run("test_it.py")
     result.assert_outcomes(passed=8)
     found = expect(project, result, "supported")
-    assert 0 < found["violations"] < found["episodes"] == 8
+    assert 0 < found.violations < found.episodes == 8
 
 
 @pytest.mark.parametrize("value", ["numpy.float32(0.75)", "fractions.Fraction(3, 4)"])
@@ -90,7 +90,7 @@ def test_a_rate_may_be_a_number_of_any_kind(project, value):
     body = f"import numpy, fractions; campaign.require('always (gap > 0)', at_most={value})"
     write_test(project, body, "requirement('R-1', text='Rarely.')")
     found = expect(project, project.run("test_it.py"), "supported")
-    assert found["bound"]["at_most"] == 0.75
+    assert found.bound.at_most == 0.75
 
 
 @pytest.mark.parametrize(
@@ -204,8 +204,8 @@ def test_each_question_of_a_test_has_a_verdict_of_its_own(project):
         campaign.paired(without=role).require('always (gap > 0)')"""
     write_test(project, body, "requirement('OWN-1', text='Keeps away.')")
     project.run("test_it.py").assert_outcomes(passed=1)
-    found = project.evidence()["verdicts"]
-    assert [(one["bound"]["at_most"], (one["pairs"] or {}).get("without")) for one in found] == [
+    found = project.evidence().verdicts
+    assert [(one.bound.at_most, one.pairs and one.pairs.without) for one in found] == [
         (None, None),
         (0.7, None),
         (None, "recovery_planner"),
@@ -260,9 +260,9 @@ def test_an_episode_that_ended_at_a_violation_decides_nothing_else(project, chec
     scenario(project, requirements="[GAP-1]\nend_at_violation: true", **PUSHED)
     write_test(project, f"campaign.require({check})", "requirement('OWN-1', text='Stays.')")
     found = expect(project, project.run("test_it.py"), "undecided", requirement="OWN-1")
-    assert detail in found["spoilt"]["detail"]
+    assert detail in found.spoilt.detail
     project.run("corridor/it").assert_outcomes(failed=1)
-    assert project.verdict("GAP-1")["verdict"] == "violated"
+    assert project.verdict("GAP-1").verdict == "violated"
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,8 @@ from pytest_dura.evidence import (
     files_below,
     manifest_text,
     merge_bundles,
+    open_record,
     plan_digest,
-    read_session_record,
     record_problems,
     record_schema,
     verify_bundle,
@@ -197,10 +197,14 @@ def test_what_two_shards_told_of_an_episode_comes_from_one_of_them(two, tmp_path
     """A test ran it by itself, on a slower machine: its events differ, and so does its trace."""
     hand, held = sorted(two, key=lambda one: "corridor/free" in str(
         json.loads((one / "evidence.json").read_text())["shard"]["holds"]))  # fmt: skip
-    own = {one["id"]: one for one in read_session_record(held).episodes()}["corridor/free#0"]
+    own = {one.id: one for one in open_record(held / "evidence.json").episodes()}["corridor/free#0"]
     slow = {"tick": 1, "time": 0.1, "kind": "timeout", "subject": "x", "detail": "", "data": {}}
-    name = own["trace"]["file"]
-    other = {**own, "events": [slow], "trace": {**own["trace"], "kept_for": "sample"}}
+    name = own.trace.file
+    other = {
+        **own.to_json(),
+        "events": [slow],
+        "trace": own.trace.to_json() | {"kept_for": "sample"},
+    }
     (hand / name).write_bytes(b"as slow as that")
     other["trace"] |= file_entry(hand / name)
 
@@ -209,16 +213,16 @@ def test_what_two_shards_told_of_an_episode_comes_from_one_of_them(two, tmp_path
         record["episodes"].append(other)
 
     rewritten(hand, change)
-    assert own["trace"]["kept_for"] == "violation"
+    assert own.trace.kept_for == "violation"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(
             "pytest_dura.evidence.merge_checks.verify_bundle",
             lambda _: type("", (), {"intact": 1}),
         )
         merge_bundles(two, tmp_path / "out")
-    found = {one["id"]: one for one in read_session_record(tmp_path / "out").episodes()}
-    assert found["corridor/free#0"]["events"] == own["events"]
-    assert found["corridor/free#0"]["trace"] == own["trace"]
+    found = {one.id: one for one in open_record(tmp_path / "out/evidence.json").episodes()}
+    assert found["corridor/free#0"].events == own.events
+    assert found["corridor/free#0"].trace == own.trace
     assert verify_bundle(tmp_path / "out").problems == []
 
 
@@ -234,7 +238,7 @@ def test_the_order_of_the_bundles_does_not_matter(made, tmp_path):
 def test_great_records_are_merged_a_few_episodes_at_a_time(made, tmp_path, monkeypatch):
     merge_bundles(of(made, 2), tmp_path / "a")
     monkeypatch.setattr(bundle_directory, "STREAMED_BYTES", 0)
-    monkeypatch.setattr(bundle_directory, "load_record", None)  # which reads all of it
+    monkeypatch.setattr(bundle_directory, "_read_record", None)  # which reads all of it
     merge_bundles(of(made, 2), tmp_path / "b")
     assert comparable(tmp_path / "a") == comparable(tmp_path / "b")
 
@@ -275,9 +279,9 @@ def test_the_whole_fails_if_any_shard_did_whatever_its_exit_code(made, tmp_path,
 
         rewritten(folder, end)
     merge_bundles(bundles, tmp_path / "out")
-    gate = read_session_record(tmp_path / "out")["gate"]
-    assert (gate["exit_code"], gate["result"]) == whole
-    assert bool(gate["reasons"]) == (whole[1] == "failed")
+    gate = open_record(tmp_path / "out/evidence.json").head.gate
+    assert (gate.exit_code, gate.result) == whole
+    assert bool(gate.reasons) == (whole[1] == "failed")
 
 
 def test_what_stood_against_a_shard_stands_against_the_whole(two, tmp_path):
@@ -317,8 +321,8 @@ def test_one_forged_field_of_a_merged_record_is_found(two, tmp_path):
         for forgery in by_field[key]:
             record = json.loads(text)
             forgery.apply(record)
-            forged = SessionRecord.of(record, output)
-            refuted.append(next(record_problems(forged), None))
+            forged = None if check_record(record) else SessionRecord.of(record, output)
+            refuted.append(forged is None or next(record_problems(forged), None))
         assert any(refuted), key
 
 
@@ -543,8 +547,8 @@ def test_an_episode_of_two_shards_that_differs_fails_the_whole(two, tmp_path, mo
     """A test ran it by itself, in another shard than its case, and it came out differently."""
     hand, held = sorted(two, key=lambda one: "corridor/free" in str(
         json.loads((one / "evidence.json").read_text())["shard"]["holds"]))  # fmt: skip
-    episodes = {one["id"]: one for one in read_session_record(held).episodes()}
-    other = {**episodes["corridor/free#0"], "digest": "0" * 64, "trace": None}
+    episodes = {one.id: one for one in open_record(held / "evidence.json").episodes()}
+    other = {**episodes["corridor/free#0"].to_json(), "digest": "0" * 64, "trace": None}
 
     def change(record):
         record["episodes"] = [one for one in record["episodes"] if one["id"] != other["id"]] + [

@@ -127,4 +127,4 @@ def test_a_worker_has_the_paths_of_the_controller(project):
 
 def test_the_flag_of_repeatable_episodes_is_recorded(project):
     project.scenarios("--dura-require-repeatable", select="corridor/free")
-    assert project.evidence()["require_repeatable"] is True
+    assert project.evidence().require_repeatable is True

@@ -88,7 +88,7 @@ def test_more_directories(project):
     (folder / "other.yaml").write_text(text.replace("corridor/tight", "other/tight"))
     result = project.scenarios("--dura-path=more", select="other/*")
     result.assert_outcomes(passed=1)
-    assert "--dura-path=more" in project.evidence()["command"]
+    assert "--dura-path=more" in project.evidence().command
 
 
 def test_ini_replaces_the_default_directory(project):
@@ -127,7 +127,7 @@ def test_list_shows_everything_and_runs_nothing(project):
 
 def test_the_evidence_goes_where_it_is_told_to(project):
     project.scenarios("--dura-evidence=out/here")
-    assert project.evidence("out/here")["status"] == "complete"
+    assert project.evidence("out/here").status == "complete"
     assert not (project.path / "dura-evidence").exists()
 
 
@@ -140,7 +140,7 @@ def test_evidence_that_cannot_be_written(project):
 def test_a_time_budget_replaces_that_of_the_scenarios(project):
     scenario(project)  # with a budget of its own, as the others have none
     result = project.scenarios("--dura-time-budget=1.5", "--dura-runs=1")
-    episodes = project.evidence()["episodes"]
-    assert {one["case"] for one in episodes} == {"corridor/free", "corridor/it", "corridor/tight"}
-    assert {one["spec"]["time_budget"] for one in episodes} == {1.5}
+    episodes = project.evidence().episodes
+    assert {one.case for one in episodes} == {"corridor/free", "corridor/it", "corridor/tight"}
+    assert {one.spec.time_budget for one in episodes} == {1.5}
     assert "--dura-time-budget=1.5" in result.stdout.str()

@@ -38,10 +38,10 @@ def test_a_role_that_makes_a_pair_worse_violates_the_requirement(project):
     result.assert_outcomes(failed=1)
     reason = "3 of 3 valid pairs violated it"
     found = expect(project, result, "violated", reason, requirement="always (gap > 0)")
-    pairs = found["pairs"]
-    assert pairs["without"] == "recovery_planner"
-    assert pairs["case"] == "corridor/it~recovery_planner"
-    assert (pairs["only_with"], pairs["only_without"], pairs["both"], pairs["neither"]) == (
+    pairs = found.pairs
+    assert pairs.without == "recovery_planner"
+    assert pairs.case == "corridor/it~recovery_planner"
+    assert (pairs.only_with, pairs.only_without, pairs.both, pairs.neither) == (
         3,
         0,
         0,
@@ -51,7 +51,7 @@ def test_a_role_that_makes_a_pair_worse_violates_the_requirement(project):
     assert "E       pairs:    with recovery_planner, and without" in text
     assert "pairs without recovery_planner: n = 3, 3 violations" in text
     assert "pytest_dura/" not in text.partition("= dura =")[0]
-    episodes = {one["id"]: one["seed"] for one in project.evidence()["episodes"]}
+    episodes = {one.id: one.seed for one in project.evidence().episodes}
     assert len(episodes) == 6
     for run_number in range(3):
         own, twin = f"corridor/it#{run_number}", f"corridor/it~recovery_planner#{run_number}"
@@ -67,8 +67,8 @@ assert (counts.both, counts.neither, counts.acted_only_without) == (0, 0, 3)
 pairs.require('always (gap > 0)')"""
     result = run(project, body)
     found = expect(project, result, "supported", requirement="always (gap > 0)")
-    assert found["pairs"]["only_without"] == 3
-    assert found["margin"] == pytest.approx(2.0)
+    assert found.pairs.only_without == 3
+    assert found.margin == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("at_most, word", [("0.7", "supported"), ("0.1", "undecided")])
@@ -77,7 +77,7 @@ def test_a_rate_of_pairs(project, at_most, word):
     body = f"""campaign.paired(without='recovery_planner').require(
     'always (gap > 0)', at_most={at_most}, confidence=0.9)"""
     found = expect(project, run(project, body), word, requirement="always (gap > 0)")
-    assert (found["method"], found["bound"]["confidence"]) == ("fixed", 0.9)
+    assert (found.method, found.bound.confidence) == ("fixed", 0.9)
 
 
 def test_pairs_end_once_their_rate_is_decided(project):
@@ -86,9 +86,9 @@ def test_pairs_end_once_their_rate_is_decided(project):
     'always (gap > 0)', at_most=0.3, method='sprt', p0=0.01)"""
     result = run(project, body)
     found = expect(project, result, "violated", requirement="always (gap > 0)")
-    assert found["run"] <= 5
-    assert found["saved"] == 40 - found["run"]
-    assert len(project.evidence()["episodes"]) == 2 * found["run"]
+    assert found.run <= 5
+    assert found.saved == 40 - found.run
+    assert len(project.evidence().episodes) == 2 * found.run
     # How many pairs there are depended on what they showed, which McNemar's test does not allow.
     lines = iter(result.outlines)
     p = next(line for line in lines if line.startswith("recovery ")).split().index("p")
@@ -113,8 +113,8 @@ assert pairs.change(lambda one: one.signals['x'].max()).values == change.values
 pairs.require(measure='checks:farthest', change_at_most={bound})"""
     result = run(project, body)
     found = expect(project, result, word, requirement="checks:farthest")
-    assert found["margin"] == pytest.approx(float(bound) - 27.6)
-    assert found["pairs"]["change"]["values"] == pytest.approx([27.6] * 3)
+    assert found.margin == pytest.approx(float(bound) - 27.6)
+    assert found.pairs.change.values == pytest.approx([27.6] * 3)
     assert line in result.stdout.str()
     folder = project.path / "dura-evidence"
     assert main(["verify", str(folder)]) == 0
@@ -155,10 +155,10 @@ pairs.require(measure='checks:farthest', change_at_most=1.0)"""
     row = dict(zip(header.split()[1:], cells[-8:], strict=True))
     assert row["pairs"] == "2"
     assert (row["caused"], row["never"]) == ("-", "0")
-    change = project.verdict("checks:farthest", "corridor/it")["pairs"]["change"]
-    assert change["mean"] > 0.1
-    assert float(row["cost"]) == pytest.approx(change["mean"], abs=0.05)
-    assert float(row["max"]) == pytest.approx(change["max"], abs=0.05)
+    change = project.verdict("checks:farthest", "corridor/it").pairs.change
+    assert change.mean > 0.1
+    assert float(row["cost"]) == pytest.approx(change.mean, abs=0.05)
+    assert float(row["max"]) == pytest.approx(change.max, abs=0.05)
     assert not any(line.startswith("recovery ") for line in lines)
     report = (project.path / "dura-evidence/report.html").read_text()
     assert "Attacks: runs of equal seeds" in report
@@ -179,9 +179,9 @@ def test_a_measure_without_a_value_is_more_than_any_number(project, situation, w
     body = """campaign.paired(without='recovery_planner').require(
     measure='checks:touched_at', change_at_most=5.0)"""
     found = expect(project, run(project, body), word, requirement="checks:touched_at")
-    assert (found["spoilt"] is None) is (detail is None)
+    assert (found.spoilt is None) is (detail is None)
     if detail is not None:
-        assert detail in found["spoilt"]["detail"]
+        assert detail in found.spoilt.detail
 
 
 def test_without_faults(project):
@@ -192,9 +192,9 @@ assert pairs.change('checks:farthest').values == (0.0, 0.0)
 pairs.require('always (gap > 0)')"""
     result = run(project, body)
     found = expect(project, result, "supported", requirement="always (gap > 0)")
-    assert found["pairs"]["without"] == "faults"
-    assert found["pairs"]["case"] == "corridor/it+none"
-    ids = [one["id"] for one in project.evidence()["episodes"]]
+    assert found.pairs.without == "faults"
+    assert found.pairs.case == "corridor/it+none"
+    ids = [one.id for one in project.evidence().episodes]
     assert ids == ["corridor/it#0", "corridor/it#1", "corridor/it+none#0", "corridor/it+none#1"]
 
 
@@ -205,7 +205,7 @@ def test_a_run_that_is_missing_leaves_its_pair_undecided(project):
     result = run(project, body)
     reason = "2 of 2 pairs are missing (infrastructure)"
     found = expect(project, result, "undecided", reason, requirement="always (gap > 0)")
-    assert found["spoilt"]["detail"].startswith("infrastructure: safety_monitor at tick 2")
+    assert found.spoilt.detail.startswith("infrastructure: safety_monitor at tick 2")
     assert "E       Failed: infrastructure: safety_monitor at tick 2" in result.stdout.str()
 
 
@@ -214,8 +214,8 @@ def test_the_twin_that_is_missing_is_named(project):
     body = "campaign.paired(without='recovery_planner').require('always (gap > 0)')"
     result = run(project, body)
     found = expect(project, result, "undecided", requirement="always (gap > 0)")
-    assert found["spoilt"]["episode"] == "corridor/it#0"
-    detail = found["spoilt"]["detail"]
+    assert found.spoilt.episode == "corridor/it#0"
+    detail = found.spoilt.detail
     assert detail.startswith("infrastructure: simulator at tick 1 (t = 0.1 s): RuntimeError: the ")
     assert detail.endswith(", in corridor/it~recovery_planner#0")
 

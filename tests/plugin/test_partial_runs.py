@@ -43,8 +43,8 @@ def test_fewer_episodes_than_planned_are_undecided(project, body, arguments, run
     result = project.run(*paths, *arguments)
     reason = f"only {run} of 4 planned episodes were run"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
-    assert (found["planned"], found["run"]) == (4, run)
-    assert project.evidence()["gate"]["result"] == gate
+    assert (found.planned, found.run) == (4, run)
+    assert project.evidence().gate.result == gate
 
 
 def test_last_failed_runs_fewer_episodes_than_planned(project):
@@ -55,7 +55,7 @@ def test_last_failed_runs_fewer_episodes_than_planned(project):
     result.assert_outcomes(passed=1, deselected=3)
     reason = "only 1 of 4 planned episodes were run"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
-    assert (found["planned"], found["run"]) == (4, 1)
+    assert (found.planned, found.run) == (4, 1)
     assert "the gate fails: GAP-1 on corridor/it is undecided, though" in result.stdout.str()
 
 
@@ -71,10 +71,10 @@ def test_a_time_limit_leaves_the_rest_undecided(project):
     result = project.run("test_it.py", "corridor/it::GO-1")
     reason = "only 2 of 4 planned episodes were run"
     found = expect(project, result, "undecided", reason, ret=2, requirement="GAP-1")
-    assert (found["planned"], found["run"]) == (4, 2)
+    assert (found.planned, found.run) == (4, 2)
     never = project.verdict("GO-1")
-    assert (never["verdict"], never["planned"], never["run"]) == ("undecided", 2, 0)
-    assert project.evidence()["status"] == "interrupted"
+    assert (never.verdict, never.planned, never.run) == ("undecided", 2, 0)
+    assert project.evidence().status == "interrupted"
 
 
 def test_a_dead_worker_leaves_its_runs_undecided(project):
@@ -82,7 +82,7 @@ def test_a_dead_worker_leaves_its_runs_undecided(project):
     result = project.run("test_it.py", "-n", "2")
     reason = "only 3 of 4 planned episodes were run"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
-    assert (found["planned"], found["run"], found["violations"]) == (4, 3, 0)
+    assert (found.planned, found.run, found.violations) == (4, 3, 0)
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
@@ -107,7 +107,7 @@ def test_an_item_that_kills_its_worker_is_tried_once_and_the_others_run(
     # The one that dies once for each of its two requirements, each of which cost a worker; the
     # others once and, their case being at its end, once more as the repeat of their first episode.
     assert sorted(simulated) == [f"corridor/{name}" for name in "aabbccddeeff"]
-    repeats = {case["id"]: case["repeat"] for case in project.evidence()["cases"]}
+    repeats = {case.id: case.repeat for case in project.evidence().cases}
     assert repeats.pop("corridor/d") is None
-    assert {repeat["result"] for repeat in repeats.values()} == {"equal"}
+    assert {repeat.result for repeat in repeats.values()} == {"equal"}
     assert result.ret == 1

@@ -27,7 +27,7 @@ def sha256(file):
 
 
 def inputs(project):
-    return {(one["kind"], one["path"]): one for one in project.evidence()["inputs"]}
+    return {(one.kind, one.path): one for one in project.evidence().inputs}
 
 
 @pytest.fixture
@@ -81,8 +81,8 @@ def test_every_input_file_is_listed_with_its_digest(full_project):
     assert ("test", "tests/test_other.py") not in found
     for (_, path), one in found.items():
         if (project.path / path).exists():
-            assert one["sha256"] == sha256(project.path / path)
-        assert not one["changed"]
+            assert one.sha256 == sha256(project.path / path)
+        assert not one.changed
         assert str(project.path) not in path
         assert not path.startswith(("/", ".."))
 
@@ -90,11 +90,11 @@ def test_every_input_file_is_listed_with_its_digest(full_project):
 def test_a_real_record_is_valid_by_its_schema_also_with_the_baseline_that_it_replaces(project):
     project.scenarios()
     before = sha256(project.path / "dura-evidence/evidence.json")
-    assert check_record(project.evidence()) == []
+    assert check_record(project.evidence().to_json()) == []
     project.scenarios("--dura-baseline=dura-evidence")
-    assert check_record(project.evidence()) == []
+    assert check_record(project.evidence().to_json()) == []
     told = inputs(project)["baseline", "dura-evidence/evidence.json"]
-    assert (told["sha256"], told["changed"]) == (before, False)
+    assert (told.sha256, told.changed) == (before, False)
 
 
 def test_a_file_that_changes_meanwhile_is_told(project):
@@ -108,24 +108,20 @@ def test_a_file_that_changes_meanwhile_is_told(project):
     before = sha256(project.path / "scenarios/corridor/tight.yaml")
     project.scenarios(select="corridor/tight")
     found = inputs(project)
-    assert found["scenario", "scenarios/corridor/tight.yaml"] == {
+    assert found["scenario", "scenarios/corridor/tight.yaml"].to_json() == {
         "kind": "scenario", "path": "scenarios/corridor/tight.yaml", "sha256": before,
         "changed": True,
     }  # fmt: skip
-    assert not found["requirements", "scenarios/requirements.yaml"]["changed"]
+    assert not found["requirements", "scenarios/requirements.yaml"].changed
 
 
 def test_cells_and_ranges_of_a_real_session(project):
     project.scenarios()
-    coverage = project.evidence()["coverage"]
-    words = {
-        (one["case"], one["requirement"]): one["verdict"] for one in project.evidence()["verdicts"]
-    }
-    tested = [cell for cell in coverage["cells"] if cell["verdict"] is not None]
-    assert {(cell["case"], cell["requirement"]): cell["verdict"] for cell in tested} == words
+    coverage = project.evidence().coverage
+    words = {(one.case, one.requirement): one.verdict for one in project.evidence().verdicts}
+    tested = [cell for cell in coverage.cells if cell.verdict is not None]
+    assert {(cell.case, cell.requirement): cell.verdict for cell in tested} == words
     variation = {
-        (case["scenario"], path)
-        for case in project.evidence()["cases"]
-        for path in case["variation"]
+        (case.scenario, path) for case in project.evidence().cases for path in case.variation
     }
-    assert {(one["scenario"], one["parameter"]) for one in coverage["parameters"]} == variation
+    assert {(one.scenario, one.parameter) for one in coverage.parameters} == variation

@@ -48,8 +48,8 @@ def planned(project):
 
 
 def repeat(project, case="corridor/it"):
-    (found,) = [one for one in project.evidence()["cases"] if one["id"] == case]
-    return found["repeat"]
+    (found,) = [one for one in project.evidence().cases if one.id == case]
+    return found.repeat
 
 
 @pytest.mark.parametrize("planner", SHAKY)
@@ -62,10 +62,10 @@ def test_a_component_that_does_not_repeat_itself_is_told(planned, planner, runs)
         ["not repeatable: corridor/it#0 (*): run again in this session it*"]
     )
     found = repeat(project)
-    assert (found["episode"], found["result"]) == ("corridor/it#0", "different")
-    assert found["digest"] != found["repeated_digest"]
-    first = next(one for one in project.evidence()["episodes"] if one["id"] == "corridor/it#0")
-    assert found["digest"] == first["digest"]
+    assert (found.episode, found.result) == ("corridor/it#0", "different")
+    assert found.digest != found.repeated_digest
+    first = next(one for one in project.evidence().episodes if one.id == "corridor/it#0")
+    assert found.digest == first.digest
     assert "Not repeatable: corridor/it" in (project.path / "dura-evidence/summary.md").read_text()
     assert "Not repeatable: corridor/it" in (project.path / "dura-evidence/report.html").read_text()
 
@@ -75,7 +75,7 @@ def test_where_it_is_required_it_fails_the_gate(planned, planner):
     project = planned(planner)
     result = project.scenarios(*REQUIRED, select="corridor/it")
     assert result.ret == 1
-    (reason,) = project.evidence()["gate"]["reasons"]
+    (reason,) = project.evidence().gate.reasons
     assert reason.startswith("not repeatable: corridor/it#0")
     assert result.stdout.str().count("not repeatable: ") == 1
     assert main(["verify", str(project.path / "dura-evidence")]) == 0
@@ -87,8 +87,8 @@ def test_one_that_repeats_itself_passes_and_its_repetition_is_part_of_no_count(p
     assert result.ret == 0
     assert "not repeatable" not in result.stdout.str()
     found = repeat(project)
-    assert (found["result"], found["digest"]) == ("equal", found["repeated_digest"])
-    assert len(project.evidence()["episodes"]) == project.verdict("GAP-1")["run"] == 4
+    assert (found.result, found.digest) == ("equal", found.repeated_digest)
+    assert len(project.evidence().episodes) == project.verdict("GAP-1").run == 4
     assert main(["verify", str(project.path / "dura-evidence")]) == 0
 
 
@@ -116,7 +116,7 @@ def test_a_case_is_repeated_once_however_many_requirements_and_processes_there_a
     result, count = simulations(project, monkeypatch, *arguments)
     assert result.ret == 0
     assert count == 5
-    assert repeat(project)["result"] == "equal"
+    assert repeat(project).result == "equal"
 
 
 @pytest.mark.parametrize("planner", SHAKY)
@@ -126,7 +126,7 @@ def test_it_is_found_wherever_episodes_are_simulated(planned, planner, arguments
         pytest.skip("no os.fork")
     project = planned(planner, runs=3)
     assert project.scenarios(*REQUIRED, *arguments, select="corridor/it").ret == 1
-    assert repeat(project)["result"] == "different"
+    assert repeat(project).result == "different"
 
 
 def test_state_that_other_episodes_leave_behind_shows(planned):
@@ -144,7 +144,7 @@ class Tires(Careful):
 """
     project.write("planners.py", PLANNERS + text)
     project.scenarios(select="corridor/it")
-    assert repeat(project)["result"] == "different"
+    assert repeat(project).result == "different"
 
 
 def test_a_bare_instance_is_repeated_in_this_process(project):
@@ -162,7 +162,7 @@ def test_a_bare_instance_is_repeated_in_this_process(project):
     """.replace("\n        ", "\n"),
     )
     assert project.scenarios(*REQUIRED, select="corridor/it").ret == 1
-    assert repeat(project)["result"] == "different"
+    assert repeat(project).result == "different"
 
 
 def test_tests_on_single_episodes_are_repeated_after_the_last_of_them(project):
@@ -180,7 +180,7 @@ def test_it(episode):
 """,
     )
     project.run()
-    assert repeat(project)["result"] == "different"
+    assert repeat(project).result == "different"
 
 
 def test_an_episode_that_was_taken_over_is_compared_with_one_of_this_session(planned, monkeypatch):
@@ -188,7 +188,7 @@ def test_an_episode_that_was_taken_over_is_compared_with_one_of_this_session(pla
     reuse = "--dura-reuse=kept"
     assert simulations(project, monkeypatch, reuse)[1] == 3
     assert simulations(project, monkeypatch, reuse)[1] == 1
-    assert repeat(project)["result"] == "equal"
+    assert repeat(project).result == "equal"
 
 
 def test_a_repetition_that_fails_is_told(planned):
@@ -211,7 +211,7 @@ class Breaks(Corridor):
     )
     result = project.scenarios(*REQUIRED, select="corridor/it")
     assert result.ret == 1
-    assert repeat(project)["result"] == "failed"
+    assert repeat(project).result == "failed"
     result.stdout.fnmatch_lines(
         ["not repeatable: corridor/it#0 (*the repetition failed: *worn out*"]
     )

@@ -16,7 +16,7 @@ from pytest_dura.evidence import read_trace, write_trace
 def test_a_replay_has_the_same_digest(project):
     project.run("corridor/free")
     before = (project.path / "dura-evidence/evidence.json").read_bytes()
-    digest = project.evidence()["episodes"][1]["digest"]
+    digest = project.evidence().episodes[1].digest
     result = project.run("--dura-replay=corridor/free#1")
     assert result.ret == 0
     result.stdout.fnmatch_lines(
@@ -85,7 +85,7 @@ def test_a_replay_leaves_the_bundle_as_it_is_wherever_it_lies(project):
 
 def tampered(project, change):
     """Another trace in the place of the one that was kept, and the record of that."""
-    record = project.evidence()
+    record = project.evidence().to_json()
     told = record["episodes"][0]["trace"]
     file = project.path / "dura-evidence" / told["file"]
     told.update(write_trace(file, change(read_trace(file))))
@@ -155,7 +155,7 @@ def test_a_record_that_leads_out_of_the_bundle(project):
     )
     result = project.run("--dura-replay=corridor/free#0")
     assert result.ret == 4
-    assert "the record is damaged" in result.stderr.str()
+    assert "this record is damaged" in result.stderr.str()
 
 
 def test_the_printed_command_replays_a_timeout_exactly(project):
@@ -235,7 +235,7 @@ def test_an_episode_that_may_end_at_a_violation(project):
         .replace("runs: 2", "runs: 1\nend_at_violation: true")
     )  # fmt: skip
     project.run("corridor/ends")
-    assert project.evidence()["episodes"][0]["termination"] == "violation"
+    assert project.evidence().episodes[0].termination == "violation"
     assert project.run("--dura-replay=corridor/ends#0").ret == 0
 
 
@@ -260,6 +260,5 @@ def test_a_damaged_record(project, damage):
     alter(project.path / "dura-evidence", damage)
     result = project.run("--dura-replay=corridor/free#0")
     assert result.ret == 4
-    told = "this record has no episodes" if damage is no_episodes else "the record is damaged (*"
-    result.stderr.fnmatch_lines([f"ERROR: *evidence.json: {told}", "  remedy:*"])
+    result.stderr.fnmatch_lines(["ERROR: *evidence.json: th* record is damaged*", "  remedy:*"])
     assert "Traceback" not in result.stderr.str()

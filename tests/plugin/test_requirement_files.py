@@ -36,8 +36,8 @@ def write_all(project):
 
 def told(project):
     names = ("verdict", "method", "run", "saved", "margin", "bound", "pairs", "check", "reason")
-    verdicts = project.evidence()["verdicts"]
-    return {one["requirement"]: {name: one[name] for name in names} for one in verdicts}
+    verdicts = project.evidence().verdicts
+    return {one.requirement: {name: getattr(one, name) for name in names} for one in verdicts}
 
 
 def test_every_kind_of_requirement_is_judged_alike_plain_and_distributed(project):
@@ -54,12 +54,12 @@ def test_every_kind_of_requirement_is_judged_alike_plain_and_distributed(project
         "PAIR-1": ("supported", "every episode"),
         "PAIR-2": ("supported", "every episode"),
     }
-    assert plain["FIX-1"]["bound"]["confidence"] == 0.9
-    assert plain["FIX-1"]["bound"]["upper"] == pytest.approx(1 - 0.1 ** (1 / 12))
+    assert plain["FIX-1"]["bound"].confidence == 0.9
+    assert plain["FIX-1"]["bound"].upper == pytest.approx(1 - 0.1 ** (1 / 12))
     assert plain["SPRT-1"]["saved"] > 0
     assert plain["FUN-1"]["margin"] is None
     assert plain["GLOB-1"]["margin"] == pytest.approx(3.0)
-    assert plain["PAIR-2"]["pairs"]["without"] == "recovery_planner"
+    assert plain["PAIR-2"]["pairs"].without == "recovery_planner"
     project.run("corridor/it", "-n", "2").assert_outcomes(passed=7)
     assert told(project) == plain
 
@@ -96,7 +96,7 @@ def test_what_a_check_function_returns(project, check, word, margin, line):
     scenario(project, requirements="[R-1]", generator="Reckless", world="{wall: 1.0}")
     result = project.run("corridor/it")
     found = expect(project, result, word)
-    assert (found["margin"], found["check"]) == (margin, f"checks:{check}")
+    assert (found.margin, found.check) == (margin, f"checks:{check}")
     assert line in result.stdout.str()
 
 
@@ -117,7 +117,7 @@ def test_a_check_that_fails_is_infrastructure(project, check, cause):
     scenario(project, requirements="[R-1, GAP-1]")
     result = project.run("corridor/it")
     found = expect(project, result, "undecided", "2 of 2 episodes are missing (infrastructure)")
-    assert found["missing"] == 2
+    assert found.missing == 2
     expect(project, result, "supported", requirement="GAP-1", ret=1)
     message = result.stdout.str().partition("corridor/it::R-1 _")[2].splitlines()[1]
     assert message.startswith(f"infrastructure: check checks:{check}: {cause}")

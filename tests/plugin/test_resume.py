@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from outputs import output
 
 from pytest_dura.core import derive_seed
 from pytest_dura.evidence import verify_bundle
+from pytest_dura.evidence.session_model import EarlierSession, OutdatedEpisodes
 
 WAIT = 60.0
 """Seconds that a session may take on a busy machine."""
@@ -88,16 +90,16 @@ def started(project, *arguments, python=(sys.executable,)):
 
 def told(project, folder="dura-evidence"):
     """What a session came to, without how fast, and by whom its episodes were simulated."""
-    record = project.evidence(folder)
+    keys = {"status", "gate", "cases", "episodes", "verdicts", "coverage", "totals"}
+    record = project.evidence(folder).to_json(include=keys)
     for episode in record["episodes"]:
         del episode["origin"]
         del episode["metrics"]["processing_us"], episode["timings"]["processing_seconds"]
-    keys = ("status", "gate", "cases", "episodes", "verdicts", "coverage", "totals")
-    return {key: record[key] for key in keys}
+    return record
 
 
 def reuse(project, folder="dura-evidence"):
-    return project.evidence(folder)["reuse"]
+    return project.evidence(folder).reuse
 
 
 def check_intact(project, folder="dura-evidence"):
@@ -126,13 +128,13 @@ def test_a_session_whose_controller_was_killed_goes_on_where_it_was(project, mod
             assert time.monotonic() < deadline, f"the worker {worker} stays behind"
             time.sleep(0.02)
     record = project.evidence()
-    assert (record["status"], record["gate"]["result"]) == ("running", "incomplete")
-    assert record["gate"]["exit_code"] != 0
+    assert (record.status, record.gate.result) == ("running", "incomplete")
+    assert record.gate.exit_code != 0
     before = simulations(project)
 
     result = project.run("corridor/it", "--dura-resume", *mode)
     assert result.ret == 0
-    taken = reuse(project)["taken_over"]
+    taken = reuse(project).taken_over
     assert 3 <= taken <= (5 if not mode else 6)
     assert f"dura: resuming: {taken} episodes of the interrupted session of 20" in output(result)
     assert f"{taken} episodes taken over from 1 earlier session, {6 - taken} simulated" in output(
@@ -142,9 +144,9 @@ def test_a_session_whose_controller_was_killed_goes_on_where_it_was(project, mod
     again = simulations(project) - before
     assert set(simulations(project)) == seeds
     assert sum(again.values()) == 6 - taken + 1, "what was simulated before is not simulated again"
-    origins = [one["origin"]["session"] for one in project.evidence()["episodes"]]
+    origins = [one.origin.session for one in project.evidence().episodes]
     assert sum(origin is not None for origin in origins) == taken
-    assert reuse(project)["mode"] == "resume"
+    assert reuse(project).mode == "resume"
     check_intact(project)
     assert not (project.path / "dura-evidence/.episodes").exists()
 
@@ -158,7 +160,7 @@ def interrupted(project):
     project.write("broken", "")
     result = project.run("test_it.py", "-x")
     assert result.ret == 1
-    assert project.evidence()["status"] == "interrupted"
+    assert project.evidence().status == "interrupted"
     (project.path / "broken").unlink()
     return project, result
 
@@ -175,17 +177,17 @@ def test_what_changed_is_simulated_again_and_nothing_else(interrupted):
     line = "2 episodes simulated again: code of the generator planb:PlanB changed"
     assert line in output(result)
     found = reuse(project)
-    assert (found["mode"], found["taken_over"]) == ("resume", 3)
-    (earlier,) = found["sessions"]
-    assert earlier["episodes"] == 3
-    assert earlier["session"] != found["session"]
+    assert (found.mode, found.taken_over) == ("resume", 3)
+    (earlier,) = found.sessions
+    assert earlier.episodes == 3
+    assert earlier.session != found.session
     changed = ["code of the generator planb:PlanB"]
-    assert found["outdated"] == [{"changed": changed, "episodes": 2}]
-    for one in project.evidence()["episodes"]:
+    assert found.outdated == [OutdatedEpisodes(changed=changed, episodes=2)]
+    for one in project.evidence().episodes:
         expected = {"session": None, "changed": changed}
-        if one["component"] == "PlanA":
-            expected = {"session": earlier["session"], "changed": None}
-        assert one["origin"] == expected
+        if one.component == "PlanA":
+            expected = {"session": earlier.session, "changed": None}
+        assert one.origin.to_json() == expected
     counts = simulations(project, repeats=2)
     assert {count for (name, _), count in counts.items() if name == "PlanA"} == {1}
     assert {count for (name, _), count in counts.items() if name == "PlanB"} == {2}
@@ -204,8 +206,8 @@ def test_the_same_is_told_where_two_workers_use_the_episodes(interrupted):
     result = project.run("test_it.py", "--dura-resume", "-n", "2", "--dist", "each")
     assert result.ret == 0
     found = reuse(project)
-    assert found["taken_over"] == 3
-    assert [one["episodes"] for one in found["outdated"]] == [2]
+    assert found.taken_over == 3
+    assert [one.episodes for one in found.outdated] == [2]
     assert {*simulations(project, repeats=2).values()} == {1, 2}
     check_intact(project)
 
@@ -218,7 +220,7 @@ def test_a_session_that_is_not_resumed_says_what_it_drops(interrupted):
     assert line in output(result)
     assert "--dura-resume would have taken them over" in output(result)
     assert set(simulations(project, repeats=2).values()) == {2}
-    assert reuse(project)["taken_over"] == 0
+    assert reuse(project).taken_over == 0
     assert line not in output(project.run("test_it.py"))
 
 
@@ -250,7 +252,7 @@ def test_verify_counts_again_what_was_taken_over(interrupted, change, told):
     file = project.path / "planb.py"
     file.write_text(file.read_text() + "# changed\n")
     project.run("test_it.py", "--dura-resume")
-    record = project.evidence()
+    record = project.evidence().to_json()
     change(record)
     (project.path / "dura-evidence/evidence.json").write_text(json.dumps(record))
     problems = verify_bundle(project.path / "dura-evidence").problems
@@ -276,12 +278,12 @@ def test_episodes_are_kept_from_session_to_session_where_it_is_asked_for(project
     assert "reusing: 0 episodes of earlier sessions in kept" in output(first)
     whole = told(project)
     own = reuse(project)
-    assert (own["mode"], own["taken_over"], own["sessions"]) == ("reuse", 0, [])
+    assert (own.mode, own.taken_over, own.sessions) == ("reuse", 0, [])
     second = project.run("corridor/it", "--dura-reuse=kept")
     assert "reusing: 3 episodes of earlier sessions in kept" in output(second)
     assert "3 episodes taken over from 1 earlier session, 0 simulated" in output(second)
     assert told(project) == whole
-    assert reuse(project)["sessions"] == [{"session": own["session"], "episodes": 3}]
+    assert reuse(project).sessions == [EarlierSession(session=own.session, episodes=3)]
     assert set(simulations(project, repeats=2).values()) == {1}
     check_intact(project)
     third = project.run("corridor/it", "--dura-reuse=kept", "--dura-seed=1")
@@ -372,22 +374,22 @@ def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_
         result = project.run(*given, *mode)
         count = len((project.path / "log").read_text().splitlines())
         check_intact(project)
-        (search,) = project.evidence()["searches"]
-        assert search["outcomes"][0]["word"] == "falsified"
-        searched = reuse(project)["searched"]
-        taken = searched["taken_over"]
-        assert searched["simulations"] - taken == count
+        (search,) = project.evidence().searches
+        assert search.outcomes[0].word == "falsified"
+        searched = reuse(project).searched
+        taken = searched.taken_over
+        assert searched.simulations - taken == count
         line = f"{taken} runs of searches taken over*{count} simulated"
         result.stdout.fnmatch_lines([line])
         kinds.append((searched, count, result))
     (first, all_of_them, _), (again, replays, _), (changed, count, result) = kinds
-    assert (first["taken_over"], first["outdated"]) == (0, [])
+    assert (first.taken_over, first.outdated) == (0, [])
     assert replays == 1, "a replay of an earlier session confirms nothing in this one"
-    assert again["taken_over"] == all_of_them - 1
-    assert [one["episodes"] for one in again["sessions"]] == [all_of_them - 1]
-    assert (changed["taken_over"], count) == (0, all_of_them)
+    assert again.taken_over == all_of_them - 1
+    assert [one.episodes for one in again.sessions] == [all_of_them - 1]
+    assert (changed.taken_over, count) == (0, all_of_them)
     why = ["code of the generator fast:Fast"]
-    assert changed["outdated"] == [{"changed": why, "episodes": all_of_them - 1}]
+    assert changed.outdated == [OutdatedEpisodes(changed=why, episodes=all_of_them - 1)]
     result.stdout.fnmatch_lines(["* of searches simulated again: code of the generator *changed"])
     record = json.loads((project.path / "dura-evidence/evidence.json").read_text())
     record["reuse"]["searched"]["taken_over"] = 3
@@ -411,12 +413,12 @@ def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project, mode):
     result = project.run_apart(*names, *mode)
     assert result.ret == 2
     assert "nobody is left who simulates" in output(result)
-    assert project.evidence()["status"] == "interrupted"
-    assert project.evidence()["gate"]["result"] == "incomplete"
+    assert project.evidence().status == "interrupted"
+    assert project.evidence().gate.result == "incomplete"
     (project.path / "gone").unlink()
     result = project.run_apart(*names, *mode, "--dura-resume")
     assert result.ret == 0
-    assert reuse(project)["taken_over"] >= 1
+    assert reuse(project).taken_over >= 1
 
 
 def test_a_damaged_record_is_refused_by_name(project):
@@ -425,5 +427,8 @@ def test_a_damaged_record_is_refused_by_name(project):
     file.write_text(file.read_text().replace('"exit_code": 0', '"exit_code": "0"', 1))
     result = project.scenarios("--dura-resume")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    assert "/gate/exit_code: found string, expected integer" in output(result)
+    assert re.search(
+        "damaged\n  key:      /gate/exit_code\n  found:    .?string.?\n  expected: integer\n",
+        output(result),
+    )
     assert "INTERNALERROR" not in output(result)

@@ -13,7 +13,7 @@ import pytest
 from corridors import scenario
 from outputs import output
 
-from pytest_dura.evidence import DirectoryLock, read_session_record
+from pytest_dura.evidence import DirectoryLock, open_record
 from pytest_dura.evidence.bundle import rendered_files
 from pytest_dura.evidence.episodes import EPISODES_PER_PART
 
@@ -63,18 +63,18 @@ def test_a_killed_session_is_incomplete_and_takes_no_pass_over(project):
     scenario(project, requirements="[GAP-1]")
     project.run("corridor/it")
     evidence = project.path / "dura-evidence"
-    assert project.evidence()["gate"]["result"] == "passed"
+    assert project.evidence().gate.result == "passed"
     assert {*rendered_files()} <= {file.name for file in evidence.iterdir()}
     process = begun(project)
     process.send_signal(signal.SIGKILL)
     process.communicate(timeout=WAIT)
-    record = read_session_record(evidence)
-    assert (record["status"], record["gate"]["result"]) == ("running", "incomplete")
-    assert record["gate"]["exit_code"] != 0
+    record = open_record(evidence / "evidence.json")
+    assert (record.head.status, record.head.gate.result) == ("running", "incomplete")
+    assert record.head.gate.exit_code != 0
     assert not {*rendered_files()} & {file.name for file in evidence.iterdir()}
     assert not list(evidence.glob(".session*")), "episodes on disk leave no file"
     project.run("corridor/it")
-    assert project.evidence()["gate"]["result"] == "passed", "its lock blocks nobody"
+    assert project.evidence().gate.result == "passed", "its lock blocks nobody"
     assert {file.name for file in evidence.iterdir()} - {*rendered_files()} <= {
         "evidence.json",
         "episodes",
@@ -92,9 +92,9 @@ def test_an_interrupted_session_tells_what_it_got_to(project):
     told = process.communicate(timeout=WAIT)[0]
     assert process.returncode == 2, told
     assert b"Traceback" not in told
-    record = read_session_record(project.path / folder)
-    assert (record["status"], record["gate"]["result"]) == ("interrupted", "incomplete")
-    assert [one["id"] for one in record.episodes()] == ["corridor/it#0"]
+    record = open_record(project.path / folder / "evidence.json")
+    assert (record.head.status, record.head.gate.result) == ("interrupted", "incomplete")
+    assert [one.id for one in record.episodes()] == ["corridor/it#0"]
 
 
 DIES = """
@@ -126,12 +126,12 @@ def test_the_episodes_of_a_dead_worker_are_listed_as_missing(project):
     result = project.run("test_it.py", "-n", "1")
     assert result.ret == 1
     record = project.evidence()
-    (case,) = record["cases"]
-    heard = {one["spec"]["run"] for one in record["episodes"]}
-    assert case["missing_runs"] == sorted({*range(5)} - heard)
-    assert case["missing_runs_total"] == len(case["missing_runs"]) == 1
+    (case,) = record.cases
+    heard = {one.spec.run for one in record.episodes}
+    assert case.missing_runs == sorted({*range(5)} - heard)
+    assert case.missing_runs_total == len(case.missing_runs) == 1
     found = project.verdict("GAP-1")
-    assert (found["verdict"], found["planned"], found["run"]) == ("undecided", 5, 4)
+    assert (found.verdict, found.planned, found.run) == ("undecided", 5, 4)
 
 
 FULL = """
@@ -182,7 +182,7 @@ def test_a_full_disk_fails_the_session_and_leaves_no_half_record(
     assert b"Traceback" not in done.stdout
     assert b"INTERNALERROR" not in done.stdout
     record = project.evidence()
-    assert (record["status"], record["gate"]["result"]) == ("running", "incomplete")
+    assert (record.status, record.gate.result) == ("running", "incomplete")
     names = {file.name for file in (project.path / "dura-evidence").iterdir()}
     assert names <= {"evidence.json", "episodes", ".episodes"}
 
@@ -248,6 +248,6 @@ def test_all_of_a_great_many_episodes_of_one_item_arrive(project, arguments):
     scenario(project, runs=EPISODES_PER_PART * 2 + 3, requirements="[GAP-1]")
     project.run("corridor/it", *arguments)
     record = project.evidence()
-    assert [one["spec"]["run"] for one in record["episodes"]] == list(range(131))
-    (case,) = record["cases"]
-    assert (case["planned"], case["metrics"]["run"], case["missing_runs"]) == (131, 131, [])
+    assert [one.spec.run for one in record.episodes] == list(range(131))
+    (case,) = record.cases
+    assert (case.planned, case.metrics.run, case.missing_runs) == (131, 131, [])

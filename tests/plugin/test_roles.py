@@ -29,10 +29,10 @@ def test_the_root_conftest_swaps_the_component_in_every_mode(project, mode):
     assert "component under test from the fixture `generator` in conftest.py" in text
     assert "component under test: Mine" in text
     evidence = project.evidence()
-    assert evidence["component_under_test"]["name"] == "Mine"
-    assert len(evidence["component_under_test"]["digest"]) == 64
+    assert evidence.component_under_test.name == "Mine"
+    assert len(evidence.component_under_test.digest) == 64
     for kind in ("cases", "episodes", "verdicts"):
-        assert {one["component"] for one in evidence[kind]} == {"Mine"}
+        assert {one.component for one in getattr(evidence, kind)} == {"Mine"}
 
 
 def test_a_class_in_the_root_conftest_is_found_beside_another_conftest(project):
@@ -64,7 +64,7 @@ def test_an_override_deeper_down_is_for_its_own_tests(project):
     text = result.stdout.str()
     assert "warning: tests/conftest.py overrides `generator`, which scenario items do not" in text
     assert "corridor/tight (Deeper (tests))" in text
-    names = {one["component"] for one in project.evidence()["verdicts"]}
+    names = {one.component for one in project.evidence().verdicts}
     assert names == {"Mine"}
 
 
@@ -81,11 +81,11 @@ def test_components_of_one_name_in_two_folders_are_told_apart(project):
     result = project.run("a", "b")
     result.assert_outcomes(passed=2)
     evidence = project.evidence()
-    assert [one["component"] for one in evidence["verdicts"]] == ["Mine (a)", "Mine (b)"]
-    first = evidence["component_under_test"]
-    (second,) = first["others"]
-    assert (first["name"], second["name"]) == ("Mine (a)", "Mine (b)")
-    assert first["digest"] != second["digest"]
+    assert [one.component for one in evidence.verdicts] == ["Mine (a)", "Mine (b)"]
+    first = evidence.component_under_test
+    (second,) = first.others
+    assert (first.name, second.name) == ("Mine (a)", "Mine (b)")
+    assert first.digest != second.digest
 
 
 OVERRIDE = """
@@ -109,11 +109,11 @@ def test_classes_of_one_name_in_two_modules_pass_no_gate(project):
         project.write(f"test_{module}.py", OVERRIDE.format(path=f"{module}:Planner", params={}))
     result = project.run("test_old.py", "test_new.py")
     evidence = project.evidence()
-    assert (evidence["gate"]["result"], result.ret) == ("failed", 1)
+    assert (evidence.gate.result, result.ret) == ("failed", 1)
     told = "several components are called Planner, and verdicts go by that name: new:Planner, old:"
-    assert any(told in reason for reason in evidence["gate"]["reasons"])
-    first = evidence["component_under_test"]
-    assert [first["path"], *(one["path"] for one in first["others"])] == [
+    assert any(told in reason for reason in evidence.gate.reasons)
+    first = evidence.component_under_test
+    assert [first.path, *(one.path for one in first.others)] == [
         "new:Planner",
         "old:Planner",
     ]
@@ -144,8 +144,8 @@ def test_the_option_and_a_fixture_deeper_down(project):
 def test_the_option_names_the_component(project):
     result = project.run("corridor/tight", "--dura-generator=corridor:Reckless")
     assert "dura: component under test Reckless, base seed 0" in result.stdout.str()
-    under_test = project.evidence()["component_under_test"]
-    assert (under_test["name"], under_test["path"]) == ("Reckless", "corridor:Reckless")
+    under_test = project.evidence().component_under_test
+    assert (under_test.name, under_test.path) == ("Reckless", "corridor:Reckless")
 
 
 RETURNS = """
@@ -177,8 +177,8 @@ def test_what_a_role_fixture_may_return(project, value, name):
     project.write("conftest.py", RETURNS.replace("{}", value))
     result = project.run("corridor/tight")
     result.assert_outcomes(failed=1)
-    (verdict,) = project.evidence()["verdicts"]
-    assert (verdict["component"], verdict["verdict"]) == (name, "violated")
+    (verdict,) = project.evidence().verdicts
+    assert (verdict.component, verdict.verdict) == (name, "violated")
 
 
 def test_a_bare_instance_is_said_in_terminal_and_evidence(project):
@@ -186,8 +186,8 @@ def test_a_bare_instance_is_said_in_terminal_and_evidence(project):
     result = project.run("corridor/tight")
     assert "Reckless (a bare instance, in this process only)" in result.stdout.str()
     evidence = project.evidence()
-    assert evidence["component_under_test"]["opaque"] is True
-    assert evidence["episodes"][0]["spec"]["roles"]["generator"]["opaque"] is True
+    assert evidence.component_under_test.opaque is True
+    assert evidence.episodes[0].spec.roles["generator"].opaque is True
     replay = project.run("--dura-replay=corridor/tight#0")
     assert replay.ret == 4
     replay.stderr.fnmatch_lines(["ERROR: corridor:Reckless was given as a bare instance*"])
@@ -217,9 +217,9 @@ def test_none_switches_a_role_off(project):
         "import pytest\n@pytest.fixture(scope='session')\ndef safety_monitor(): return None\n",
     )
     project.run("corridor/free", "--dura-generator=corridor:Reckless")
-    (case,) = project.evidence()["cases"]
-    assert case["metrics"]["flagged"]["valid"] == 0
-    assert "safety_monitor" not in project.evidence()["episodes"][0]["spec"]["roles"]
+    (case,) = project.evidence().cases
+    assert case.metrics.flagged.valid == 0
+    assert "safety_monitor" not in project.evidence().episodes[0].spec.roles
 
 
 def test_another_role_and_another_simulator(project):
@@ -238,8 +238,8 @@ def test_another_role_and_another_simulator(project):
         "def safety_monitor(): return corridor.Watch\n",
     )
     project.run("corridor/tight", "--dura-generator=corridor:Reckless").assert_outcomes(passed=1)
-    (case,) = project.evidence()["cases"]
-    assert case["metrics"]["recoveries"] == 2
+    (case,) = project.evidence().cases
+    assert case.metrics.recoveries == 2
 
 
 def test_an_override_that_wraps_the_default(project):
@@ -250,7 +250,7 @@ def test_an_override_that_wraps_the_default(project):
         "def generator(generator): return generator\n",
     )
     project.run("corridor/tight").assert_outcomes(passed=1)
-    assert project.evidence()["component_under_test"]["name"] == "Careful"
+    assert project.evidence().component_under_test.name == "Careful"
 
 
 def readme_planner():

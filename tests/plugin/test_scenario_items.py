@@ -17,8 +17,8 @@ def test_scenarios_run_in_every_mode(project, mode):
     result.assert_outcomes(passed=3)
     assert all(item in result.stdout.str() for item in ITEMS)
     evidence = project.evidence()
-    assert evidence["status"] == "complete"
-    assert [one["id"] for one in evidence["episodes"]] == [
+    assert evidence.status == "complete"
+    assert [one.id for one in evidence.episodes] == [
         "corridor/free#0",
         "corridor/free#1",
         "corridor/free#2",
@@ -150,8 +150,8 @@ def test_last_failed_reruns_a_scenario_item_beside_a_function(project):
 def simulated_once(project):
     """Whether each episode was simulated once, beside the repetition that each case records."""
     evidence = project.evidence()
-    lines = {one["id"]: f"{one['case']} {one['seed']}" for one in evidence["episodes"]}
-    repeated = [lines[case["repeat"]["episode"]] for case in evidence["cases"]]
+    lines = {one.id: f"{one.case} {one.seed}" for one in evidence.episodes}
+    repeated = [lines[case.repeat.episode] for case in evidence.cases]
     assert (len(lines), len(repeated)) == (5, 2)
     simulated = (project.path / "log").read_text().splitlines()
     return Counter(simulated) == Counter([*lines.values(), *repeated])
@@ -173,9 +173,9 @@ def test_runs_are_replaced_and_it_is_said(project):
     result = project.scenarios("--dura-runs=1")
     assert "dura: --dura-runs=1 replaces the planned number of runs" in result.stdout.str()
     evidence = project.evidence()
-    assert len(evidence["episodes"]) == 2
-    assert {case["runs_override"] for case in evidence["cases"]} == {1}
-    assert {verdict["planned"] for verdict in evidence["verdicts"]} == {1}
+    assert len(evidence.episodes) == 2
+    assert {case.runs_override for case in evidence.cases} == {1}
+    assert {verdict.planned for verdict in evidence.verdicts} == {1}
 
 
 def test_the_seed_changes_the_runs(project):
@@ -183,9 +183,9 @@ def test_the_seed_changes_the_runs(project):
     first = project.evidence()
     project.scenarios("--dura-seed=2")
     second = project.evidence()
-    assert (first["base_seed"], second["base_seed"]) == (1, 2)
-    assert first["episodes"][0]["seed"] != second["episodes"][0]["seed"]
-    assert first["episodes"][0]["digest"] != second["episodes"][0]["digest"]
+    assert (first.base_seed, second.base_seed) == (1, 2)
+    assert first.episodes[0].seed != second.episodes[0].seed
+    assert first.episodes[0].digest != second.episodes[0].digest
 
 
 def test_autouse_fixtures_of_the_root_conftest_apply(project):
@@ -212,9 +212,9 @@ def test_xfail_is_a_waiver(project, mode):
     result = project.run("corridor/tight", "--dura-generator=corridor:Reckless", *mode)
     result.assert_outcomes(xfailed=1)
     assert result.ret == 0
-    (verdict,) = project.evidence()["verdicts"]
-    assert verdict["verdict"] == "violated"
-    assert verdict["waiver"] == {"kind": "xfail", "reason": "ticket 7"}
+    (verdict,) = project.evidence().verdicts
+    assert verdict.verdict == "violated"
+    assert verdict.waiver.to_json() == {"kind": "xfail", "reason": "ticket 7"}
     assert "[xfail]" in result.stdout.str()
 
 

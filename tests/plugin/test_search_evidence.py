@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from pytest_dura.core import ConfigurationError
-from pytest_dura.evidence import merge_bundles, read_session_record, verify_bundle
+from pytest_dura.evidence import merge_bundles, open_record, verify_bundle
 from pytest_dura.evidence.merge_checks import ShardBundle, check_consistent
 
 SEARCHED = """
@@ -73,9 +73,9 @@ def searched(project):
 
 def words(evidence):
     return {
-        (one["item"].partition("[")[0], outcome["requirement"]): outcome["word"]
-        for one in evidence["searches"]
-        for outcome in one["outcomes"]
+        (one.item.partition("[")[0], outcome.requirement): outcome.word
+        for one in evidence.searches
+        for outcome in one.outcomes
     }
 
 
@@ -90,21 +90,21 @@ def test_a_search_leaves_a_record_that_verifies_and_counts_in_no_verdict(searche
     result.assert_outcomes(failed=1, passed=2)
     evidence = searched.evidence()
     assert words(evidence) == FOUND
-    assert [(one["case"], one["verdict"]) for one in evidence["verdicts"]] == [
+    assert [(one.case, one.verdict) for one in evidence.verdicts] == [
         ("corridor/tight", "supported")
     ]
-    assert {one["case"] for one in evidence["episodes"]} == {"corridor/tight"}
-    assert [one["id"] for one in evidence["cases"]] == ["corridor/tight"]
-    assert "@" not in str([evidence["episodes"], evidence["cases"], evidence["verdicts"]])
-    found = next(one for one in evidence["searches"] if "test_found" in one["item"])
-    assert found["scenario"] == "corridor/searched"
-    assert found["roles"]["generator"] == "corridor:Reckless"
-    assert evidence["gate"]["reasons"] == [
+    assert {one.case for one in evidence.episodes} == {"corridor/tight"}
+    assert [one.id for one in evidence.cases] == ["corridor/tight"]
+    assert "@" not in str([evidence.episodes, evidence.cases, evidence.verdicts])
+    found = next(one for one in evidence.searches if "test_found" in one.item)
+    assert found.scenario == "corridor/searched"
+    assert found.roles["generator"] == "corridor:Reckless"
+    assert evidence.gate.reasons == [
         "GAP-1 on corridor/searched is falsified by a search", "1 test item failed",
     ]  # fmt: skip
-    hashed = {(one["kind"], one["path"]) for one in evidence["inputs"]}
+    hashed = {(one.kind, one.path) for one in evidence.inputs}
     assert ("scenario", "scenarios/corridor/searched.yaml") in hashed
-    assert str(searched.path) not in str(evidence["searches"])
+    assert str(searched.path) not in str(evidence.searches)
     assert bundle(searched) == []
     shown = result.stdout.str().partition("= dura =")[2]
     assert "falsified: GAP-1 violated at simulation" in shown
@@ -112,12 +112,12 @@ def test_a_search_leaves_a_record_that_verifies_and_counts_in_no_verdict(searche
     rerun = re.search(r"kept: .*\n  rerun:    pytest (\S+)\n", shown)
     again = searched.run(rerun.group(1))
     again.assert_outcomes(failed=1)
-    (verdict,) = searched.evidence()["verdicts"]
-    assert (verdict["requirement"], verdict["verdict"]) == ("GAP-1", "violated")
+    (verdict,) = searched.evidence().verdicts
+    assert (verdict.requirement, verdict.verdict) == ("GAP-1", "violated")
 
 
 def told(project, folder="dura-evidence"):
-    searches = project.evidence(folder)["searches"]
+    searches = project.evidence(folder).to_json(include={"searches"})["searches"]
     for one in searches:
         for outcome in one["outcomes"]:
             if outcome["counterexample"]:
@@ -142,10 +142,10 @@ def test_two_shards_that_ran_the_same_search_are_no_whole(project):
     for index in (1, 2):
         project.run("test_it.py", f"--dura-shard={index}/2", f"--dura-evidence=part{index}")
     parts = [
-        ShardBundle(read_session_record(project.path / f"part{index}"), "0" * 64)
+        ShardBundle(open_record(project.path / f"part{index}/evidence.json"), "0" * 64)
         for index in (1, 2)
     ]
-    searches = [search for part in parts for search in part.record["searches"]]
+    searches = [search for part in parts for search in part.record.head.searches]
     assert len(searches) == 1
     parts = [replace(part, record=part.record.changed(searches=searches)) for part in parts]
     with pytest.raises(ConfigurationError, match="two shards ran the same search"):
@@ -160,7 +160,7 @@ def test_a_test_that_passes_all_the_same_does_not_make_the_gate_pass(project):
     result.assert_outcomes(passed=1)
     assert result.ret == 1
     assert SWALLOWED in result.stdout.str()
-    assert project.evidence()["gate"]["result"] == "failed"
+    assert project.evidence().gate.result == "failed"
 
 
 @pytest.mark.parametrize("option, ret", [([], 1), (["--dura-undecided=warn"], 0)])
@@ -177,8 +177,8 @@ def test_an_expected_failure_waives_what_its_search_found(project):
     result = handmade(project, "falsified", mark=mark, then="pytest.fail('found')")
     result.assert_outcomes(xfailed=1)
     assert result.ret == 0
-    (found,) = project.evidence()["searches"]
-    assert found["waiver"] == {"kind": "xfail", "reason": "ticket 7"}
+    (found,) = project.evidence().searches
+    assert found.waiver.to_json() == {"kind": "xfail", "reason": "ticket 7"}
     assert "corridor/tight (Careful) [xfail]" in result.stdout.str()
 
 

@@ -83,7 +83,7 @@ def test_a_planted_key_is_in_no_file(leaking, workers):
     command = ["--dura-evidence-level=all", "-o", f"junit_suite_name={KEY}", *workers]
     assert leaking.run("corridor/tight", *command).ret == 1
     evidence = leaking.evidence()
-    assert [one["trace"] is not None for one in evidence["episodes"]] == [True, True]
+    assert [one.trace is not None for one in evidence.episodes] == [True, True]
     forms = [KEY, SHAPED, quote(KEY, safe=""), b64encode(KEY.encode()).decode().rstrip("=")]
     wide = [form.encode("utf-32-le") for form in forms]  # as numpy keeps texts
     found = [
@@ -93,8 +93,8 @@ def test_a_planted_key_is_in_no_file(leaking, workers):
         if form in data
     ]
     assert found == []
-    assert evidence["redacted"]["PLANNER_API_KEY"] > 0
-    assert "[redacted: PLANNER_API_KEY]" in str(evidence["command"])
+    assert evidence.redacted["PLANNER_API_KEY"] > 0
+    assert "[redacted: PLANNER_API_KEY]" in str(evidence.command)
 
 
 def test_the_key_would_be_found_if_it_were_there(leaking, monkeypatch):
@@ -117,7 +117,7 @@ def test_the_project_names_further_secrets(leaking, monkeypatch):
     found = {name for name, data in texts(leaking.path / "dura-evidence")
              if KEY.encode() in data or KEY.encode("utf-32-le") in data}  # fmt: skip
     assert found == set()
-    assert leaking.evidence()["redacted"]["Plain"] > 0
+    assert leaking.evidence().redacted["Plain"] > 0
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")

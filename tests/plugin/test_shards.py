@@ -64,10 +64,10 @@ def test_the_workers_of_a_shard_run_the_same_as_one_process(project):
     project.write("test_it.py", TESTS)
     arguments = ["test_it.py", "--dura-shard=2/2"]
     plain = ran(project, *arguments)
-    told = project.evidence()["shard"]
+    told = project.evidence().shard
     assert sorted(ran(project, *arguments, "-n", "2")) == sorted(plain) != []
-    assert project.evidence()["shard"] == told
-    assert told["plan"] is not None
+    assert project.evidence().shard == told
+    assert told.plan is not None
 
 
 def test_a_worker_that_dies_does_not_take_the_plan_along(project):
@@ -78,8 +78,8 @@ def test_a_worker_that_dies_does_not_take_the_plan_along(project):
     result = project.scenarios("--dura-shard=1/1", "-n", "2")
     assert result.ret == 1
     evidence = project.evidence()
-    assert evidence["status"] == "complete"
-    assert [one["name"] for one in evidence["shard"]["holds"]] == [
+    assert evidence.status == "complete"
+    assert [one.name for one in evidence.shard.holds] == [
         "corridor/deadly", "corridor/free", "corridor/tight",
     ]  # fmt: skip
     assert project.verdicts()["corridor/deadly", "GAP-1"] == "undecided"
@@ -116,7 +116,7 @@ def test_items_that_a_plugin_takes_out_after_the_split_are_not_lost(project, arg
     )
     result = project.run("test_it.py", "--dura-shard=1/1", "-k", "somebody", *arguments)
     assert result.ret == 1
-    (told,) = project.evidence()["gate"]["reasons"]
+    (told,) = project.evidence().gate.reasons
     assert "a plugin took out 2 of 3 items after the session was split" in told
     assert "the first of them test_it.py::test_of_somebody_else[1]" in told
     assert told in result.stdout.str()
@@ -142,10 +142,10 @@ def test_cases_that_share_runs_without_faults_are_one_unit(project):
     )
     selected = ["--dura-select=corridor/one", "--dura-select=corridor/two"]
     project.run("test_it.py", "--dura-scenarios", *selected, "--dura-shard=1/1")
-    held = {one["name"]: one for one in project.evidence()["shard"]["holds"]}
+    held = {one.name: one for one in project.evidence().shard.holds}
     assert sorted(held) == ["corridor/one", "corridor/two", "corridor/two+none"]
-    assert (held["corridor/one"]["items"], held["corridor/one"]["episodes"]) == (2, 4)
-    assert held["corridor/two"]["episodes"] == 2
+    assert (held["corridor/one"].items, held["corridor/one"].episodes) == (2, 4)
+    assert held["corridor/two"].episodes == 2
 
 
 @pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
@@ -153,8 +153,8 @@ def test_a_shard_that_rightly_has_nothing_to_run_ends_well(project, mode):
     result = project.scenarios("--dura-shard=3/3", *mode)
     assert result.ret == 0
     evidence = project.evidence()
-    assert (evidence["gate"]["result"], evidence["status"]) == ("passed", "complete")
-    assert (evidence["shard"]["units"], evidence["shard"]["holds"]) == (2, [])
+    assert (evidence.gate.result, evidence.status) == ("passed", "complete")
+    assert (evidence.shard.units, evidence.shard.holds) == (2, [])
     assert "gate of shard 3 of 3: passed, no verdict" in result.outlines
     assert verify_bundle(project.path / "dura-evidence").problems == []
 
@@ -163,7 +163,7 @@ def test_a_shard_of_a_session_without_any_test_ends_as_that_does(project):
     project.write("test_nothing.py", "")
     result = project.run("test_nothing.py", "--dura-shard=1/3")
     assert result.ret == 5
-    assert project.evidence()["gate"]["result"] == "failed"
+    assert project.evidence().gate.result == "failed"
 
 
 def test_everything_says_that_a_shard_is_a_part(project):
@@ -189,7 +189,7 @@ def test_everything_says_that_a_shard_is_a_part(project):
 
 def test_a_whole_session_is_none(project):
     result = project.scenarios()
-    assert project.evidence()["shard"] is project.evidence()["merged_from"] is None
+    assert project.evidence().shard is project.evidence().merged_from is None
     assert "shard" not in result.stdout.str()
 
 
@@ -235,7 +235,7 @@ def test_options_on_which_results_depend_are_recorded(project):
     others = ["--dura-seed=5", "--dura-evidence-level=all", "--dura-undecided=warn", "--runxfail"]
     others += ["-o", "xfail_strict=true", "-o", "junit_suite_name=shard-1"]
     project.scenarios("--dura-shard=1/2", "--dura-runs=3", "--dura-no-twins", *others)
-    assert project.evidence()["shard"]["options"] == {
+    assert project.evidence().shard.options == {
         "--dura-no-twins": "true",
         "--dura-runs": '"3"',
         "--override-ini": '["xfail_strict=true"]',

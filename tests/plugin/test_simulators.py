@@ -63,14 +63,12 @@ def test_the_option_and_the_setting_replace_the_scenarios_simulator(simulators):
     result = simulators.scenarios("--dura-simulator=simulators:Wide", select="corridor/free")
     assert result.ret == 0
     evidence = simulators.evidence()
-    assert {each["spec"]["simulator"]["path"] for each in evidence["episodes"]} == {
-        "simulators:Wide"
-    }
+    assert {each.spec.simulator.path for each in evidence.episodes} == {"simulators:Wide"}
     # What its module imports is among the versions, though no episode has needed it.
-    assert "cma" in evidence["environment"]["packages"]
+    assert "cma" in evidence.environment.packages
     simulators.write("pytest.ini", "[pytest]\npythonpath = .\ndura_simulator = simulators:Wide\n")
     simulators.scenarios(select="corridor/tight")
-    (case,) = {each["spec"]["simulator"]["path"] for each in simulators.evidence()["episodes"]}
+    (case,) = {each.spec.simulator.path for each in simulators.evidence().episodes}
     assert case == "simulators:Wide"
 
 
@@ -135,10 +133,10 @@ def test_a_fault_of_a_channel_that_the_simulator_lacks_is_refused_at_load(simula
 def test_repetition_and_replay_of_what_is_not_deterministic_keep_to_tolerances(simulators):
     given = ("--dura-simulator=simulators:Drafty", "--dura-evidence-level=all")
     assert simulators.scenarios(*given, "--dura-require-repeatable").ret == 0
-    for case in simulators.evidence()["cases"]:
-        assert case["repeat"]["result"] == "within tolerances"
-        assert case["repeat"]["detail"] == "x within 0.5"
-        assert case["repeat"]["digest"] != case["repeat"]["repeated_digest"]
+    for case in simulators.evidence().cases:
+        assert case.repeat.result == "within tolerances"
+        assert case.repeat.detail == "x within 0.5"
+        assert case.repeat.digest != case.repeat.repeated_digest
     result = simulators.run("--dura-replay=corridor/free#0")
     assert result.ret == 0
     text = "  the same within the tolerances of its simulator, no further: x within 0.5"
@@ -149,9 +147,9 @@ def test_beyond_its_tolerances_a_repetition_is_different(simulators):
     given = ("--dura-simulator=simulators:Stormy", "--dura-evidence-level=all")
     result = simulators.scenarios(*given, "--dura-require-repeatable", select="corridor/free")
     assert result.ret == 1
-    (case,) = simulators.evidence()["cases"]
-    assert case["repeat"]["result"] == "different"
-    assert "tolerance 1e-06" in case["repeat"]["detail"]
+    (case,) = simulators.evidence().cases
+    assert case.repeat.result == "different"
+    assert "tolerance 1e-06" in case.repeat.detail
     result = simulators.run("--dura-replay=corridor/free#0")
     assert result.ret == 1
     result.stdout.fnmatch_lines(["  DIFFERENT beyond the tolerances of its simulator: x differs *"])
@@ -191,12 +189,12 @@ def test_sumo_gives_the_same_episodes_in_processes_and_when_they_are_replayed(pr
     for executor in ("in-process", "processes:2"):
         project.scenarios(*given, f"--dura-executor={executor}", select=chosen)
         evidence = project.evidence()
-        assert evidence["execution"]["executor"] == executor.partition(":")[0]
-        assert {each["validity"] for each in evidence["episodes"]} == {"valid"}
-        digests.append({each["id"]: each["digest"] for each in evidence["episodes"]})
-        assert {case["repeat"]["result"] for case in evidence["cases"]} == {"equal"}
+        assert evidence.execution.executor == executor.partition(":")[0]
+        assert {each.validity for each in evidence.episodes} == {"valid"}
+        digests.append({each.id: each.digest for each in evidence.episodes})
+        assert {case.repeat.result for case in evidence.cases} == {"equal"}
     assert digests[0] == digests[1]
-    assert evidence["environment"]["packages"]["libsumo"]
+    assert evidence.environment.packages["libsumo"]
     result = project.run(f"--dura-replay={chosen}#1")
     assert result.ret == 0
     result.stdout.fnmatch_lines(["  the same"])

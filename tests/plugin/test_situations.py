@@ -38,8 +38,8 @@ def test_a_scripted_scene_of_the_driving_domain_bounds_no_rate(project):
     result = project.scenarios(select="junction/scripted")
     reason = f"{REPEATED}: no rate can be bound"
     found = expect(project, result, "undecided", reason, case="junction/scripted")
-    assert (found["run"], found["saved"], found["planned"]) == (2, 57, 59)
-    assert (found["bound"]["upper"], found["situation"]) == (None, "repeated")
+    assert (found.run, found.saved, found.planned) == (2, 57, 59)
+    assert (found.bound.upper, found.situation) == (None, "repeated")
 
 
 def test_random_traffic_differs_without_a_declared_variation(project):
@@ -52,7 +52,7 @@ def test_random_traffic_differs_without_a_declared_variation(project):
     )
     project.scenarios(select="junction/scripted")
     found = project.verdict("R-1", "junction/scripted")
-    assert (found["verdict"], found["run"], found["situation"]) == ("supported", 4, None)
+    assert (found.verdict, found.run, found.situation) == ("supported", 4, None)
 
 
 @pytest.mark.parametrize(
@@ -63,11 +63,11 @@ def test_one_situation_is_run_twice_and_no_rate_is_bound(project, plan):
     scenario(project, **STILL, runs=plan)
     result = project.scenarios(select="corridor/it")
     found = expect(project, result, "undecided", f"{REPEATED}: no rate can be bound")
-    assert (found["run"], found["saved"], found["planned"]) == (2, 57, 59)
-    assert (found["bound"]["upper"], found["situation"]) == (None, "repeated")
+    assert (found.run, found.saved, found.planned) == (2, 57, 59)
+    assert (found.bound.upper, found.situation) == (None, "repeated")
     result.stdout.fnmatch_lines([f"*n = 2, 0 violations, {REPEATED}, *57 of 59 runs saved"])
-    (case,) = project.evidence()["cases"]
-    assert (case["planned"], case["missing_runs_total"], case["metrics"]["run"]) == (59, 0, 2)
+    (case,) = project.evidence().cases
+    assert (case.planned, case.missing_runs_total, case.metrics.run) == (59, 0, 2)
     for name in ("summary.md", "report.html", "assurance-case.gsn.yaml", "cyclonedx.json"):
         assert REPEATED in (project.path / "dura-evidence" / name).read_text()
     assert verified(project)
@@ -78,7 +78,7 @@ def test_without_a_rate_one_situation_is_supported_and_bounds_none(project):
     scenario(project, **STILL, runs=20)
     result = project.scenarios(select="corridor/it")
     found = expect(project, result, "supported", f"all 2 valid episodes satisfied it: {REPEATED}")
-    assert (found["run"], found["saved"], found["bound"]["upper"]) == (2, 18, None)
+    assert (found.run, found.saved, found.bound.upper) == (2, 18, None)
     assert "rate <=" not in result.stdout.str()
     assert verified(project)
 
@@ -98,8 +98,8 @@ def test_a_variation_without_effect_leaves_it_undecided(project, at_most):
     scenario(project, **STILL, **PAINT, runs=10)
     result = project.scenarios(select="corridor/it")
     found = expect(project, result, "undecided", f"{NO_EFFECT}: all 10 episodes are equal")
-    assert (found["run"], found["bound"]["upper"]) == (10, None)
-    assert found["situation"] == "without effect"
+    assert (found.run, found.bound.upper) == (10, None)
+    assert found.situation == "without effect"
     assert verified(project)
 
 
@@ -119,10 +119,10 @@ class Quakes(Still):
     scenario(project, simulator="quakes:Quakes", runs=12, requirements="[R-1]")
     project.scenarios(select="corridor/it")
     found = project.verdict("R-1")
-    runs = {one["spec"]["run"]: one["trajectory"] for one in project.evidence()["episodes"]}
+    runs = {one.spec.run: one.trajectory for one in project.evidence().episodes}
     assert runs[0] == runs[1]
     assert len(set(runs.values())) == 2
-    assert (found["verdict"], found["run"], found["situation"]) == ("supported", 12, None)
+    assert (found.verdict, found.run, found.situation) == ("supported", 12, None)
     assert verified(project)
 
 
@@ -130,8 +130,8 @@ def test_a_single_run_is_judged_as_ever(project):
     rate(project, at_most=0.99)
     scenario(project, **STILL, runs=1)
     found = expect(project, project.scenarios(select="corridor/it"), "supported")
-    assert found["situation"] is None
-    assert found["bound"]["upper"] is not None
+    assert found.situation is None
+    assert found.bound.upper is not None
 
 
 def test_a_fault_that_a_case_leaves_out_varies_nothing_of_it(project):
@@ -144,7 +144,7 @@ def test_a_fault_that_a_case_leaves_out_varies_nothing_of_it(project):
         variation="{faults.nudge.activation.at: {min: 0.1, max: 0.3}}",
     )
     project.scenarios("--dura-faults=none", select="corridor/it+none")
-    assert project.verdict("R-1", "corridor/it+none")["situation"] == "repeated"
+    assert project.verdict("R-1", "corridor/it+none").situation == "repeated"
 
 
 def test_pairs_that_do_not_differ_bound_no_rate(project):
@@ -162,7 +162,7 @@ def test_it(campaign):
     result = project.run("test_it.py")
     reason = f"{REPEATED}: no rate can be bound"
     found = expect(project, result, "undecided", reason, requirement="always (gap > 0)")
-    assert (found["run"], found["pairs"]["pairs"]) == (2, 2)
+    assert (found.run, found.pairs.pairs) == (2, 2)
     assert verified(project)
 
 

@@ -41,7 +41,7 @@ def test_all_verdicts_are_compared_in_every_process(project, mode):
     line = compared_line(result)
     assert line.startswith("formulas: 8 verdicts also evaluated by rtamt 0.4"), line
     assert line[len("formulas: ") :] in (project.path / "dura-evidence/summary.md").read_text()
-    engine = project.evidence()["second_engine"]
+    engine = project.evidence().second_engine.to_json()
     assert engine.pop("version").startswith("0.4")
     assert engine == {"engine": "rtamt", "compared": 8, "not_compared": {}}
     assert main(["verify", str(project.path / "dura-evidence")]) == 0
@@ -53,12 +53,12 @@ def test_counts_of_shards_are_added_up(project, capsys):
     for shard in "12":
         arguments = *BOTH, f"--dura-shard={shard}/2", f"--dura-evidence=part-{shard}"
         assert project.scenarios(*arguments).ret == 0
-    parts = [project.evidence(f"part-{shard}")["second_engine"] for shard in "12"]
+    parts = [project.evidence(f"part-{shard}").second_engine for shard in "12"]
     folders = [str(project.path / f"part-{shard}") for shard in "12"]
     assert main(["merge", *folders, "--output", str(project.path / "whole")]) == 0
-    whole = project.evidence("whole")["second_engine"]
-    assert whole["compared"] == sum(part["compared"] for part in parts) == 10
-    assert whole["not_compared"] == {"the check is a function": 2}
+    whole = project.evidence("whole").second_engine
+    assert whole.compared == sum(part.compared for part in parts) == 10
+    assert whole.not_compared == {"the check is a function": 2}
     assert project.scenarios("--dura-shard=2/2", "--dura-evidence=part-2").ret == 0
     assert main(["merge", *folders, "--output", str(project.path / "other")]) != 0
     assert "second_engine.version" in capsys.readouterr().err
@@ -68,7 +68,7 @@ def test_without_it_nothing_is_compared(project):
     result = project.scenarios()
     assert result.ret == 0
     assert "rtamt" not in result.stdout.str()
-    assert "second_engine" not in project.evidence()
+    assert project.evidence().second_engine is None
 
 
 @pytest.fixture
@@ -97,10 +97,10 @@ def test_a_difference_fails_the_gate_and_names_the_requirement(project, until_en
             "*infrastructure: the STL engines disagree on NEAR-1, episode corridor/it#0: *ours is*",
         ]
     )
-    assert project.verdict("NEAR-1")["verdict"] == "undecided"
-    gate = project.evidence()["gate"]
-    assert gate["result"] == "failed"
-    assert any("the STL engines disagree on `" in reason for reason in gate["reasons"])
+    assert project.verdict("NEAR-1").verdict == "undecided"
+    gate = project.evidence().gate
+    assert gate.result == "failed"
+    assert any("the STL engines disagree on `" in reason for reason in gate.reasons)
 
 
 @pytest.mark.parametrize("asserts", [f"episode.satisfies('{UNTIL}')", "True"])
@@ -110,8 +110,8 @@ def test_a_test_that_asks_an_episode_fails_too(project, until_ends_early, assert
     result = project.run("test_it.py", *BOTH)
     assert result.ret == 1
     assert "the STL engines disagree on" in result.stdout.str()
-    gate = project.evidence()["gate"]
-    assert any("the STL engines disagree on" in reason for reason in gate["reasons"])
+    gate = project.evidence().gate
+    assert any("the STL engines disagree on" in reason for reason in gate.reasons)
 
 
 def test_another_engine_is_refused(project):

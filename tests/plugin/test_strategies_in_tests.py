@@ -85,12 +85,12 @@ def test_a_failure_is_found_shrunk_kept_and_collected_from_then_on(properties):
     (command,) = re.findall(r"^rerun: +pytest (.*)$", text, re.MULTILINE)
     again = run(properties, *command.replace("'", "").split())
     assert again.ret == 1
-    assert properties.verdict("GAP-1", kept["name"])["verdict"] == "violated"
+    assert properties.verdict("GAP-1", kept["name"]).verdict == "violated"
     collected = run(properties, "--dura-scenarios", "--dura-select=found/*")
     collected.assert_outcomes(failed=1)
     mended = run(properties, "--dura-scenarios", "--dura-select=found/*", generator="hasty:Mended")
     mended.assert_outcomes(passed=1)
-    assert properties.verdict("GAP-1", kept["name"])["verdict"] == "supported"
+    assert properties.verdict("GAP-1", kept["name"]).verdict == "supported"
 
 
 def test_what_holds_passes_leaves_no_file_and_enters_no_rate(properties):
@@ -98,9 +98,9 @@ def test_what_holds_passes_leaves_no_file_and_enters_no_rate(properties):
     result.assert_outcomes(passed=1)
     assert found_files(properties) == []
     record = properties.evidence()
-    assert record["verdicts"] == []
-    assert record["episodes"] == []
-    assert record["cases"] == []
+    assert record.verdicts == []
+    assert record.episodes == []
+    assert record.cases == []
     assert verify_bundle(properties.path / "dura-evidence").problems == []
 
 
@@ -115,7 +115,7 @@ def test_the_profile_has_no_deadline_and_is_told_in_the_evidence(properties, pro
     asked = [] if profile == "by itself" else ["--hypothesis-profile=dura"]
     result = run(properties, "test_property.py", *asked, generator="hasty:Mended", alone=True)
     result.assert_outcomes(passed=1)
-    assert properties.evidence()["environment"]["hypothesis"] == {
+    assert properties.evidence().environment.hypothesis.to_json() == {
         "profile": "dura",
         "max_examples": 100,
         "derandomize": False,
@@ -131,8 +131,8 @@ def test_in_a_ci_the_same_cases_are_drawn_each_time(properties, monkeypatch):
     )
     assert result.ret == 1
     assert len(found_files(properties)) == 1
-    told = properties.evidence()["environment"]["hypothesis"]
-    assert (told["profile"], told["derandomize"], told["database"]) == ("dura", True, False)
+    told = properties.evidence().environment.hypothesis
+    assert (told.profile, told.derandomize, told.database) == ("dura", True, False)
     assert not (properties.path / ".hypothesis" / "examples").exists()
 
 
@@ -159,7 +159,7 @@ def test_under_xdist_the_worker_keeps_the_file_and_tells_the_profile(properties)
     assert result.ret == 1
     (file,) = found_files(properties)
     assert f"kept:      scenarios/found/{file.name}" in output(result)
-    assert properties.evidence()["environment"]["hypothesis"]["profile"] == "dura"
+    assert properties.evidence().environment.hypothesis.profile == "dura"
 
 
 def test_what_violates_no_requirement_is_told_and_not_kept(properties):

@@ -61,24 +61,24 @@ def test_the_episodes_of_a_killed_worker_are_taken_over_once(project, kills, end
     assert result.ret == 1
     assert "crashed" in output(result)
     record = project.evidence()
-    assert record["gate"]["result"] != "passed"
+    assert record.gate.result != "passed"
     counts = simulations(project)
     killer = (project.path / "which").read_text()
     assert counts.pop(killer) == min(2, kills + 1)
     if ending == "another worker":  # which repeats the first episode once it is through
-        (case,) = record["cases"]
-        assert (case["repeat"]["episode"], case["repeat"]["result"]) == ("corridor/it#0", "equal")
-        (first,) = (one["spec"] for one in record["episodes"] if one["spec"]["run"] == 0)
-        counts[str(first["seed"])] -= 1
+        (case,) = record.cases
+        assert (case.repeat.episode, case.repeat.result) == ("corridor/it#0", "equal")
+        (first,) = (one.spec for one in record.episodes if one.spec.run == 0)
+        counts[str(first.seed)] -= 1
     assert set(counts.values()) == {1}, "episodes of others are simulated once"
-    runs = [one["spec"]["run"] for one in record["episodes"]]
+    runs = [one.spec.run for one in record.episodes]
     assert len(runs) == len(set(runs)), "and counted once"
     if ending == "another worker":
         assert sorted(runs) == list(range(6))
-        assert {one["validity"] for one in record["episodes"]} == {"valid"}
+        assert {one.validity for one in record.episodes} == {"valid"}
     else:
-        assert {one["verdict"] for one in record["verdicts"]} == {"undecided"}
-        missing = [one for one in record["episodes"] if one["validity"] == "missing"]
+        assert {one.verdict for one in record.verdicts} == {"undecided"}
+        missing = [one for one in record.episodes if one["validity"] == "missing"]
         assert all("ended 2 processes that simulated it" in one["failure"] for one in missing)
 
 
@@ -114,11 +114,11 @@ def test_a_role_that_blocks_for_ever_is_named_and_the_session_goes_on(project, r
     assert result.ret == 1
     cause = f"infrastructure: {who}: it did not come back within 0.1 s of wall-clock time"
     record = project.evidence()
-    ends = {one["failure"] for one in record["episodes"] if one["case"] == "corridor/it"}
+    ends = {one.failure for one in record.episodes if one.case == "corridor/it"}
     assert ends == {cause}
-    assert project.verdict("GAP-1")["verdict"] == "undecided"
-    assert project.verdict("GAP-1", "corridor/well")["verdict"] == "supported"
-    assert record["gate"]["result"] == "failed"
+    assert project.verdict("GAP-1").verdict == "undecided"
+    assert project.verdict("GAP-1", "corridor/well").verdict == "supported"
+    assert record.gate.result == "failed"
     assert who in output(result)
     assert "--dura-role-timeout=0.1" in output(result), "the rerun has the same limit"
     assert verify_bundle(project.path / "dura-evidence").problems == []
@@ -192,16 +192,14 @@ def test_a_role_that_leaks_memory_for_an_episode_is_named(project, without_memor
     process = without_memory(FOR_AN_EPISODE)
     printed = process.communicate(timeout=60)[0].decode()
     record = project.evidence()
-    assert (record["status"], process.returncode) == ("complete", 1), printed
-    assert record["gate"]["result"] == "failed"
-    ends = {
-        episode["failure"] for episode in record["episodes"] if episode["case"] == "corridor/it"
-    }
+    assert (record.status, process.returncode) == ("complete", 1), printed
+    assert record.gate.result == "failed"
+    ends = {episode.failure for episode in record.episodes if episode.case == "corridor/it"}
     assert len(ends) == 1, printed
     (cause,) = ends
     assert cause.startswith("infrastructure: safety_monitor at tick 3 (t = 0.3 s): MemoryError")
-    assert project.verdict("GAP-1")["verdict"] == "undecided"
-    assert project.verdict("GAP-1", "corridor/well")["verdict"] == "supported"
+    assert project.verdict("GAP-1").verdict == "undecided"
+    assert project.verdict("GAP-1", "corridor/well").verdict == "supported"
 
 
 @only_linux
@@ -216,7 +214,7 @@ def test_a_session_without_any_memory_left_does_not_pass(project, without_memory
     with contextlib.suppress(subprocess.TimeoutExpired):
         assert process.wait(SECONDS_TO_END_WITHOUT_MEMORY) != 0
     assert full.read_bytes()
-    assert project.evidence()["gate"]["result"] != "passed"
+    assert project.evidence().gate.result != "passed"
 
 
 @pytest.mark.parametrize("mode", [[], ["-n", "0"]], ids=["plain", "n0"])
@@ -235,6 +233,6 @@ def test_a_shelf_on_a_full_disk_costs_nothing_but_the_sharing(project, monkeypat
     line = "episodes cannot be shared with other processes, nor with a later session: No space left"
     assert output(result).count(line) == 1
     record = project.evidence()
-    assert record["reuse"]["problems"] == [f"{line} on device"]
-    assert record["totals"]["episodes"] == record["totals"]["valid"] == 5
+    assert record.reuse.problems == [f"{line} on device"]
+    assert record.totals.episodes == record.totals.valid == 5
     assert verify_bundle(project.path / "dura-evidence").problems == []

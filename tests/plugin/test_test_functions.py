@@ -28,10 +28,10 @@ def test_one_test_for_each_run(project, mode):
     result = project.run("test_it.py", "-v", *mode)
     result.assert_outcomes(passed=5)
     assert "test_it.py::test_never_touches[corridor/free#2]" in result.stdout.str()
-    verdict = project.evidence()["verdicts"][0]
-    assert (verdict["case"], verdict["requirement"]) == ("corridor/free", "GAP-1")
-    assert (verdict["verdict"], verdict["planned"], verdict["episodes"]) == ("supported", 3, 3)
-    assert verdict["item"] == "test_it.py::test_never_touches"
+    verdict = project.evidence().verdicts[0]
+    assert (verdict.case, verdict.requirement) == ("corridor/free", "GAP-1")
+    assert (verdict.verdict, verdict.planned, verdict.episodes) == ("supported", 3, 3)
+    assert verdict.item == "test_it.py::test_never_touches"
 
 
 def test_failures_count_and_name_their_replay(project):
@@ -41,9 +41,9 @@ def test_failures_count_and_name_their_replay(project):
     text = result.stdout.str()
     assert "corridor/tight#1, replay: pytest --dura-replay='corridor/tight#1' test_it.py" in text
     assert "violated: GAP-1 on corridor/free" in text
-    verdict = project.evidence()["verdicts"][0]
-    assert (verdict["verdict"], verdict["violations"]) == ("violated", 3)
-    assert verdict["counterexamples"][0]["time"] == pytest.approx(0.5)
+    verdict = project.evidence().verdicts[0]
+    assert (verdict.verdict, verdict.violations) == ("violated", 3)
+    assert verdict.counterexamples[0].time == pytest.approx(0.5)
     frames = [line for line in text.splitlines() if line.startswith("pytest_dura/")]
     assert frames == []
 
@@ -55,12 +55,12 @@ def test_one_test_for_each_case(project, mode):
     result.assert_outcomes(passed=1)
     assert "test_rate[corridor/free]" in result.stdout.str()
     evidence = project.evidence()
-    assert len(evidence["episodes"]) == 30
-    (verdict,) = evidence["verdicts"]
-    assert verdict["requirement"] == "RATE-1"
-    assert verdict["check"] == "always (gap > 0)"
-    assert verdict["bound"]["at_most"] == 0.1
-    assert {one["id"]: one["text"] for one in evidence["requirements"]}["RATE-1"] == (
+    assert len(evidence.episodes) == 30
+    (verdict,) = evidence.verdicts
+    assert verdict.requirement == "RATE-1"
+    assert verdict.check == "always (gap > 0)"
+    assert verdict.bound.at_most == 0.1
+    assert {one.id: one.text for one in evidence.requirements}["RATE-1"] == (
         "It rarely touches anything"
     )
 
@@ -112,8 +112,8 @@ def test_by_hand(project):
     result.assert_outcomes(passed=1)
     assert "1 episode with a seed chosen by hand" in result.stdout.str()
     evidence = project.evidence()
-    assert [one["planned"] for one in evidence["episodes"]] == [False, True]
-    assert evidence["cases"][0]["metrics"]["run"] == 1
+    assert [one.planned for one in evidence.episodes] == [False, True]
+    assert evidence.cases[0].metrics.run == 1
 
 
 def test_run_episode_suits_hypothesis(project):
@@ -128,7 +128,7 @@ def test_run_episode_suits_hypothesis(project):
         "    assert not run_episode('corridor/free', seed=seed).collided\n",
     )
     project.run("test_it.py").assert_outcomes(passed=1)
-    assert len(project.evidence()["episodes"]) > 1
+    assert len(project.evidence().episodes) > 1
 
 
 def test_an_unknown_name_by_hand_shows_the_users_line_only(project):

@@ -35,17 +35,17 @@ def kept(project, folder="dura-evidence"):
     found = {}
     directory = project.path / folder
     files = set()
-    for episode in project.evidence(folder)["episodes"]:
-        told = episode["trace"]
+    for episode in project.evidence(folder).episodes:
+        told = episode.trace
         if told is None:
             continue
-        assert told["file"] == trace_path(episode)
-        data = (directory / told["file"]).read_bytes()
-        assert (hashlib.sha256(data).hexdigest(), len(data)) == (told["sha256"], told["bytes"])
-        about = mcap.read_trace(directory / told["file"]).about
-        assert {key: episode[key] for key in about} == dict(about)
-        files.add(told["file"])
-        found[episode["id"], episode["seed"] if not episode["planned"] else None] = told["kept_for"]
+        assert told.file == trace_path(episode)
+        data = (directory / told.file).read_bytes()
+        assert (hashlib.sha256(data).hexdigest(), len(data)) == (told.sha256, told.bytes)
+        about = mcap.read_trace(directory / told.file).about
+        assert {key: getattr(episode, key) for key in about} == dict(about)
+        files.add(told.file)
+        found[episode.id, episode.seed if not episode.planned else None] = told.kept_for
     on_disk = {f"episodes/{one.name}" for one in directory.glob("episodes/*")}
     assert on_disk == files
     return {
@@ -67,7 +67,7 @@ def test_levels(project, level, generator, expected):
     options = [f"--dura-evidence-level={level}", f"--dura-generator=corridor:{generator}"]
     project.run("corridor/tight", *options)
     assert kept(project) == {f"corridor/{name}": why for name, why in expected.items()}
-    assert project.evidence()["evidence_level"] == level
+    assert project.evidence().evidence_level == level
 
 
 @pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
@@ -96,7 +96,7 @@ def test_of_missing_episodes_the_first_is_kept(project):
 def test_an_invalid_episode_is_no_sample(project):
     scenario(project, faults=IDLE, fault_injector="Idle", requirements="[GAP-1]", runs=1)
     project.run("corridor/it")
-    assert project.evidence()["episodes"][0]["validity"] == "invalid"
+    assert project.evidence().episodes[0].validity == "invalid"
     assert kept(project) == {}
 
 
@@ -114,7 +114,7 @@ def test_a_trace_that_cannot_be_written_is_told_once_and_fails_the_session(proje
     assert told in output(result)
     assert output(result).count("infrastructure: the trace of") == 1
     assert kept(project) == {}
-    assert project.evidence()["gate"]["result"] == "failed"
+    assert project.evidence().gate.result == "failed"
 
 
 def test_traces_of_an_earlier_session_go_and_nothing_else(project):

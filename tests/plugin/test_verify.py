@@ -81,8 +81,10 @@ def test_the_bundle_of_a_session_is_intact(made):
     found = verify_bundle(made)
     assert found.problems == []
     counts = found.totals
-    assert (counts["gate"], counts["waived"]) == ("failed", 1)
-    assert all(counts[key] > 0 for key in ("supported", "violated", "undecided", "missing"))
+    assert (counts.gate, counts.waived) == ("failed", 1)
+    assert all(
+        getattr(counts, key) > 0 for key in ("supported", "violated", "undecided", "missing")
+    )
     assert found.rejudged
 
 

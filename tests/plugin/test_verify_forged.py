@@ -20,7 +20,7 @@ from pytest_dura.core import ConfigurationError
 from pytest_dura.evidence import (
     SessionRecord,
     check_record,
-    read_session_record,
+    open_record,
     record_problems,
     record_schema,
     totals,
@@ -141,7 +141,7 @@ def made(tmp_path_factory, forked_workers):
 def problems_of(made, record):
     """What a record and the traces say against it."""
     if invalid := check_record(record):
-        return invalid
+        return list(map(str, invalid))
     found, rejudged = SessionRecord.of(record, made), {}
     told = list(record_problems(found))
     told += trace_problems(found, rejudged)
@@ -161,10 +161,10 @@ def episode(record, which):
 
 def test_the_session_is_intact_though_its_campaigns_are_of_different_lengths(made):
     assert verify_bundle(made).problems == []
-    verdicts = read_session_record(made)["verdicts"]
-    runs = {one["run"] for one in verdicts if one["case"] == "corridor/idle"}
+    verdicts = open_record(made / "evidence.json").head.verdicts
+    runs = {one.run for one in verdicts if one.case == "corridor/idle"}
     assert len(runs) > 1
-    assert any(one["pairs"] for one in verdicts)
+    assert any(one.pairs for one in verdicts)
 
 
 def plan_searched(record):
@@ -443,7 +443,7 @@ def test_what_is_no_record_is_refused(made, tmp_path, before, after):
     assert before in text
     (tmp_path / "evidence.json").write_text(text.replace(before, after, 1))
     with pytest.raises(ConfigurationError, match="no evidence record"):
-        read_session_record(tmp_path)
+        open_record(tmp_path / "evidence.json")
 
 
 TESTCASE = re.compile(r"<testcase .*?</testcase>", re.DOTALL)

@@ -125,12 +125,12 @@ def test_a_generator_that_fails_is_an_event_and_the_episode_is_judged(project, g
     scenario(project, generator=f"oddities:{generator}", recovery_planner="Brake", runs=1)
     result = project.run("corridor/it::GAP-1")
     found = expect(project, result, "supported", requirement="GAP-1")
-    assert (found["episodes"], found["missing"], found["invalid"]) == (1, 0, 0)
-    (episode,) = project.evidence()["episodes"]
-    kinds = [event["kind"] for event in episode["events"]]
+    assert (found.episodes, found.missing, found.invalid) == (1, 0, 0)
+    (episode,) = project.evidence().episodes
+    kinds = [event.kind for event in episode.events]
     assert kinds[:2] == ["component_failure", "recovery"]
-    assert detail in episode["events"][0]["detail"]
-    assert episode["termination"] == "time"
+    assert detail in episode.events[0].detail
+    assert episode.termination == "time"
 
 
 @pytest.mark.parametrize(
@@ -157,8 +157,8 @@ def test_another_role_or_the_simulator_fails_and_the_episode_is_missing(project,
     result = project.run("corridor/it")
     reason = "2 of 2 episodes are missing (infrastructure); none of the episodes was valid"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
-    assert (found["planned"], found["run"], found["missing"]) == (2, 2, 2)
-    assert found["spoilt"]["detail"].startswith(f"infrastructure: {start}")
+    assert (found.planned, found.run, found.missing) == (2, 2, 2)
+    assert found.spoilt.detail.startswith(f"infrastructure: {start}")
     message = result.stdout.str().partition("corridor/it::GAP-1 _")[2].splitlines()[1]
     assert message.startswith(f"infrastructure: {start}")
 
@@ -168,9 +168,9 @@ def test_a_missing_episode_is_not_replaced_and_undoes_the_others(project):
     scenario(project, runs=6, world="{breaks_at: 100}", variation=variation)
     result = project.run("corridor/it::GAP-1")
     found = expect(project, result, "undecided", "missing (infrastructure)", requirement="GAP-1")
-    assert (found["planned"], found["run"]) == (6, 6)
-    assert found["missing"] + found["episodes"] == 6
-    assert 0 < found["missing"] < 6
+    assert (found.planned, found.run) == (6, 6)
+    assert found.missing + found.episodes == 6
+    assert 0 < found.missing < 6
 
 
 @pytest.mark.parametrize(
@@ -188,9 +188,9 @@ def test_a_violation_was_observed_and_counts_whatever_else_happens(project, chec
     scenario(project, **keys)
     result = project.run("corridor/it", "--dura-undecided=warn")
     found = expect(project, result, "violated", "valid episodes violated it")
-    assert found["violations"] == found["run"] >= 2
-    assert (found["invalid"], found["missing"]) == (0, 0)
-    assert found["counterexamples"][0]["time"] == pytest.approx(0.1)
+    assert found.violations == found.run >= 2
+    assert (found.invalid, found.missing) == (0, 0)
+    assert found.counterexamples[0].time == pytest.approx(0.1)
 
 
 def test_a_planned_fault_that_never_manifested_is_invalid(project):
@@ -198,7 +198,7 @@ def test_a_planned_fault_that_never_manifested_is_invalid(project):
     result = project.run("corridor/it")
     reason = "3 of 3 episodes are invalid, more than 20%; none of the episodes was valid"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
-    assert found["spoilt"] == {
+    assert found.spoilt.to_json() == {
         "episode": "corridor/it#0",
         "verdict": "invalid",
         "detail": "never manifested: ghost-obstacle",
@@ -211,10 +211,10 @@ def test_a_manifested_fault_that_changed_no_behaviour_is_valid(project):
     scenario(project, faults=IDLE, fault_injector="oddities:Nudge", requirements="[GAP-1]", runs=1)
     result = project.run("corridor/it", "corridor/bare")
     found = expect(project, result, "supported", requirement="GAP-1")
-    assert (found["episodes"], found["invalid"]) == (1, 0)
-    bare, nudged = project.evidence()["episodes"]
-    assert [event["kind"] for event in nudged["events"]] == ["fault_manifested"]
-    assert nudged["outcome"] == bare["outcome"]
+    assert (found.episodes, found.invalid) == (1, 0)
+    bare, nudged = project.evidence().episodes
+    assert [event.kind for event in nudged.events] == ["fault_manifested"]
+    assert nudged.outcome == bare.outcome
 
 
 def test_a_probabilistic_fault_that_drew_no_hit_is_valid(project):
@@ -225,7 +225,7 @@ def test_a_probabilistic_fault_that_drew_no_hit_is_valid(project):
     # The episodes are, and say nothing of the fault as long as it hits in none of them.
     reason = "drizzle manifested in none of the 2 valid episodes"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
-    assert (found["episodes"], found["invalid"]) == (2, 0)
+    assert (found.episodes, found.invalid) == (2, 0)
 
 
 def test_a_probabilistic_fault_that_hit_in_some_episodes_supports_a_claim(project):
@@ -234,8 +234,8 @@ def test_a_probabilistic_fault_that_hit_in_some_episodes_supports_a_claim(projec
     scenario(project, faults=f"[{noise}]", fault_injector=injector, requirements="[GAP-1]", runs=12)
     result = project.run("corridor/it")
     found = expect(project, result, "supported", requirement="GAP-1")
-    assert (found["episodes"], found["invalid"]) == (12, 0)
-    hits = [one["faults"][0]["manifested_at"] for one in project.evidence()["episodes"]]
+    assert (found.episodes, found.invalid) == (12, 0)
+    hits = [one.faults[0].manifested_at for one in project.evidence().episodes]
     assert None in hits
     assert any(time is not None for time in hits)
 
@@ -246,10 +246,10 @@ def test_the_trace_ends_before_a_window_and_is_invalid_for_it_alone(project):
     result = project.run("corridor/it")
     reason = "1 of 1 episodes are invalid, more than 20%; none of the episodes was valid"
     found = expect(project, result, "undecided", reason)
-    assert "robustness between -0.25 and 0.05" in found["spoilt"]["detail"]
+    assert "robustness between -0.25 and 0.05" in found.spoilt.detail
     assert "robustness between -0.25 and 0.05" in result.stdout.str()
     other = expect(project, result, "supported", requirement="GAP-1", ret=1)
-    assert (other["episodes"], other["invalid"]) == (1, 0)
+    assert (other.episodes, other.invalid) == (1, 0)
 
 
 @pytest.mark.parametrize(
@@ -260,7 +260,7 @@ def test_a_prefix_that_decides_a_window_counts(project, check, word):
     requirement(project, check)
     scenario(project, requirements="[R-1]")
     found = expect(project, project.run("corridor/it"), word)
-    assert (found["episodes"], found["invalid"]) == (2, 0)
+    assert (found.episodes, found.invalid) == (2, 0)
 
 
 @pytest.mark.parametrize(
@@ -270,7 +270,7 @@ def test_unbounded_operators_range_over_the_episode(project, check, word):
     requirement(project, check)
     scenario(project, requirements="[R-1]")
     found = expect(project, project.run("corridor/it"), word)
-    assert (found["episodes"], found["invalid"]) == (2, 0)
+    assert (found.episodes, found.invalid) == (2, 0)
 
 
 def test_vacuous_passes_alone_are_undecided(project):
@@ -279,7 +279,7 @@ def test_vacuous_passes_alone_are_undecided(project):
     result = project.run("corridor/it")
     reason = "its condition held in none of the 2 valid episodes (vacuous)"
     found = expect(project, result, "undecided", reason)
-    assert (found["episodes"], found["vacuous"]) == (2, 2)
+    assert (found.episodes, found.vacuous) == (2, 2)
     assert "2 vacuous)" in result.stdout.str()
 
 
@@ -289,9 +289,9 @@ def test_vacuous_passes_beside_others_are_counted(project):
     scenario(project, world="{wall: 10.0}", variation=variation, runs=6, requirements="[R-1]")
     result = project.run("corridor/it")
     found = expect(project, result, "supported")
-    assert found["episodes"] == 6
-    assert 0 < found["vacuous"] < 6
-    assert f"{found['vacuous']} vacuous)" in result.stdout.str()
+    assert found.episodes == 6
+    assert 0 < found.vacuous < 6
+    assert f"{found.vacuous} vacuous)" in result.stdout.str()
 
 
 def test_invalid_episodes_are_followed_by_further_runs_and_borne(project):
@@ -307,14 +307,14 @@ def test_invalid_episodes_are_followed_by_further_runs_and_borne(project):
     )
     result = project.run("corridor/it")
     found = expect(project, result, "supported", "all 10 valid episodes", requirement="GAP-1")
-    assert 0 < found["invalid"] <= 2
-    assert (found["planned"], found["episodes"]) == (10, 10)
-    assert found["run"] == 10 + found["invalid"]
-    runs = [int(one["id"].partition("#")[2]) for one in project.evidence()["episodes"]]
-    assert runs == list(range(found["run"]))
+    assert 0 < found.invalid <= 2
+    assert (found.planned, found.episodes) == (10, 10)
+    assert found.run == 10 + found.invalid
+    runs = [int(one.id.partition("#")[2]) for one in project.evidence().episodes]
+    assert runs == list(range(found.run))
     row = next(line for line in result.outlines if line.startswith("corridor/it  "))
     assert row.split()[1] == "10"
-    assert row.split()[-1] == str(found["invalid"])
+    assert row.split()[-1] == str(found.invalid)
 
 
 def test_dura_runs_replaces_the_plan_and_cannot_support_a_rate(project):
@@ -324,10 +324,10 @@ def test_dura_runs_replaces_the_plan_and_cannot_support_a_rate(project):
     result = project.run("corridor/it", "--dura-runs=5")
     reason = "a new plan on a fresh seed: 29 episodes allow 0 violations"
     found = expect(project, result, "undecided", reason)
-    assert (found["planned"], found["run"]) == (5, 5)
+    assert (found.planned, found.run) == (5, 5)
     assert "--dura-runs=5 replaces the planned number of runs" in result.stdout.str()
     assert "--dura-runs=5 replaced the planned number of runs" in result.stdout.str()
-    assert [case["runs_override"] for case in project.evidence()["cases"]] == [5]
+    assert [case.runs_override for case in project.evidence().cases] == [5]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ HOSTILE = st.sampled_from(
         "\ufffe\uffff", "1e3", "語" * 300, "\x85\u2028", "'; rm -rf /", "%s{}", "💥",
     ]
 )  # fmt: skip
-CASE = session_record()["cases"][0]
+CASE = session_record().head.cases[0]
 TEXTS = HOSTILE | st.text(max_size=40)
 WORDS = st.lists(st.sampled_from(["satisfied", "violated", "invalid", "missing"]), max_size=4)
 
@@ -51,7 +51,7 @@ def records(draw):
          "verdict": None}
         for _ in range(draw(st.integers(0, 3)))
     ]  # fmt: skip
-    listed = [{**CASE, "id": one, "scenario": one} for one in cases]
+    listed = [CASE.replace(id=one, scenario=one) for one in cases]
     validities = st.sampled_from(["valid", "invalid", "missing"])
     runs = [episode(one, validity=draw(validities)) for one in cases]
     return session_record(
@@ -68,7 +68,7 @@ def records(draw):
 def test_the_rules_hold_and_the_counts_are_the_records(record):
     text = yaml_file.render(record)
     assert rule_problems(elements_of(text)) == []
-    assert stated_counts(yaml_file, text) == record["totals"]
+    assert stated_counts(yaml_file, text) == record.head.totals.to_json()
     assert dead_references(text, record) == []
     assert yaml_file.render(record) == text
     assert text.encode()
@@ -79,7 +79,7 @@ def test_the_rules_hold_and_the_counts_are_the_records(record):
 def test_the_picture_is_sound_and_states_the_records_counts(record):
     text = svg_file.render(record)
     root = ET.fromstring(text)
-    assert stated_counts(svg_file, text) == record["totals"]
+    assert stated_counts(svg_file, text) == record.head.totals.to_json()
     assert {one.tag.rpartition("}")[2] for one in root.iter()} <= {
         "svg", "title", "desc", "style", "defs", "marker", "path", "g", "text", "rect", "circle",
         "ellipse", "polygon", "polyline",

@@ -68,7 +68,7 @@ class Bundle:
 
     @property
     def traces(self):
-        return [one["trace"]["file"] for one in self.record.episodes() if one["trace"]]
+        return [one.trace.file for one in self.record.episodes() if one.trace]
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_a_session_full_of_hostile_texts_leaves_a_harmless_bundle(real, spoil):
     with TemporaryDirectory() as folder:
         bundle = Bundle(real, Path(folder), spoil)
         assert max(map(len, spoil.given.values())) > MEGABYTE
-        assert bundle.record["gate"]["reasons"][-1] == spoil("another one")  # no format failed
+        assert bundle.record.head.gate.reasons[-1] == spoil("another one")  # no format failed
         found = verify_bundle(bundle.directory)
         assert found.problems == []
         assert len(found.rejudged) > 3
@@ -232,7 +232,8 @@ def check_summary(bundle):
     prose = "".join(token.content for token in tokens if token.type == "text")
     assert not re.search(r"@|://|www\.|#\d|\$", prose)  # what GitHub links although it is escaped
     assert sum(token.type == "heading_open" for token in tokens) == 7
-    held = (bundle.record[key] for key in ("verdicts", "requirements", "cases"))
+    head = bundle.record.head
+    held = (head.verdicts, head.requirements, head.cases)
     assert sum(token.type == "tr_open" for token in tokens) == 5 + sum(map(len, held))
 
 
@@ -252,7 +253,7 @@ def check_statement(bundle):
     Statement.copy_from_pb(message).validate()
     result = json_format.ParseDict(json.loads(text)["predicate"], test_result_pb2.TestResult())
     told = [*result.passed_tests, *result.warned_tests, *result.failed_tests]
-    assert len(set(told)) == len(bundle.record["verdicts"])
+    assert len(set(told)) == len(bundle.record.head.verdicts)
     assert result.result == "FAILED"
     assert is_visible(json.loads(text))
 
@@ -313,7 +314,7 @@ def check_terminal(bundle):
     terminal = Terminal()
     summary(
         session, terminal, bundle.record, file=bundle.directory / "evidence.json", notes=[],
-        objections=bundle.record["gate"]["reasons"], shared=SimpleNamespace(is_whole=True),
+        objections=bundle.record.head.gate.reasons, shared=SimpleNamespace(is_whole=True),
     )  # fmt: skip
     assert CONTROL.findall(terminal.text) == []
     assert len(terminal.text) < LARGEST

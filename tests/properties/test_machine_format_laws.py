@@ -53,7 +53,7 @@ def test_declarations_are_valid_and_state_the_records_counts(record):
     text = cyclonedx.render(record)
     assert strict().validate_str(text) is None
     assert dead_references(text, record) == []
-    assert stated_counts(cyclonedx, text) == record["totals"]
+    assert stated_counts(cyclonedx, text) == record.head.totals.to_json()
     assert all(map(no_control, strings(json.loads(text))))
     assert len(text) < 200_000
     assert cyclonedx.render(record) == text
@@ -64,27 +64,27 @@ def test_declarations_are_valid_and_state_the_records_counts(record):
 def test_conformance_is_scored_where_it_is_shown_or_refuted_and_nowhere_else(record):
     document = json.loads(cyclonedx.render(record))
     entries = document["declarations"]["attestations"][0]["map"]
-    assert len(entries) == len(record["requirements"])
-    judged = {(one["requirement"], one["case"], one["component"]) for one in record["verdicts"]}
-    compared = {one["pairs"]["case"] for one in record["verdicts"] if one["pairs"]}
-    whole = record["status"] == "complete" and record["gate"]["result"] != "incomplete"
-    for requirement, entry in zip(record["requirements"], entries, strict=True):
-        name = requirement["id"]
-        own = [one for one in record["verdicts"] if one["requirement"] == name]
-        clean = all(one["verdict"] == "supported" and one["waiver"] is None for one in own)
-        refuted = any(one["verdict"] == "violated" and one["waiver"] is None for one in own)
+    assert len(entries) == len(record.head.requirements)
+    judged = {(one.requirement, one.case, one.component) for one in record.head.verdicts}
+    compared = {one["pairs"]["case"] for one in record.head.verdicts if one.pairs}
+    whole = record.head.status == "complete" and record.head.gate.result != "incomplete"
+    for requirement, entry in zip(record.head.requirements, entries, strict=True):
+        name = requirement.id
+        own = [one for one in record.head.verdicts if one.requirement == name]
+        clean = all(one.verdict == "supported" and one.waiver is None for one in own)
+        refuted = any(one.verdict == "violated" and one.waiver is None for one in own)
         searched = {
-            outcome["word"]
-            for one in record["searches"]
-            if not one["waiver"]
-            for outcome in one["outcomes"]
-            if outcome["requirement"] == name
+            outcome.word
+            for one in record.head.searches
+            if not one.waiver
+            for outcome in one.outcomes
+            if outcome.requirement == name
         }
         tested = all(
-            (name, one["id"], one["component"]) in judged
-            for one in record["cases"]
-            if name in one["requirements"] and one["planned"] and not one["without"]
-            if one["id"] not in compared or any(one["id"] == case for _, case, _ in judged)
+            (name, one.id, one.component) in judged
+            for one in record.head.cases
+            if name in one.requirements and one.planned and not one.without
+            if one.id not in compared or any(one["id"] == case for _, case, _ in judged)
         )
         score = entry["conformance"].get("score")
         assert (score == 0) == (refuted or "falsified" in searched)
@@ -113,14 +113,14 @@ def test_the_statement_is_valid_and_states_the_records_counts(record, bundle):
     text = intoto.render(record)
     result = valid_statement(text)
     tests = [*result.passed_tests, *result.warned_tests, *result.failed_tests]
-    assert len(set(tests)) == len(record["verdicts"])
-    clean = all(one["verdict"] == "supported" and not one["waiver"] for one in record["verdicts"])
-    clean &= not record["searches"]  # each of them found something
-    passed = record["gate"]["result"] == "passed" and record["status"] == "complete"
+    assert len(set(tests)) == len(record.head.verdicts)
+    clean = all(one.verdict == "supported" and not one.waiver for one in record.head.verdicts)
+    clean &= not record.head.searches  # each of them found something
+    passed = record.head.gate.result == "passed" and record.head.status == "complete"
     # Of a session that decided nothing, nothing has passed.
     assert (result.result == "PASSED") == (passed and clean and bool(tests))
     assert passed or result.result == "FAILED"
-    assert stated_counts(intoto, text) == record["totals"]
+    assert stated_counts(intoto, text) == record.head.totals.to_json()
     assert all(map(no_control, strings(json.loads(text))))
     subject = json.loads(text)["subject"][-1]
     assert (
@@ -145,11 +145,11 @@ def test_the_summary_is_harmless_and_states_the_records_counts(record):
     prose = "".join(token.content for token in tokens if token.type == "text")
     assert not re.search(r"@|://|www\.|#\d|\$", prose)
     headings = sum(token.type == "heading_open" for token in tokens)
-    outcomes = [one for search in record["searches"] for one in search["outcomes"]]
+    outcomes = [one for search in record.head.searches for one in search.outcomes]
     assert headings == 7 + bool(outcomes)
     rows = [token for token in tokens if token.type == "tr_open"]
-    held = record["verdicts"], record["requirements"], record["cases"], outcomes
+    held = record.head.verdicts, record.head.requirements, record.head.cases, outcomes
     assert len(rows) == 1 + sum(map(len, held)) + 4 + bool(outcomes)
     assert no_control(text)
     assert len(text.encode()) <= summary.MAX_BYTES
-    assert stated_counts(summary, text) == record["totals"]
+    assert stated_counts(summary, text) == record.head.totals.to_json()

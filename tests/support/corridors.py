@@ -67,8 +67,8 @@ def requirement(project, check, name="R-1", **keys):
 def expect(project, result, word, reason="", *, ret=None, requirement="R-1", case="corridor/it"):
     """The same word in the terminal and in the evidence, and the exit code; the verdict."""
     found = project.verdict(requirement, case)
-    assert found["verdict"] == word
-    assert reason in found["reason"]
+    assert found.verdict == word
+    assert reason in found.reason
     lines = result.outlines
     start = next(i for i, line in enumerate(lines) if re.fullmatch(r"=+ dura =+", line))
     told = "\n".join(lines[start:])

@@ -34,8 +34,8 @@ from pytest_dura.evidence import (
     SessionRecord,
     conclude_record,
     effectiveness,
+    open_record,
     plain_data,
-    read_session_record,
     read_trace,
     record_schema,
     trace_path,
@@ -286,7 +286,7 @@ def spoilers(draw):
 
 def session(real, directory, spoil):
     """The real session with hostile texts: its record, and its traces in another directory."""
-    before = read_session_record(real)
+    before = open_record(real / "evidence.json")
     told = before.to_json()
     traces = [one["trace"] and read_trace(real / one["trace"]["file"]) for one in told["episodes"]]
     _name_everything(told)

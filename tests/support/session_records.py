@@ -105,6 +105,11 @@ def verdict(requirement, case, words, *, planned=None, waiver=None, **changes):
 
 
 def session_record(directory=Path("nowhere"), **changes):
+    """The record of :func:`session_data`."""
+    return SessionRecord.of(session_data(**changes), directory)
+
+
+def session_data(**changes):
     """A failed session: 5 episodes of 2 cases, and one verdict of each word, one waived.
 
     One cell of requirement x scenario x fault was left untested.
@@ -198,12 +203,11 @@ def session_record(directory=Path("nowhere"), **changes):
         "timings": {"wall_seconds": 60.0, "evidence_seconds": 1.0, "simulated_seconds": 12.0,
                     "processing_seconds": {"generator": 2.0}},
     }  # fmt: skip
-    told |= changes
-    told["totals"] = totals(told)
-    plain = json.loads(json.dumps(told, default=Entry.to_json))
-    with suppress(ValidationError):  # a test may want a record that is not valid
+    plain = json.loads(json.dumps(told | changes, default=Entry.to_json))
+    plain["totals"] = totals(plain)
+    with suppress(ValidationError):  # a test may want data that is no valid record
         plain = make(WholeRecord, **plain).to_json()
-    return SessionRecord.of(plain, directory)
+    return plain
 
 
 HEADER = {

@@ -225,12 +225,12 @@ def dead_references(text, record):
 
 def _dead(text, record):
     for name, element in elements_of(text).items():
-        here, url = {**record.head}, str(element.get("url", ""))
+        here, url = record.head, str(element.get("url", ""))
         if url.startswith("evidence.json#/"):
             try:
                 for key in url.partition("#/")[2].split("/"):
-                    here = here[int(key) if isinstance(here, list) else key]
-            except (LookupError, ValueError):
+                    here = here[int(key)] if isinstance(here, list) else getattr(here, key)
+            except (LookupError, ValueError, AttributeError):
                 yield f"{name} refers to {url}, which is not there"
         trace = element.get("trace")
         if trace is not None and not (record.directory / str(trace)).is_file():
@@ -257,11 +257,11 @@ def _dead_in_declarations(text, record):
         named = [holder[key] for key in _LINKS if key in holder]
         named += [ref for key in _LISTS for ref in holder.get(key, ())]
         yield from (f"{holder.get('bom-ref')} refers to {ref}" for ref in named if ref not in refs)
-    places = {f"evidence.json#/verdicts/{number}" for number in range(len(record["verdicts"]))}
+    places = {f"evidence.json#/verdicts/{number}" for number in range(len(record.head.verdicts))}
     for number, episode in enumerate(record.episodes()):
         places.add(f"evidence.json#/episodes/{number}")
-        if episode["trace"] is not None:
-            places.add(episode["trace"]["file"])
+        if episode.trace is not None:
+            places.add(episode.trace.file)
     for entry in declared["evidence"]:
         for data in entry["data"]:
             url = data["contents"].get("url")

@@ -69,29 +69,33 @@ def damaged(change):
 
 @pytest.mark.parametrize("change, found", [
     (lambda told: told.pop("verdicts"), '/: missing key "verdicts"'),
-    (lambda told: told["verdicts"][0].update(violations=4), "ValueError: 4 violations"),
-    (lambda told: told["verdicts"][0].update(violations=-1), "/verdicts/0/violations: found -1"),
-    (lambda told: told["verdicts"][0].update(episodes="3"), "/verdicts/0/episodes: found string"),
-    (lambda told: told["verdicts"][0].update(case=None), "/verdicts/0/case: found null"),
+    (lambda told: told["verdicts"][0].update(violations=4),
+     "--dura-baseline: ValueError: 4 violations"),
+    (lambda told: told["verdicts"][0].update(violations=-1), "/verdicts/0/violations: -1"),
+    (lambda told: told["verdicts"][0].update(episodes="3"), "/verdicts/0/episodes: string"),
+    (lambda told: told["verdicts"][0].update(case=None), "/verdicts/0/case: null"),
     (lambda told: told["verdicts"][0]["bound"].update(confidence=95),
-     "/verdicts/0/bound/confidence: found 95"),
-    (lambda told: told["verdicts"][0]["counterexamples"][0].update(episode="x"), "ValueError"),
+     "/verdicts/0/bound/confidence: 95"),
+    (lambda told: told["verdicts"][0]["counterexamples"][0].update(episode="x"),
+     "--dura-baseline: ValueError"),
     (lambda told: told["episodes"][0]["spec"].pop("scenario"), "/episodes/0/spec: missing key"),
     (lambda told: told["episodes"][0]["spec"].update(seed="7"),
-     "/episodes/0/spec/seed: found string"),
-    (lambda told: told["episodes"].append(None), "/episodes/3: found null, expected object"),
-    (lambda told: told.update(component_under_test=None), "/component_under_test: found"),
-    (lambda told: told.update(base_seed="none"), "/base_seed: found string"),
-    (lambda told: told["verdicts"][0].update(run=10**400, episodes=10**400), "ValueError"),
+     "/episodes/0/spec/seed: string"),
+    (lambda told: told["episodes"].append(None), "/episodes/3: null"),
+    (lambda told: told.update(component_under_test=None), "/component_under_test: null"),
+    (lambda told: told.update(base_seed="none"), "/base_seed: string"),
+    (lambda told: told["verdicts"][0].update(run=10**400, episodes=10**400),
+     "--dura-baseline: ValueError"),
     (lambda told: told["episodes"][0]["spec"]["scenario"]["world"].update(x=nested(DEEP)),
-     "RecursionError"),
+     "--dura-baseline: RecursionError"),
 ])  # fmt: skip
 def test_a_damaged_baseline_is_refused(tmp_path, change, found):
     file = written(tmp_path, damaged(change))
-    with pytest.raises(ConfigurationError, match="the baseline is damaged") as error:
+    with pytest.raises(ConfigurationError, match="is damaged") as error:
         Baseline.read(".", tmp_path)
     assert error.value.file == str(file)
-    assert str(error.value.found).startswith(found)
+    assert f"{error.value.key}: {error.value.found}".startswith(found)
+    assert error.value.expected
 
 
 @pytest.mark.parametrize("status, fine", [("running", False), ("interrupted", True)])

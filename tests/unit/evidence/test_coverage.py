@@ -178,7 +178,7 @@ def test_episodes_are_looked_at_one_at_a_time():
 
 def test_the_coverage_of_a_record_is_plain_data():
     record = session_record()
-    found = coverage(record["cases"], record["verdicts"], record.episodes())
+    found = coverage(record.head.cases, record.head.verdicts, record.episodes())
     assert json.loads(json.dumps(found)) == found
     words = {(cell["requirement"], cell["faults"]): cell["verdict"] for cell in found["cells"]}
     assert words["SAF-1", "ghost"] == "violated"

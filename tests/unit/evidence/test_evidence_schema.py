@@ -32,13 +32,16 @@ lawful = settings(derandomize=True, deadline=None, max_examples=40)
 
 
 def whole(**changes):
-    record = session_record(**changes)
-    return record.to_json()
+    return session_record(**changes).to_json()
 
 
 RECORD = whole()
 RECORD["episodes"] = RECORD["episodes"][1:3]
 RECORD["verdicts"] = RECORD["verdicts"][1:3]
+
+
+def problems(record):
+    return list(map(str, check_record(record)))
 
 
 def properties(part=None, path=""):
@@ -116,7 +119,6 @@ def test_times_and_sizes_say_their_unit():
 
 
 def test_a_record_of_ours_is_valid():
-    assert check_record(session_record()) == []
     assert check_record(RECORD) == []
 
 
@@ -146,7 +148,7 @@ def test_a_key_that_is_gone_is_found(step):
     del at(broken, step[:-1])[step[-1]]
     if _has_free_names(step[:-1]):
         return
-    (told,) = check_record(broken)
+    (told,) = problems(broken)
     assert told.endswith(f'missing key "{step[-1]}"')
     assert told.startswith("/" + "/".join(map(str, step[:-1])))
 
@@ -164,7 +166,7 @@ def test_a_value_of_another_type_is_found(step, data):
     if step[-1] in OPEN or step[-1] == "value" or step[-3:-1] == ("outcome", "measures"):
         return
     at(broken, step[:-1])[step[-1]] = wrong
-    told = check_record(broken)
+    told = problems(broken)
     assert told
     assert all(one.startswith("/" + "/".join(map(str, step[:1]))) for one in told)
 
@@ -177,7 +179,7 @@ def test_a_key_that_nobody_knows_is_found(step):
         return
     broken = copy.deepcopy(RECORD)
     at(broken, step[:-1])["nobody knows"] = 1
-    assert any('unknown key "nobody knows"' in one for one in check_record(broken))
+    assert any('unknown key "nobody knows"' in one for one in problems(broken))
 
 
 def _alike(one, value):
@@ -199,7 +201,7 @@ def _has_free_names(step):
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_number_that_json_does_not_have_is_found(value):
     timings = {**RECORD["timings"], "wall_seconds": value}
-    assert check_record({**RECORD, "timings": timings}) == [
+    assert problems({**RECORD, "timings": timings}) == [
         "/timings/wall_seconds: found number, expected number"
     ]
 
@@ -211,7 +213,7 @@ def test_what_is_wrong_is_told_in_few_words():
     broken["verdicts"][0]["margins"] = 3
     broken["a/b~c\n"] = 1
     broken["cases"][0]["planned"] = -1
-    assert check_record(broken) == [
+    assert problems(broken) == [
         "/cases/0/planned: found -1, expected at least 0",
         "/verdicts/0/margins: found integer, expected object or null",
         '/: unknown key "a/b~c\\n"',
@@ -221,7 +223,7 @@ def test_what_is_wrong_is_told_in_few_words():
 
 
 def test_the_problems_of_a_foreign_file_are_bounded():
-    assert check_record([]) == ["/: found array, expected object"]
+    assert problems([]) == ["/: found array, expected object"]
     assert len(check_record({"episodes": [{}] * 10**4})) == MAX_PROBLEMS
 
 

@@ -16,6 +16,7 @@ from stated_counts import stated_counts
 
 from pytest_dura.evidence import SessionRecord
 from pytest_dura.evidence.case_model import ShareEntry
+from pytest_dura.evidence.model import RecordHead
 from pytest_dura.reports import case_anchor, verdict_anchor
 from pytest_dura.reports.gsn import yaml_file
 from pytest_dura.reports.html import contents
@@ -64,7 +65,7 @@ def passing(number: int, changes: Mapping[int, Any] | None = None) -> SessionRec
             "component": own["component"], "verdict": judged["verdict"], "applies": "scenario",
         }  # fmt: skip
         head["coverage"]["cells"].append(cell)
-    return replace(found, head=head)
+    return replace(found, head=RecordHead.model_validate(head))
 
 
 def has_rows(html: str, place: int) -> set[bool]:

@@ -193,13 +193,13 @@ CHOSEN = "a/clear@0123456789"
 
 def test_a_searched_episode_that_counts_as_planned():
     record = session_record()
-    episodes = [dict(episode) for episode in record.episodes()]
+    episodes = [episode.to_json() for episode in record.episodes()]
     episodes[0] |= {"case": CHOSEN, "id": f"{CHOSEN}#0"}
-    episodes[0]["spec"] = {**episodes[0]["spec"], "case": CHOSEN}
-    case = next(case for case in record["cases"] if case["id"] == CASES[0])
-    metrics = {**case["metrics"], "run": 1, "valid": 1}
-    chosen = {**case, "id": CHOSEN, "planned": 0, "metrics": metrics}
-    forged = session_record(episodes=episodes, cases=[*record["cases"], chosen])
+    episodes[0]["spec"]["case"] = CHOSEN
+    case = next(case for case in record.head.cases if case.id == CASES[0])
+    metrics = case.metrics.replace(run=1, valid=1)
+    chosen = case.replace(id=CHOSEN, planned=0, metrics=metrics)
+    forged = session_record(episodes=episodes, cases=[*record.head.cases, chosen])
     expected = f"case {CHOSEN}: a search chose it, and there are metrics of it"
     assert f"evidence.json: {expected}" in list(record_problems(forged))
     unlisted = session_record(episodes=episodes)
@@ -207,10 +207,10 @@ def test_a_searched_episode_that_counts_as_planned():
 
 
 def test_a_searched_case_with_metrics():
-    case = next(one for one in session_record()["cases"] if one["id"] == CASES[0])
-    told = problems(cases=[{**case, "id": CHOSEN}])
+    case = next(one for one in session_record().head.cases if one.id == CASES[0])
+    told = problems(cases=[case.replace(id=CHOSEN)])
     assert told == [f"case {CHOSEN}: a search chose it, and there are metrics of it"]
-    idle = {**case, "id": CHOSEN, "planned": 0, "metrics": {**case["metrics"], "run": 0}}
+    idle = case.replace(id=CHOSEN, planned=0, metrics=case.metrics.replace(run=0))
     assert problems(cases=[idle]) == []
 
 
@@ -225,10 +225,10 @@ def test_a_verdict_on_what_a_search_chose():
 
 
 def gate_problems(*searches, **gate):
-    verdicts = [one for one in session_record()["verdicts"] if one["verdict"] == "supported"]
+    verdicts = [one for one in session_record().head.verdicts if one.verdict == "supported"]
     record = session_record(searches=list(searches), verdicts=verdicts, gate={**PASSED, **gate})
     again = judge_again(record.head).to_json()
-    return list(differences("/gate", record["gate"], again))
+    return list(differences("/gate", record.head.gate.to_json(), again))
 
 
 AGAINST = "SAF-1 on a/clear is falsified by a search"

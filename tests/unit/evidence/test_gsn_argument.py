@@ -101,7 +101,7 @@ def test_a_solution_refers_to_its_evidence_with_n_violations_and_bound():
 
 def test_references_that_lead_nowhere_are_found():
     record = session_record()
-    shorter = replace(record, head={**record.head, "verdicts": record["verdicts"][:1]})
+    shorter = replace(record, head=record.head.replace(verdicts=record.head.verdicts[:1]))
     told = dead_references(yaml_file.render(record), shorter)
     assert any("evidence.json#/verdicts/3" in one for one in told)
     assert not any("evidence.json#/verdicts/0," in one for one in told)
@@ -129,13 +129,13 @@ def test_an_incomplete_session_claims_nothing(gate):
     assert found["GTop"]["undeveloped"]
     assert "supportedBy" not in found["GTop"]
     assert "INCOMPLETE SESSION" in svg_file.render(record)
-    assert stated_counts(yaml_file, yaml_file.render(record)) == record["totals"]
+    assert stated_counts(yaml_file, yaml_file.render(record)) == record.head.totals.to_json()
 
 
 def test_monitors_are_known_only_from_violations_that_they_could_miss():
     record = session_record()
-    quiet = {**record["monitors"][0], "monitor": "quiet", "true_positives": 0}
-    found = elements(session_record(monitors=[*record["monitors"], quiet]))
+    quiet = record.head.monitors[0].replace(monitor="quiet", true_positives=0)
+    found = elements(session_record(monitors=[*record.head.monitors, quiet]))
     known = by_alias(found, "monitor:security_assessor:SAF-1")
     unknown = by_alias(found, "monitor:quiet:SAF-1")
     assert "flagged 1 of 1 episodes with a violation" in known["text"]
@@ -152,7 +152,7 @@ def test_a_session_without_anything_has_an_argument_too():
     text = yaml_file.render(nothing)
     assert elements_of(text)["SKinds"]["undeveloped"]
     for one in (yaml_file, svg_file):
-        assert stated_counts(one, one.render(nothing)) == nothing["totals"]
+        assert stated_counts(one, one.render(nothing)) == nothing.head.totals.to_json()
 
 
 def test_the_policy_is_that_of_the_judged_cases_and_not_of_their_comparison():
@@ -172,7 +172,7 @@ def test_twin_verdicts_and_several_components_are_told_apart():
     assert sorted(aliases) == [
         "verdict:SAF-1@a/clear [C]", "verdict:SAF-1@a/clear [C] (2)", "verdict:SAF-1@a/clear [D]"
     ]  # fmt: skip
-    assert stated_counts(yaml_file, yaml_file.render(record)) == record["totals"]
+    assert stated_counts(yaml_file, yaml_file.render(record)) == record.head.totals.to_json()
 
 
 def test_a_verdict_on_an_unlisted_requirement_is_refused():
@@ -189,11 +189,13 @@ def test_what_looks_like_a_number_to_yaml_1_2_is_quoted():
 
 
 def test_a_parameter_with_choices_names_them():
-    found = session_record()["coverage"]
+    found = session_record().head.coverage
     choices = [{"value": "left", "count": 2}, {"value": "right", "count": 0}]
-    (spread,) = found["parameters"]
-    chosen = {**spread, "parameter": "world.turn", "low": None, "high": None, "choices": choices}
-    record = session_record(coverage={**found, "parameters": [spread, {**chosen, "covered": 0.5}]})
+    (spread,) = found.parameters
+    chosen = spread.replace(parameter="world.turn", low=None, high=None, choices=choices)
+    record = session_record(
+        coverage=found.replace(parameters=[spread, chosen.replace(covered=0.5)])
+    )
     text = by_alias(elements(record), "scenario:a/clear")["text"]
     assert "world.wall in [2, 6], 6 drawn, 40 % of its tenths reached" in text
     assert "world.turn one of left, right; 6 drawn, 50 % of the choices reached" in text

@@ -74,7 +74,7 @@ def test_what_is_not_taken_up_is_told_and_counted(user):
     assert "CUnusedMonitors" in found
     record = with_user(user(GOOD))
     for one in (yaml_file, svg_file):
-        assert stated_counts(one, one.render(record)) == record["totals"]
+        assert stated_counts(one, one.render(record)) == record.head.totals.to_json()
 
 
 def test_all_of_ours_may_be_taken_up_at_once(user):
@@ -88,7 +88,7 @@ def test_a_part_of_a_requirement_leaves_the_rest_told(user):
     left = next(one for one in found.values() if one.get("alias") == "unused:SAF-1")
     assert (left["requirements"], left["supported"], left["violated"]) == (1, 0, 1)
     record = with_user(user("G1: {text: Safe., supportedBy: ['verdict:SAF-1@a/clear']}"))
-    assert stated_counts(yaml_file, yaml_file.render(record)) == record["totals"]
+    assert stated_counts(yaml_file, yaml_file.render(record)) == record.head.totals.to_json()
 
 
 def test_the_user_may_challenge_our_elements(user):
@@ -118,7 +118,7 @@ G2: {text: By day., supportedBy: [requirement:SAF-1]}
 G3: {text: By night., supportedBy: [requirement:SAF-1]}
 """
     record = with_user(user(text))
-    assert stated_counts(svg_file, svg_file.render(record)) == record["totals"]
+    assert stated_counts(svg_file, svg_file.render(record)) == record.head.totals.to_json()
     assert 'data-kind="Reference"' in svg_file.render(record)
 
 
@@ -212,7 +212,7 @@ def test_a_requirement_is_referred_to_by_its_id_as_it_is(user, odd):
     """Its alias is what can be shown of that."""
     told = user(json.dumps({"G1": {"text": "a", "supportedBy": [f"requirement:{odd}"]}}))
     check_requirements(told, [odd])
-    asked = {**session_record()["requirements"][0], "id": odd}
+    asked = session_record().head.requirements[0].replace(id=odd)
     found = rendered(told, requirements=[asked], verdicts=[], coverage=NONE)
     (goal,) = found["G1"]["supportedBy"]
     assert found[goal]["alias"].startswith("requirement:")

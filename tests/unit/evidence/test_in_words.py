@@ -39,10 +39,10 @@ def test_a_session_that_supports_nothing_says_so():
 
 
 def test_what_was_not_tried_or_did_not_count_is_told():
-    cases = session_record()["cases"]
-    recovered = {**cases[0]["metrics"], "recoveries": 7}
-    cases = [{**cases[0], "missing_runs_total": 4, "metrics": recovered}, cases[1]]
-    coverage = {**session_record()["coverage"], "left_out": 5}
+    cases = session_record().head.cases
+    recovered = cases[0].metrics.replace(recoveries=7)
+    cases = [cases[0].replace(missing_runs_total=4, metrics=recovered), cases[1]]
+    coverage = session_record().head.coverage.replace(left_out=5)
     text = told(
         limitation_sentences, verdicts=[SUPPORTED, UNDECIDED], cases=cases, coverage=coverage
     )
@@ -57,8 +57,8 @@ def test_what_was_not_tried_or_did_not_count_is_told():
 
 
 def test_recovery_in_reference_arms_is_not_counted():
-    case = session_record()["cases"][0]
-    arm = {**case, "without": ["x"], "metrics": {**case["metrics"], "recoveries": 7}}
+    case = session_record().head.cases[0]
+    arm = case.replace(without=["x"], metrics=case.metrics.replace(recoveries=7))
     assert "Recovery acted" not in told(limitation_sentences, cases=[case, arm])
 
 
@@ -70,8 +70,8 @@ def test_an_incomplete_session_shows_no_more_than_it_ran(status, end):
 
 
 def test_report_and_summary_say_the_same_and_names_in_it_are_escaped():
-    requirement = session_record()["requirements"][0]
-    named = {**requirement, "id": "<b>|x"}
+    requirement = session_record().head.requirements[0]
+    named = requirement.replace(id="<b>|x")
     bad = {**verdict("PERF-1", "a/clear", ("violated",)), "requirement": "<b>|x"}
     record = session_record(requirements=[named], verdicts=[bad])
     page, text = render(record), summary.render(record)

@@ -81,7 +81,7 @@ def test_a_counterexample_speaks_against_a_claim_that_is_supported_all_the_same(
     ],
 )
 def test_conformance_is_shown_refuted_or_has_no_score(changes, score):
-    cases = [one for one in session_record()["cases"] if one["id"] == "a/clear"]
+    cases = [one for one in session_record().head.cases if one.id == "a/clear"]
     entry = declared(cases=cases, **changes)["declarations"]["attestations"][0]["map"][1]
     assert entry["conformance"].get("score") == score
     rationale = entry["conformance"]["rationale"]
@@ -96,10 +96,10 @@ def test_a_declared_case_without_a_verdict_leaves_conformance_open():
 
 
 def test_cells_and_cases_that_nobody_declared_do_not_count_against_conformance():
-    cases = session_record()["cases"]
-    ghost = {**cases[1], "requirements": ["SEC-1"]}
-    by_hand = {**cases[1], "id": "a/clear+none", "planned": 0}
-    switched_off = {**cases[1], "id": "a/clear~recovery_planner", "without": ["recovery_planner"]}
+    cases = session_record().head.cases
+    ghost = cases[1].replace(requirements=["SEC-1"])
+    by_hand = cases[1].replace(id="a/clear+none", planned=0)
+    switched_off = cases[1].replace(id="a/clear~recovery_planner", without=["recovery_planner"])
     for extra in (ghost, by_hand, switched_off):
         record = declared(verdicts=[SUPPORTED], cases=[cases[0], extra])
         assert record["declarations"]["attestations"][0]["map"][1]["conformance"]["score"] == 1
@@ -210,8 +210,8 @@ def test_requirements_that_are_undecided_for_the_same_reason_share_a_row():
 
 
 def test_untested_cells_that_are_not_listed_are_counted():
-    coverage = session_record()["coverage"]
-    text = summary.render(session_record(coverage={**coverage, "left_out": 100}))
+    coverage = session_record().head.coverage
+    text = summary.render(session_record(coverage=coverage.replace(left_out=100)))
     assert "4 of 105 cells" in text
     assert "101 untested" in text
     assert re.search(r"^\| `PERF-1` \| .* \| 1 or more \|$", text, re.MULTILINE)
@@ -250,4 +250,4 @@ def test_a_summary_that_is_too_long_keeps_the_failures_and_says_what_it_leaves_o
     assert re.search(r"_\d+ of 6002 are left out here", text)
     rows = re.findall(r"^\| (violated|undecided|supported) ", text, re.MULTILINE)
     assert rows[:3] == ["violated", "undecided", "supported"]
-    assert stated_counts(summary, text) == record["totals"]
+    assert stated_counts(summary, text) == record.head.totals.to_json()

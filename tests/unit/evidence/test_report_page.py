@@ -14,7 +14,7 @@ from report_pages import VIOLATING, Page, record_with_trace
 from session_records import episode, session_record, verdict
 from stated_counts import stated_counts
 
-from pytest_dura.evidence import SessionRecord
+from pytest_dura.evidence.case_model import FaultMetricsEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports import anchor, case_anchor, verdict_anchor
@@ -113,33 +113,32 @@ def test_pairs_are_told_with_and_without_and_their_p():
 
 def test_cases_are_told_over_valid_and_over_run_episodes():
     record = session_record()
-    metrics = {**record["cases"][0]["metrics"], "valid": 2, "run": 3}
-    measures = metrics["measures"]
-    collided = {**measures["collided"], "valid": 1, "run": 2}
-    metrics["measures"] = {**measures, "collided": collided}
-    html = render(session_record(cases=[{**record["cases"][0], "metrics": metrics}]))
+    metrics = record.head.cases[0].metrics.replace(valid=2, run=3)
+    collided = metrics.measures["collided"].replace(valid=1, run=2)
+    metrics = metrics.replace(measures={**metrics.measures, "collided": collided})
+    html = render(session_record(cases=[record.head.cases[0].replace(metrics=metrics)]))
     assert "1/2 +1*" in row(html, case_anchor("a/clear"))
     dash = "\N{EN DASH}"
     assert f"1.55 ± 0.07 s (2) {dash} {dash} {dash} 0 {dash} 2" in row(html, case_anchor("a/clear"))
     # Sums over the valid runs, of which there are none, are no nought.
-    metrics = {**metrics, "valid": 0, "measures": {"collided": collided}}
-    html = render(session_record(cases=[{**record["cases"][0], "metrics": metrics}]))
+    metrics = metrics.replace(valid=0, measures={"collided": collided})
+    html = render(session_record(cases=[record.head.cases[0].replace(metrics=metrics)]))
     assert row(html, case_anchor("a/clear")).endswith(f" 0 0 1/0 1/0 +1* {' '.join([dash] * 8)}")
 
 
 def test_what_the_component_left_to_its_recovery_and_how_it_reacted_stand_beside_it():
-    case = session_record()["cases"][0]
+    case = session_record().head.cases[0]
     share = {"valid": 1, "run": 1, "share_of_valid": 0.5, "share_of_planned": 0.5}
     switching = {
         "share": 0.125, "takeovers": 3, "switches_per_episode": 3.0,
         "time_to_safe": {"median": 0.2, "max": 0.4, "censored": 0},
     }  # fmt: skip
-    metrics = {
-        **case["metrics"], "rescued": share, "comfort_failed": {**share, "valid": 2, "run": 2},
-        "reactions": {"frozen": 1, "follows the fake": 4}, "switching": switching,
-    }  # fmt: skip
+    metrics = case.metrics.replace(
+        rescued=share, comfort_failed={**share, "valid": 2, "run": 2},
+        reactions={"frozen": 1, "follows the fake": 4}, switching=switching,
+    )  # fmt: skip
     overall = [{"component": "C", "cases": 2, "metrics": metrics}]
-    told = session_record(cases=[{**case, "metrics": metrics}], overall=overall)
+    told = session_record(cases=[case.replace(metrics=metrics)], overall=overall)
     html = render(told)
     figures = "1/2 12.5 % 0 2/2 2 frozen 1, follows the fake 4"
     assert figures in row(html, case_anchor("a/clear")).replace("\N{NO-BREAK SPACE}", " ")
@@ -173,19 +172,18 @@ def test_the_map_of_faults_marks_what_is_untested_and_what_has_no_valid_episode(
 
 def test_the_chain_of_a_fault_has_its_counts_outcomes_and_latencies():
     record = session_record()
-    chain = {
-        "id": "ghost", "target": "lidar", "run": 4, "activated": 4, "manifested": 3, "followed": 3,
-        "propagated": 2, "detected": 1, "recovery": 1, "recovered": 0, "judged": 3, "violated": 1,
-        "read_by": ["generator", "watch"], "rates": {},
-        "detection_latency": {"median": 0.25, "max": 1.0}, "recovery_latency": None,
-        "time_to_recover": None,
-    }  # fmt: skip
-    case = record["cases"][1]
-    cases = [record["cases"][0], {**case, "metrics": {**case["metrics"], "faults": [chain]}}]
+    chain = make(
+        FaultMetricsEntry, id="ghost", target="lidar", run=4, activated=4, manifested=3, followed=3,
+        propagated=2, detected=1, recovery=1, recovered=0, judged=3, violated=1,
+        read_by=["generator", "watch"],
+        detection_latency={"median": 0.25, "max": 1.0},
+    )  # fmt: skip
+    case = record.head.cases[1]
+    cases = [record.head.cases[0], case.replace(metrics=case.metrics.replace(faults=[chain]))]
     words = section(render(session_record(cases=cases)), "faults")
     assert (
-        "a/clear+ghost ghost on lidar, read by generator, watch 4/4 3/4 2/3 1/3 1/3 0/1 1/3 "
-        "4 tolerated detection 0.25 s" in words
+        "a/clear+ghost ghost on lidar, read by generator, watch 4/4 3/4 2/3 1/3 1/3 0/1 1/3"
+        " 4 tolerated detection 0.25 s" in words
     )
 
 
@@ -213,9 +211,9 @@ def test_a_monitor_is_told_with_n_behind_its_rates(html):
 
 
 def test_targets_on_which_a_monitor_did_equally_well_share_a_row():
-    one = session_record()["monitors"][0]
-    silent = {**one, "true_positives": 0, "false_positives": 0, "false_negatives": 0}
-    found = [one, {**one, "target": "SEC-1"}, {**one, "target": "SAF-2", "lead_times": []}, silent]
+    one = session_record().head.monitors[0]
+    silent = one.replace(true_positives=0, false_positives=0, false_negatives=0)
+    found = [one, one.replace(target="SEC-1"), one.replace(target="SAF-2", lead_times=[]), silent]
     words = section(render(session_record(monitors=found)), "monitors")
     assert "SecurityAssessor SAF-1, SEC-1 a/clear+ghost" in words
     assert "SecurityAssessor SAF-2 a/clear+ghost" in words
@@ -229,10 +227,10 @@ def test_bars_are_as_high_as_their_counts(html):
 
 
 def test_a_choice_is_covered_by_what_was_drawn_of_it():
-    one = session_record()["coverage"]["parameters"][0] | {
-        "low": None, "high": None, "least": None, "greatest": None, "bins": [], "covered": 0.5,
-        "choices": [{"value": "left", "count": 6}, {"value": True, "count": 0}],
-    }  # fmt: skip
+    one = session_record().head.coverage.parameters[0].replace(
+        low=None, high=None, least=None, greatest=None, bins=[], covered=0.5,
+        choices=[{"value": "left", "count": 6}, {"value": True, "count": 0}],
+    )  # fmt: skip
     coverage = {"cells": [], "left_out": 7, "parameters": [one]}
     words = section(render(session_record(coverage=coverage)), "coverage")
     assert "world.wall 2 choices 6 left, True 6 0 1/2 (50 %)" in words
@@ -277,7 +275,7 @@ def test_a_trace_gives_its_episode_a_player_to_which_the_verdict_links(tmp_path)
     player = re.search('<details class="player" id="([^"]*)"', html)[1]
     assert f'<a href="#{player}">{VIOLATING}</a>' in html
     assert "octet-stream" in html
-    assert stated_counts("report.html", html) == record_with_trace(tmp_path)["totals"]
+    assert stated_counts("report.html", html) == record_with_trace(tmp_path).head.totals.to_json()
 
 
 @pytest.mark.parametrize(
@@ -309,16 +307,16 @@ def test_a_damaged_trace_is_told_in_its_place(tmp_path):
     (tmp_path / "episodes/one.mcap").write_bytes(damaged)
     changed = {"sha256": hashlib.sha256(damaged).hexdigest(), "bytes": len(damaged)}
     episodes = [
-        one if one["trace"] is None else {**one, "trace": {**one["trace"], **changed}}
+        one if one.trace is None else one.replace(trace=one.trace.replace(**changed))
         for one in record.episodes()
     ]
-    record = SessionRecord.of({**record.head, "episodes": episodes}, tmp_path)
+    record = replace(record, read_episodes=episodes.__iter__)
     assert "trace unreadable" in section(render(record), "episodes")
 
 
 def test_players_are_bounded_in_number_and_size(tmp_path, monkeypatch):
     record = record_with_trace(tmp_path)
-    trace = next(one["trace"] for one in record.episodes() if one["trace"])
+    trace = next(one.trace for one in record.episodes() if one.trace)
     many = [episode("a/clear", run, trace=trace) for run in range(20)]
     found = contents.ReportContents.of(session_record(tmp_path, episodes=many)).candidates
     assert len(page.embed_players(record, found).shown) == page.MAX_PLAYERS
@@ -378,15 +376,17 @@ def many_episodes(count):
     digests = {"digest": "f" * 64, "trajectory": "f" * 64}
     for one in plain:
         one["outcome"] |= told
+    typed = EpisodeEntry.model_validate
+    plain = [typed(one) for one in plain]
 
     def read():
         for run in range(count):
             if run == count - 1:
-                yield episode("a/clear", run, validity="missing", **digests)
+                yield typed(episode("a/clear", run, validity="missing", **digests))
             elif run == count - 2:
-                yield episode("a/clear", run, validity="invalid", **digests)
+                yield typed(episode("a/clear", run, validity="invalid", **digests))
             else:
-                yield plain[run % 90] | {"id": f"a/clear#{run}"}
+                yield plain[run % 90].replace(id=f"a/clear#{run}")
 
     record = session_record(episodes=[])
     record = record.changed(totals=record.head.totals.replace(episodes=count))
@@ -508,7 +508,7 @@ def test_coverage_tells_verdicts_without_any_run():
     assert "4 of 5 cells" in words
     assert "1 supported, 2 violated, 1 undecided. 1 are untested" in words
     verdicts = [
-        {**one, "run": 0} if one["verdict"] == "undecided" else one for one in record["verdicts"]
+        one.replace(run=0) if one.verdict == "undecided" else one for one in record.head.verdicts
     ]
     words = section(render(session_record(verdicts=verdicts)), "coverage")
     assert "1 undecided, 1 of these without any run that was judged" in words
@@ -521,14 +521,14 @@ def test_provenance_tells_inputs_that_changed_and_over_what_a_digest_is():
         {"path": "b.py", "kind": "test", "sha256": "ab" * 32, "changed": True},
     ]
     argument = {"path": "top.yaml", "sha256": "cd" * 32, "elements": {}, "lines": {}}
-    under_test = {**record["component_under_test"], "digest": "ef" * 32, "file_count": 12}
+    under_test = record.head.component_under_test.replace(digest="ef" * 32, file_count=12)
     html = render(session_record(inputs=inputs, argument=argument, component_under_test=under_test))
     words = section(html, "provenance")
     assert "a.py test could not be read" in words
     assert f"{'ab' * 32} changed while the session ran" in words
     assert f"{'ef' * 32} 12 files" in words
     assert f"top.yaml, SHA-256 {'cd' * 32}" in words
-    assert record["environment"]["blas"] in words
+    assert record.head.environment.blas in words
 
 
 def test_episodes_of_which_there_is_nothing_to_tell_are_folded(html):

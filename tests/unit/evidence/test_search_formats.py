@@ -43,7 +43,7 @@ def test_every_format_states_the_counts_of_the_record(tmp_path, words):
     record = session_record(tmp_path, searches=[entry(*words)])
     write_record(tmp_path, record)
     for one in all_formats():
-        assert stated_counts(one, one.render(record)) == record["totals"], one.FILE
+        assert stated_counts(one, one.render(record)) == record.head.totals.to_json(), one.FILE
 
 
 def test_no_format_says_that_a_search_shows_a_requirement(tmp_path):

@@ -8,7 +8,7 @@ from dataclasses import fields
 import pytest
 from entries import make
 from searches import ITEM, entry, falsification, told
-from session_records import HEADER, session_record, verdict
+from session_records import HEADER, session_data, verdict
 from test_record import case, report
 
 from pytest_dura.campaign import (
@@ -45,20 +45,20 @@ def searches_of(*reports, waived=None):
         record.add(one)
     if waived:
         record.waive(*waived)
-    return record.record("complete")["searches"]
+    return record.record("complete").head.searches
 
 
 def test_a_search_that_is_told_twice_is_told_once():
     once = report(ITEM, searches=[search("falsified")])
     (found,) = searches_of(once, once)
-    assert found == {**search("falsified"), "item": ITEM, "waiver": None}
+    assert found.to_json() == {**search("falsified"), "item": ITEM, "waiver": None}
 
 
 def test_an_attempt_that_came_out_differently_stands_beside_the_first():
     good = search("nothing found")
     bad = {**good, "outcomes": search("falsified")["outcomes"]}
     found = searches_of(report(ITEM, searches=[bad]), report(ITEM, searches=[good]))
-    words = sorted(one["outcomes"][0]["word"] for one in found)
+    words = sorted(one.outcomes[0].word for one in found)
     assert words == ["falsified", "nothing found"]
 
 
@@ -69,7 +69,7 @@ def test_searches_are_sorted_however_they_come():
     ]
     found = searches_of(*reports)
     assert found == searches_of(*reversed(reports))
-    order = [(one["case"], one["item"], one["seed"]) for one in found]
+    order = [(one.case, one.item, one.seed) for one in found]
     assert order == [("a", "i", 3), ("a", "i", 5), ("a", "j", 2), ("b", "i", 1)]
 
 
@@ -77,15 +77,15 @@ def test_what_excuses_a_test_excuses_its_searches_and_changes_no_word():
     (found,) = searches_of(
         report(ITEM, searches=[search("falsified")]), waived=(ITEM, "xfail", "ticket 7")
     )
-    assert found["waiver"] == WAIVER
-    assert found["outcomes"][0]["word"] == "falsified"
+    assert found.waiver.to_json() == WAIVER
+    assert found.outcomes[0].word == "falsified"
 
 
 def test_a_search_makes_no_verdict_no_case_and_no_episode():
     record = RecordBuilder(HEADER)
     record.add(report(ITEM, searches=[search("nothing found")]))
     made = record.record("complete")
-    assert (made["verdicts"], made["cases"], list(made.episodes())) == ([], [], [])
+    assert (made.head.verdicts, made.head.cases, list(made.episodes())) == ([], [], [])
 
 
 def test_what_an_item_searched_it_was_not_to_decide():
@@ -93,10 +93,10 @@ def test_what_an_item_searched_it_was_not_to_decide():
     asked = search("nothing found", case="a/b")
     left = RecordBuilder(HEADER)
     left.add(report(ITEM, claims=[claim]))
-    assert [one["verdict"] for one in left.verdicts()] == ["undecided"]
+    assert [one.verdict for one in left.verdicts()] == ["undecided"]
     left.add(report(ITEM, searches=[asked]))
     made = left.record("complete")
-    assert (made["verdicts"], made["cases"]) == ([], [])
+    assert (made.head.verdicts, made.head.cases) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_what_it_did_not_search_stays_undecided(changes):
     record = RecordBuilder(HEADER)
     record.add(report(ITEM, claims=[claim]))
     record.add(report(item, searches=[search("nothing found", **{"case": "a/b", **changes})]))
-    assert [one["verdict"] for one in record.verdicts()] == ["undecided"]
+    assert [one.verdict for one in record.verdicts()] == ["undecided"]
 
 
 def gate(*searches, warn=False, verdicts=()):
@@ -191,15 +191,15 @@ WORDS = [
 
 @pytest.mark.parametrize("words", WORDS)
 def test_each_word_keeps_the_schema(words):
-    assert check_record(session_record(searches=[entry(*words)])) == []
+    assert check_record(session_data(searches=[entry(*words)])) == []
 
 
 @pytest.mark.parametrize("file", ["/project/found.yaml", "\\\\host\\found.yaml"])
 def test_a_path_of_this_machine_is_no_file_of_the_project(file):
     found = entry("falsified")
     found["outcomes"][0]["counterexample"]["file"] = file
-    (problem,) = check_record(session_record(searches=[found]))
-    assert problem.startswith("/searches/0/outcomes/0/counterexample/file")
+    (problem,) = check_record(session_data(searches=[found]))
+    assert problem.pointer == "/searches/0/outcomes/0/counterexample/file"
 
 
 def test_figures_that_are_not_finite_are_none():

@@ -31,9 +31,9 @@ def test_episodes_come_back_by_case_component_run_and_seed():
     spool = EpisodeSpool()
     for case, component, run, seed in [places[i] for i in (3, 1, 5, 0, 4, 2)]:
         spool.add(episode(run, case, component, seed))
-    told = [(one["case"], one["component"], one["spec"]["run"], one["seed"]) for one in spool]
+    told = [(one.case, one.component, one.spec.run, one.seed) for one in spool]
     assert told == sorted(places) == places
-    assert [one["id"] for one in spool] == [one["id"] for one in spool], "it can be read again"
+    assert [one.id for one in spool] == [one.id for one in spool], "it can be read again"
 
 
 def test_the_first_of_equal_inputs_stays_and_planned_holds_once_it_was_true():
@@ -45,7 +45,7 @@ def test_the_first_of_equal_inputs_stays_and_planned_holds_once_it_was_true():
     late["spec"]["timeouts"] = [3]
     assert spool.add(late) == DIGEST, "recorded timeouts are no inputs of it"
     (found,) = spool
-    assert (found["digest"], found["planned"]) == (DIGEST, True)
+    assert (found.digest, found.planned) == (DIGEST, True)
 
 
 def test_chains_are_told_of_planned_episodes_whichever_comes_first():
@@ -57,8 +57,8 @@ def test_chains_are_told_of_planned_episodes_whichever_comes_first():
     spool.add(episode(faults=("f", "g"), digest="d" * 64))
     spool.add(episode(faults=("f",), digest="e" * 64, seed=7, planned=False))
     planned, by_hand = spool
-    assert [fault["outcome"] for fault in planned["faults"]] == ["violated", None]
-    assert [fault["outcome"] for fault in by_hand["faults"]] == [None]
+    assert [fault.outcome for fault in planned.faults] == ["violated", None]
+    assert [fault.outcome for fault in by_hand.faults] == [None]
 
 
 def test_a_trace_belongs_to_one_digest_and_may_be_told_before_the_episode():
@@ -67,7 +67,7 @@ def test_a_trace_belongs_to_one_digest_and_may_be_told_before_the_episode():
     spool.add_trace(told)
     spool.add(episode(digest="d" * 64))
     spool.add(episode(digest="e" * 64, seed=7))
-    assert [one["trace"] for one in spool] == [TRACE, None]
+    assert [one.trace for one in spool] == [TraceEntry(**TRACE), None]
 
 
 def test_of_what_workers_tell_of_a_trace_the_violation_stays_whoever_tells_it_first():
@@ -78,7 +78,7 @@ def test_of_what_workers_tell_of_a_trace_the_violation_stays_whoever_tells_it_fi
         for reason in order:
             trace = TRACE | {"kept_for": reason}
             spool.add_trace({"id": "a/b#0", "component": "C", "digest": DIGEST, "trace": trace})
-        assert [one["trace"]["kept_for"] for one in spool] == ["violation"]
+        assert [one.trace.kept_for for one in spool] == ["violation"]
 
 
 def test_it_leaves_no_file_even_if_it_is_never_closed(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from session_records import session_record
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence import bundle, files, read_session_record, write_record
+from pytest_dura.evidence import bundle, files, open_record, write_record
 
 
 def passing(folder, **changes):
@@ -43,7 +43,7 @@ def test_a_disk_that_is_full_leaves_no_pass(tmp_path, monkeypatch, number):
         bundle.write_bundle(passing(tmp_path))
     assert not {*bundle.rendered_files()} & {file.name for file in tmp_path.iterdir()}
     if number == 0:
-        assert read_session_record(tmp_path)["status"] == "running"
+        assert open_record(tmp_path / "evidence.json").head.status == "running"
     else:
         assert not (tmp_path / "evidence.json").exists(), "there was no room to take it back"
 
@@ -58,9 +58,9 @@ def test_ctrl_c_while_files_are_written_leaves_a_record_that_says_so(tmp_path, m
     with pytest.raises(KeyboardInterrupt):
         bundle.write_bundle(passing(tmp_path))
     assert [file.name for file in tmp_path.iterdir()] == ["evidence.json"]
-    record = read_session_record(tmp_path)
-    assert (record["status"], record["gate"]["result"]) == ("interrupted", "incomplete")
-    assert record["gate"]["exit_code"] == 1
-    assert record["totals"]["gate"] == "incomplete"
-    (why,) = record["gate"]["reasons"]
+    record = open_record(tmp_path / "evidence.json")
+    assert (record.head.status, record.head.gate.result) == ("interrupted", "incomplete")
+    assert record.head.gate.exit_code == 1
+    assert record.head.totals.gate == "incomplete"
+    (why,) = record.head.gate.reasons
     assert why.startswith("infrastructure: the evidence could not be written as a whole: Keyboard")
