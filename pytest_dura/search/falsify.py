@@ -87,7 +87,7 @@ def falsify(
             key="roles.fault_injector",
             found="none",
             expected="the role fault_injector",
-            remedy='add `fault_injector: "pytest_dura.faults.injector:CampaignInjector"`',
+            remedy="leave `fault_injector: null` out for the default one",
         )
     names = [objective.requirement.id for objective in objectives]
     seed = derive_seed(runner.base_seed, "search", case.id, *names) if seed is None else seed

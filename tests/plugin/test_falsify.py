@@ -344,14 +344,29 @@ def test_nothing_is_kept_where_no_session_would_look(project):
     assert found_files(project) == []
 
 
+def test_a_search_adds_faults_where_no_role_is_named_to_inject_them(project):
+    bias = "{'type': 'bias', 'target': 'gap', 'activation': {'at': 0.0}}"
+    project.run(*hasty(project, condition="gap > 11", arguments=f"budget=60, faults={bias}"))
+    (outcome,) = the_search(project)["outcomes"]
+    assert outcome["word"] == "falsified"
+    (file,) = found_files(project)
+    assert [fault["type"] for fault in yaml.safe_load(file.read_text())["faults"]] == ["bias"]
+
+
+def test_a_search_that_adds_faults_needs_the_injector(project):
+    file = project.path / "scenarios/corridor/free.yaml"
+    file.write_text(file.read_text().replace("roles: {", "roles: {fault_injector: null, "))
+    bias = "{'type': 'bias', 'target': 'gap', 'activation': {'at': 0.0}}"
+    result = project.run(*hasty(project, arguments=f"faults={bias}"))
+    assert result.ret == 1
+    assert "for no role injects any" in output(result)
+    assert "leave `fault_injector: null` out" in output(result)
+
+
 @pytest.mark.parametrize(
     "argument,told",
     [
         ("faults=7", "this names no faults"),
-        (
-            "faults={'type': 'bias', 'target': 'gap', 'activation': {'at': 0.0}}",
-            "for no role injects any",
-        ),
         ("seed='a'", "the seed of a search is a whole number"),
         ("seed=1.5", "the seed of a search is a whole number"),
     ],
