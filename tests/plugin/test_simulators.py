@@ -11,7 +11,7 @@ import os
 import random
 from pathlib import Path
 
-import cma
+import markdown_it
 from corridor import Corridor
 
 
@@ -65,7 +65,7 @@ def test_the_option_and_the_setting_replace_the_scenarios_simulator(simulators):
     evidence = simulators.evidence()
     assert {each.spec.simulator.path for each in evidence.episodes} == {"simulators:Wide"}
     # What its module imports is among the versions, though no episode has needed it.
-    assert "cma" in evidence.environment.packages
+    assert "markdown-it-py" in evidence.environment.packages
     simulators.write("pytest.ini", "[pytest]\npythonpath = .\ndura_simulator = simulators:Wide\n")
     simulators.scenarios(select="corridor/tight")
     (case,) = {each.spec.simulator.path for each in simulators.evidence().episodes}

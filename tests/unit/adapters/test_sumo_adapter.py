@@ -18,10 +18,10 @@ from pytest_dura.library import load_library
 from pytest_dura.library.cases import expand_cases
 from pytest_dura.library.scenario import Scenario, check_world
 
-pytest.importorskip("libsumo")
+libsumo = pytest.importorskip("libsumo")
 
-from pytest_dura.adapters import sumo
-from pytest_dura.adapters.sumo import SumoSimulator
+from pytest_dura.adapters import sumo  # noqa: E402 - it is of use only with the library
+from pytest_dura.adapters.sumo import SumoSimulator  # noqa: E402 - it is of use only with the library
 
 SUMO = RoleSpec("pytest_dura.adapters.sumo:SumoSimulator")
 EMPTY: dict[str, Any] = {"ego": {"distance": 40.0, "speed": 8.0}}
@@ -76,6 +76,11 @@ def test_positions_are_those_of_the_centre_and_advance_by_the_speed(simulator):
     ticks = cross(simulator, {**EMPTY, "vehicles": [car]}, ticks=100)
     first = ticks[0].truth["bodies"].get("CAR")
     assert (first.x, first.y) == pytest.approx((60.0 + 11.0, -2.0), abs=0.01)
+    simulator.reset({"world": {**EMPTY, "vehicles": [car]}, "duration": 9.0}, 3)
+    later = simulator.step(simulator.check_action("proceed")).truth
+    front = libsumo.vehicle.getLanePosition("CAR")  # SUMO's own, of the bumper
+    assert front == pytest.approx(100.0 - (later["bodies"].get("CAR").x - 11.0) + 2.5, abs=1e-6)
+    assert libsumo.vehicle.getLanePosition("EGO") == pytest.approx(later["ego"].front, abs=1e-6)
     for before, tick in pairwise(ticks):
         here, there = (each.truth["bodies"].get("CAR") for each in (before, tick))
         if there is None:
