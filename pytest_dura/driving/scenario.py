@@ -77,10 +77,18 @@ class ArmData(_Model):
 class RoadData(_Model):
     """A road that a scenario describes: one junction."""
 
-    arms: Annotated[tuple[ArmData, ...], Field(strict=False, min_length=2, max_length=8)] = Field(
+    arms: Annotated[tuple[ArmData, ...], Field(strict=False, max_length=8)] = Field(
         description="The ego comes from the first one, unless it says otherwise."
     )
     speed_limit: Annotated[float, Field(ge=3, le=20)] = Field(10.0, description="In m/s.")
+
+    @field_validator("arms")
+    @classmethod
+    def _at_least_two(cls, arms: tuple[ArmData, ...]) -> tuple[ArmData, ...]:
+        # Not by `min_length`, which counts an arm with an error of its own as missing.
+        if len(arms) < 2:
+            raise ValueError(f"a road has at least two arms, and this one has {len(arms)}")
+        return arms
 
     def road(self) -> Road:
         """The road that it describes."""

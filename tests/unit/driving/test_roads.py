@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from highway_env.envs.intersection_env import IntersectionEnv
 from pydantic import ValidationError
-from roads import always, begin, drive, run, spec_of_drive
+from roads import Views, always, begin, drive, run, spec_of_drive
 
-from pytest_dura.core import ConfigurationError, Percept, RoleSpec
+from pytest_dura.core import ConfigurationError, Percept, RoleContext, RoleSpec
 from pytest_dura.domains import DOMAINS
 from pytest_dura.driving import (
     BUILT_IN,
@@ -24,6 +24,7 @@ from pytest_dura.driving import (
     Body,
     BodyList,
     HighwaySimulator,
+    PlausibilityAssessor,
     Route,
     Scene,
     camera,
@@ -348,6 +349,28 @@ def test_the_picture_and_the_player_show_the_lanes(road: Any) -> None:
     scene = simulator.scene(ticks, [Percept(tick.channels) for tick in ticks])
     stop_lines = [line.points for line in scene.lines if line.kind == "stop_line"]
     assert len(stop_lines) == len(geometry.entries)
+
+
+def test_no_maneuver_aims_above_the_speed_limit_of_the_road() -> None:
+    for road, limit in (({**SKEW, "speed_limit": 6.0}, 6.0), ("four_way", 10.0)):
+        to = {"to": "hill"} if road != "four_way" else {}
+        world = {"road": road, "ego": {**to, "distance": 60.0, "speed": 3.0}}
+        _, ticks = drive(world, 100, always("accelerate"))
+        assert ticks[-1].truth["ego"].speed == pytest.approx(limit, abs=0.1)
+
+
+def test_an_object_from_nowhere_is_one_before_the_ends_of_the_road_s_own_arms() -> None:
+    """100 m from the centre is well within the wide crossing, and near the end of the other one."""
+    for name, far_from_end in (("four_way_wide", True), ("four_way", False)):
+        _, ticks = begin({"road": name, "ego": {"distance": 70.0}})
+        percept = {**ticks[0].channels}
+        views, assessor = Views(), PlausibilityAssessor()
+        assessor.reset(RoleContext(1, 0.1))
+        assert assessor.run(views.role(percept)).alerts == ()
+        percept["lidar"] = BodyList.of([Body("V1", -2.0, 100.0, 1.57, 0.0, 8.0, 5.0, 2.0)])
+        alerts = assessor.run(views.role(percept)).alerts
+        patterns = [alert.pattern for alert in alerts]
+        assert ("object_from_nowhere" in patterns) == far_from_end
 
 
 REFUSED: list[tuple[dict[str, Any], str, str]] = [
