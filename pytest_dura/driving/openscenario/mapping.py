@@ -152,15 +152,20 @@ class _Mapping:
                     centre.get("z")
                     if self.parameters.number(centre, "y", 0.0) != 0.0:
                         self.remark(centre, "y is left out: its middle is on its axis")
-            elif element.find("CatalogReference") is not None:
-                entity.kind, reference = "Vehicle", element.find("CatalogReference")
-                assert reference is not None
-                self.remark(
-                    reference, "catalogues are not read: a car whose middle is its reference point"
-                )
+            elif (reference := element.find("CatalogReference")) is not None:
+                entity.kind = self._kind_of_catalogue(reference)
             if name in self.entities:
                 element.refuse(f"two entities are called {name!r}", key="Entities")
             self.entities[name] = entity
+
+    def _kind_of_catalogue(self, reference: Element) -> str:
+        """Tell the kind of an entity of a catalogue, which is not read, by the catalogue's name."""
+        catalogue = (reference.get("catalogName") or "").lower()
+        kind = "Pedestrian" if "pedestrian" in catalogue else "Vehicle"
+        kind = "" if "misc" in catalogue else kind
+        read = f"a {kind.lower()} whose middle is its reference point" if kind else "nothing"
+        self.remark(reference, f"catalogues are not read: {read}, by the name of the catalogue")
+        return kind
 
     def _read_init(self, storyboard: Element) -> None:
         actions = storyboard.find("Init", "Actions")

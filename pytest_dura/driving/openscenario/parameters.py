@@ -7,9 +7,11 @@ import math
 import operator
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.driving.openscenario.document import Element
 
 _REFERENCE = re.compile(r"\$([A-Za-z_]\w*)")
@@ -137,14 +139,16 @@ def _value(node: Any) -> float:
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return float(number)
-        case ast.UnaryOp(op=ast.USub(), operand=inner):
-            return -_value(inner)
-        case ast.UnaryOp(op=ast.UAdd(), operand=inner):
-            return _value(inner)
+        case ast.Name(id="pi"):
+            return math.pi
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=inner):
+            return -_value(inner) if isinstance(sign, ast.USub) else _value(inner)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
             return _BINARY[type(op)](_value(left), _value(right))
         case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]) if name in _FUNCTIONS:
             return _FUNCTIONS[name](_value(inner))
+        case ast.Call(func=ast.Name(id="pow"), args=[base, exponent], keywords=[]):
+            return math.pow(_value(base), _value(exponent))
     raise ValueError(ast.dump(node)[:_LONGEST])
 
 
@@ -155,7 +159,11 @@ def declared(root: Element, remark: Callable[[Element, str], None]) -> Parameter
     for element in declarations.all("ParameterDeclaration") if declarations else []:
         name = element.require("name")
         element.get("parameterType")
-        parameters.values[name] = parameters.text(element, "value")
+        value = parameters.text(element, "value")
+        if value.startswith("${"):
+            with suppress(ConfigurationError):  # it is one where the parameter is used
+                value = repr(parameters.number(element, "value"))
+        parameters.values[name] = value
         parameters.elements[name] = element
         spread = _constrained(element, parameters, remark)
         if spread is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pytest_dura import BlackBox, ConfigurationError, Input, InputCurve, check_simulator
+from pytest_dura import BlackBox, ConfigurationError, Input, InputCurve, RoleSpec, check_simulator
 
 TIME = np.arange(21) * 0.5
 
@@ -113,3 +113,10 @@ def test_it_takes_no_action_of_another_component() -> None:
 def test_tolerances_are_of_signals_and_above_zero(tolerances) -> None:
     with pytest.raises(ConfigurationError, match="tolerances"):
         BlackBox(double, [Input("u", 0.0, 1.0)], ["y"], tolerances=tolerances)
+
+
+@pytest.mark.parametrize("name", ["fmi:Fmu", "black_box:BlackBox"])
+def test_a_scenario_file_cannot_make_one_of_its_own(name) -> None:
+    params = {"file": "strange.fmu", "inputs": [], "signals": ["y"]}
+    with pytest.raises(ConfigurationError, match="neither a class nor a factory"):
+        RoleSpec(f"pytest_dura.adapters.{name}", params).create()

@@ -9,6 +9,8 @@ import zipfile
 
 import numpy as np
 import pytest
+from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Slave
 
 from pytest_dura import ConfigurationError, Input
 from pytest_dura.adapters.fmi import Fmu
@@ -109,6 +111,25 @@ def test_a_run_that_fails_says_why_and_the_next_one_runs(fmu_file, flow, problem
     with pytest.raises((RuntimeError, ValueError), match=problem):
         fmu.columns({"inflow": [flow] * 4}, TIME)
     assert fmu.columns({"inflow": [1.0] * 4}, TIME)["level"][-1] > 1.0
+
+
+def test_after_a_fatal_error_nothing_of_it_is_called(fmu_file, monkeypatch) -> None:
+    """Not even to free it: that crashes the process, sometimes at its exit."""
+    freed = []
+    for kind in (FMU2Slave, FMU3Slave):
+        free = kind.freeInstance
+
+        def counted(instance, free=free):
+            freed.append(instance)
+            free(instance)
+
+        monkeypatch.setattr(kind, "freeInstance", counted)
+    fmu = Fmu(fmu_file, [inflow(5.0)], ["level"])
+    with pytest.raises(RuntimeError, match="status 4"):
+        fmu.columns({"inflow": [5.0] * 4}, TIME)
+    assert not freed
+    fmu.columns({"inflow": [1.0] * 4}, TIME)
+    assert len(freed) == 1
 
 
 @pytest.mark.parametrize(
