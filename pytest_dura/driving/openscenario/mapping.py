@@ -215,7 +215,7 @@ class _Mapping:
         points = [*routed.all("Waypoint"), *routed.all("Vertex")]
         for point in points:
             point.get("routeStrategy")
-        positions = [found for point in points if (found := point.find("Position")) is not None]
+        positions = [place for point in points if (place := point.find("Position")) is not None]
         if routed.tag == "Position":
             return routed
         return positions[-1] if positions else None

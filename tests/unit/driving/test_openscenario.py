@@ -270,7 +270,7 @@ def test_one_beyond_the_arm_s_end_enters_later_and_one_beside_the_lane_is_parked
 
 
 @pytest.mark.parametrize(
-    "entity, said",
+    "entity, text",
     [
         (
             ("Fast", CAR, at("east", 40.0), 14.0),
@@ -288,12 +288,12 @@ def test_one_beyond_the_arm_s_end_enters_later_and_one_beside_the_lane_is_parked
     ],
 )
 def test_what_is_not_just_as_it_was_is_named_with_its_line(
-    entity, said, crossing, tmp_path
+    entity, text, crossing, tmp_path
 ) -> None:
     crossing.add(*entity)
     _, remarks = imported(crossing, tmp_path)
     lines = (tmp_path / "made.xosc").read_text().splitlines()
-    (remark,) = [remark for remark in remarks if said in remark]
+    (remark,) = [remark for remark in remarks if text in remark]
     number, tag = re.search(r":(\d+): (\w+)", remark).groups()
     assert f"<{tag}" in lines[int(number) - 1]
 
