@@ -185,11 +185,12 @@ def files_of_roles(context: SessionContext, simulator: RoleSpec | None) -> dict[
         simulator: What takes the place of the scenarios' own simulators.
     """
     paths = [] if simulator is None else [simulator.path]
-    for scenario in context.library().scenarios.values():
-        try:
-            paths.append(scenario.simulator_spec().path)
-        except ConfigurationError:  # it is said where it is used
-            continue
+    try:
+        scenarios = context.library().scenarios
+    except ConfigurationError:  # it is raised where they are used, if they are
+        scenarios = {}
+    for scenario in scenarios.values():
+        paths.append(scenario.simulator_spec().path)  # known: the library has checked it
         paths += [role.path for role in scenario.roles.values() if role is not None]
     modules = dict.fromkeys(path.partition(":")[0] for path in paths if ":" in path)
     files = {module: file for module in modules if (file := _file_of(module)) is not None}
