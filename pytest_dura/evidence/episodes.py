@@ -13,18 +13,23 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
+
+from pydantic import TypeAdapter
 
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.measures import Measure, measured
-from pytest_dura.evidence.case_model import CasePlan
-from pytest_dura.evidence.entry import JsonObject, plain_data
+from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
+from pytest_dura.evidence.entry import Entry, JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import with_chains
+from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import OWN_ORIGIN
+from pytest_dura.evidence.verdict_model import AttemptEntry, MonitorEntry
 from pytest_dura.requirements.campaign_verdicts import Situations, varies
 
 
@@ -107,28 +112,47 @@ EPISODES_PER_PART = 64
 _PART_KEYS = ("components", "cases", "measures", "requirements", "episodes", "chains")
 
 
+class ClaimReport(Entry):
+    """What an item is to decide, reported before it does."""
+
+    requirement: str
+    """Id of the requirement."""
+    case: CasePlan
+    """The case."""
+    each_run: bool
+    """Whether there is an item for each of its runs."""
+
+
+class RepeatReport(RepeatEntry):
+    """Result of repeating an episode."""
+
+    case: str
+    """Id of its case."""
+    component: str
+    """Name of the component under test."""
+
+
 @dataclass
 class ItemReport:
-    """Report of one test item; plain data, which crosses processes as JSON.
+    """Report of one test item, which crosses processes as JSON.
 
     Args:
         item: Node id.
         components: Components under test, of :func:`describe_component`.
         sources: SHA-256 of the files of components by their names, by the components' digests.
-        cases: ``{id, scenario, faults, component, requirements, planned}``.
-        measures: ``Measure.to_json()`` of what the simulators declare.
-        requirements: ``Requirement.to_json()`` of each requirement involved.
+        cases: Cases that it used.
+        measures: What the simulators declare.
+        requirements: Each requirement involved.
         episodes: Of :func:`episode_record`.
-        verdicts: ``CampaignVerdict.to_json()``, with the ``check`` and ``paired`` of the
-            requirement that was judged.
+        verdicts: On campaigns.
         outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``,
             ``planned``, the ``at_most`` and ``confidence`` of the requirement, and the
             ``assertion`` of the test: what it looked at, and what failed.
         searches: ``Falsification.to_json()``, with the ``scenario`` of its case, the ``simulator``
             and the ``roles``.
-        monitors: ``MonitorQuality.to_json()``, with the ``case`` that it was measured on.
+        monitors: How good they are.
         chains: How far each fault got, with the ``episode`` and its ``case``.
-        claims: ``{requirement, case, each_run}`` of what the item is to decide, reported first.
+        claims: What the item is to decide, reported first.
         traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
         models: Language models that were used, as in the record's ``models``, with the counts of
             this ``process`` since it began.
@@ -137,36 +161,54 @@ class ItemReport:
         notes: What the user should know of the session, without doubt about it.
         searched: ``{run, origin}`` of simulations of searches, where earlier sessions may have made
             them; ``run`` identifies each.
-        repeats: Results of repeating an episode of a ``case`` with a ``component``, as in the
-            record's cases.
+        repeats: Results of repeating an episode.
         parts: Packed reports with earlier episodes of the item.
     """
 
     item: str
     components: list[JsonObject] = field(default_factory=list)
     sources: dict[str, dict[str, str]] = field(default_factory=dict)
-    cases: list[JsonObject] = field(default_factory=list)
-    measures: list[JsonObject] = field(default_factory=list)
-    requirements: list[JsonObject] = field(default_factory=list)
+    cases: list[CasePlan] = field(default_factory=list)
+    measures: list[MeasureEntry] = field(default_factory=list)
+    requirements: list[RequirementEntry] = field(default_factory=list)
     episodes: list[JsonObject] = field(default_factory=list)
-    verdicts: list[JsonObject] = field(default_factory=list)
+    verdicts: list[AttemptEntry] = field(default_factory=list)
     outcomes: list[JsonObject] = field(default_factory=list)
     searches: list[JsonObject] = field(default_factory=list)
-    monitors: list[JsonObject] = field(default_factory=list)
+    monitors: list[MonitorEntry] = field(default_factory=list)
     chains: list[JsonObject] = field(default_factory=list)
-    claims: list[JsonObject] = field(default_factory=list)
+    claims: list[ClaimReport] = field(default_factory=list)
     traces: list[JsonObject] = field(default_factory=list)
     models: list[JsonObject] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     objections: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     searched: list[JsonObject] = field(default_factory=list)
-    repeats: list[JsonObject] = field(default_factory=list)
+    repeats: list[RepeatReport] = field(default_factory=list)
     parts: list[str] = field(default_factory=list)
 
     def to_json(self) -> JsonObject:
         """Convert to plain data."""
-        return dict(vars(self))
+        return {
+            name: [each.to_json() if isinstance(each, Entry) else each for each in value]
+            if isinstance(value, list)
+            else value
+            for name, value in vars(self).items()
+        }
+
+    @classmethod
+    def from_json(cls, data: JsonObject) -> ItemReport:
+        """Make it of what :meth:`to_json` returns.
+
+        Raises:
+            ValidationError: If an entry does not agree with its model.
+        """
+        return _adapter().validate_python(data)
+
+    @classmethod
+    def from_text(cls, text: str | bytes) -> ItemReport:
+        """Read the JSON of :meth:`to_json`, as it crosses processes."""
+        return cls.from_json(json.loads(text))
 
     def __bool__(self) -> bool:
         """Whether it reports anything."""
@@ -179,7 +221,8 @@ class ItemReport:
 
     def without_secrets(self, redact: Callable[[Any], Any]) -> ItemReport:
         """Redact the report; packed parts were redacted when they were packed."""
-        return ItemReport(**{**redact({**self.to_json(), "parts": []}), "parts": self.parts})
+        redacted = redact({**self.to_json(), "parts": []})
+        return ItemReport.from_json({**redacted, "parts": self.parts})
 
     def split(self, redact: Callable[[Any], Any]) -> str:
         """Move the episodes into a packed report of their own, and return it.
@@ -193,10 +236,14 @@ class ItemReport:
         return base64.b64encode(zlib.compress(text.encode(), 1)).decode()
 
 
-def unpack_report(part: str) -> JsonObject:
+@cache
+def _adapter() -> TypeAdapter[ItemReport]:
+    return TypeAdapter(ItemReport)
+
+
+def unpack_report(part: str) -> ItemReport:
     """Unpack a report of :meth:`ItemReport.split`."""
-    data: JsonObject = json.loads(zlib.decompress(base64.b64decode(part)))
-    return data
+    return ItemReport.from_text(zlib.decompress(base64.b64decode(part)))
 
 
 SPOOL_PREFIX = ".session-"

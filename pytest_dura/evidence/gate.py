@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
     from pytest_dura.evidence.verdict_model import VerdictEntry
 
-REPEAT_KEYS = ("episode", "digest", "repeated_digest", "result", "detail")
-"""Keys of a case's repetition."""
 _REPEAT_RESULTS = ("different", "failed", "within tolerances", "equal", "skipped")
 """Results of a repetition. Of several the first in this order counts."""
 

@@ -14,8 +14,14 @@ from pytest_dura.core.episode import canonical
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
 from pytest_dura.evidence.conclude import measure_cases
 from pytest_dura.evidence.entry import JsonObject
-from pytest_dura.evidence.episodes import EpisodeSpool, add_episode, case_situations, unpack_report
-from pytest_dura.evidence.gate import REPEAT_KEYS, Gate, worse_repeat
+from pytest_dura.evidence.episodes import (
+    EpisodeSpool,
+    ItemReport,
+    add_episode,
+    case_situations,
+    unpack_report,
+)
+from pytest_dura.evidence.gate import Gate, worse_repeat
 from pytest_dura.evidence.metrics import CaseMetrics
 from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
 from pytest_dura.evidence.search_model import SearchRecords
@@ -224,6 +230,7 @@ def _run_number(episode: str) -> tuple[str, int]:
 
 
 SCHEMA_VERSION = "3"
+_REPEAT_KEYS = set(RepeatEntry.model_fields)
 UNKNOWN_COMPONENT = "unknown"
 """Name of a component that a conftest defines, until the first episode reports it."""
 
@@ -323,52 +330,49 @@ class RecordBuilder:
 
     def expect(self, item: str, requirement: JsonObject, case: JsonObject) -> None:
         """Announce an item of a campaign; if it never reports, its verdict is undecided."""
-        plan = CasePlan.model_validate(case)
-        self._expected[item, requirement["id"], plan.id] = plan
-        self._add_requirement(requirement)
+        plan, known = CasePlan.model_validate(case), RequirementEntry.model_validate(requirement)
+        self._expected[item, known.id, plan.id] = plan
+        self._add_requirement(known)
 
-    def _add_requirement(self, requirement: JsonObject) -> None:
-        if requirement["id"] not in self._requirements:
-            self._requirements[requirement["id"]] = RequirementEntry.model_validate(requirement)
+    def _add_requirement(self, requirement: RequirementEntry) -> None:
+        self._requirements.setdefault(requirement.id, requirement)
 
-    def add(self, report: JsonObject) -> None:
-        """Add the report of an item, an :class:`ItemReport` as plain data.
+    def add(self, report: ItemReport) -> None:
+        """Add the report of an item.
 
         Raises:
             ConfigurationError: If its episodes cannot be written.
         """
-        for part in report["parts"]:
+        for part in report.parts:
             self.add(unpack_report(part))
-        item = report["item"]
-        for claim in report["claims"]:
-            case = CasePlan.model_validate(claim["case"])
-            decides = test_function(item) if claim["each_run"] else item
-            self._expected.setdefault((decides, claim["requirement"], case.id), case)
-        for component in report["components"]:
+        item = report.item
+        for claim in report.claims:
+            decides = test_function(item) if claim.each_run else item
+            self._expected.setdefault((decides, claim.requirement, claim.case.id), claim.case)
+        for component in report.components:
             self._components.add(component)
-        self._components.add_sources(report.get("sources", {}))
-        for requirement in report["requirements"]:
+        self._components.add_sources(report.sources)
+        for requirement in report.requirements:
             self._add_requirement(requirement)
-        for case in report["cases"]:
-            self._add_case(CasePlan.model_validate(case))
-        self._add_measures(report["measures"])
+        for case in report.cases:
+            self._add_case(case)
+        self._add_measures(report.measures)
         self._add_episodes(report)
-        for repeat in report["repeats"]:
-            about = repeat["case"], repeat["component"]
-            entry = RepeatEntry.model_validate({name: repeat[name] for name in REPEAT_KEYS})
-            self._repeats[about] = worse_repeat(self._repeats.get(about), entry) or entry
-        self._models.add(report["models"])
-        self._problems.update(report["problems"])
-        self.objections.update(dict.fromkeys(report["objections"]))
-        self._reuse.add(report)
-        for verdict in report["verdicts"]:
-            self._add_verdict(item, AttemptEntry.model_validate(verdict))
-        self.searches.add(item, report["searches"])
-        for data in report["monitors"]:
-            monitor = MonitorEntry.model_validate(data)
+        for repeat in report.repeats:
+            about = repeat.case, repeat.component
+            result = RepeatEntry.model_validate(repeat.to_json(include=_REPEAT_KEYS))
+            self._repeats[about] = worse_repeat(self._repeats.get(about), result) or result
+        self._models.add(report.models)
+        self._problems.update(report.problems)
+        self.objections.update(dict.fromkeys(report.objections))
+        self._reuse.add(report.notes, report.searched)
+        for verdict in report.verdicts:
+            self._add_verdict(item, verdict)
+        self.searches.add(item, report.searches)
+        for monitor in report.monitors:
             key = monitor.case, monitor.component, monitor.target, monitor.monitor
             self._monitors[key] = monitor
-        for outcome in report["outcomes"]:
+        for outcome in report.outcomes:
             # Two tests on one episode give two verdicts, not two attempts at one.
             key = test_function(item), outcome["requirement"], outcome["case"], outcome["component"]
             entry = outcome | {"item": item}
@@ -438,9 +442,8 @@ class RecordBuilder:
                 verdicts.append(self._not_run(*claim[:2], case))
         return sorted(map(self._qualified, verdicts), key=attrgetter("case", "requirement", "item"))
 
-    def _add_measures(self, measures: Iterable[JsonObject]) -> None:
-        for data in measures:
-            measure = MeasureEntry.model_validate(data)
+    def _add_measures(self, measures: Iterable[MeasureEntry]) -> None:
+        for measure in measures:
             known = self._measures.setdefault(measure.name, measure)
             if known != measure:
                 self._problems.add(
@@ -456,8 +459,8 @@ class RecordBuilder:
         if known is None or known.planned < case.planned:
             self._cases[key] = case if known is None else known.replace(planned=case.planned)
 
-    def _add_episodes(self, report: Mapping[str, Any]) -> None:
-        for episode in report["episodes"]:
+    def _add_episodes(self, report: ItemReport) -> None:
+        for episode in report.episodes:
             self._ran.add(episode["case"])
             self._add_situation(episode)
             first = self._spool.add(episode)
@@ -466,9 +469,9 @@ class RecordBuilder:
                     f"infrastructure: nondeterministic: the episode {episode['id']} was run twice, "
                     f"with the digests {first[:12]} and {episode['digest'][:12]}"
                 )
-        for chain in report["chains"]:
+        for chain in report.chains:
             self._spool.add_chain(chain)
-        self.add_traces(report["traces"])
+        self.add_traces(report.traces)
 
     def _add_situation(self, episode: JsonObject) -> None:
         key = episode["case"], episode["component"]

@@ -19,7 +19,7 @@ from pytest_dura.evidence.bundle import begin_bundle, write_bundle
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclude import conclude_record
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
-from pytest_dura.evidence.episodes import ItemReport
+from pytest_dura.evidence.episodes import ItemReport, RepeatReport
 from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
 from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate, other_objections
 from pytest_dura.evidence.gather import RecordBuilder
@@ -139,18 +139,20 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
             if component.name
         ]
         report.sources.update(head.component_under_test.sources or {})
-        report.cases += [case.to_json(include=_PLANNED_KEYS) for case in head.cases]
+        report.cases += [
+            CasePlan.model_validate(case.to_json(include=_PLANNED_KEYS)) for case in head.cases
+        ]
         report.repeats += [
-            {**case.repeat.to_json(), "case": case.id, "component": case.component}
+            RepeatReport(**case.repeat.to_json(), case=case.id, component=case.component)
             for case in head.cases
             if case.repeat is not None
         ]
-        report.measures += [measure.to_json() for measure in head.measures]
-        report.requirements += [requirement.to_json() for requirement in head.requirements]
-        report.monitors += [monitor.to_json() for monitor in head.monitors]
+        report.measures += head.measures
+        report.requirements += head.requirements
+        report.monitors += head.monitors
         report.models += [{**model.to_json(), "process": part.name} for model in head.models]
         report.notes += head.reuse.problems
-        record.add(report.to_json())
+        record.add(report)
         for verdict in head.verdicts:
             record.adopt(verdict)
         for search in head.searches:
@@ -162,7 +164,7 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
             for episode in part.record.episodes():
                 if (traced.get(_identity(episode)) == part.index) == with_trace:
                     report = _report_of(episode, with_trace=with_trace)
-                    record.add(report.to_json())
+                    record.add(report)
 
 
 def _trace_owners(parts: Iterable[ShardBundle]) -> dict[tuple[str, ...], int]:

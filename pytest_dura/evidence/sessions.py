@@ -34,10 +34,10 @@ class ReuseRecord:
         self._notes: set[str] = set()
         self._searched: dict[str, JsonObject] = {}
 
-    def add(self, report: JsonObject) -> None:
-        """Take in an item's ``notes``, and the origins of the simulations that it ``searched``."""
-        self._notes.update(report["notes"])
-        for simulation in report["searched"]:
+    def add(self, notes: Iterable[str], searched: Iterable[JsonObject]) -> None:
+        """Take in an item's notes, and the origins of the simulations of its searches."""
+        self._notes.update(notes)
+        for simulation in searched:
             self._searched.setdefault(simulation["run"], simulation)
 
     def to_json(self, header: JsonObject) -> JsonObject:

@@ -6,7 +6,6 @@ to decide, what waives an item, and the exit codes that the gate regards as regu
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from collections.abc import Iterable
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pytest_dura.evidence.baseline import Baseline
+    from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.evidence.files import DirectoryLock
     from pytest_dura.evidence.gather import RecordBuilder, Status
     from pytest_dura.evidence.model import SessionRecord
@@ -310,7 +310,9 @@ class SessionEvidence:
         if report.failed:
             self._failed.add(report.nodeid)
         if item_report is not None:
-            self._add(json.loads(item_report))
+            from pytest_dura.evidence.episodes import ItemReport
+
+            self._add(ItemReport.from_text(item_report))
         waiver = _waiver_of(report)
         if self.record is not None and waiver is not None:
             self.record.waive(*self.context.redact([report.nodeid, *waiver]))
@@ -324,7 +326,7 @@ class SessionEvidence:
         self._add(unpack_report(part))
         self._seconds_spent += perf_counter() - started
 
-    def _add(self, item_report: dict[str, Any]) -> None:
+    def _add(self, item_report: ItemReport) -> None:
         self.start(late=True)
         if self.record is None:
             return

@@ -16,6 +16,7 @@ from pytest_dura.provenance import MAX_LISTED_FILES, is_installed, user_code
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.baseline import Baseline
+    from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.plugin.context import SessionContext
 
 
@@ -75,21 +76,21 @@ class SessionInputs:
         self.inputs.add("test", file)
         self._add_conftests(file.parent)
 
-    def add_report(self, report: Data) -> None:
-        """Add what a report of :class:`pytest_dura.evidence.gather.ItemReport` names."""
-        self.add_item(report["item"])
-        for component in report["components"]:
+    def add_report(self, report: ItemReport) -> None:
+        """Add what the report of an item names."""
+        self.add_item(report.item)
+        for component in report.components:
             self.inputs.add_reported("component", component["files"])
             self._add_imports("component", component["path"])
-        for case in (*report["cases"], *(claim["case"] for claim in report["claims"])):
-            self._add_scenario(case["scenario"])
-        for requirement in report["requirements"]:
-            self._add_requirement(requirement["id"], requirement)
-        for episode in report["episodes"]:
+        for case in (*report.cases, *(claim.case for claim in report.claims)):
+            self._add_scenario(case.scenario)
+        for requirement in report.requirements:
+            self._add_requirement(requirement.id, requirement.to_json())
+        for episode in report.episodes:
             spec = episode["spec"]
             roles = {name: role["path"] for name, role in spec["roles"].items()}
             self._add_roles(spec["simulator"]["path"], roles)
-        for search in report["searches"]:
+        for search in report.searches:
             self._add_scenario(search["scenario"])
             self._add_roles(search["simulator"], search["roles"])
 

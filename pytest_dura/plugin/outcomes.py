@@ -274,11 +274,11 @@ def _decided_results(
 ) -> list[ItemResult]:
     if report is None:
         return []
-    from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.requirements.model import Requirement
 
     known = {
-        requirement["id"]: Requirement.from_json(requirement) for requirement in report.requirements
+        requirement.id: Requirement.from_json(requirement.to_json())
+        for requirement in report.requirements
     }
     known.update(claimed)
     results = [
@@ -287,7 +287,7 @@ def _decided_results(
             _case_of_result(runner, item, verdict.case),
             verdict=verdict,
         )
-        for verdict in map(AttemptEntry.model_validate, report.verdicts)
+        for verdict in report.verdicts
     ]
     episode = episode_of(item)
     results += [

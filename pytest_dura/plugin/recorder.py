@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     )
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
+    from pytest_dura.evidence.case_model import CasePlan
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.execution.store import EpisodeKey
     from pytest_dura.library.cases import Case
@@ -80,6 +81,13 @@ def case_record(
         "planned": planned,
         "runs_override": runs_override,
     }
+
+
+def _case_plan(data: dict[str, Any]) -> CasePlan:
+    from pytest_dura.evidence.case_model import CasePlan
+    from pytest_dura.evidence.entry import plain_data
+
+    return CasePlan.model_validate(plain_data(data))
 
 
 def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
@@ -243,6 +251,7 @@ class ItemRecorder:
     def episode_used(self, event: EpisodeUsed) -> None:
         """Record an episode."""
         from pytest_dura.evidence.episodes import episode_record
+        from pytest_dura.evidence.session_model import MeasureEntry
 
         case, episode, planned = event.case, event.episode, event.planned
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
@@ -257,7 +266,8 @@ class ItemRecorder:
             record = episode_record(episode, planned=planned > 0, origin=origin)
             self._report.episodes.append(record)
             known = self._report.measures
-            known += [measure for measure in episode.described_measures if measure not in known]
+            described = map(MeasureEntry.model_validate, episode.described_measures)
+            known += [measure for measure in described if measure not in known]
             self._flush_if_full()
         self._last_episode = episode
 
@@ -270,6 +280,9 @@ class ItemRecorder:
 
     def verdict_reached(self, event: VerdictReached) -> None:
         """Record the verdict on a campaign, and keep the traces of its counterexamples."""
+        from pytest_dura.evidence.entry import plain_data
+        from pytest_dura.evidence.verdict_model import AttemptEntry
+
         verdict, requirement = event.verdict, event.requirement
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
@@ -279,7 +292,8 @@ class ItemRecorder:
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
         question = requirement.to_json()
         check = {"check": question["check"], "paired": question["paired"]}
-        self._report.verdicts.append({**verdict.to_json(), **check})
+        judged = plain_data({**verdict.to_json(), **check})
+        self._report.verdicts.append(AttemptEntry.model_validate(judged))
         self._decided.add((verdict.requirement, verdict.case))
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
@@ -308,8 +322,14 @@ class ItemRecorder:
 
     def monitors_measured(self, event: MonitorsMeasured) -> None:
         """Record how good a case's monitors are."""
+        from pytest_dura.evidence.entry import plain_data
+        from pytest_dura.evidence.verdict_model import MonitorEntry
+
         about = {"case": event.case.id}
-        self._report.monitors += [{**about, **quality.to_json()} for quality in event.qualities]
+        self._report.monitors += [
+            MonitorEntry.model_validate(plain_data({**about, **quality.to_json()}))
+            for quality in event.qualities
+        ]
 
     def faults_traced(self, event: FaultsTraced) -> None:
         """Record the causal chain of each fault of an episode."""
@@ -320,7 +340,9 @@ class ItemRecorder:
 
     def case_repeated(self, repeat: Mapping[str, Any]) -> None:
         """Record the repetition of an episode of a case."""
-        self._report.repeats.append(dict(repeat))
+        from pytest_dura.evidence.episodes import RepeatReport
+
+        self._report.repeats.append(RepeatReport.model_validate(dict(repeat)))
 
     def add_problem(self, problem: str) -> None:
         """Record what fails the gate, such as the error of a hook that the item may catch."""
@@ -430,12 +452,10 @@ class ItemRecorder:
 
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
         report, component = self._report, self._component_used(generator)
-        if not any(
-            (entry["id"], entry["component"]) == (case.id, component) for entry in report.cases
-        ):
+        if not any((entry.id, entry.component) == (case.id, component) for entry in report.cases):
             off = case.roles_off(self._runner().roles)
             runs = self.context.options.runs
-            report.cases.append(case_record(case, component, planned, runs, off))
+            report.cases.append(_case_plan(case_record(case, component, planned, runs, off)))
             known = self.context.library().requirements
             for name in case.requirements:
                 self._requirement_used(known[name])
@@ -466,13 +486,20 @@ class ItemRecorder:
         return component
 
     def _planned(self, case: str, component: str, planned: int) -> None:
-        for entry in self._report.cases:
-            if (entry["id"], entry["component"]) == (case, component):
-                entry["planned"] = max(entry["planned"], planned)
+        self._report.cases = [
+            entry.replace(planned=max(entry.planned, planned))
+            if (entry.id, entry.component) == (case, component)
+            else entry
+            for entry in self._report.cases
+        ]
 
     def _requirement_used(self, requirement: Requirement) -> None:
-        if requirement.to_json() not in self._report.requirements:
-            self._report.requirements.append(requirement.to_json())
+        from pytest_dura.evidence.case_model import RequirementEntry
+        from pytest_dura.evidence.entry import plain_data
+
+        entry = RequirementEntry.model_validate(plain_data(requirement.to_json()))
+        if entry not in self._report.requirements:
+            self._report.requirements.append(entry)
 
     def _add_claims(self, item: pytest.Item) -> None:
         """Record what a test is to decide: if it ends before it does, that is undecided."""
@@ -480,15 +507,16 @@ class ItemRecorder:
         if target is None:
             return
         campaign = getattr(item, "funcargs", {}).get("campaign")
+        from pytest_dura.evidence.episodes import ClaimReport
         from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
 
         component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
         override = self.context.options.runs
         off = target.case.roles_off(self._runner().roles)
-        case = case_record(target.case, component, target.planned, override, off)
+        case = _case_plan(case_record(target.case, component, target.planned, override, off))
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
-            claim = {"requirement": requirement.id, "case": case, "each_run": run is not None}
+            claim = ClaimReport(requirement=requirement.id, case=case, each_run=run is not None)
             self._report.claims.append(claim)
 
     def _test_outcome(

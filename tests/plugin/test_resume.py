@@ -332,8 +332,8 @@ def test_two_sessions_at_once_share_what_they_simulate(project, forked_workers):
         assert told(project, name) == told(project, "whole")
         check_intact(project, name)
     both = reuse(project, "one"), reuse(project, "two")
-    assert sum(one["taken_over"] for one in both) == 8
-    assert {one["session"] for one in both[0]["sessions"]} <= {both[1]["session"]}
+    assert sum(one.taken_over for one in both) == 8
+    assert {one.session for one in both[0].sessions} <= {both[1].session}
 
 
 SEARCHES = """

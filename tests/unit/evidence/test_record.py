@@ -8,6 +8,7 @@ from session_records import HEADER
 from pytest_dura.evidence import UNKNOWN_COMPONENT, CaseMetrics, PooledMetrics, RecordBuilder
 from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.session_model import ComponentEntry
 from pytest_dura.evidence.verdict_model import PairsEntry, VerdictEntry
 from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
@@ -42,31 +43,7 @@ def campaign(*words):
 
 
 def report(item="a/b::R", **parts):
-    empty = {
-        name: []
-        for name in (
-            "components",
-            "cases",
-            "requirements",
-            "episodes",
-            "verdicts",
-            "outcomes",
-            "searches",
-            "monitors",
-            "claims",
-            "chains",
-            "measures",
-            "traces",
-            "models",
-            "repeats",
-            "problems",
-            "objections",
-            "parts",
-            "notes",
-            "searched",
-        )
-    }
-    return {"item": item, **empty, **parts}
+    return ItemReport.from_json({"item": item, **parts})
 
 
 def looked_at(told, planned=2):
