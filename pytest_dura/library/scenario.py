@@ -7,6 +7,7 @@ The descriptions of the fields are what editors show: after a change of them, ru
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -502,4 +503,5 @@ def _parts_of_type(fault: dict[str, Any]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    write_schema(Path(__file__).resolve().parents[2] / "scenarios" / SCHEMA_FILE)
+    _own = Path(__file__).resolve().parents[2] / "scenarios" / SCHEMA_FILE
+    write_schema(Path(sys.argv[1]) if sys.argv[1:] else _own)

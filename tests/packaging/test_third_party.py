@@ -164,12 +164,9 @@ def test_the_page_of_the_package_s_domain_is_printed(python):
 
 
 def test_the_schema_for_editors_has_the_package_s_world_and_fault(python):
-    code = (
-        "import json; from pytest_dura.library.scenario import scenario_schema; "
-        "print(json.dumps(scenario_schema()))"
-    )
-    (python.project / "print_schema.py").write_text(code)
-    schema = json.loads(python("print_schema").stdout)
+    done = python("pytest_dura.library.scenario", "editor.schema.json")
+    assert done.returncode == 0, done.stderr
+    schema = json.loads((python.project / "editor.schema.json").read_text())
     assert "floor" in schema["$defs"]["Shaft"]["properties"]
     assert "slip" in schema["$defs"]["FaultEntry"]["properties"]["type"]["enum"]
 

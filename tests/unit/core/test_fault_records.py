@@ -153,6 +153,13 @@ def test_a_changed_value_counts_when_a_role_reads_it_later() -> None:
     assert fault.read_by == ("watch",)
 
 
+def test_looking_back_at_what_has_manifested_already_is_no_further_tick_of_it() -> None:
+    (fault,) = with_faults(Controller(), watch=Late()).faults
+    assert fault.manifested_at == pytest.approx(0.5)
+    assert fault.manifest_ticks == 3
+    assert fault.read_by == ("generator", "watch")
+
+
 class Shares(SafetyMonitor):
     """Takes what another role has made of the percept."""
 
