@@ -301,19 +301,21 @@ def test_a_road_turned_by_a_quarter_gives_the_same_episode(planner: str, turn: s
         "ego": {**ego, "arm": "west"},
         "vehicles": traffic_of("north", "south", "east"),
     }
-    one, other = (
+    southern, western = (
         run(spec_of_drive(world, generator=planner, duration=30.0, policy="recover"))
         for world in (south, west)
     )
-    assert one.termination == other.termination
-    assert one.flagged == other.flagged
-    assert other.signals.keys() == one.signals.keys()
-    for name, signal in one.signals.items():
+    assert southern.termination == western.termination
+    assert southern.flagged == western.flagged
+    assert western.signals.keys() == southern.signals.keys()
+    for name, signal in southern.signals.items():
         # Steering divides by the speed, so that rounding grows where somebody comes to a stop.
-        assert other.signal(name)[:40] == pytest.approx(signal[:40], abs=1e-9, nan_ok=True), name
+        assert western.signal(name)[:40] == pytest.approx(signal[:40], abs=1e-9, nan_ok=True), name
     for name in ("gap", "leader_gap", "gap_time"):
-        assert other.signal(name).min() == pytest.approx(one.signal(name).min(), abs=0.05), name
-    assert abs(len(other.time) - len(one.time)) <= 1
+        assert western.signal(name).min() == pytest.approx(southern.signal(name).min(), abs=0.05), (
+            name
+        )
+    assert abs(len(western.time) - len(southern.time)) <= 1
 
 
 @pytest.mark.parametrize("route", OTHERS, ids=str)
