@@ -100,8 +100,9 @@ def test_metrics_of_the_users_own(project, mode):
     result = project.run("corridor/tight", *mode)
     result.assert_outcomes(passed=1)
     (case,) = project.evidence().cases
-    (metric,) = case.metrics.user.items()
-    assert (metric[0], metric[1].to_json()) == ("farthest", {"mean": pytest.approx(1.0), "runs": 2})
+    (measured,) = case.metrics.user.items()
+    name, figure = measured
+    assert (name, figure.mean, figure.runs) == ("farthest", pytest.approx(1.0), 2)
     header, row = [line for line in result.outlines if line.startswith(("case ", "corridor/tight "))
                    and "%" not in line.partition("flag")[0]][-2:]  # fmt: skip
     assert header.split()[-1] == "farthest"

@@ -57,6 +57,6 @@ def render(record: Any) -> str:
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
     rows.writerow(["case", "requirement", "verdict"])
-    for verdict in record["verdicts"]:
-        rows.writerow([verdict["case"], verdict["requirement"], verdict["verdict"]])
+    for verdict in record.head.verdicts:
+        rows.writerow([verdict.case, verdict.requirement, verdict.verdict])
     return table.getvalue()
