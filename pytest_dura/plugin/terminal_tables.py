@@ -84,9 +84,10 @@ def table(
 
 
 def wrapped_legend(columns: Sequence[Column[Row]], about: str = "") -> list[str]:
-    """Write what the columns mean."""
+    """Write what the columns mean, indented where it goes on: no text of others begins a line."""
     text = "; ".join(filter(None, [about, legend(columns)]))
-    return [name(line, WIDTH) for line in textwrap.wrap(text, WIDTH, break_on_hyphens=False)]
+    lines = textwrap.wrap(text, WIDTH - 2, break_on_hyphens=False)
+    return [f"{'  ' if number else ''}{name(line, WIDTH)}" for number, line in enumerate(lines)]
 
 
 def case_table(

@@ -33,7 +33,7 @@ def hostile(tmp_path_factory):
     """The record, and the first of its traces that has decisions."""
     folder = tmp_path_factory.mktemp("hostile")
     record = session(real_session(folder / "project"), folder / "bundle", Spoiler(POOL))
-    traces = (one["trace"]["file"] for one in record.episodes() if one["trace"])
+    traces = (entry.trace.file for entry in record.episodes() if entry.trace)
     found = (read_trace(record.directory / file) for file in traces)
     return record, next(one for one in found if len(one.time) > 2)
 

@@ -246,12 +246,12 @@ def test_role_fixtures_return_the_defaults_of_the_project_s_domain(tank):
     with (project.path / "pytest.ini").open("a") as settings:
         settings.write("dura_domain = water\n")
     project.write(
-        "test_roles.py",
+        "test_defaults.py",
         "def test_it(fault_injector, safety_monitor):\n"
         "    assert fault_injector.path.endswith(':CampaignInjector')\n"
         "    assert safety_monitor.path == 'of the scenario'\n",
     )
-    project.run("test_roles.py").assert_outcomes(passed=1)
+    project.run("test_defaults.py").assert_outcomes(passed=1)
     result = project.run("--dura-scenarios", "--dura-runs=1")
     assert set(project.verdicts()) == {
         ("tank/filling", "LEVEL-1"),

@@ -118,7 +118,7 @@ def test_a_session_says_how_its_component_fails_beside_a_null_component(chatty):
     aged = "median 0.2 s, 95th percentile 0.2 s, oldest 0.2 s"
     assert f"decisions came into force at an age of {aged}" in rows
     assert not any("misses threat" in row for row in rows)
-    assert any("ignores its input" in row for row in rows)
+    assert "ignores its input" in " ".join(rows)
 
 
 def test_each_case_has_its_own_table_where_asked_for(project):

@@ -347,8 +347,8 @@ def test_nothing_is_kept_where_no_session_would_look(project):
 def test_a_search_adds_faults_where_no_role_is_named_to_inject_them(project):
     bias = "{'type': 'bias', 'target': 'gap', 'activation': {'at': 0.0}}"
     project.run(*hasty(project, condition="gap > 11", arguments=f"budget=60, faults={bias}"))
-    (outcome,) = the_search(project)["outcomes"]
-    assert outcome["word"] == "falsified"
+    (outcome,) = the_search(project).outcomes
+    assert outcome.word == "falsified"
     (file,) = found_files(project)
     assert [fault["type"] for fault in yaml.safe_load(file.read_text())["faults"]] == ["bias"]
 

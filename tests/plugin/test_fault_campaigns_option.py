@@ -403,7 +403,7 @@ def test_a_fault_whose_time_never_comes_leaves_the_episodes_invalid(project):
     assert result.ret == 1
     (verdict,) = project.evidence().verdicts
     assert verdict.verdict == "undecided"
-    assert "  invalid: never manifested: gain" in result.outlines
+    assert "  invalid: corridor/it#0: never manifested: gain" in result.outlines
     assert "  fault:  gain: idle" in result.outlines
 
 

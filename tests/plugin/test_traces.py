@@ -39,7 +39,7 @@ def kept(project, folder="dura-evidence"):
         told = episode.trace
         if told is None:
             continue
-        assert told.file == trace_path(episode)
+        assert told.file == trace_path(episode.to_json())
         data = (directory / told.file).read_bytes()
         assert (hashlib.sha256(data).hexdigest(), len(data)) == (told.sha256, told.bytes)
         about = mcap.read_trace(directory / told.file).about

@@ -95,7 +95,7 @@ def test_a_violation_is_never_relaxed(project, kind):
     result.assert_outcomes(failed=1)
     if kind == "invalid share":  # violated, without effect of the fault
         found = expect(project, result, "violated", "without effect of the fault")
-        assert found["without_effect"] == found["run"] > 0
+        assert found.without_effect == found.run > 0
     else:
         found = expect(project, result, "violated")
-        assert found["violations"] == found["run"] > 0
+        assert found.violations == found.run > 0

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import pytest
 from corridors import expect, scenario
+from entries import make
+
+from pytest_dura.evidence.verdict_model import SpoiltEntry, WaiverEntry
 
 CAMPAIGN_TEST = """
 import pytest
@@ -23,7 +26,7 @@ import pytest
 def test_it(episode):
     assert not episode.collided
 """
-WAIVER = {"kind": "xfail", "reason": "ticket 7"}
+WAIVER = make(WaiverEntry, kind="xfail", reason="ticket 7")
 RECKLESS = {"generator": "Reckless", "world": "{wall: 1.0}"}
 
 
@@ -39,7 +42,7 @@ def test_an_expected_failure_is_recorded_as_a_waiver(project, situation, word, s
     result = project.run("test_it.py")
     result.assert_outcomes(xfailed=1)
     found = expect(project, result, word, requirement="GAP-1", ret=0)
-    assert found["waiver"] == WAIVER
+    assert found.waiver == WAIVER
     assert "[xfail]" in result.stdout.str().partition("= dura =")[2]
 
 
@@ -49,7 +52,7 @@ def test_an_expected_failure_of_tests_on_one_episode(project):
     result = project.run("test_it.py")
     result.assert_outcomes(xfailed=2)
     found = expect(project, result, "violated", requirement="GAP-1", ret=0)
-    assert (found["violations"], found["waiver"]) == (2, WAIVER)
+    assert (found.violations, found.waiver) == (2, WAIVER)
 
 
 def test_a_strict_xfail_that_passes_fails(project):
@@ -66,7 +69,7 @@ def test_an_xfail_that_passes_is_supported_and_its_waiver_is_kept(project):
     result = project.run("test_it.py")
     result.assert_outcomes(xpassed=1)
     found = expect(project, result, "supported", requirement="GAP-1", ret=0)
-    assert found["waiver"] == WAIVER
+    assert found.waiver == WAIVER
 
 
 def test_a_skip_inside_a_test_on_an_episode_is_no_pass(project):
@@ -78,11 +81,9 @@ def test_a_skip_inside_a_test_on_an_episode_is_no_pass(project):
     result.assert_outcomes(passed=1, skipped=1)
     reason = "1 of 2 episodes are invalid"
     found = expect(project, result, "undecided", reason, requirement="GAP-1", ret=1)
-    assert found["spoilt"] == {
-        "episode": "corridor/it#1",
-        "verdict": "invalid",
-        "detail": "too cold",
-    }
+    assert found.spoilt == make(
+        SpoiltEntry, episode="corridor/it#1", verdict="invalid", detail="too cold"
+    )
     assert "the gate fails: GAP-1 on corridor/it is undecided, though" in result.stdout.str()
 
 
@@ -109,8 +110,8 @@ def test_a_test_that_is_skipped_is_recorded_as_a_waiver(project, text):
     project.write("test_it.py", text)
     result = project.run("test_it.py")
     found = expect(project, result, "undecided", requirement="GAP-1", ret=0)
-    assert found["waiver"] == {"kind": "skip", "reason": "Skipped: ticket 7"}
-    assert (found["planned"], found["run"]) == (2, 0)
+    assert found.waiver == make(WaiverEntry, kind="skip", reason="Skipped: ticket 7")
+    assert (found.planned, found.run) == (2, 0)
 
 
 def test_a_skip_after_a_verdict_does_not_hide_it(project):
@@ -141,11 +142,11 @@ def test_a_rerun_keeps_every_attempt_of_a_campaign(project, first, second):
         f"    assert len(LIMITS) == 2 or {first} == 5, 'once more'\n",
     )
     result = project.run("test_it.py", *RERUN)
-    rerun = {"kind": "rerun", "reason": "the item was run again"}
+    rerun = make(WaiverEntry, kind="rerun", reason="the item was run again")
     found = expect(project, result, "violated", requirement="OWN-1", ret=0 if first else 1)
-    assert found["waiver"] == rerun
-    assert {one["verdict"] for one in found["attempts"]} == {"supported", "violated"} - {
-        found["verdict"]
+    assert found.waiver == rerun
+    assert {attempt.verdict for attempt in found.attempts} == {"supported", "violated"} - {
+        found.verdict
     }
     assert "1 rerun" in result.stdout.str()
 
@@ -159,8 +160,8 @@ def test_a_violation_in_any_attempt_at_an_episode_counts(project):
     result = project.run("test_it.py", *RERUN)
     result.assert_outcomes(passed=2)
     found = expect(project, result, "violated", requirement="GAP-1", ret=0)
-    assert (found["planned"], found["run"], found["violations"]) == (2, 2, 2)
-    assert found["waiver"]["kind"] == "rerun"
+    assert (found.planned, found.run, found.violations) == (2, 2, 2)
+    assert found.waiver.kind == "rerun"
     assert "[rerun]" in result.stdout.str().partition("= dura =")[2]
 
 
@@ -169,4 +170,4 @@ def test_a_rerun_of_a_scenario_item_is_recorded(project):
     result = project.run("corridor/it::GAP-1", *RERUN)
     result.assert_outcomes(failed=1)
     found = expect(project, result, "violated", requirement="GAP-1", ret=1)
-    assert found["waiver"]["kind"] == "rerun"
+    assert found.waiver.kind == "rerun"
