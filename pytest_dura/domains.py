@@ -17,7 +17,7 @@ from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
-from pytest_dura.core.simulator import SIMULATORS
+from pytest_dura.core.simulator import SIMULATORS, checked_aliases
 from pytest_dura.core.trust import check_registered
 from pytest_dura.faults.model import Channel
 
@@ -210,6 +210,25 @@ class Domain:
     def measures(self) -> Sequence[Measure]:
         """Figures of its episodes, which the simulator of its name declares; empty without one."""
         return SIMULATORS[self.name].measures if self.name in SIMULATORS else ()
+
+    @property
+    def channel_aliases(self) -> Mapping[str, str]:
+        """Second names of channels, which the simulator of its name declares; empty without one.
+
+        Raises:
+            ConfigurationError: For one that is a channel itself, and for one of no channel.
+        """
+        return self.aliases_of(SIMULATORS[self.name]) if self.name in SIMULATORS else {}
+
+    def aliases_of(self, simulator: Any) -> Mapping[str, str]:
+        """Return the second names of channels that a simulator's class declares, checked.
+
+        Raises:
+            ConfigurationError: As for :attr:`channel_aliases`.
+        """
+        if self.channels is None:
+            return getattr(simulator, "channel_aliases", {})
+        return checked_aliases(simulator, self.channels.keys() - {COMMAND})
 
     @property
     def short_names(self) -> Mapping[str, Mapping[str, str]]:

@@ -323,7 +323,7 @@ class _RoleKit:
         for _ in range(self.ticks):
             if tick.critical is not None:
                 break
-            state.update(tick, Percept(tick.channels))
+            state.update(tick, Percept(tick.channels, aliases=world.channel_aliases))
             action = world.fallback_action()
             if isinstance(role, Generator):
                 output = self._output(role, state.generator_view())

@@ -15,6 +15,7 @@ import gc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from time import perf_counter_ns
+from types import MappingProxyType
 from typing import Any, Protocol, cast
 
 from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary, CallBlocked, CallTimer, alarms
@@ -56,7 +57,7 @@ from pytest_dura.core.roles import (
     schedule,
 )
 from pytest_dura.core.seeding import derive_seed, recording_draws
-from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.simulator import Simulator, checked_aliases
 from pytest_dura.core.state import NOTHING, Percept, StateManager, Tick
 
 
@@ -288,16 +289,20 @@ class Orchestrator:
         self._guard("simulator", self.simulator.set_time_step, spec.time_step)
         scenario = plain_copy(spec.scenario)
         tick = self._guard("simulator", self.simulator.reset, scenario, spec.seed)
-        return cast("Tick", self._guard("simulator", checked_tick, tick, 0, spec.time_step))
+        tick = self._guard("simulator", checked_tick, tick, 0, spec.time_step)
+        aliases = self._guard("simulator", checked_aliases, self.simulator, tick.channels)
+        self._aliases = MappingProxyType(dict(aliases))
+        return cast("Tick", tick)
 
     def _update(self, tick: Tick) -> None:
         # The truth of this instant counts, even if perceiving it should fail.
         self.state.ticks.append(tick)
+        aliases = self._aliases
         if self.injector is None:
-            percept = Percept(tick.channels)
+            percept = Percept(tick.channels, aliases=aliases)
         else:
             start = perf_counter_ns()
-            percept = self._guard("fault_injector", corrupted_percept, self.injector, tick)
+            percept = self._guard("fault_injector", corrupted_percept, self.injector, tick, aliases)
             self._injector_ns = perf_counter_ns() - start
         source = "simulator" if self.injector is None else "fault_injector"
         self._guard(source, self.state.perceive, percept)

@@ -194,8 +194,15 @@ def _with_article(noun: str) -> str:
     return f"{'an' if noun[:1] in 'AEIOUaeiou' else 'a'} {noun}"
 
 
-def corrupted_percept(injector: FaultInjector, tick: Tick) -> Percept:
+def corrupted_percept(
+    injector: FaultInjector, tick: Tick, aliases: Mapping[str, str] = NOTHING
+) -> Percept:
     """Percept after active sensor faults.
+
+    Args:
+        injector: Changes the channels.
+        tick: Has the channels before faults.
+        aliases: Second names of channels.
 
     Raises:
         TypeError: If the injector returns something else.
@@ -208,7 +215,7 @@ def corrupted_percept(injector: FaultInjector, tick: Tick) -> Percept:
         exact &= check_texts("tampered faults", faults)
     if not exact:
         tampered = {channel: exact_texts(faults) for channel, faults in tampered.items()}
-    return Percept(channels, tampered)
+    return Percept(channels, tampered, aliases)
 
 
 def corrupted_command(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cmath
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence, Sized
+from collections.abc import Collection, Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -203,6 +203,10 @@ class Simulator(ABC):
 
     A scenario that gives such a key a value, or plans a fault of such a channel, is refused when it
     is loaded."""
+
+    channel_aliases: ClassVar[Mapping[str, str]] = {}
+    """Second names of sensor channels, to their own: percepts, the targets of faults and conditions
+    take either; records, messages and the percept's iteration have the channel's own."""
 
     time_step: float = 0.1
     """Simulated seconds per tick."""
@@ -455,6 +459,38 @@ def _is_finite(number: complex) -> bool:
         return cmath.isfinite(number)
     except OverflowError:  # an int of hundreds of digits
         return False
+
+
+_OTHER_TARGETS = ("command", "prompt", "model", "proposal")
+"""What faults and conditions name beside sensor channels."""
+
+
+def checked_aliases(simulator: Any, channels: Collection[str]) -> Mapping[str, str]:
+    """Return the second names of channels that a simulator, or its class, declares.
+
+    Args:
+        simulator: The simulator, its class, or a function that makes it.
+        channels: Names of its sensor channels.
+
+    Raises:
+        ConfigurationError: For one that is a channel itself, and for one of no channel.
+    """
+    aliases: Mapping[str, str] = getattr(simulator, "channel_aliases", {})
+    lacking = [key.removeprefix(CHANNELS) for key in getattr(simulator, "lacks", ())]
+    taken = {*channels, *_OTHER_TARGETS}
+    for alias, channel in aliases.items():
+        is_free = alias not in taken and alias.isidentifier()
+        if is_free and channel in (*channels, *lacking):
+            continue
+        why = f"there is no channel {channel!r}" if is_free else "it is no name, or one in use"
+        raise ConfigurationError(
+            f"the channel alias {alias!r} cannot be used: {why}",
+            key="channel_aliases",
+            found=f"{alias}: {channel}",
+            expected="a name that nothing else has, for one of " + ", ".join(sorted(channels)),
+            remedy="correct `channel_aliases` of the simulator's class",
+        )
+    return aliases
 
 
 SIMULATORS: Registry[type[Simulator]] = Registry(

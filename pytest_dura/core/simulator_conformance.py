@@ -30,6 +30,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import (
     Simulator,
     beyond_tolerance,
+    checked_aliases,
     scene_problems,
     value_problems,
 )
@@ -255,7 +256,7 @@ def _check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
         simulator = runs.fresh()
         ticks = runs.episode(simulator, runs.seeds[0]).ticks
         before = leaves(ticks)
-        scene = simulator.scene(ticks, [Percept(tick.channels) for tick in ticks])
+        scene = simulator.scene(ticks, [_percept(simulator, tick) for tick in ticks])
         scenes.append(leaves(scene))
         if scene is None:
             continue
@@ -272,9 +273,13 @@ def _check_scene(runs: EpisodeRuns, reference: CheckedEpisode) -> None:
     if runs.kind.deterministic and (path := first_difference(*scenes)) is not None:
         runs.findings.breach(f"another instance has another scene, in {path}", PURE)
     tick = simulator.reset(runs.scenario, runs.seeds[0])
-    scene = simulator.scene([tick], [Percept(tick.channels)])
+    scene = simulator.scene([tick], [_percept(simulator, tick)])
     for problem in scene_problems(scene, 1) if scene is not None else ():
         runs.findings.breach(*problem)
+
+
+def _percept(simulator: Simulator, tick: Tick) -> Percept:
+    return Percept(tick.channels, aliases=simulator.channel_aliases)
 
 
 def check_simulator(
@@ -354,6 +359,8 @@ class _SimulatorKit:
             return
         with check("ticks: index, time and types"):
             self._check_ticks(reference.ticks, self.runs.fresh().time_step)
+        with check("channel_aliases: free names, each of a channel"):
+            checked_aliases(self.runs.kind, reference.ticks[0].channels)
         with check("ticks: read-only, and unchanged by later steps"):
             self._check_frozen(reference)
         with check("signals: finite float64, one value per tick"):
@@ -462,7 +469,7 @@ class _SimulatorKit:
     def _check_signals(self) -> None:
         simulator = self.runs.fresh()
         again = self.runs.episode(simulator, self.runs.seeds[0])
-        percepts = [Percept(tick.channels) for tick in again.ticks]
+        percepts = [_percept(simulator, tick) for tick in again.ticks]
         tables = {
             "signals": simulator.signals(again.ticks),
             "percept_signals": simulator.percept_signals(percepts),

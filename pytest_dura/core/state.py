@@ -135,27 +135,35 @@ class Percept(Mapping[str, Any]):
     """Channels as the sensors report them after faults; lazy values are made on reading.
 
     ``tampered`` maps a channel to the ids of the faults that changed its value at this tick, for
-    the loop alone: views do not show it to roles.
+    the loop alone: views do not show it to roles. ``aliases`` are second names of channels, see
+    :attr:`pytest_dura.Simulator.channel_aliases`: both names read the channel, and iteration
+    yields its own name alone.
     """
 
-    __slots__ = ("_channels", "_made", "tampered")
+    __slots__ = ("_channels", "_made", "aliases", "tampered")
 
     def __init__(
-        self, channels: Mapping[str, Any], tampered: Mapping[str, tuple[str, ...]] = NOTHING
+        self,
+        channels: Mapping[str, Any],
+        tampered: Mapping[str, tuple[str, ...]] = NOTHING,
+        aliases: Mapping[str, str] = NOTHING,
     ) -> None:
         self._channels = channels
         self._made: dict[Any, Any] | None = None
         self.tampered = tampered
+        self.aliases = aliases
 
     def __getitem__(self, name: str) -> Any:
         try:
             value = self._channels[name]
         except KeyError:
-            raise self._unknown(name) from None
+            return self._by_alias(name)
         return value.get() if type(value) is Lazy else value
 
     def __contains__(self, name: object) -> bool:
-        return name in self._channels
+        if name in self._channels:
+            return True
+        return isinstance(name, str) and self.aliases.get(name) in self._channels
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._channels)
@@ -183,9 +191,17 @@ class Percept(Mapping[str, Any]):
         result: T = made[make]
         return result
 
-    def _unknown(self, name: str) -> KeyError:
+    def _by_alias(self, name: str) -> Any:
+        """Read a channel by its second name.
+
+        Raises:
+            KeyError: If it has none, or is not there at this tick.
+        """
+        channel = self.aliases.get(name, name)
+        if channel in self._channels:
+            return self[channel]
         known = ", ".join(sorted(self._channels))
-        return KeyError(f"no sensor channel {name!r}; there are: {known}")
+        raise KeyError(f"no sensor channel {name!r}; there are: {known}") from None
 
 
 class TamperedReads:
@@ -211,26 +227,35 @@ class PerceptView(Percept):
 
     __slots__ = ("_made_from", "_reads")
 
-    def __init__(self, channels: Mapping[str, Any], reads: set[str] | TamperedReads) -> None:
+    def __init__(
+        self,
+        channels: Mapping[str, Any],
+        reads: set[str] | TamperedReads,
+        aliases: Mapping[str, str] = NOTHING,
+    ) -> None:
         # Not by the base's __init__: views are made twice at each tick.
         self._channels, self._made, self.tampered = channels, None, NOTHING
+        self.aliases = aliases
         self._reads = reads
         self._made_from: dict[Any, set[str]] | None = None
         if type(reads) is TamperedReads:
             self._made_from = {}
 
     def __getitem__(self, name: str) -> Any:
-        self._reads.add(name)
         # Not by the base's method: its call would double the cost, many times a tick.
         try:
             value = self._channels[name]
         except KeyError:
-            raise self._unknown(name) from None
+            self._reads.add(self.aliases.get(name, name))
+            return self._by_alias(name)
+        self._reads.add(name)
         return value.get() if type(value) is Lazy else value
 
     def __contains__(self, name: object) -> bool:
         # Faults change whether a channel is there, too.
         if isinstance(name, str):
+            if name not in self._channels:
+                name = self.aliases.get(name, name)
             self._reads.add(name)
         return name in self._channels
 
@@ -507,7 +532,7 @@ class StateManager:
         reads: set[str] | TamperedReads = self._role_reads
         if percept.tampered:
             reads = self._tampered_reads = TamperedReads(percept.tampered, self._read_now)
-        self._role_percepts.append(PerceptView(self._channels, reads))
+        self._role_percepts.append(PerceptView(self._channels, reads, percept.aliases))
         self.readers, self.late_readers = {}, {}
         self.proposal = None
         self.generator_reads = set()
@@ -546,7 +571,7 @@ class StateManager:
         self, feedback: tuple[str, ...] = (), transmit: Transmit = _undisturbed
     ) -> GeneratorView:
         """Make the Generator's view of this tick, which records the channels read."""
-        percept = PerceptView(self._channels, self.generator_reads)
+        percept = PerceptView(self._channels, self.generator_reads, self.percepts[-1].aliases)
         tick = self.ticks[-1]
         return GeneratorView(
             tick.index, tick.time, self.dt, percept, feedback, self._windows[0], transmit

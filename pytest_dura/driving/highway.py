@@ -50,7 +50,13 @@ from pytest_dura.driving.scenario import (
     in_order,
     without_room,
 )
-from pytest_dura.driving.sensors import EgoState, channels, route_map, signs
+from pytest_dura.driving.sensors import (
+    CHANNEL_ALIASES,
+    EgoState,
+    channels,
+    route_map,
+    signs,
+)
 from pytest_dura.driving.signals import HINDSIGHT
 from pytest_dura.driving.traffic_rules import NOT_A_CAR
 
@@ -186,6 +192,8 @@ class JunctionSimulator(Simulator):
     Actions are what :meth:`Command.of` accepts. See ``DrivingWorld`` for the world, and
     ``signals.NAMES`` for the signals. A subclass makes the road, with the drivers on it.
     """
+
+    channel_aliases = CHANNEL_ALIASES
 
     def __init__(self) -> None:
         self._road: Any = None

@@ -136,6 +136,9 @@ CHANNELS: Mapping[str, Channel] = {
 }
 """Content of the channels, for the faults that act on them."""
 
+CHANNEL_ALIASES: Mapping[str, str] = {"objects": "lidar"}
+"""Second names: what lidar reports are perceived objects, not ranges."""
+
 FAULT_TARGETS: Mapping[str, str] = {
     "number": "odometry.speed",
     "any": "localisation",

@@ -131,6 +131,32 @@ def parse_condition(text: str) -> Condition:
     return Condition(text, tuple(terms))
 
 
+_CHANNEL = re.compile(r"(?<![\w.])[A-Za-z_]\w*(?=\.)")
+"""The channel of a path in the text of a condition."""
+
+
+def by_channels(data: Mapping[str, Any], aliases: Mapping[str, str]) -> dict[str, Any]:
+    """Copy a fault's plain data, in which channels have their own names instead of second ones.
+
+    Those of the target and of conditions are replaced; what is malformed stays as it is.
+
+    Args:
+        data: As in a scenario file.
+        aliases: Second names of channels, to their own.
+    """
+    named = {**data}
+    target = data.get("target")
+    if isinstance(target, str):
+        channel, dot, field = target.partition(".")
+        named["target"] = f"{aliases.get(channel, channel)}{dot}{field}"
+    for part, key in (("activation", "when"), ("duration", "until")):
+        inner = data.get(part)
+        if isinstance(inner, Mapping) and isinstance(inner.get(key), str):
+            text = _CHANNEL.sub(lambda match: aliases.get(match[0], match[0]), inner[key])
+            named[part] = {**inner, key: text}
+    return named
+
+
 def _number(target: Target, channels: Mapping[str, Any]) -> float:
     value = target.channel_of(channels)
     names = value if isinstance(value, Mapping) else getattr(type(value), "_fields", ())

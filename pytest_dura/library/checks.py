@@ -22,6 +22,7 @@ from pytest_dura.library.planned_faults import (
 )
 from pytest_dura.library.scenario import (
     Scenario,
+    channel_aliases,
     check_world,
     extreme_values,
     lacks_error,
@@ -191,8 +192,7 @@ def _error_at(scenario: Scenario, error: ConfigurationError, key: str) -> Config
 
 def _simulator(scenario: Scenario) -> RoleSpec:
     spec = scenario.simulator_spec()
-    if ":" in scenario.simulator.path:
-        check_registered(spec.path)
+    channel_aliases(scenario)
     _check_parameters(spec)
     return spec
 

@@ -54,7 +54,7 @@ def declared(domain: Domain) -> list[Declared]:
         Declared(
             "channels",
             ("channel", "holds", "numbers", "frame", "meaning"),
-            [_channel(name, channel) for name, channel in channels.items()],
+            [_channel(domain, name, channel) for name, channel in channels.items()],
         ),
         Declared("signals", ("signal", "unit", "meaning"), signals),
         Declared(
@@ -74,13 +74,15 @@ def declared(domain: Domain) -> list[Declared]:
     return [table for table in tables if table.rows]
 
 
-def _channel(name: str, channel: Channel) -> tuple[str, ...]:
+def _channel(domain: Domain, name: str, channel: Channel) -> tuple[str, ...]:
     parts = channel.fields or tuple(f"column {place}" for place in range(channel.columns))
     numbers = [
         f"{part} [{unit}]" if unit else part
         for part, unit in zip_longest(parts, channel.units, fillvalue="")
     ]
-    return name, channel.kind, ", ".join(numbers), channel.frame, channel.meaning
+    aliases = [alias for alias, own in domain.channel_aliases.items() if own == name]
+    meaning = "; ".join(filter(None, (channel.meaning, *map("alias: {}".format, aliases))))
+    return name, channel.kind, ", ".join(numbers), channel.frame, meaning
 
 
 def _signal(prefix: str, signal: Signal) -> tuple[str, ...]:

@@ -7,6 +7,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -138,8 +140,11 @@ def _combinations(given: FaultGrid, reader: FaultReader) -> Iterator[dict[str, A
         fault: Any = base
         for path, value in zip(paths, values, strict=True):
             fault = _with_value(fault, path, value)
+        # Either name of a channel makes the same fault, and so the same id.
+        fault = reader.by_channels(fault)
         suffix = "".join(
-            f"-{name}={_id_part(value)}" for name, value in zip(names, values, strict=True)
+            f"-{name}={_id_part(reduce(getitem, path, fault))}"
+            for name, path in zip(names, paths, strict=True)
         )
         yield reader.read({**fault, "id": f"{base['id']}{suffix}"})
 

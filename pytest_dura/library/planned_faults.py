@@ -9,7 +9,7 @@ from typing import Any
 from pytest_dura.core.episode import Termination
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.trust import check_registered
-from pytest_dura.faults.activation import TOLERANCE, Until, parse_condition
+from pytest_dura.faults.activation import TOLERANCE, Until, by_channels, parse_condition
 from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
 from pytest_dura.faults.model import (
     Channel,
@@ -19,7 +19,7 @@ from pytest_dura.faults.model import (
     with_proposal,
 )
 from pytest_dura.faults.parts import PROPOSAL
-from pytest_dura.library.scenario import Scenario
+from pytest_dura.library.scenario import Scenario, channel_aliases
 
 _RESERVED = ("none", "catalogue")
 """Names of fault campaigns, which no fault may have."""
@@ -37,6 +37,10 @@ class FaultReader:
 
     def __init__(self, scenario: Scenario) -> None:
         domain = scenario.system
+        try:
+            self._aliases = channel_aliases(scenario)
+        except ConfigurationError:  # an error of the scenario's simulator, reported as that
+            self._aliases = {}
         self._targets = {} if domain is None else domain.fault_targets
         self._channels = None if domain is None else domain.channels
         last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
@@ -49,6 +53,8 @@ class FaultReader:
     def read(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Read a fault as plain data, with the defaults of its type and of the domain.
 
+        Channels have their own names in it, also where the fault uses an alias.
+
         Args:
             data: The fault.
 
@@ -57,7 +63,7 @@ class FaultReader:
         """
         if ":" in str(data.get("type")):
             check_registered(str(data["type"]))
-        fault = load_fault(data, self._targets)
+        fault = load_fault(self.by_channels(data), self._targets)
         filled = plain_fault(fault)
         if fault.type not in FAULT_TYPES:
             # The plain data of a user's own type need not make a fault again.
@@ -74,6 +80,10 @@ class FaultReader:
         _check_id(fault.id)
         self._check_times(fault)
         return filled
+
+    def by_channels(self, data: Mapping[str, Any]) -> dict[str, Any]:
+        """Copy a fault's plain data, with each channel under its own name."""
+        return by_channels(data, self._aliases)
 
     def _check_place(self, fault: Fault, channels: Mapping[str, Channel]) -> None:
         place = fault.type, fault.target

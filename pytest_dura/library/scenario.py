@@ -31,6 +31,7 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.trust import check_registered
 from pytest_dura.domains import DOMAINS, Domain, domain_of, simulator_spec
 from pytest_dura.faults.catalogue import FAULT_TYPES
 from pytest_dura.library.documents import Document, translate, validate
@@ -339,6 +340,21 @@ def simulator_class(simulator: RoleSpec) -> Any:
         ConfigurationError: If it cannot be imported.
     """
     return type(simulator.instance) if simulator.opaque else simulator.factory()
+
+
+def channel_aliases(scenario: Scenario) -> Mapping[str, str]:
+    """Return the second names of channels, such as ``objects``, that the simulator declares.
+
+    Raises:
+        ConfigurationError: If its class cannot be imported, or declares one that cannot be used.
+    """
+    simulator, domain = scenario.simulator_spec(), scenario.system
+    if ":" in scenario.simulator.path:
+        check_registered(simulator.path)
+    factory = simulator_class(simulator)
+    if domain is None:
+        return getattr(factory, "channel_aliases", {})
+    return domain.aliases_of(factory)
 
 
 def tolerances_of(simulator: RoleSpec) -> Mapping[str, float] | None:

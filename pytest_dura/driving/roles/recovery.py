@@ -76,7 +76,7 @@ class SecondOpinion:
 def _percept(percept: Percept, seen: Perceived) -> Percept:
     """The channels that the monitor reads; the others, such as pictures, are not made for it."""
     channels: dict[str, Any] = {name: percept[name] for name in ("localisation", "odometry", "map")}
-    return Percept({**channels, "lidar": seen(percept)})
+    return Percept({**channels, "lidar": seen(percept)}, aliases=percept.aliases)
 
 
 class EmergencyBrake(RecoveryPlanner):

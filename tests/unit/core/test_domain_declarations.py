@@ -6,7 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura import DOMAINS, Action, Channel, ConfigurationError, Domain, Signal
+from pytest_dura import (
+    DOMAINS,
+    Action,
+    Channel,
+    ConfigurationError,
+    Domain,
+    Signal,
+    Simulator,
+)
 from pytest_dura.library.domain_reference import PAGE, builtin_domains, declared, reference_page
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -72,3 +80,45 @@ def test_a_domain_without_a_simulator_of_its_name_has_no_measures() -> None:
     tables = declared(Domain("w", signals=(LEVEL,)))
     assert [table.title for table in tables] == ["signals"]
     assert tables[0].rows == [("level", "[m]", "above the bottom")]
+
+
+BAD_ALIASES = {
+    "a channel itself": {"radar": "lidar"},
+    "of no channel": {"objects": "lidr"},
+    "of another alias": {"objects": "lidar", "things": "objects"},
+    "of the command": {"steering": "command"},
+    "what faults call something else": {"prompt": "lidar"},
+    "no name": {"two.words": "lidar"},
+}
+
+
+def simulator_with(aliases):
+    class Aliased(Simulator):
+        channel_aliases = aliases
+
+    return Aliased
+
+
+@pytest.mark.parametrize("aliases", BAD_ALIASES.values(), ids=BAD_ALIASES)
+def test_an_alias_that_cannot_be_meant_is_refused_with_what_is_free(aliases) -> None:
+    channels = {"lidar": Channel("objects"), "radar": Channel("array", columns=3)}
+    domain = Domain("w", channels=channels, actions=(Action("flow", "m3/s"),))
+    with pytest.raises(ConfigurationError, match=r"channel alias '.*' cannot be used") as caught:
+        domain.aliases_of(simulator_with(aliases))
+    assert caught.value.key == "channel_aliases"
+    assert str(caught.value.expected).endswith("for one of lidar, radar")
+    assert domain.aliases_of(simulator_with({"objects": "lidar"})) == {"objects": "lidar"}
+
+
+def test_an_alias_of_a_channel_that_this_simulator_lacks_is_let_be() -> None:
+    simulator = simulator_with({"objects": "lidar"})
+    simulator.lacks = {"channels.lidar": "it has radar alone"}
+    domain = Domain("w", channels={"radar": Channel("array")})
+    assert domain.aliases_of(simulator) == {"objects": "lidar"}
+
+
+def test_driving_names_its_alias_in_its_tables() -> None:
+    (channels,) = [each for each in declared(DOMAINS["driving"]) if each.title == "channels"]
+    rows = {name: meaning for name, *_, meaning in channels.rows}
+    assert rows["lidar"].endswith("; alias: objects")
+    assert "objects" not in rows

@@ -65,6 +65,14 @@ class Bare(Thermostat):
             raise pytest_dura.ConfigurationError("only 0.1 s")
 
 
+def test_a_channel_alias_of_no_channel_is_a_breach() -> None:
+    class Misnamed(Thermostat):
+        channel_aliases = {"warmth": "thermometre"}  # noqa: RUF012 - as the base declares it
+
+    text = breaches(Misnamed)
+    assert "the channel alias 'warmth' cannot be used: there is no channel 'thermometre'" in text
+
+
 def test_optional_parts_may_be_missing_and_are_reported() -> None:
     report = check_simulator(Bare, SCENARIO, ACTIONS)
     assert report.not_supported == (

@@ -101,6 +101,52 @@ def test_an_unknown_channel_is_told_with_the_known_ones() -> None:
         Percept({"lidar": 1, "gps": 2})["lidr"]
 
 
+def aliased(channels: dict[str, Any]) -> StateManager:
+    state, tick = StateManager(dt=0.1), Tick(0, 0.0, {}, channels)
+    state.update(tick, Percept(channels, {"lidar": ("ghost",)}, {"objects": "lidar"}))
+    return state
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda percept, name: percept[name],
+        lambda percept, name: percept.get(name),
+        lambda percept, name: name in percept,
+        lambda percept, name: shared(lambda seen: seen[name], percept),
+    ],
+    ids=["look-up", "get", "in", "shared"],
+)
+@pytest.mark.parametrize("channels", [{"lidar": ("car",)}, {"lidar": Lazy(lambda: ("car",))}, {}])
+def test_both_names_of_a_channel_are_the_same_reading(read: Any, channels: Any) -> None:
+    def outcome(percept: Percept, name: str) -> Any:
+        try:
+            return read(percept, name)
+        except KeyError as error:
+            return str(error).replace(name, "NAME")
+
+    outcomes = []
+    for name in ("lidar", "objects"):
+        state = aliased(channels)
+        seen = state.generator_view().percept, state.role_view().percept, state.percept
+        own = [outcome(percept, name) for percept in seen]
+        state.has_read("safety_monitor")
+        outcomes.append((own, state.generator_reads, state.readers))
+    assert outcomes[0] == outcomes[1]
+    assert outcomes[0][1:] == ({"lidar"}, {"ghost": {"safety_monitor"}})
+
+
+def test_a_second_name_leads_to_the_same_object_and_is_no_further_channel() -> None:
+    state = aliased({"lidar": ["car"], "gps": 1.0})
+    for percept in (state.generator_view().percept, state.role_view().percept, state.percept):
+        assert percept["objects"] is percept["lidar"]
+        assert list(percept) == ["lidar", "gps"]
+        assert len(percept) == 2
+        assert "object" not in percept
+        with pytest.raises(TypeError, match="item assignment"):
+            percept["objects"] = []
+
+
 def test_reads_of_the_generator_are_remembered_per_tick() -> None:
     state = state_with({"a": 1.0, "b": 2.0})
     state.generator_view().percept["a"]
