@@ -138,14 +138,22 @@ def _add_training(parser: argparse.ArgumentParser) -> None:
 
 
 def _importers() -> dict[str, Importer]:
-    """The importers of all domains, by the names of their commands."""
+    """The importers of all domains, by the names of their commands.
+
+    A domain that cannot be used is left out, with its error's first line: most commands are of
+    another one.
+    """
     from pytest_dura.domains import DOMAINS
 
-    return {
-        f"{_IMPORT}{name}": importer
-        for _, domain in DOMAINS.items()
-        for name, importer in domain.importers.items()
-    }
+    importers: dict[str, Importer] = {}
+    for known in DOMAINS:
+        try:
+            domain = DOMAINS[known]
+        except ConfigurationError as error:
+            print(f"left out: {one_line(error.problem, _MAX_LENGTH)}", file=sys.stderr)
+            continue
+        importers |= {f"{_IMPORT}{name}": each for name, each in domain.importers.items()}
+    return importers
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:

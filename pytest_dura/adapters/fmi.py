@@ -181,10 +181,12 @@ class Fmu(BlackBox):
             return read_model_description(str(self.file))
         except Exception as error:  # of zipfile, of lxml, and of FMPy itself
             raise ConfigurationError(
-                f"this is no FMU that can be read: {describe_error(error)}",
+                f"{self.file.name} is no FMU that can be read: {describe_error(error)}",
                 file=str(self.file),
-                expected="an .fmu of FMI 2 or 3",
-                remedy="check it with `fmpy validate`",
+                key="simulator",  # of a scenario, whose place may replace this file's
+                found=str(self.file) if self.file.is_file() else f"no file {self.file}",
+                expected="an .fmu of FMI 2 or 3, a zip archive with modelDescription.xml",
+                remedy="export it again, or correct the path that is given to Fmu",
             ) from None
 
     def _variable(self, name: str) -> str:

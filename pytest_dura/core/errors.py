@@ -205,6 +205,41 @@ def describe_error(error: BaseException) -> str:
     return f"{text} ({file.name}:{trace.tb_lineno})"
 
 
+def import_error(
+    error: BaseException, problem: str, *, module: str, found: str, expected: str, remedy: str
+) -> ConfigurationError:
+    """Make the error of an import that failed.
+
+    A refused declaration of the module says itself what was expected and what to do about it, and
+    stands at the line of that module.
+
+    Args:
+        error: What the import raised.
+        problem: What cannot be done without it.
+        module: Name of the imported module.
+        found: The import path.
+        expected: What would have been accepted, of any other error.
+        remedy: What to do about any other error.
+    """
+    if not isinstance(error, ConfigurationError):
+        return ConfigurationError(
+            f"{problem}: {describe_error(error)}", found=found, expected=expected, remedy=remedy
+        )
+    package, place, trace = module.partition(".")[0], "", _traceback_of(error)
+    while trace is not None:
+        code = trace.tb_frame.f_code
+        if str(trace.tb_frame.f_globals.get("__name__", "")).partition(".")[0] == package:
+            place = f" ({Path(code.co_filename).name}:{trace.tb_lineno})"
+        trace = trace.tb_next
+    declared = None if error.found in (None, "") else error.found
+    return ConfigurationError(
+        f"{problem}: {error.problem}{place}",
+        found=declared,
+        expected=error.expected,
+        remedy=error.remedy or remedy,
+    )
+
+
 def type_name(value: object) -> str:
     """Name of a value's class, read past its metaclass."""
     return str.__str__(_name_of(type(value)))

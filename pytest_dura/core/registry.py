@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import Any, Generic, TypeVar
 
 from pytest_dura.core.boundary import let_pass
-from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean
+from pytest_dura.core.errors import ConfigurationError, did_you_mean, import_error
 from pytest_dura.core.trust import Offer, check_import, offers
 
 T = TypeVar("T")
@@ -240,9 +240,10 @@ class Registry(Generic[T]):
                 target = getattr(target, part)
         except BaseException as error:  # a module runs its author's code when it is imported
             let_pass(error)
-            raise ConfigurationError(
-                f"the {self.kind} {entry.name!r} of {entry.provider} cannot be loaded: "
-                f"{describe_error(error)}",
+            raise import_error(
+                error,
+                f"the {self.kind} {entry.name!r} of {entry.provider} cannot be loaded",
+                module=module,
                 found=entry.path,
                 expected="an entry point that can be imported",
                 remedy=f"correct or uninstall {entry.provider}",

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_dura.core.boundary import CallEnded, let_pass
-from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.errors import ConfigurationError, describe_error, import_error
 from pytest_dura.core.roles import Role
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.trust import check_buildable, check_function, check_import
@@ -89,8 +89,10 @@ class RoleSpec:
                 target = getattr(target, part)
         except BaseException as error:  # a module runs the user's code when it is imported
             let_pass(error)
-            raise ConfigurationError(
-                f"cannot import {self.path!r}: {describe_error(error)}",
+            raise import_error(
+                error,
+                f"cannot import {self.path!r}",
+                module=module_name,
                 found=self.path,
                 expected="an importable package.module:Name",
                 remedy="check the spelling, and that the module is installed, or lies where pytest "

@@ -78,7 +78,7 @@ class RoadData(_Model):
     """A road that a scenario describes: one junction."""
 
     arms: Annotated[tuple[ArmData, ...], Field(strict=False, max_length=8)] = Field(
-        description="The ego comes from the first one, unless it says otherwise."
+        description="At least two; the ego comes from the first one, unless it says otherwise."
     )
     speed_limit: Annotated[float, Field(ge=3, le=20)] = Field(10.0, description="In m/s.")
 

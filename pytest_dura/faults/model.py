@@ -201,7 +201,9 @@ def check_target(fault: Fault, channels: Mapping[str, Channel]) -> Channel:
         key="target",
         found=str(target),
         expected="one of " + ", ".join(possible) if possible else "another type of fault",
-        remedy=did_you_mean(str(target), possible, "choose a target that it can act on"),
+        remedy=did_you_mean(str(target), possible, "choose a target that it can act on")
+        if possible
+        else f"choose another type: no channel here holds {_KIND_MEANINGS[fault.acts_on]}",
     )
 
 

@@ -60,6 +60,7 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
         domain = scenario.system
     except ConfigurationError as error:  # what follows depends on it
         return [_error_at(scenario, error, "domain")], None
+    attempt("domain", _check_domain, scenario, domain)
     simulator = attempt("simulator", _simulator, scenario)
     world = None
     if simulator is not None:
@@ -180,6 +181,19 @@ def _check_injector(scenario: Scenario, read: ScenarioFaults) -> None:
     is_off = "fault_injector" in scenario.roles and scenario.roles["fault_injector"] is None
     if is_off and any(_planned(scenario, read)):
         raise without_injector(scenario, scenario.name)
+
+
+def _check_domain(scenario: Scenario, domain: Domain | None) -> None:
+    """Refuse a named domain that is not that of the registered simulator."""
+    own = domain_of(scenario.simulator.path)
+    if own is not None and domain is not own:
+        raise ConfigurationError(
+            f"the simulator is one of the domain {own.name!r}",
+            key="domain",
+            found=scenario.domain,
+            expected=own.name,
+            remedy="leave the key out, or name a simulator of that domain",
+        )
 
 
 def _error_at(scenario: Scenario, error: ConfigurationError, key: str) -> ConfigurationError:

@@ -397,6 +397,11 @@ def _translate(
     elif kind == "value_error":
         text = str(problem["ctx"]["error"])
         expected, remedy = _meaning(holder, name) or None, "correct the value"
+    elif kind == "model_type":
+        fields = _model_at(model, parts).model_fields
+        first = next((each for each in fields if fields[each].is_required()), "key")
+        text, expected = f"{key!r} is no mapping", "a mapping, with the keys " + ", ".join(fields)
+        remedy = f"write `{{{first}: {value if isinstance(value, str) else 'value'}, ...}}`"
     else:
         message = problem["msg"]
         form = message.removeprefix("Input should be ")

@@ -167,7 +167,9 @@ def without_injector(scenario: Scenario, planned_in: str) -> ConfigurationError:
         key="roles.fault_injector",
         found="null",
         expected="a fault injector wherever faults are planned",
-        remedy="leave the key out for the default one, or plan no faults",
+        remedy="leave the key out for the default one, or plan no faults"
+        if "fault_injector" in scenario.roles
+        else "remove the fixture `fault_injector` that returns None, or plan no faults",
     )
 
 

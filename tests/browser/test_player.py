@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -251,6 +252,24 @@ def test_the_scale_bar_follows_the_zoom(page):
     for _ in range(12):
         page.get_by_role("img", name="Seen from above").press("-")
     assert metres() > before
+
+
+def test_a_room_is_shown_as_large_as_a_road(opened):
+    recording = crossing().recording
+    tenth = [1 / 10, 1 / 10, 1, 1, 1 / 10, 1 / 10]
+    scene = replace(
+        recording.scene,
+        lines=tuple(replace(line, points=line.points / 10) for line in recording.scene.lines),
+        truth=replace(recording.scene.truth, poses=recording.scene.truth.poses * tenth),
+        percept=replace(recording.scene.percept, poses=recording.scene.percept.poses * tenth),
+    )
+
+    def metres(trace):
+        page = ready(opened(player_page(trace), script=DRAWN))
+        return int(labels(page)[-1].removesuffix(" m"))
+
+    assert metres(crossing()) == 10
+    assert metres(crossing(recording=replace(recording, scene=scene))) == 2
 
 
 @pytest.mark.parametrize("motion", ["reduce", "no-preference"])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 
@@ -222,6 +224,56 @@ def test_a_scenario_of_a_wrong_domain_is_refused_in_words(tank, changes, message
     assert "Traceback" not in text
 
 
+def test_the_least_of_a_domain_is_one_as_the_page_prints_it(tank):
+    page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text()
+    (module,) = re.findall(r"<!-- tank.py -->\n```python\n(.*?)```", page, flags=re.DOTALL)
+    (scenario,) = re.findall(r"```yaml\n(name: tank/filling\n.*?)```", page, flags=re.DOTALL)
+    check = re.search(r"check_simulator\(.*?\* 20\)", page)[0]
+    requirement = "{id: LEVEL-1, text: Dry feet., kind: safety, check: always (level < 2.2)}"
+    tank.write("tank.py", module)
+    tank.write("water/tank.yaml", scenario)
+    tank.write("water/requirements.yaml", f"requirements: [{requirement}]")
+    tank.write(
+        "test_contract.py",
+        "from pytest_dura import check_simulator\nfrom tank import Pump, Tank\n"
+        f"def test_it():\n    {check}\n",
+    )
+    tank.run_apart("test_contract.py", "-p", "no:dura").assert_outcomes(passed=1)
+    result = tank.run_apart("--dura-scenarios")
+    verdicts = tank.verdicts()
+    assert verdicts["tank/filling", "LEVEL-1"] == "supported"
+    assert verdicts["tank/filling+gain", "LEVEL-1"] == "violated"  # it fills to what it reads
+    (head,) = [line for line in result.outlines if line.startswith("case ")]
+    assert "highest m" in head
+    assert len({episode.trajectory for episode in tank.evidence().episodes}) == 2 * 4  # drains vary
+
+
+def test_a_registered_simulator_of_another_domain_than_the_named_one_is_refused(tank):
+    tank.with_tank()
+    file = tank.path / "water" / "tank.yaml"
+    file.write_text(file.read_text().replace("simulator: pump:Pump", "simulator: driving"))
+    result = tank.run("--dura-scenarios")
+    assert result.ret == 4
+    text = result.stderr.str()
+    assert "tank.yaml:4: the simulator is one of the domain 'driving'" in text
+    assert "found:    'pump:WATER'" in text
+
+
+def test_a_declaration_that_is_refused_says_so_at_its_own_line(tank):
+    tank.with_tank()
+    pump = tank.path / "pump.py"
+    pump.write_text(pump.read_text().replace('Signal("level", "m",', 'Signal("level", "",', 1))
+    result = tank.run("--dura-scenarios")
+    assert result.ret == 4
+    line = next(
+        n for n, text in enumerate(pump.read_text().splitlines(), 1) if '"level", ""' in text
+    )
+    text = result.stderr.str()
+    assert f"the signal 'level' has no unit (pump.py:{line})" in text
+    assert text.count("remedy:") == 1
+    assert "declare Signal('level', unit=..., meaning=...)" in text
+
+
 def test_an_unknown_domain_of_the_project_is_refused(project):
     project.write("pytest.ini", "[pytest]\ndura_domain = drivign\n")
     result = project.run("--dura-list")
@@ -251,8 +303,9 @@ def test_role_fixtures_return_the_defaults_of_the_project_s_domain(tank):
         "    assert fault_injector.path.endswith(':CampaignInjector')\n"
         "    assert safety_monitor.path == 'of the scenario'\n",
     )
-    project.run("test_defaults.py").assert_outcomes(passed=1)
-    result = project.run("--dura-scenarios", "--dura-runs=1")
+    # In processes of their own: what a decorator registers would stay in this one.
+    project.run_apart("test_defaults.py").assert_outcomes(passed=1)
+    result = project.run_apart("--dura-scenarios", "--dura-runs=1")
     assert set(project.verdicts()) == {
         ("tank/filling", "LEVEL-1"),
         ("tank/filling+bias", "LEVEL-1"),

@@ -139,7 +139,12 @@ def _network(root: Element) -> RoadNetwork | None:
 def _check_version(root: Element) -> None:
     header = root.find("FileHeader")
     if root.tag != "OpenSCENARIO" or header is None:
-        root.refuse("this is no OpenSCENARIO file", found=root.tag, expected="OpenSCENARIO XML 1.x")
+        root.refuse(
+            "this is no OpenSCENARIO file",
+            found=root.tag,
+            expected="OpenSCENARIO XML 1.x",
+            remedy="name an .xosc file",
+        )
     if header.get("revMajor") != "1":
         header.refuse(
             "this version of OpenSCENARIO is not read",

@@ -88,6 +88,7 @@ class Element:
         Raises:
             ConfigurationError: Always.
         """
+        details.setdefault("remedy", "correct the file there, or leave this out")
         raise ConfigurationError(problem, file=self.file, line=self.line, **details)
 
     def unused(self, within: str = "") -> Iterator[tuple[Element, list[str], str]]:
@@ -121,19 +122,27 @@ def read_document(file: Path) -> Element:
     """
     name = str(file)
     if not os.path.isfile(file):  # noqa: PTH113 - never raises; what is no file could block
-        raise ConfigurationError("there is no such file", file=name, expected="a file to import")
+        raise ConfigurationError(
+            "there is no such file",
+            file=name,
+            expected="a file to import",
+            remedy="correct the path",
+        )
     try:
         with file.open("rb") as opened:
             content = opened.read(MAX_BYTES + 1)
     except OSError as error:
         raise ConfigurationError(
-            f"the file cannot be read: {error.strerror or error}", file=name
+            f"the file cannot be read: {error.strerror or error}",
+            file=name,
+            remedy="make it readable",
         ) from None
     if len(content) > MAX_BYTES:
         raise ConfigurationError(
             "the file is too large for a scenario",
             file=name,
             expected=f"at most {MAX_BYTES // 1_000_000} MB",
+            remedy="import a file of one scenario",
         )
     builder = _Builder(name)
     try:
@@ -143,9 +152,14 @@ def read_document(file: Path) -> Element:
             f"this is no well-formed XML: {expat.ErrorString(error.code)}",
             file=name,
             line=error.lineno,
+            found=f"column {error.offset + 1}, in {len(content)} bytes",
+            expected="OpenSCENARIO XML 1.x",
+            remedy="correct the file there, or export it again",
         ) from None
     except (LookupError, ValueError) as error:  # of encodings
-        raise ConfigurationError(f"the XML cannot be decoded: {error}", file=name) from None
+        raise ConfigurationError(
+            f"the XML cannot be decoded: {error}", file=name, remedy="save it as UTF-8"
+        ) from None
     assert builder.root is not None
     return builder.root
 
@@ -192,4 +206,5 @@ class _Builder:
             file=self._file,
             line=self.parser.CurrentLineNumber,
             expected=expected,
+            remedy="take it out of the file",
         )

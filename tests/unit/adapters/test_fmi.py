@@ -153,8 +153,12 @@ def test_what_is_no_fmu_is_refused(tmp_path) -> None:
     with zipfile.ZipFile(tmp_path / "empty.fmu", "w") as archive:
         archive.writestr("readme.txt", "")
     for name in ("text.fmu", "empty.fmu", "missing.fmu"):
-        with pytest.raises(ConfigurationError, match="no FMU that can be read"):
+        with pytest.raises(
+            ConfigurationError, match=f"{name} is no FMU that can be read"
+        ) as caught:
             Fmu(tmp_path / name, [inflow()], ["level"]).check_scenario({})
+        assert name in str(caught.value.found)
+        assert caught.value.key == "simulator"  # the place is that of a scenario, where it has one
 
 
 def test_only_co_simulation_is_run(fmu_file, tmp_path) -> None:

@@ -231,6 +231,13 @@ CASES = {
         "is not a Generator",
         "derive it from pytest_dura.Generator",
     ),
+    "a fault given by its name alone": Bad(
+        DRIVING + "faults: [stuck-at]\n",
+        4,
+        "faults.0",
+        "no mapping",
+        "write `{type: stuck-at, ...}`",
+    ),
     "a role's parameters": Bad(
         HEAD.replace('"thermostat:Controller"', "{path: 'thermostat:Controller', params: {zz: 1}}"),
         4,

@@ -420,6 +420,7 @@ def test_a_hostile_file_is_one_clear_error(name, tmp_path, capsys) -> None:
     captured = capsys.readouterr()
     assert problem in captured.err
     assert captured.err.startswith(str(file))
+    assert captured.err.count("  remedy:   ") == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -310,8 +310,9 @@ def test_impossible_targets_are_refused(kind: str, target: str, told: list[str])
 
 
 def test_where_nothing_suits_a_type_the_message_says_so() -> None:
-    with pytest.raises(ConfigurationError, match="another type of fault"):
+    with pytest.raises(ConfigurationError, match="another type of fault") as caught:
         check_target(planned("ghost-obstacle", "a"), {"a": Channel("numbers", ("x",))})
+    assert caught.value.remedy == "choose another type: no channel here holds a list of objects"
 
 
 @pytest.mark.parametrize(

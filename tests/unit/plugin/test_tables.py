@@ -91,7 +91,7 @@ def test_reliance_comfort_and_reactions_stand_beside_each_case() -> None:
 
 def test_what_nobody_measures_has_no_column_and_without_anything_there_is_no_table() -> None:
     quiet = case("a/b", comfort_failed=None)
-    header, row, _ = reliance_table([quiet])
+    header, row, *_ = reliance_table([quiet])
     assert header.split() == ["reliance", "rescued", "%", "time", "%"]
     assert cells(row) == ["a/b", "20", "12.5"]
     assert reliance_table([case("a/b", comfort_failed=None, rescued=share(0))]) == []

@@ -4,7 +4,7 @@ const COLOURS = ["ground", "edge", "marking", "stop", "route", "ego", "body", "b
   "percept", "ghost", "missing", "ink", "halo"];
 
 const APART = 2; // m beyond which a percept has a label of its own
-const SIGHT = 64; // m that the camera shows when it follows
+const SIGHT = 64; // m that the camera shows at most when it follows
 
 class View {
   constructor(episode) {
@@ -15,7 +15,9 @@ class View {
     this.canvas = make("canvas", {role: "img", class: "dura-canvas", tabindex: "0"});
     this.badges = make("div", {class: "dura-badges", "aria-hidden": "true"});
     this.box = make("div", {class: "dura-stage"}, this.canvas, this.badges);
-    this.frame = this.extent();
+    const whole = this.whole();
+    this.sight = Math.min(SIGHT, whole);
+    this.frame = this.extent(whole);
     new ResizeObserver(() => this.draw()).observe(this.box);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       this.colour = null;
@@ -23,8 +25,30 @@ class View {
     });
   }
 
+  /** Metres across all that is drawn, with some room around it: a room is smaller than a road. */
+  whole() {
+    const [xs, ys] = [[], []];
+    for (const [, x, y] of this.episode.scene.lines) {
+      for (const value of added(x, 0.01)) xs.push(value);
+      for (const value of added(y, 0.01)) ys.push(value);
+    }
+    for (const poses of this.episode.truth.values()) {
+      for (let tick = 0; tick < this.episode.ticks; tick += 1) {
+        const pose = poseAt(poses, tick);
+        if (pose) {
+          xs.push(pose[0]);
+          ys.push(pose[1]);
+        }
+      }
+    }
+    const across = (values) => values.reduce((most, one) => Math.max(most, one), -Infinity)
+      - values.reduce((least, one) => Math.min(least, one), Infinity);
+    const metres = Math.max(across(xs), across(ys));
+    return metres > 0 ? Math.max(2, 1.4 * metres) : Infinity;
+  }
+
   /** What the fixed camera shows: the ego's way, with room around it. */
-  extent() {
+  extent(whole) {
     const [xs, ys] = [[], []];
     const poses = this.episode.truth.get(this.episode.scene.ego) || [];
     for (let tick = 0; tick < this.episode.ticks; tick += 1) {
@@ -39,7 +63,7 @@ class View {
     const [top, bottom] = [Math.min(...ys), Math.max(...ys)];
     return {
       x: (left + right) / 2, y: (top + bottom) / 2,
-      size: Math.max(right - left, bottom - top, 20) + 24,
+      size: Math.min(Math.max(right - left, bottom - top, 20) + 24, whole),
     };
   }
 
@@ -61,7 +85,7 @@ class View {
     pen.fillRect(0, 0, width, height);
     const ego = this.pose(this.episode.truth.get(this.episode.scene.ego));
     const least = Math.min(width, height);
-    const scale = (least / (this.follow ? SIGHT : this.frame.size)) * this.zoom;
+    const scale = (least / (this.follow ? this.sight : this.frame.size)) * this.zoom;
     const centre = this.follow && ego ? {x: ego[0], y: ego[1]} : this.frame;
     const ahead = this.follow && ego ? least * 0.18 : 0; // more is shown of what lies ahead
     this.look = {
@@ -108,10 +132,11 @@ class View {
 
   drawLines() {
     const {pen, colour, look} = this;
+    const metre = look.scale * (this.sight / SIGHT); // lines of a small place are narrower
     const styles = new Map([
-      ["route", [colour.route, 1.4 * look.scale, []]],
-      ["stop_line", [colour.stop, Math.max(2, 0.4 * look.scale), []]],
-      ["marking", [colour.marking, Math.max(1, 0.12 * look.scale), [2 * look.scale, 2 * look.scale]]],
+      ["route", [colour.route, 1.4 * metre, []]],
+      ["stop_line", [colour.stop, Math.max(2, 0.4 * metre), []]],
+      ["marking", [colour.marking, Math.max(1, 0.12 * metre), [2 * metre, 2 * metre]]],
     ]);
     this.lines ??= this.episode.scene.lines.map(([kind, x, y]) => {
       const down = added(y, 0.01);
@@ -121,7 +146,7 @@ class View {
     pen.lineCap = "butt";
     for (const {kind, points} of this.lines) {
       const [stroke, width, dash] = styles.get(kind)
-        ?? [colour.edge, Math.max(1.5, 0.2 * look.scale), []];
+        ?? [colour.edge, Math.max(1.5, 0.2 * metre), []];
       pen.strokeStyle = stroke;
       pen.lineWidth = width;
       pen.setLineDash(dash);
