@@ -25,6 +25,13 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _few_objects_to_search():
+    """What earlier modules left is not searched again: pytest collects five times after a session."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture
 def hears_keys():
     """Ctrl-C is heard, also where this process was started in the background, which ignores it."""
