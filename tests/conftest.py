@@ -27,7 +27,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(autouse=True, scope="module")
 def _few_objects_to_search():
-    """What earlier modules left is not searched again: pytest collects five times after a session."""
+    """What earlier modules left is not searched again by pytest, which collects often."""
     gc.collect()
     gc.freeze()
 
