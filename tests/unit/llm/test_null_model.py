@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -34,10 +35,15 @@ TEXTS = ["V1 gap 3.2 m", "P1 crosses ahead, V2 yields", "red light " * 20, "the 
 PROGRAM = [sys.executable, null_model.__file__]
 
 
+@contextlib.contextmanager
 def asking(server):
-    """``asking(server)(text, **options)`` gives a completion."""
-    client = openai.OpenAI(base_url=server.base_url, api_key="none", max_retries=0, timeout=30)
+    """A function that gives a completion: ``ask(text, **options)``; its connections are closed."""
+    address = {"base_url": server.base_url, "api_key": "none"}
+    with openai.OpenAI(**address, max_retries=0, timeout=30) as client:
+        yield asked(client, server)
 
+
+def asked(client, server):
     def ask(text, **options):
         messages = [{"role": "system", "content": SYSTEM}, {"role": "user", "content": text}]
         settings = {"response_format": FORMAT, "temperature": 0, "seed": 7, "max_tokens": 600}
@@ -50,7 +56,8 @@ def asking(server):
 
 @pytest.fixture(scope="module")
 def ask(null_server):
-    return asking(null_server)
+    with asking(null_server) as ask:
+        yield ask
 
 
 def text_of(completion):
@@ -127,9 +134,10 @@ def test_equal_requests_have_equal_answers_between_others_and_at_once(ask):
 def test_another_process_gives_the_same_answers(null_server, tmp_path):
     with null_model.null_model_server(tmp_path) as other:
         assert other.base_url != null_server.base_url
-        answers = [
-            [text_of(ask(text)) for text in TEXTS] for ask in (asking(other), asking(null_server))
-        ]
+        answers = []
+        for server in (other, null_server):
+            with asking(server) as ask:
+                answers.append([text_of(ask(text)) for text in TEXTS])
     assert other.process.returncode == 0
     assert answers[0] == answers[1]
 
