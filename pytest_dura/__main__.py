@@ -43,6 +43,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         type=Path,
         help="compare it with the session's JUnit file, too",
     )
+    verify.add_argument(
+        "--key",
+        metavar="FILE",
+        type=Path,
+        action="append",
+        default=[],
+        help="check that this public key (PEM), or another one given so, signed the bundle, and "
+        "the review if there is one",
+    )
+    sign = commands.add_parser(
+        "sign", help="sign a bundle, and a review of it, so that others can check who made them"
+    )
+    sign.add_argument("directory", metavar="DIR", type=Path, help="the evidence directory")
+    sign.add_argument(
+        "--key", metavar="FILE", type=Path, required=True, help="the private key (PEM)"
+    )
+    sign.add_argument(
+        "--review",
+        metavar="FILE",
+        type=Path,
+        help="a YAML file with who, when, what and decision: reports then name the reviewer",
+    )
     cassette = commands.add_parser(
         "cassette", help="list what a language model was asked and answered, as lines of JSON"
     )
@@ -292,11 +314,48 @@ def _print_any_file_name() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
+def _sign(options: argparse.Namespace) -> int:
+    from pytest_dura.evidence.bundle import RECORD_FILE, open_record, render_again
+    from pytest_dura.evidence.signing import Review, sign_statement, write_review
+    from pytest_dura.evidence.verify import verify_bundle
+    from pytest_dura.library.documents import read_yaml, validate
+
+    review = None if options.review is None else validate(Review, read_yaml(options.review))
+    bundle = verify_bundle(options.directory)
+    if bundle.problems or (review is not None and bundle.not_rendered is not None):
+        raise ConfigurationError(
+            "this bundle is not intact"
+            if bundle.problems
+            else "another version of pytest-dura wrote this bundle, and must render the review",
+            file=str(options.directory),
+            found=bundle.problems[0] if bundle.problems else bundle.not_rendered,
+            expected="a bundle that `python -m pytest_dura verify` finds intact",
+            remedy="restore it, or run the session again"
+            if bundle.problems
+            else "sign it with that version",
+        )
+    if review is not None:
+        write_review(options.directory, review, options.key)
+        render_again(open_record(options.directory / RECORD_FILE))
+    key_id = sign_statement(options.directory, options.key)
+    _print_any_file_name()
+    if review is not None:
+        line = f"reviewed: {review.decision} by {review.who} on {review.when}"
+        print(one_line(line, _MAX_LENGTH))
+    print(f"signed: {one_line(str(options.directory), _MAX_LENGTH)} with the key {key_id}")
+    return 0
+
+
 def _verify(options: argparse.Namespace) -> int:
+    from pytest_dura.evidence.signing import check_signatures
     from pytest_dura.evidence.verify import verify_bundle
 
     bundle = verify_bundle(options.directory, options.junit_xml)
+    signatures = check_signatures(options.directory, options.key)
+    bundle.problems += signatures.problems
     _print_any_file_name()
+    for line in signatures.lines:
+        print(one_line(line, _MAX_LENGTH))
     for problem in bundle.problems:
         print(one_line(problem, _MAX_LENGTH))
     if bundle.totals is not None:
@@ -321,6 +380,7 @@ def _verify(options: argparse.Namespace) -> int:
 
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "verify": _verify,
+    "sign": _sign,
     "cassette": _list_cassette,
     "merge": _merge,
     "prune": _prune,

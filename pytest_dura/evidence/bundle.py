@@ -24,6 +24,7 @@ from pytest_dura.evidence.episodes import SPOOL_PREFIX
 from pytest_dura.evidence.files import (
     LOCK_FILE,
     MANIFEST_FILE,
+    SIGNED_FILES,
     StreamedRecord,
     file_entry,
     files_below,
@@ -59,7 +60,7 @@ FORMATS: Registry[Format] = Registry(
     lambda value: callable(getattr(value, "render", None)),
     "a module or an object with a function render(record)",
     names=r"[A-Za-z0-9][\w-]*(\.[\w-]+)+",
-    reserved=(RECORD_FILE, MANIFEST_FILE, SCHEMA_FILE),
+    reserved=(RECORD_FILE, MANIFEST_FILE, SCHEMA_FILE, *SIGNED_FILES),
 )
 """Formats by the names of their files."""
 _EPISODES_KEY = "episodes"
@@ -109,7 +110,7 @@ def check_directory(directory: Path) -> None:
     if record.is_symlink() or not record.is_file() or not _is_our_record(record):
         problem = f"its {RECORD_FILE} is not of a session of pytest-dura"
         raise _foreign_error(f"this directory is not empty, and {problem}", directory, RECORD_FILE)
-    expected = {RECORD_FILE, *rendered_files(), *listed_files(directory)}
+    expected = {RECORD_FILE, *rendered_files(), *SIGNED_FILES, *listed_files(directory)}
     for name in names:
         folder, _, last = name.rpartition("/")
         if name not in expected and not (folder == TRACE_FOLDER and is_trace_name(last)):
@@ -191,7 +192,7 @@ def clear_bundle(directory: Path, *, traces: bool = True) -> None:
         ConfigurationError: If one of them cannot be removed.
     """
     with _removal_errors(directory):
-        for name in rendered_files():
+        for name in (*rendered_files(), *SIGNED_FILES):
             (directory / name).unlink(missing_ok=True)
         for begun in _entries(directory):
             if begun.name.startswith(_temporary_prefixes()) or begun.name.startswith(SPOOL_PREFIX):
@@ -458,6 +459,26 @@ def _write_all(record: SessionRecord) -> SessionRecord:
     files = {name: file_entry(written.directory / name) for name in names} | traces
     write_file(written.directory / MANIFEST_FILE, [manifest_text(files)])
     return written
+
+
+def render_again(record: SessionRecord) -> None:
+    """Render the files of a written bundle again, since a review of it came, and list them anew.
+
+    Raises:
+        ConfigurationError: If they cannot be rendered or written.
+    """
+    manifest = json.loads((record.directory / MANIFEST_FILE).read_bytes())["files"]
+    broken: dict[str, str] = {}
+    for name in FORMATS:
+        if name in manifest:
+            _write_format(name, record, broken)
+            manifest[name] = {} if broken else file_entry(record.directory / name)
+    if broken:
+        name, why = next(iter(broken.items()))
+        raise ConfigurationError(
+            f"it cannot be rendered with the review: {why}", file=str(record.directory / name)
+        )
+    write_file(record.directory / MANIFEST_FILE, [manifest_text(manifest)])
 
 
 def _withdraw(record: SessionRecord, error: BaseException, before: object) -> None:

@@ -91,6 +91,10 @@ class DirectoryLock:
 
 
 MANIFEST_FILE = "manifest.json"
+SIGNATURE_FILE = "test-result.intoto.dsse.json"
+REVIEW_FILE = "review.dsse.json"
+SIGNED_FILES = (SIGNATURE_FILE, REVIEW_FILE)
+"""Envelopes beside a bundle (see ``signing``), which come after its manifest."""
 _CHUNK = 1 << 20
 
 
@@ -136,7 +140,7 @@ def manifest_problems(directory: Path, unlisted: Collection[str] = ()) -> Iterat
     if text != canonical:
         yield f"{MANIFEST_FILE}: not as it was written; its own digest or form does not agree"
     present = set(files_below(directory)) - {MANIFEST_FILE}
-    for name in sorted(present.difference(listed, unlisted)):
+    for name in sorted(present.difference(listed, unlisted, SIGNED_FILES)):
         yield f"{name}: not in the manifest"
     for name in sorted(set(listed) - present):
         yield f"{name}: in the manifest, but not in the bundle"

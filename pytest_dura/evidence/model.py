@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,6 +30,7 @@ from pytest_dura.evidence.session_model import (
     ShardEntry,
     ToolEntry,
 )
+from pytest_dura.evidence.signing import Review, read_review
 from pytest_dura.evidence.verdict_model import (
     BaselineEntry,
     EffectivenessEntry,
@@ -177,6 +179,11 @@ class SessionRecord:
     def episodes(self) -> Iterator[EpisodeEntry]:
         """Iterate over the episodes, in the order of the record."""
         return self.read_episodes()
+
+    @cached_property
+    def review(self) -> Review | None:
+        """The review that lies beside the bundle; its signature is not checked."""
+        return read_review(self.directory)
 
     def to_json(self) -> JsonObject:
         """Convert to plain data, with all episodes."""

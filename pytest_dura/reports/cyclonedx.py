@@ -41,8 +41,8 @@ from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.verdicts import rate_bound, sample_text
 from pytest_dura.reports.wording import (
     NAME_LIMIT,
-    UNREVIEWED,
     is_incomplete,
+    review_text,
     shard_text,
     valid_sha256,
 )
@@ -120,8 +120,8 @@ def declarations(record: SessionRecord) -> JsonObject:
         ],
         "attestations": [
             {
-                "summary": f"By a test tool, {UNREVIEWED}. The gate of {_component_names(record)}: "
-                f"{record.head.gate.result}.",
+                "summary": f"By a test tool, {review_text(record)}. "
+                f"The gate of {_component_names(record)}: {record.head.gate.result}.",
                 "assessor": "assessor",
                 "map": list(_attestation_map(record)),
             }
@@ -331,12 +331,12 @@ def _conformance(
     text = f"{counts['supported']} of {len(verdicts)} verdicts supported"
     if not doubts:
         rationale = f"{text}, each on the episodes and with the bound in its evidence"
-        return {"score": 1, "rationale": f"{rationale}; {UNREVIEWED}."}
+        return {"score": 1, "rationale": f"{rationale}; {review_text(record)}."}
     rationale = f"{text}; {', '.join(doubts)}"
     if refuted or searched["falsified"]:
-        return {"score": 0, "rationale": f"{rationale}. 0: it was violated; {UNREVIEWED}."}
+        return {"score": 0, "rationale": f"{rationale}. 0: it was violated; {review_text(record)}."}
     rationale = f"{rationale}. No score: conformance is not attested, nor refuted"
-    return {"rationale": f"{rationale}; {UNREVIEWED}."}
+    return {"rationale": f"{rationale}; {review_text(record)}."}
 
 
 FILE = "cyclonedx.json"
@@ -358,7 +358,7 @@ def render(record: SessionRecord) -> str:
         "version": 1,
         "metadata": _metadata(record),
         "components": _packages(record.head.environment.packages),
-        "definitions": {"standards": [_standard(record.head.requirements)]},
+        "definitions": {"standards": [_standard(record)]},
         "declarations": declarations(record),
     }
     return json.dumps(document, indent=1) + "\n"
@@ -379,7 +379,7 @@ def _metadata(record: SessionRecord) -> JsonObject:
     properties = {
         **counts,
         "status": record.head.status,
-        "review": UNREVIEWED,
+        "review": review_text(record),
         "command": visible(record.head.command),
         "base_seed": str(record.head.base_seed),
     }
@@ -421,13 +421,14 @@ def _packages(packages: Mapping[str, str]) -> list[JsonObject]:
     return components
 
 
-def _standard(requirements: list[RequirementEntry]) -> JsonObject:
+def _standard(record: SessionRecord) -> JsonObject:
     return {
         "bom-ref": "standard",
         "name": "Requirements of the session",
-        "description": f"The requirements that the session judged; {UNREVIEWED}.",
+        "description": f"The requirements that the session judged; {review_text(record)}.",
         "requirements": [
-            _requirement(number, requirement) for number, requirement in enumerate(requirements)
+            _requirement(number, requirement)
+            for number, requirement in enumerate(record.head.requirements)
         ],
     }
 

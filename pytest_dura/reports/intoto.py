@@ -32,7 +32,7 @@ from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import InputEntry
 from pytest_dura.evidence.text import name, visible
 from pytest_dura.evidence.verdict_model import VerdictEntry
-from pytest_dura.reports.wording import NAME_LIMIT, UNREVIEWED, shard_text, valid_sha256
+from pytest_dura.reports.wording import NAME_LIMIT, review_text, shard_text, valid_sha256
 
 FILE = "test-result.intoto.json"
 _STATEMENT = "https://in-toto.io/Statement/v1"
@@ -166,7 +166,7 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
             "command": visible(record.head.command),
             "base_seed": str(record.head.base_seed),  # as a number, JSON readers would round it
             "created": record.head.created,
-            "review": UNREVIEWED,
+            "review": review_text(record),
         },
     }
 

@@ -48,7 +48,6 @@ from pytest_dura.reports.verdicts import (
     waiver_note,
 )
 from pytest_dura.reports.wording import (
-    UNREVIEWED,
     conclusion_sentences,
     evidence_option,
     is_incomplete,
@@ -56,6 +55,7 @@ from pytest_dura.reports.wording import (
     merge_text,
     model_options,
     replay_command,
+    review_text,
     second_engine_text,
     selection_text,
     shard_text,
@@ -116,7 +116,7 @@ def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
     yield f"- base seed: {record.head.base_seed}"
     yield f"- created {_name(record.head.created)}, finished {_name(record.head.finished)}"
     yield f"- command: {code(record.head.command, 1000) or '-'}"
-    yield f"- {UNREVIEWED}"
+    yield f"- {review_text(record)}"
 
 
 def _search_failures(record: SessionRecord) -> Iterator[str]:

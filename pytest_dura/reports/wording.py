@@ -19,7 +19,6 @@ from pytest_dura.evidence.text import counted, name
 from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
 
-UNREVIEWED = "generated, unreviewed"
 NAME_LIMIT = 400
 """Characters of a name in a machine-readable format."""
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -28,6 +27,18 @@ _MAX_COMMAND = 100_000
 """Characters of a session's command; no shell takes many more."""
 _MOST_NAMES = 8
 """Requirements that a sentence names."""
+
+
+def review_text(record: SessionRecord) -> str:
+    """Whether anybody reviewed the evidence: ``generated, unreviewed``, or who decided what, when.
+
+    A review comes from a signed envelope beside the record, whose signature is not checked here.
+    """
+    review = record.review
+    if review is None:
+        return "generated, unreviewed"
+    who, what = (name(part, NAME_LIMIT) for part in (review.who, review.what))
+    return f"generated; {review.decision} by {who} on {review.when}: {what}"
 
 
 def event_text(event: Event | EventEntry) -> str:

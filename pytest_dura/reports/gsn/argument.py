@@ -37,17 +37,23 @@ from pytest_dura.reports.searches import (
     outcome_headline,
 )
 from pytest_dura.reports.verdicts import MAX_TEXT, requirement_text
-from pytest_dura.reports.wording import is_incomplete, merge_text, names_text, shard_text
+from pytest_dura.reports.wording import (
+    is_incomplete,
+    merge_text,
+    names_text,
+    review_text,
+    shard_text,
+)
 
 REVIEW_ID, SESSION_ID = "CReview", "CSession"
 _REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
-"""Keys that a reviewer fills in."""
+"""Keys that a reviewer fills in, or that come from a signed review."""
 
 
 def _argument_contexts(record: SessionRecord, facts: EpisodeFacts) -> list[Element]:
     """Contexts and assumptions of the whole argument."""
     return [
-        _review(),
+        _review(record),
         _session(record),
         _component(record, facts),
         _domain(record),
@@ -70,12 +76,16 @@ def _scenario_contexts(record: SessionRecord) -> Iterator[Element]:
         )
 
 
-def _review() -> Element:
+def _review(record: SessionRecord) -> Element:
+    review, text = record.review, f"{review_text(record)}."
+    if review is None:
+        text += " No element of this argument is asserted until a reviewer says so."
+    parts = ("",) * 3 if review is None else (review.who, review.when, review.decision)
     return Element(
         REVIEW_ID,
-        "Generated, unreviewed. No element of this argument is asserted until a reviewer says so.",
+        text[0].upper() + text[1:],
         alias="context:review",
-        layers=dict.fromkeys(_REVIEW_KEYS, ""),
+        layers=dict(zip(_REVIEW_KEYS, (name(part) for part in parts), strict=True)),
     )
 
 

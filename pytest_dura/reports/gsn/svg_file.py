@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.text import name
+from pytest_dura.evidence.text import name, one_line
 from pytest_dura.reports.gsn.argument import REVIEW_ID, SESSION_ID
 from pytest_dura.reports.gsn.drawing import (
     MARGIN,
@@ -21,7 +21,7 @@ from pytest_dura.reports.gsn.drawing import (
 )
 from pytest_dura.reports.gsn.user_argument import session_argument
 from pytest_dura.reports.svg import Svg, document, joined, tag
-from pytest_dura.reports.wording import is_incomplete
+from pytest_dura.reports.wording import is_incomplete, review_text
 
 FILE = "assurance-case.svg"
 
@@ -48,7 +48,7 @@ def render(record: SessionRecord) -> str:
         document(
             round(WIDTH),
             round(height),
-            tag("title", "Assurance case, generated, unreviewed", id="gsn-title"),
+            tag("title", f"Assurance case, {review_text(record)}", id="gsn-title"),
             tag("desc", f"{text} {session.text}", id="gsn-text"),
             joined([tag("style", STYLE), tag("defs", MARKERS)]),
             tag("path", fill="#fff", d=f"M0 0H{WIDTH:.0f}V{height:.0f}H0z"),
@@ -64,7 +64,7 @@ def render(record: SessionRecord) -> str:
 
 def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[list[Svg], float]:
     """Title, warning, place for the reviewer and legend; and where they end."""
-    lines = [("head", "Assurance case (GSN): generated, unreviewed")]
+    lines = [("head", f"Assurance case (GSN): {one_line(review_text(record), 120)}")]
     if is_incomplete(record):
         lines.append(("warning", "INCOMPLETE SESSION: not all was run, so no claim is made here."))
     lines += [("", sentence) for sentence in view.folded]

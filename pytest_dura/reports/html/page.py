@@ -261,6 +261,7 @@ def render(record: SessionRecord) -> str:
     template = _environment().get_template("report.html")
     return template.render(
         record=record.head,
+        review=record.review,
         links=links,
         players=players,
         contents=contents,
