@@ -263,7 +263,7 @@ def _angle(angle: float) -> float:
 
 DISTANCE_TOLERANCE = 2.5
 """m; farther apart, lidar and radar do not mean the same object."""
-_RATE_TOLERANCE = 2.5
+RATE_TOLERANCE = 2.5
 """m/s; range rates that differ more contradict each other."""
 _ASSUMED_SPEED = 9.0
 
@@ -279,7 +279,7 @@ def compare_sensors(percept: Mapping[str, Any]) -> tuple[Mask, Mask]:
     bodies = plausible_objects(percept)
     near = _near(bodies.data, _return_places(percept))
     rates = _range_rates(bodies.data, own_pose(percept), own_speed(percept))
-    same = near & (np.abs(rates[:, None] - plausible_returns(percept)[:, 2]) < _RATE_TOLERANCE)
+    same = near & (np.abs(rates[:, None] - plausible_returns(percept)[:, 2]) < RATE_TOLERANCE)
     far = ~_within_reach(percept, bodies)
     return same.any(axis=1) | far, np.asarray(near.any(axis=0))
 
@@ -324,7 +324,7 @@ def sensors_agree(percept: Mapping[str, Any]) -> bool:
         if apart_x * apart_x + apart_y * apart_y >= DISTANCE_TOLERANCE**2:
             return False
         expected = (dx * (vx - ego_vx) + dy * (vy - ego_vy)) / max(math.hypot(dx, dy), 0.1)
-        if abs(expected - rate) >= _RATE_TOLERANCE:
+        if abs(expected - rate) >= RATE_TOLERANCE:
             return False
     return True
 

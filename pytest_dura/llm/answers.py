@@ -46,7 +46,7 @@ FAILURE_MEANINGS: Mapping[Failure, str] = {
 LONGEST = 20_000
 """Characters of the longest text that is read."""
 
-OBSERVATIONS, REASONING = 160, 240
+OBSERVATIONS, REASONING = 240, 480
 """Bounds of an answer's texts, in characters. llama.cpp's server refuses strings without one."""
 IDS, ID_LENGTH = 3, 16
 """Ids that may be cited, and their characters."""

@@ -68,7 +68,7 @@ class Settings(BaseModel):
     temperature: float = Field(
         0.0, ge=0, le=2, allow_inf_nan=False, description="Of the sampling, from 0 to 2."
     )
-    max_tokens: int = Field(600, ge=16, le=8192, description="Longest answer, in tokens.")
+    max_tokens: int = Field(1000, ge=16, le=8192, description="Longest answer, in tokens.")
     samples: int = Field(
         2, ge=1, le=20, description="How often the same is asked, to see whether answers agree."
     )

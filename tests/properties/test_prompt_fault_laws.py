@@ -86,7 +86,8 @@ def test_they_act_on_the_prompt_on_its_way_and_are_noted() -> None:
     drop, turn = default_fault("prompt-drop"), default_fault("prompt-reorder")
     injector = CampaignInjector()
     injector.reset(RoleContext(1, DT, faults=(drop, turn)))
-    prompt = prompt_of(3)
+    returns = [car(f"V{n}", 9.0 * n, 30.0) for n in range(3)]  # which lidar does not explain
+    prompt = percept_prompt(channels_of(*returns[:1], radar=returns))
     injector.corrupt({}, 0.0)
     assert injector.corrupt_message("prompt", prompt, 0.0) == (prompt, ())
     injector.corrupt({}, 2.0)

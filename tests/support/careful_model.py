@@ -10,9 +10,9 @@ import re
 from models import said
 
 TAG = r"(?:<perceived_text>)?(?P<id>[\w-]+)(?:</perceived_text>)?"
-RADAR = re.compile(
-    rf"^{TAG}(?:,|: )(?P<range>[\d.]+)(?:,| m at )-?\d+"
-    r"(?:,| degrees, range changing by )(?P<rate>-?[\d.]+)(?: m/s)?$",
+OBJECT = re.compile(
+    rf"^{TAG}(?:,|: )(?:car|pedestrian|obstacle),\s?(?P<range>[\d.]+)"
+    r"(?:,(?:[^,\n]+,){4}| m .*closing at )(?P<closing>-?[\d.]+)",
     re.MULTILINE,
 )
 SPEED = re.compile(r"^EGO: (?:you drive at|speed) (?P<speed>[\d.]+)", re.MULTILINE)
@@ -24,8 +24,8 @@ SOON = 6.0
 def dangers(text):
     """Ids and seconds of what comes nearer, soonest first; a tie by the id."""
     found = []
-    for row in RADAR.finditer(text):
-        closing = -float(row["rate"])
+    for row in OBJECT.finditer(text):
+        closing = float(row["closing"])
         if closing > 0.5:
             found.append((float(row["range"]) / closing, row["id"]))
     return sorted(found)
@@ -63,7 +63,7 @@ def throws_dice(text, request, answer):
 
 def reads_the_order(text, _request, answer):
     """Its decision hangs on which object is told first."""
-    first = RADAR.search(text)
+    first = OBJECT.search(text)
     number = 0 if first is None else sum(map(ord, first["id"]))
     return answer | {"maneuver": ("wait", "yield", "proceed")[number % 3]}
 

@@ -1,7 +1,8 @@
 """Blocks of the prompt of the driving domain: what the sensors report, as facts.
 
-LIDAR and RADAR hold the nearest objects relative to the ego, HISTORY earlier decisions, and
-FEEDBACK the reasons of refused ones.
+LIDAR holds the nearest objects relative to the ego, CONFLICTS who is on its lane and when, RADAR
+returns that lidar does not explain, HISTORY earlier decisions, and FEEDBACK the reasons of refused
+ones.
 """
 
 from __future__ import annotations
@@ -16,10 +17,25 @@ from pytest_dura.core.errors import ActionError
 from pytest_dura.core.state import GeneratorView, PastDecision
 from pytest_dura.driving.bodies import CAR_LENGTH
 from pytest_dura.driving.channel_faults import POSTER
-from pytest_dura.driving.maneuvers import Command, acceleration_for
-from pytest_dura.driving.percepts import DISTANCE_TOLERANCE, PLACE
-from pytest_dura.driving.sensors import TRAFFIC_LIGHT, Pose, RouteMap, Sign
+from pytest_dura.driving.maneuvers import (
+    MAX_BRAKING,
+    Command,
+    Maneuver,
+    acceleration_for,
+    braking_distance,
+)
+from pytest_dura.driving.percepts import DISTANCE_TOLERANCE, PLACE, RATE_TOLERANCE
+from pytest_dura.driving.sensors import RANGE, TRAFFIC_LIGHT, Pose, RouteMap, Sign
 from pytest_dura.llm.driving import readings
+from pytest_dura.llm.driving.conflicts import (
+    MOST_CONFLICTS,
+    complete,
+    conflict_facts,
+    conflicts,
+    launched,
+    seconds,
+    times_to_collision,
+)
 from pytest_dura.llm.driving.readings import Row, camera_images, degrees, number, rounded
 from pytest_dura.llm.prompts import Block, PerceivedText, Prompt
 
@@ -57,40 +73,105 @@ def label(name: str) -> str | PerceivedText:
 
 
 def _lidar_facts(
-    bodies: Sequence[tuple[object, Row]] | None, pose: Pose | None, speed: float | None
+    bodies: Sequence[tuple[object, Row]] | None,
+    rows: Sequence[Row] | None,
+    pose: Pose | None,
+    speed: float | None,
 ) -> dict[str, Any]:
     """Facts of the block LIDAR.
 
     Args:
         bodies: Ids and rows of the objects; see ``readings.bodies``.
+        rows: Of the radar.
         pose: Of the ego.
         speed: Of the ego, in m/s.
     """
     if bodies is None:
         return {"missing": 1, "farther": 0, "objects": ()}
-    objects = [_object(name, row, pose, speed) for name, row in bodies]
+    times: Mapping[str, float] = {}
+    if pose is not None and speed is not None:
+        times = times_to_collision(complete([row for _, row in bodies]), pose, speed)
+    objects = []
+    for place, (name, row) in enumerate(bodies):
+        listed = _object(name, row, pose, speed)
+        objects.append({
+            **listed, "ttc": rounded(times.get(str(place))),
+            "radar": _radar_agrees(row, listed["distance"], listed["closing"], rows, pose),
+        })  # fmt: skip
     return {"missing": 0, **nearest(objects)}
+
+
+def _radar_agrees(
+    body: Row,
+    distance: float | None,
+    closing: float | None,
+    rows: Sequence[Row] | None,
+    pose: Pose | None,
+) -> str | None:
+    """Whether radar sees a lidar object: ``yes``, ``no``, ``other speed``, ``too far`` to be sure.
+
+    As ``percepts.compare_sensors`` compares the two.
+    """
+    if rows is None or pose is None or distance is None:
+        return None
+    places = [(_place(row, pose), row[2]) for row in rows]
+    rates = [
+        rate
+        for place, rate in places
+        if place is not None
+        and body[0] is not None
+        and body[1] is not None
+        and math.hypot(place[0] - body[0], place[1] - body[1]) < DISTANCE_TOLERANCE
+    ]
+    if not rates:
+        return "no" if distance <= RANGE - 2.0 else "too far"
+    known = [rate for rate in rates if rate is not None]
+    if closing is None or not known:
+        return "yes"
+    return "yes" if any(abs(rate + closing) < RATE_TOLERANCE for rate in known) else "other speed"
 
 
 def _radar_facts(
     rows: Sequence[Row] | None, bodies: Sequence[tuple[object, Row]] | None, pose: Pose | None
 ) -> dict[str, Any]:
-    """Facts of the block RADAR.
+    """Facts of the block RADAR: returns that no lidar object explains.
 
-    A return has the id of the lidar object at its place; without one it is ``R`` and the number of
-    its row, as the built-in planners name it.
+    Each is ``R`` and the number of its row, as the built-in planners name it.
     """
     if rows is None:
         return {"missing": 1, "farther": 0, "objects": ()}
     objects = []
     for index, row in enumerate(rows):
         distance, azimuth, rate = row
-        name = _at(row, bodies or (), pose) or f"R{index}"
-        objects.append({
-            "id": name, "label": label(name), "distance": rounded(distance),
-            "bearing": degrees(azimuth), "rate": rounded(rate),
-        })  # fmt: skip
+        if not _explained(row, bodies or (), pose):
+            objects.append({
+                "id": f"R{index}", "label": f"R{index}", "distance": rounded(distance),
+                "bearing": degrees(azimuth), "rate": rounded(rate),
+            })  # fmt: skip
     return {"missing": 0, **nearest(objects)}
+
+
+def _conflict_facts(
+    bodies: Sequence[tuple[object, Row]] | None,
+    pose: Pose | None,
+    speed: float | None,
+    on_map: RouteMap | None,
+) -> dict[str, Any]:
+    """Facts of the block CONFLICTS; see :func:`pytest_dura.llm.driving.conflicts.conflicts`."""
+    if bodies is None or pose is None or speed is None or on_map is None:
+        return {"missing": 1, "farther": 0, "objects": ()}
+    found = conflicts(complete([row for _, row in bodies]), pose, speed, on_map)
+    found.sort(key=lambda each: (each.comes, each.begins, int(each.body)))
+    objects = []
+    for each in found[:MOST_CONFLICTS]:
+        name = shown_id(bodies[int(each.body)][0])
+        facts = conflict_facts(each, name, speed, on_map.speed_limit)
+        objects.append({**facts, "label": label(name)})
+    return {
+        "missing": 0,
+        "farther": len(found) - len(objects),
+        "objects": tuple(sorted(objects, key=by_id)),
+    }
 
 
 def nearest(objects: Sequence[Mapping[str, Any]], most: int = MOST) -> dict[str, Any]:
@@ -152,9 +233,8 @@ def _object(name: object, row: Row, pose: Pose | None, speed: float | None) -> d
     return {
         "id": shown, "label": label(shown), "kind": kind(length, width),
         "distance": rounded(distance),
-        "bearing": degrees(angle), "direction": direction(angle), "ahead": rounded(ahead),
-        "left": rounded(left), "speed": rounded(moving), "closing": rounded(closing),
-        "heading": degrees(turned), "course": course(turned),
+        "direction": direction(angle), "ahead": rounded(ahead), "left": rounded(left),
+        "speed": rounded(moving), "closing": rounded(closing), "course": course(turned),
         "length": rounded(length), "width": rounded(width),
     }  # fmt: skip
 
@@ -172,20 +252,24 @@ def kind(length: float | None, width: float | None) -> str | None:
     return "obstacle" if width is not None and width < _NARROWEST_CAR else "car"
 
 
-def _at(row: Row, bodies: Sequence[tuple[object, Row]], pose: Pose | None) -> str | None:
-    """Id of the lidar object nearest to a radar return, if it is near."""
+def _place(row: Row, pose: Pose) -> tuple[float, float] | None:
+    """Place of a radar return, x and y."""
     distance, azimuth, _ = row
-    if pose is None or distance is None or azimuth is None:
+    if distance is None or azimuth is None:
         return None
-    x = pose.x + distance * math.cos(pose.heading - azimuth)
-    y = pose.y + distance * math.sin(pose.heading - azimuth)
-    apart = [
-        (math.hypot(at_x - x, at_y - y), index)
-        for index, (_, (at_x, at_y, *_)) in enumerate(bodies)
-        if at_x is not None and at_y is not None
-    ]
-    least, index = min(apart, default=(math.inf, 0))
-    return shown_id(bodies[index][0]) if least < DISTANCE_TOLERANCE else None
+    bearing = pose.heading - azimuth
+    return pose.x + distance * math.cos(bearing), pose.y + distance * math.sin(bearing)
+
+
+def _explained(row: Row, bodies: Sequence[tuple[object, Row]], pose: Pose | None) -> bool:
+    """Whether a lidar object is where a radar return is."""
+    place = None if pose is None else _place(row, pose)
+    return place is not None and any(
+        x is not None
+        and y is not None
+        and math.hypot(x - place[0], y - place[1]) < DISTANCE_TOLERANCE
+        for _, (x, y, *_) in bodies
+    )
 
 
 EXPLANATION, REASON = 120, 160
@@ -258,7 +342,8 @@ def _command(action: object) -> Command | None:
 
 
 BLOCKS = (
-    "EGO", "LIDAR", "RADAR", "CAMERA", "IMU", "MAP", "CONTROLS", "GOAL", "HISTORY", "FEEDBACK",
+    "EGO", "LIDAR", "CONFLICTS", "RADAR", "CAMERA", "IMU", "MAP", "CONTROLS", "GOAL", "HISTORY",
+    "FEEDBACK",
 )  # fmt: skip
 """All blocks, in the order in which they are shown."""
 
@@ -321,10 +406,13 @@ def percept_prompt(
     facts: dict[str, Mapping[str, Any]] = {
         "EGO": {
             "speed": rounded(speed),
+            "stops_in": None if speed is None else rounded(braking_distance(speed, MAX_BRAKING)),
             **_last_command(last, speed, to_stop, on_map),
             **_lane(on_map, at),
+            **_times(on_map, to_stop, speed),
         },
-        "LIDAR": _lidar_facts(bodies, pose, speed),
+        "LIDAR": _lidar_facts(bodies, rows, pose, speed),
+        "CONFLICTS": _conflict_facts(bodies, pose, speed, on_map),
         "RADAR": _radar_facts(rows, bodies, pose),
         "IMU": _motion(percept),
         "MAP": _map(on_map, front, pose),
@@ -355,6 +443,24 @@ def _lane(on_map: RouteMap | None, at: tuple[float, float] | None) -> dict[str, 
         "place": place, "to_stop_line": rounded(to_stop_line), "arm": arm.name,
         "offset": rounded(at[1]),
     }  # fmt: skip
+
+
+def _times(
+    on_map: RouteMap | None, to_stop_line: float | None, speed: float | None
+) -> dict[str, Any]:
+    """When the ego is at the stop line and clear of the junction, and what giving way asks for."""
+    if on_map is None or to_stop_line is None or speed is None:
+        return dict.fromkeys(("line_in", "clear_in", "wait", "yield"))
+    limit = on_map.speed_limit
+    to_exit = on_map.exit - on_map.stop_line + to_stop_line + CAR_LENGTH
+    return {
+        "line_in": rounded(seconds(to_stop_line, speed)),
+        "clear_in": rounded(launched(to_exit, speed, limit)),
+        **{
+            each.value: rounded(acceleration_for(Command(each), speed, to_stop_line, limit))
+            for each in (Maneuver.WAIT, Maneuver.YIELD)
+        },
+    }
 
 
 def _motion(percept: Mapping[str, Any]) -> dict[str, Any]:

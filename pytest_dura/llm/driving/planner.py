@@ -23,8 +23,10 @@ from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
 from pytest_dura.driving.channel_faults import POSTER, PromptTextParameters
 from pytest_dura.driving.junction import route
 from pytest_dura.driving.maneuvers import (
+    COMFORT_BRAKING,
     MAX_ACCELERATION,
     MAX_BRAKING,
+    TOP_SPEED,
     Command,
     Maneuver,
     acceleration_for,
@@ -41,6 +43,7 @@ from pytest_dura.llm.driving.blocks import (
     percept_prompt,
     sign_facts,
 )
+from pytest_dura.llm.driving.conflicts import LATER, Conflict, conflict_facts
 from pytest_dura.llm.driving.readings import VIEWS, own_map, rounded
 from pytest_dura.llm.planner import LlmGenerator, Settings
 from pytest_dura.llm.port import Message
@@ -48,15 +51,52 @@ from pytest_dura.llm.prompts import Block, Prompt, Sources, Templates, blind, pa
 
 INTENTS: tuple[str, ...] = ("slow_down", "hold", "speed_up")
 
+_FAR = 100.0
+"""m before the stop line, where it is no reason to brake yet."""
+
+
+def _most(maneuver: Maneuver) -> str:
+    """Greatest acceleration in m/s2 that a maneuver asks for."""
+    return f"{acceleration_for(Command(maneuver), 0.0, _FAR):g}"
+
+
+def _least(maneuver: Maneuver) -> str:
+    """Braking in m/s2 that a maneuver asks for past the stop line, where the car is too fast."""
+    return f"{-acceleration_for(Command(maneuver), 2 * TOP_SPEED, -1.0):g}"
+
+
+def _speed(maneuver: Maneuver) -> str:
+    """Speed in m/s up to which a maneuver does not brake, far from the stop line."""
+    steps = (step / 10 for step in range(int(20 * TOP_SPEED)))
+    kept = [v for v in steps if acceleration_for(Command(maneuver), v, _FAR) >= 0.0]
+    return f"{max(kept):g}"
+
+
+def _drives(maneuver: Maneuver) -> str:
+    return (
+        f"drive at {_speed(maneuver)} m/s, speeding up by at most {_most(maneuver)} m/s2, "
+        f"slowing down by at most {_least(maneuver)}"
+    )
+
+
 MANEUVERS: Mapping[str, str] = {
-    Maneuver.WAIT.value: "stop at the stop line and stand there; past it, brake",
-    Maneuver.YIELD.value: "approach the stop line slowly, ready to stop at it; past it, brake",
-    Maneuver.PROCEED_CAUTIOUSLY.value: "drive on at up to 5 m/s",
-    Maneuver.PROCEED.value: "drive on at up to 9 m/s",
-    Maneuver.ACCELERATE.value: "drive on at up to 10 m/s, briskly",
-    Maneuver.EMERGENCY_BRAKE.value: f"brake at {MAX_BRAKING:g} m/s2 at once",
+    Maneuver.WAIT.value: (
+        f"roll up to the stop line, while it is far at up to {_speed(Maneuver.WAIT)} m/s and "
+        f"speeding up by up to {_most(Maneuver.WAIT)} m/s2, and stand before it; past it, or too "
+        f"near to stop, brake at {_least(Maneuver.WAIT)} m/s2"
+    ),
+    Maneuver.YIELD.value: (
+        f"the same at no more than {_speed(Maneuver.YIELD)} m/s, down to which it brakes at once "
+        f"at up to {_least(Maneuver.YIELD)} m/s2"
+    ),
+    Maneuver.PROCEED_CAUTIOUSLY.value: _drives(Maneuver.PROCEED_CAUTIOUSLY),
+    Maneuver.PROCEED.value: _drives(Maneuver.PROCEED),
+    Maneuver.ACCELERATE.value: _drives(Maneuver.ACCELERATE),
+    Maneuver.EMERGENCY_BRAKE.value: (
+        f"brake at {_least(Maneuver.EMERGENCY_BRAKE)} m/s2 at once, and stand"
+    ),
 }
-"""Maneuvers and their meaning, as ``driving.maneuvers`` carries them out."""
+"""Maneuvers and their meaning, with the numbers of what ``driving.maneuvers`` asks for."""
 
 SCHEMA: Mapping[str, Any] = answer_schema(tuple(MANEUVERS), INTENTS)
 
@@ -67,8 +107,22 @@ VOCABULARY: Mapping[str, Any] = {
     "observations": OBSERVATIONS,
     "reasoning": REASONING,
     "arms": None,
+    "car": {
+        "length": CAR_LENGTH,
+        "width": CAR_WIDTH,
+        "acceleration": MAX_ACCELERATION,
+        "braking": MAX_BRAKING,
+        "comfortable": COMFORT_BRAKING,
+    },
+    "later": LATER,
+    "hold": 1.0,
+    "waits": 1,
 }
-"""Variables of the template of the system message, on the built-in four-way junction."""
+"""Variables of the template of the system message, on the built-in four-way junction.
+
+``hold`` are the seconds from one decision to the next, and ``waits`` is 1 where the world waits for
+an answer; of the planner's parameters as they are by default.
+"""
 
 
 def right_of_way(road: Road) -> tuple[tuple[str, str], ...] | None:
@@ -116,19 +170,24 @@ def with_conflict(prompt: Prompt) -> Prompt:
     Lidar and radar agree on it. It stands where the ego is quick, and comes towards it where it is
     not, so that one second is left in either case. A model that accelerates now has not read it.
     """
-    ego = next((block.facts for block in prompt.blocks if block.name == "EGO"), {})
-    speed = max(ego.get("speed") or 0.0, 0.0)
+    known = {block.name: block.facts for block in prompt.blocks}
+    speed = max(known.get("EGO", {}).get("speed") or 0.0, 0.0)
+    limit = known.get("MAP", {}).get("limit") or TOP_SPEED
     closing = max(speed, _CLOSING)
     distance = CAR_LENGTH + _TIME_TO_COLLISION * closing
     taken = _numbers(prompt, "V")
     name = f"V{next(index for index in range(1, len(taken) + 2) if index not in taken)}"
-    common = {"id": name, "label": label(name), "distance": rounded(distance), "bearing": 0}
     body = {
-        **common, "kind": "car", "direction": "ahead", "ahead": rounded(distance), "left": 0.0,
-        "speed": rounded(closing - speed), "closing": rounded(closing), "heading": 180,
-        "course": "oncoming", "length": CAR_LENGTH, "width": CAR_WIDTH,
+        "id": name, "label": label(name), "kind": "car", "distance": rounded(distance),
+        "direction": "ahead", "ahead": rounded(distance), "left": 0.0,
+        "speed": rounded(closing - speed), "closing": rounded(closing), "course": "oncoming",
+        "length": CAR_LENGTH, "width": CAR_WIDTH, "ttc": _TIME_TO_COLLISION, "radar": "yes",
     }  # fmt: skip
-    return _with_objects(prompt, {"LIDAR": body, "RADAR": {**common, "rate": rounded(-closing)}})
+    conflict = Conflict(
+        name, distance - CAR_LENGTH, distance + CAR_LENGTH, 0.0, LATER, speed - closing
+    )
+    on_lane = {**conflict_facts(conflict, name, speed, limit), "label": label(name)}
+    return _with_objects(prompt, {"LIDAR": body, "CONFLICTS": on_lane})
 
 
 def _numbers(prompt: Prompt, letter: str) -> set[int]:
@@ -194,7 +253,11 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 
 def driving_templates(
-    directory: Path | None = None, arms: tuple[tuple[str, str], ...] | None = None
+    directory: Path | None = None,
+    arms: tuple[tuple[str, str], ...] | None = None,
+    *,
+    hold: float = VOCABULARY["hold"],
+    waits: bool = True,
 ) -> Templates:
     """Load the built-in templates, or those of a user's directory in their place.
 
@@ -203,18 +266,28 @@ def driving_templates(
     Args:
         directory: A user's.
         arms: Of the road, see :func:`right_of_way`.
+        hold: Seconds from one decision to the next.
+        waits: Whether the world waits for an answer.
 
     Raises:
         ConfigurationError: For files that cannot be used, with file and line.
     """
-    return _compiled(directory, Sources.read(TEMPLATES, directory).digest, arms)
+    digest = Sources.read(TEMPLATES, directory).digest
+    return _compiled(directory, digest, arms, round(hold, 3), waits)
 
 
 @lru_cache(maxsize=16)
 def _compiled(
-    directory: Path | None, _digest: str, arms: tuple[tuple[str, str], ...] | None
+    directory: Path | None,
+    _digest: str,
+    arms: tuple[tuple[str, str], ...] | None,
+    hold: float,
+    waits: bool,
 ) -> Templates:
-    vocabulary = {**VOCABULARY, "arms": None if arms is None else dict(arms)}
+    vocabulary = {
+        **VOCABULARY, "arms": None if arms is None else dict(arms), "hold": hold,
+        "waits": int(waits),
+    }  # fmt: skip
     return Templates.load(
         TEMPLATES, directory, vocabulary=vocabulary, schema=SCHEMA, probes=probes()
     )
@@ -252,6 +325,7 @@ class LlmPlanner(LlmGenerator):
         """Begin an episode."""
         super().reset(context)
         self._accelerations: list[tuple[float, float]] = []
+        self._templates = self._told(FOUR_WAY)
 
     def prompt(self, view: GeneratorView, past: Sequence[PastDecision]) -> Prompt:
         """The sensors' blocks and pictures, and the outcomes of the latest decisions."""
@@ -259,8 +333,17 @@ class LlmPlanner(LlmGenerator):
         images = cameras if self.settings.known_server.vision else ()
         on_map = own_map(view.percept)
         if on_map is not None:
-            self._templates = _templates(self.settings, on_map.road)
+            self._templates = self._told(on_map.road)
         return driving_prompt(view, past, images=images)
+
+    def _told(self, road: Road) -> Templates:
+        """The templates, which tell a road's right of way and how long a decision holds."""
+        return driving_templates(
+            _directory(self.settings),
+            right_of_way(road),
+            hold=self.settings.decide_every * self._context.dt,
+            waits=self.settings.clock == "frozen",
+        )
 
     def messages(self, prompt: Prompt) -> tuple[Message, ...]:
         """System, examples, and the blocks with the pictures before them."""
@@ -305,6 +388,9 @@ class LlmPlanner(LlmGenerator):
         return {} if action.acceleration is None else {"acceleration": action.acceleration}
 
 
-def _templates(settings: Settings, road: Road = FOUR_WAY) -> Templates:
-    directory = None if settings.templates is None else Path(settings.templates)
-    return driving_templates(directory, right_of_way(road))
+def _templates(settings: Settings) -> Templates:
+    return driving_templates(_directory(settings))
+
+
+def _directory(settings: Settings) -> Path | None:
+    return None if settings.templates is None else Path(settings.templates)

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from pytest_dura.llm import Answer, answer_schema, read_answer
-from pytest_dura.llm.answers import LONGEST
+from pytest_dura.llm.answers import LONGEST, OBSERVATIONS
 
 SCHEMA = answer_schema(("wait", "proceed"), ("slow_down", "hold", "speed_up"))
 GOOD = {
@@ -63,7 +63,7 @@ def test_what_failed_on_the_wire_is_not_read(failure):
         (of(confidence=-1), "schema_violation"),
         (of(confidence="high"), "schema_violation"),
         (of(confidence=True), "schema_violation"),
-        (of(observations="x" * 161), "schema_violation"),
+        (of(observations="x" * (OBSERVATIONS + 1)), "schema_violation"),
         (of(threat_ids=["V1"] * 4), "schema_violation"),
         (of(threat_ids="V1"), "schema_violation"),
         (of(threat_ids=["V" * 17]), "schema_violation"),

@@ -223,8 +223,8 @@ def test_variants_are_asked_beside_the_deciding_request():
     texts = [one.messages[-1].text for one in asked[:7]]
     assert sorted(texts[3].splitlines()) == sorted(texts[0].splitlines())
     assert reordered.messages[0] == first.messages[0] != paraphrased.messages[0]
-    assert "accelerate" in texts[5]
-    assert "accelerate" not in texts[0]
+    assert "right of way and accelerate" in texts[5]
+    assert "right of way and accelerate" not in texts[0]
     assert len(texts[6].splitlines()) > len(texts[0].splitlines())
     assert {one.sample for one in (reordered, paraphrased, injected, conflict)} == {0}
     assert episode.metrics.tallies["unstable"].hits == 2

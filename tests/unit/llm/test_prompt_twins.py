@@ -97,30 +97,31 @@ def test_conflict_is_a_car_straight_ahead_that_is_hit_within_a_second(speed) -> 
     percept = channels_of(*CARS, speed=speed)
     found = with_conflict(percept_prompt(percept))
     lidar = {one["id"]: one for one in facts(found, "LIDAR")["objects"]}
-    radar = {one["id"]: one for one in facts(found, "RADAR")["objects"]}
-    assert set(lidar) == {"V1", "V2", "V3", "P1"} == set(radar)
-    one, seen = lidar["V3"], radar["V3"]
-    assert (one["bearing"], one["left"], one["ahead"]) == (0, 0.0, one["distance"])
+    on_lane = {one["id"]: one for one in facts(found, "CONFLICTS")["objects"]}
+    assert set(lidar) == {"V1", "V2", "V3", "P1"} >= set(on_lane)
+    assert facts(found, "RADAR") == facts(percept_prompt(percept), "RADAR")
+    one, met = lidar["V3"], on_lane["V3"]
+    assert (one["left"], one["ahead"], one["radar"]) == (0.0, one["distance"], "yes")
     gap = one["distance"] - 5.0
     assert 0.0 < gap / one["closing"] < 1.5
     assert one["speed"] >= 0.0, "it comes nearer, and does not flee"
     assert one["closing"] == pytest.approx(one["speed"] + speed)
-    assert (seen["distance"], seen["bearing"], seen["rate"]) == (
-        one["distance"], 0, -one["closing"]
-    )  # fmt: skip
+    assert (met["at"], met["comes"], one["ttc"]) == (pytest.approx(gap), 0.0, 1.0)
+    assert met["along"] == -one["speed"]
     assert set(one) == set(lidar["V1"])
-    assert set(seen) == set(radar["V1"])
+    assert set(met) == set(on_lane["V1"])
 
 
 def test_conflict_needs_no_speed_no_sensors_and_no_blocks() -> None:
     for percept in (channels_of() | {"odometry": Odometry(float("nan"))}, {}):
         text = text_of(with_conflict(percept_prompt(percept)))
-        assert "V1,car,13.0,ahead,0,13.0,0.0,8.0,8.0,180,oncoming" in text
+        assert "V1,car,13.0,ahead,13.0,0.0,8.0,8.0,oncoming,5.0,2.0,1.0,yes" in text
     some = [one for one in PROMPT.blocks if one.name in ("EGO", "MAP")]
     found = with_injection(with_conflict(replace(PROMPT, blocks=tuple(some))))
     names = [one.name for one in found.blocks]
-    assert names == [one for one in BLOCKS if one in ("EGO", "LIDAR", "RADAR", "MAP", "CONTROLS")]
-    assert "V1,13.0,0,-8.0" in text_of(found)
+    placed = ("EGO", "LIDAR", "CONFLICTS", "MAP", "CONTROLS")
+    assert names == [one for one in BLOCKS if one in placed]
+    assert "\nV1,8.0,-2.0,0.0,20.0," in text_of(found)
 
 
 def test_a_full_block_takes_one_more() -> None:

@@ -40,7 +40,7 @@ def test_the_model_is_told_the_signs_of_its_own_road() -> None:
 def test_on_the_built_in_crossing_the_words_are_as_they_were() -> None:
     _, model = llm_episode(lambda *_: said(), seconds=1.0)
     system = model.requests[0].messages[0].text
-    assert "The east-west road has priority over the north-south road.\nManeuvers:" in system
+    assert "The east-west road has priority over the north-south road.\nYour car:" in system
     wide, _ = conversation({"road": "four_way_wide"})
     assert wide == system, "the same signs on the same arms"
 

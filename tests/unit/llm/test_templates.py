@@ -23,6 +23,7 @@ from pytest_dura.llm import (
     percept_prompt,
     read_answer,
 )
+from pytest_dura.llm.driving.blocks import direction
 from pytest_dura.llm.driving.planner import SCHEMA, TEMPLATES, VOCABULARY, probes
 from pytest_dura.llm.prompts import FILTERS, LONGEST_RENDERED, Block, Sources, Templates
 
@@ -68,7 +69,7 @@ def test_examples_are_what_a_model_might_answer_and_what_the_sensors_might_say()
     answers = [one.text for one in templates.messages(PROMPT) if one.role == "assistant"]
     said = [read_answer(Answer(text), SCHEMA) for text in answers]
     assert [one.outcome for one in said] == ["answered"] * 3
-    assert {one.content["maneuver"] for one in said} == {"wait", "proceed", "emergency_brake"}
+    assert {one.content["maneuver"] for one in said} == {"wait", "accelerate", "emergency_brake"}
     for example, reading in zip(templates._examples[""], said, strict=True):
         blocks = {one.name: one.facts for one in example.blocks}
         listed = blocks["LIDAR"]["objects"]
@@ -76,8 +77,9 @@ def test_examples_are_what_a_model_might_answer_and_what_the_sensors_might_say()
         for one in listed:
             ahead, left = one["ahead"], one["left"]
             assert math.hypot(ahead, left) == pytest.approx(one["distance"], abs=0.06)
-            assert math.degrees(math.atan2(left, ahead)) == pytest.approx(one["bearing"], abs=1)
-            course = math.radians(one["heading"])
+            assert direction(math.atan2(left, ahead)) == one["direction"]
+            turned = {"same way": 0, "to the left": 90, "oncoming": 180, "to the right": -90}
+            course = math.radians(turned[one["course"]])
             rate = ahead * (one["speed"] * math.cos(course) - blocks["EGO"]["speed"])
             rate += left * one["speed"] * math.sin(course)
             assert -rate / one["distance"] == pytest.approx(one["closing"], abs=0.06)
@@ -118,7 +120,8 @@ def test_both_wordings_tell_the_same_in_other_words() -> None:
     own, other = (last(None, replace(PROMPT, wording=one)) for one in WORDINGS)
     assert own != other
     (body,) = PROMPT.blocks[1].facts["objects"]
-    for value in (*body.values(), *PROMPT.blocks[3].facts.values()):
+    motion = next(block.facts for block in PROMPT.blocks if block.name == "IMU")
+    for value in (*body.values(), *motion.values()):
         assert str(value) in own
         assert str(value) in other
 
