@@ -66,9 +66,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="a YAML file with who, when, what and decision: reports then name the reviewer",
     )
     cassette = commands.add_parser(
-        "cassette", help="list what a language model was asked and answered, as lines of JSON"
+        "cassette",
+        help="list what a language model was asked and answered, as lines of JSON",
     )
     cassette.add_argument("file", metavar="FILE", type=Path, help="what --dura-llm=record wrote")
+    cassette.add_argument(
+        "--drop-failures",
+        action="store_true",
+        help="remove the exchanges whose server was unavailable, so that recording asks again",
+    )
+    cassette.add_argument(
+        "--class",
+        dest="classes",
+        metavar="CLASS",
+        choices=("unavailable", "timeout", "empty", "refused", "truncated", "malformed"),
+        action="append",
+        help="with --drop-failures: a class of failures to remove instead (repeatable)",
+    )
     merge = commands.add_parser(
         "merge", help="join the bundles of all shards of a session, and gate on the whole"
     )
@@ -252,9 +266,23 @@ def _train(options: argparse.Namespace) -> int:
     return 0
 
 
-def _list_cassette(options: argparse.Namespace) -> int:
-    from pytest_dura.llm.cassette import cassette_lines
+def _use_cassette(options: argparse.Namespace) -> int:
+    from pytest_dura.llm.cassette import cassette_lines, drop_failures
 
+    if options.drop_failures:
+        classes = options.classes or ["unavailable"]
+        dropped, left = drop_failures(options.file, classes)
+        shown = ", ".join(f"{dropped[failure]} {failure}" for failure in dict.fromkeys(classes))
+        exchanges = "1 exchange" if dropped.total() == 1 else f"{dropped.total()} exchanges"
+        print(f"removed {exchanges} that failed ({shown}); {left} are left")
+        return 0
+    if options.classes:
+        raise ConfigurationError(
+            "--class says what is removed, and nothing is",
+            key="--class",
+            found=", ".join(options.classes),
+            remedy="add --drop-failures",
+        )
     for line in cassette_lines(options.file):
         print(line)
     return 0
@@ -381,7 +409,7 @@ def _verify(options: argparse.Namespace) -> int:
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "verify": _verify,
     "sign": _sign,
-    "cassette": _list_cassette,
+    "cassette": _use_cassette,
     "merge": _merge,
     "prune": _prune,
     "train-detector": _train,

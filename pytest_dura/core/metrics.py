@@ -115,7 +115,7 @@ def _between(first: float | None, then: float | None) -> float | None:
     return None if first is None or then is None else then - first
 
 
-KINDS = ("failure", "control", "comparison")
+KINDS = ("failure", "infrastructure", "control", "comparison")
 """Kinds of measures of a component's accounts, see :class:`Tally`."""
 
 
@@ -128,7 +128,8 @@ class Tally:
         of: Decisions that could have shown it.
         null_hits: The same for a null component, which ignores its input, on the same decisions.
         null_of: See above.
-        kind: ``failure``, ``control`` (a negative control: what a component does that takes no
+        kind: ``failure``, ``infrastructure`` (of what the component needs, not its own),
+            ``control`` (a negative control: what a component does that takes no
             notice of its input) or ``comparison`` (no failure by itself).
     """
 

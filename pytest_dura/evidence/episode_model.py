@@ -285,9 +285,9 @@ class TallyEntry(Entry):
     """The same of a null component, which ignores its input, on the same decisions."""
     null_of: Count
     """Decisions of it that could have."""
-    kind: Literal["failure", "control", "comparison"]
-    """Whether it is a failure, the negative control, or a comparison that is no failure by
-    itself."""
+    kind: Literal["failure", "infrastructure", "control", "comparison"]
+    """Whether it is a failure, one of the infrastructure and not the component's own, the negative
+    control, or a comparison that is no failure by itself."""
 
 
 class EpisodeMetricsEntry(Entry):

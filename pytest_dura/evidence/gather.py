@@ -86,7 +86,7 @@ class Components:
         return first
 
 
-_COUNTS = ("asked", "reused", "injected", "missed")
+_COUNTS = ("asked", "repeated", "reused", "injected", "missed")
 _NAMES = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
 
 
@@ -114,14 +114,20 @@ class LanguageModels:
         for key in sorted(self._reports, key=str):
             reports = self._reports[key]
             first = reports[min(reports)]
-            counts = {name: sum(report[name] for report in reports.values()) for name in _COUNTS}
+            counts = {
+                name: sum(report.get(name, 0) for report in reports.values()) for name in _COUNTS
+            }
             plain = {name: value for name, value in first.items() if name != "process"}
-            models.append({**plain, **counts, "cassette": None})
+            causes: Counter[str] = sum(
+                (Counter(report.get("unavailable", {})) for report in reports.values()), Counter()
+            )
+            unavailable = {cause: causes[cause] for cause in sorted(causes)}
+            models.append({**plain, **counts, "unavailable": unavailable, "cassette": None})
         return models
 
 
 def _total(model: Mapping[str, Any]) -> int:
-    return sum(model[name] for name in _COUNTS)
+    return sum(model.get(name, 0) for name in _COUNTS)
 
 
 def test_function(item: str) -> str:

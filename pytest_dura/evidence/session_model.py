@@ -394,7 +394,13 @@ class LanguageModelEntry(Entry):
     prompts: str | None
     """SHA-256 of the prompts' templates; null for a component without."""
     asked: Count
-    """Requests to the server."""
+    """Requests to the server, without those that were repeated."""
+    repeated: Count = 0
+    """Calls by which requests were repeated, since the server was not available."""
+    unavailable: dict[str, Count] = Field(default_factory=dict)
+    """Calls that ended as `unavailable`, by cause: `HTTP 429` and the like, `connection`, or
+    `request` for one that could not be made. Those that were repeated, and answers from the
+    cassette, are among them."""
     reused: Count
     """Answers from the cassette."""
     injected: Count

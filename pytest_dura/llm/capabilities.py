@@ -18,6 +18,7 @@ from pytest_dura.llm.answers import read_answer
 from pytest_dura.llm.client import import_extra
 from pytest_dura.llm.endpoint import KEY, MODEL, URL, Endpoint
 from pytest_dura.llm.port import Answer, ChatPort, Image, Message, Request, Structured
+from pytest_dura.llm.retries import Retries
 
 LEVELS: tuple[Structured, ...] = get_args(Structured)
 """From the strongest to the weakest."""
@@ -172,6 +173,7 @@ def holds_code(text: str) -> bool:
 
 
 _ATTEMPTS = 3
+_RETRIES = Retries(_ATTEMPTS - 1)
 _NO_ANSWER = ("unavailable", "timeout", "malformed")
 _PERMANENT = (401, 403, 404)
 
@@ -200,6 +202,14 @@ class ProbeCalls:
         self.fingerprints: set[str] = set()
 
     def ask(self, request: Request) -> Answer:
+        """The answer to a request.
+
+        It is repeated where the server is not available: what a server cannot do must not be
+        concluded from what it was too busy for.
+        """
+        return _RETRIES.ask(lambda _: self._call(request), self._budget, counted=False)
+
+    def _call(self, request: Request) -> Answer:
         """Make one call, and count it."""
         self.requests += 1
         answer = self._port.ask(request, self._budget)
@@ -216,7 +226,7 @@ class ProbeCalls:
         """
         while True:
             self.attempts += 1
-            answer = self.ask(request)
+            answer = self._call(request)
             if answer.failure not in _NO_ANSWER:
                 return answer, request
             status = _status_of(answer)
@@ -225,7 +235,7 @@ class ProbeCalls:
             if status in (400, 422):
                 request = replace(request, seed=None)
             else:
-                time.sleep(self._pause * self.attempts)
+                time.sleep(max(self._pause * self.attempts, _RETRIES.pause(answer, 1) or 0.0))
 
     def server(self) -> ServerListing:
         """The server's listing; called last, it covers the fingerprints of all answers."""

@@ -1,7 +1,6 @@
 """Cassette: one SQLite file with requests to language models, and their answers.
 
-Several processes may share it. All that is read from it is checked first. Where it has no answer to
-a request, :func:`explain_miss` names what differs from the nearest request that it has.
+Several processes may share it. All that is read from it is checked first.
 """
 
 from __future__ import annotations
@@ -10,14 +9,13 @@ import hashlib
 import json
 import math
 import os
-import re
 import sqlite3
 import time
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 from threading import RLock
 from typing import Any, get_args
@@ -27,9 +25,8 @@ from pytest_dura.core.errors import (
     ComponentEnvironmentError,
     ConfigurationError,
     report_environment_error,
-    shorten,
 )
-from pytest_dura.llm.port import Answer, Request, WireFailure
+from pytest_dura.llm.port import ANSWER_EXTRAS, Answer, Request, WireFailure
 
 _ANSWER = Answer().to_json()
 _REQUEST = Request("", ()).to_json()
@@ -42,14 +39,17 @@ def _answer_of(data: Mapping[str, Any]) -> Answer:
     Raises:
         ValueError: If the data is no answer.
     """
-    _need(set(data) == set(_ANSWER), "an answer has other entries")
-    for name, usual in _ANSWER.items():
+    _need(set(data) - set(ANSWER_EXTRAS) == set(_ANSWER), "an answer has other entries")
+    for name, usual in (_ANSWER | ANSWER_EXTRAS).items():
         if isinstance(usual, str):
-            _need(isinstance(data[name], str), f"{name} of an answer is no text")
+            _need(isinstance(data.get(name, ""), str), f"{name} of an answer is no text")
     _need(data["failure"] in _FAILURES, "an answer has a failure of no known class")
-    seconds, usage = data["seconds"], data["usage"]
-    fits = type(seconds) in (int, float) and math.isfinite(seconds) and seconds >= 0.0
-    _need(fits, "seconds of an answer are no time")
+    for name in ("seconds", "retry_after", "waited"):
+        value = data.get(name, 0.0)
+        fits = type(value) in (int, float) and math.isfinite(value) and value >= 0.0
+        _need(fits, f"{name} of an answer is no time")
+    attempts, usage = data.get("attempts", 1), data["usage"]
+    _need(type(attempts) is int and attempts >= 1, "attempts of an answer are no number of them")
     counts = isinstance(usage, dict) and all(type(count) is int for count in usage.values())
     _need(counts, "usage of an answer holds no counts")
     return Answer.from_json(data)
@@ -414,6 +414,28 @@ class Cassette(CassetteFile):
         rows = self.rows("SELECT description FROM models ORDER BY id")
         return [self._description(row[0]) for row in rows]
 
+    def drop_failures(self, classes: Collection[str]) -> Counter[str]:
+        """Remove exchanges that failed, all of them or, where that is not possible, none.
+
+        Args:
+            classes: The classes of failures to remove.
+
+        Returns:
+            The number of removed exchanges by class.
+
+        Raises:
+            ConfigurationError: If the file cannot be read or written.
+        """
+        dropped: Counter[str] = Counter()
+        with self.errors(), self.transaction() as execute:
+            rows = execute("SELECT id, answer FROM exchanges").fetchall()
+            for number, answer in rows:
+                failure = self._answer(answer).failure
+                if failure and failure in classes:
+                    execute("DELETE FROM exchanges WHERE id = ?", (number,))
+                    dropped[failure] += 1
+        return dropped
+
     def __len__(self) -> int:
         return int(self.rows("SELECT COUNT(*) FROM exchanges")[0][0])
 
@@ -517,133 +539,26 @@ def cassette_lines(file: Path) -> Iterator[str]:
         cassette.close()
 
 
-def _line(value: Any) -> str:
-    return json.dumps(value, sort_keys=True)
-
-
-_MOST_COMPARED = 5000
-"""Exchanges of a model that are compared with a request; a miss must not take minutes."""
-LONGEST_MISS = 900
-_LONGEST_SHOWN = 90
-_PARAMETERS = ("structured", "temperature", "max_tokens", "seed", "sample")
-_HEADING = re.compile(r"[\W_]*([A-Z][A-Z_]{2,29})(?:\W|$)")
-
-
-class CassetteMissError(ComponentEnvironmentError):
-    """Error for a request to which the cassette has no answer: in replay no server is asked."""
-
-    def __init__(self, problem: str) -> None:
-        super().__init__("cassette", problem)
-
-
-def explain_miss(cassette: Cassette, request: Data, fingerprint: str) -> str:
-    """Name what differs from the nearest recorded request, on one line of bounded length.
-
-    The nearest one has the most messages in common, then the sample, then the most lines of the
-    message that differs first. The text depends on the file and the request alone.
+def drop_failures(file: Path, classes: Collection[str]) -> tuple[Counter[str], int]:
+    """Remove exchanges of a cassette that failed; a session that records asks for them again.
 
     Args:
-        cassette: The cassette without the request.
-        request: ``Request.to_json()``, without secrets as the recorded ones.
-        fingerprint: Of the server that was to answer.
+        file: The cassette.
+        classes: The classes of failures to remove.
+
+    Returns:
+        The number of removed exchanges by class, and of those that are left.
 
     Raises:
-        ConfigurationError: If the cassette cannot be read.
+        ConfigurationError: If it is no cassette, or cannot be written; then it stays as it is.
     """
-    best: Exchange | None = None
-    best_score: tuple[int, ...] = ()
-    compared = 0
-    for exchange in cassette.exchanges(request["model"]):
-        score = _likeness(exchange, request, fingerprint)
-        if best is None or score > best_score:
-            best, best_score = exchange, score
-        compared += 1
-        if compared == _MOST_COMPARED:
-            break
-    text = f"the cassette {cassette.file.name} has no answer to a request to {request['model']!r}"
-    if best is None:
-        models = sorted({str(description["model"]) for description in cassette.descriptions()})
-        known = f"it knows {shorten(models)}" if len(cassette) else "it is empty"
-        return _bounded(f"{text}: of this model it has none; {known}")
-    differences = list(_differences(best, request, fingerprint))
-    differs = "; ".join(differences) or "what was taken out of it as a secret"
-    return _bounded(f"{text}; from the nearest of {compared} recorded ones it differs in {differs}")
+    Cassette(file, writable=False).close()  # one that is missing is not made
+    cassette = Cassette(file, writable=True)
+    try:
+        return cassette.drop_failures(classes), len(cassette)
+    finally:
+        cassette.close()
 
 
-def _bounded(text: str) -> str:
-    return text if len(text) <= LONGEST_MISS else text[: LONGEST_MISS - 1] + "…"
-
-
-def _likeness(exchange: Exchange, request: Data, fingerprint: str) -> tuple[int, ...]:
-    recorded = exchange.request
-    pairs = list(zip(recorded["messages"], request["messages"], strict=False))
-    equal = sum(old == new for old, new in pairs)
-    lines = next((_common(old, new) for old, new in pairs if old != new), 0)
-    same = sum(recorded[name] == request[name] for name in (*_PARAMETERS, "schema"))
-    sample = recorded["sample"] == request["sample"]
-    return equal, sample, lines, same, exchange.fingerprint == fingerprint
-
-
-def _common(old: Data, new: Data) -> int:
-    """Number of lines that two messages have in common."""
-    return len({*old["text"].splitlines()} & {*new["text"].splitlines()})
-
-
-def _differences(exchange: Exchange, request: Data, fingerprint: str) -> Iterator[str]:
-    recorded = exchange.request
-    if exchange.fingerprint != fingerprint:
-        yield f"the server's fingerprint ({_was(exchange.fingerprint, fingerprint)})"
-    for name in _PARAMETERS:
-        if recorded[name] != request[name]:
-            yield f"{name} ({_was(recorded[name], request[name])})"
-    if recorded["schema"] != request["schema"]:
-        yield "the schema of the answer"
-    before, now = recorded["messages"], request["messages"]
-    if len(before) != len(now):
-        yield f"the number of messages ({_was(len(before), len(now))})"
-    for number, (old, new) in enumerate(zip(before, now, strict=False), start=1):
-        if old != new:
-            yield f"message {number} ({new['role']}), {_in_message(old, new)}"
-            return
-
-
-def _in_message(old: Data, new: Data) -> str:
-    """What differs first in a message."""
-    if old["role"] != new["role"]:
-        return f"its role ({_was(old['role'], new['role'])})"
-    if old["images"] != new["images"]:
-        names = [
-            str((image or other)["name"])
-            for image, other in zip_longest(new["images"], old["images"])
-            if image != other
-        ]
-        where = f"image {shorten(names[0])}"
-        return where if old["text"] == new["text"] else f"{where}, and {_in_text(old, new)}"
-    return _in_text(old, new)
-
-
-def _in_text(old: Data, new: Data) -> str:
-    before, now = old["text"].splitlines(), new["text"].splitlines()
-    for number, (was, is_now) in enumerate(zip_longest(before, now)):
-        if was != is_now:
-            headings = (_HEADING.match(line) for line in reversed(now[: number + 1]))
-            block = next((f", block {heading[1]}" for heading in headings if heading), "")
-            return f"line {number + 1}{block} ({_was(*_from_difference(was, is_now))})"
-    return "the ends of its lines"
-
-
-def _from_difference(was: str | None, now: str | None) -> tuple[str | None, str | None]:
-    """Two lines from shortly before their first difference, if that is far from the beginning."""
-    if was is None or now is None:
-        return was, now
-    ends = (i for i, (old, new) in enumerate(zip(was, now, strict=False)) if old != new)
-    begin = next(ends, min(len(was), len(now))) - _LONGEST_SHOWN // 3
-    return (was, now) if begin <= 0 else (f"…{was[begin:]}", f"…{now[begin:]}")
-
-
-def _was(recorded: Any, now: Any) -> str:
-    return f"recorded {_shown(recorded)}, asked {_shown(now)}"
-
-
-def _shown(value: Any) -> str:
-    return "nothing" if value is None else shorten(value, _LONGEST_SHOWN)
+def _line(value: Any) -> str:
+    return json.dumps(value, sort_keys=True)

@@ -1,6 +1,7 @@
 """The client of OpenAI-compatible servers: one call of the openai SDK, turned into an answer.
 
-It never retries. Packages of the extra ``llm`` are imported at first use.
+It never repeats a call; :mod:`pytest_dura.llm.retries` does where that is wanted. Packages of the
+extra ``llm`` are imported at first use.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.llm.answers import refuse_constant
 from pytest_dura.llm.endpoint import Endpoint
 from pytest_dura.llm.port import Answer, Image, Message, Request, ServerFault, WireFailure
+from pytest_dura.llm.retries import retry_after
 
 
 def import_extra(name: str) -> Any:
@@ -50,7 +52,9 @@ def refusal_of(status: int, body: bytes) -> Answer:
     message = message.strip() or _phrase(status)
     shown = f" ({code})" if code and code not in message else ""
     detail = _short_text(f"HTTP {status}: {message}{shown}")
-    return Answer(failure="refused" if code in _FILTERED else "unavailable", detail=detail)
+    if code in _FILTERED:
+        return Answer(failure="refused", detail=detail)
+    return Answer(failure="unavailable", detail=detail, cause=f"HTTP {status}")
 
 
 def _short_text(text: str) -> str:
@@ -370,25 +374,28 @@ class OpenAiClient:
                 return Answer(failure="malformed", detail=f"a body of more than {limit} bytes")
             return read(self._without_key(body))
         except self._openai.APIStatusError as error:
-            return refusal_of(error.status_code, self._without_key(error.response.content))
+            refusal = refusal_of(error.status_code, self._without_key(error.response.content))
+            return replace(refusal, retry_after=retry_after(error.response.headers))
         except Exception as error:
             # A call never raises: its failure is an answer.
-            failure, detail = self._failed(error)
-            return Answer(failure=failure, detail=_short_text(self.endpoint.scrub(detail)))
+            failure, detail, cause = self._failed(error)
+            shown = _short_text(self.endpoint.scrub(detail))
+            return Answer(failure=failure, detail=shown, cause=cause)
 
     def _without_key(self, body: bytes) -> bytes:
         """A body before any of it is cut: half a key is one, too."""
         text = body.decode(errors="surrogateescape")
         return self.endpoint.scrub(text).encode(errors="surrogateescape")
 
-    def _failed(self, error: Exception) -> tuple[WireFailure, str]:
-        """Class and message of an error that came instead of a response, or within it."""
+    def _failed(self, error: Exception) -> tuple[WireFailure, str, str]:
+        """Class, message and cause of an error that came instead of a response, or within it."""
         openai, http = self._openai, self._http
         if isinstance(error, openai.APITimeoutError | http.TimeoutException):
-            return "timeout", "no whole answer within the budget"
+            return "timeout", "no whole answer within the budget", ""
         if isinstance(error, openai.APIConnectionError):
             cause = error.__cause__ or error
-            return "unavailable", f"{type(cause).__name__}: {cause}"
+            return "unavailable", f"{type(cause).__name__}: {cause}", "connection"
         if isinstance(error, http.TransportError):
-            return "truncated", f"the body ends in the middle: {error}"
-        return "unavailable", f"the request could not be made: {type(error).__name__}: {error}"
+            return "truncated", f"the body ends in the middle: {error}", ""
+        detail = f"the request could not be made: {type(error).__name__}: {error}"
+        return "unavailable", detail, "request"

@@ -65,6 +65,11 @@ class Settings(BaseModel):
     budget: Seconds | None = Field(
         None, description="Seconds for one answer, at most the episode's time budget."
     )
+    count_retries: bool = Field(
+        False,
+        description="Whether the time of requests that were repeated, because the server was not"
+        " available, is the component's.",
+    )
     temperature: float = Field(
         0.0, ge=0, le=2, allow_inf_nan=False, description="Of the sampling, from 0 to 2."
     )
@@ -273,8 +278,12 @@ class LlmGenerator(Generator):
     def time_limit(self, budget: float | None) -> float | None:
         """Enough for all requests of a tick, each within its own deadline, and a second more."""
         deadline = self.settings.deadline(budget)
+        if deadline is None:
+            return None
         requests = self.settings.samples + len(self.settings.beside)
-        return None if deadline is None else requests * deadline + 1.0
+        if not self.settings.count_retries:
+            deadline = session.current().retries.time_for(deadline)
+        return requests * deadline + 1.0
 
     def reset(self, context: RoleContext) -> None:
         """Begin an episode."""
@@ -341,7 +350,13 @@ class LlmGenerator(Generator):
         request = self.request(prompt, sample)
         server = self.settings.server
         fingerprint = None if server is None else server.fingerprint
-        return self._session.ask(request, self._deadline, delivery, fingerprint=fingerprint)
+        return self._session.ask(
+            request,
+            self._deadline,
+            delivery,
+            fingerprint=fingerprint,
+            count_retries=self.settings.count_retries,
+        )
 
     def request(self, prompt: Prompt, sample: int = 0) -> Request:
         """The request for a prompt."""

@@ -123,6 +123,11 @@ class Answer:
         finish: Why the model ended, as the server has it.
         usage: Tokens, as the server counted them.
         fingerprint: Of the server, if it sends one with each answer.
+        cause: Why it was ``unavailable``: ``HTTP 429`` and the like, ``connection``, or ``request``
+            for one that could not be made.
+        retry_after: Seconds after which the server wants to be asked again, where it says so.
+        attempts: Calls that were made; see :mod:`pytest_dura.llm.retries`.
+        waited: Wall-clock seconds before the last of these calls began; not in ``seconds``.
     """
 
     text: str = ""
@@ -132,10 +137,14 @@ class Answer:
     finish: str = ""
     usage: Mapping[str, int] = field(default_factory=dict)
     fingerprint: str = ""
+    cause: str = ""
+    retry_after: float | None = None
+    attempts: int = 1
+    waited: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
+        """Plain data; what only few answers have is left out where they have it not."""
+        data = {
             "text": self.text,
             "failure": self.failure,
             "detail": self.detail,
@@ -144,11 +153,19 @@ class Answer:
             "usage": dict(self.usage),
             "fingerprint": self.fingerprint,
         }
+        given = {name: getattr(self, name) for name in ANSWER_EXTRAS}
+        return data | {name: value for name, value in given.items() if value != ANSWER_EXTRAS[name]}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Answer:
         """The inverse of :meth:`to_json`."""
         return cls(**data)
+
+
+ANSWER_EXTRAS: dict[str, Any] = {
+    name: getattr(Answer(), name) for name in ("cause", "retry_after", "attempts", "waited")
+}
+"""Parts of an answer that its plain data may lack, with what they are then."""
 
 
 ServerFault = Literal["", "refused", "http_429", "http_500", "cut", "garbage", "error_text"]

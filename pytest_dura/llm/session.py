@@ -20,9 +20,11 @@ from pytest_dura.core.errors import (
     ConfigurationError,
     report_environment_error,
 )
-from pytest_dura.llm.cassette import Cassette, CassetteMissError, Exchange, explain_miss
+from pytest_dura.llm.cassette import Cassette, Exchange
 from pytest_dura.llm.endpoint import MODEL, model_about
+from pytest_dura.llm.misses import CassetteMissError, explain_miss
 from pytest_dura.llm.port import Answer, Delivery, Request
+from pytest_dura.llm.retries import Retries, retries_of
 
 if TYPE_CHECKING:
     from pytest_dura.llm.client import OpenAiClient
@@ -34,11 +36,12 @@ def _scrub_request(request: Request, scrub: Callable[[str], str]) -> Request:
     return request if messages == request.messages else replace(request, messages=messages)
 
 
-def _deliver(answer: Answer, delay: float, limit: float) -> Answer:
-    """The answer as it arrives: later by the delay, and not at all beyond the limit."""
-    seconds = answer.seconds + delay
+def _deliver(answer: Answer, delay: float, waited: float, limit: float) -> Answer:
+    """The answer as it arrives: later by delay and wait, and not at all beyond the limit."""
+    late = delay + waited
+    seconds = answer.seconds + late
     if seconds <= limit and delay < limit:
-        return answer if delay == 0.0 else replace(answer, seconds=seconds)
+        return answer if late == 0.0 else replace(answer, seconds=seconds)
     if answer.failure == "timeout":
         return replace(answer, seconds=limit)
     return Answer(failure="timeout", detail=f"no answer within {limit:g} s", seconds=limit)
@@ -222,9 +225,11 @@ class ModelSession:
         scrub: Takes secrets out of plain data, beside the key of the server: out of answers before
             they are used, and out of all that is stored.
         connect: Makes the connection to the server of an environment.
+        retries: How requests are repeated whose server is not available; by default as the
+            environment says.
 
     Raises:
-        ConfigurationError: If the cassette cannot be used.
+        ConfigurationError: If the cassette, or the environment's number of retries, cannot be used.
     """
 
     def __init__(
@@ -236,8 +241,11 @@ class ModelSession:
         session: str = "",
         scrub: Scrub = _unchanged,
         connect: Connect = OpenAiServer,
+        retries: Retries | None = None,
     ) -> None:
         self.mode = mode
+        self._environ = os.environ if environ is None else environ
+        self.retries = Retries(retries_of(self._environ)) if retries is None else retries
         self.cassette: Cassette | None = None
         if mode != "live":
             if cassette is None:
@@ -247,8 +255,9 @@ class ModelSession:
             self.cassette = Cassette(cassette, writable=mode == "record")
         self.counts: Counter[tuple[str, str, str]] = Counter()
         """Number of requests by model, fingerprint and what answered them: ``asked`` of the server,
-        ``reused`` from the cassette, ``injected`` as a fault, ``missed`` in the cassette."""
-        self._environ = os.environ if environ is None else environ
+        ``reused`` from the cassette, ``injected`` as a fault, ``missed`` in the cassette. Beside
+        these the calls that were ``repeated``, and by their cause those that ended as
+        ``unavailable``, such as ``unavailable: HTTP 429``; a cassette's answers, too."""
         self._session = session or secrets.token_hex(8)
         self._scrub, self._connect = scrub, connect
         self._servers: dict[str | None, ModelServer] = {}
@@ -321,6 +330,7 @@ class ModelSession:
         delivery: Delivery = Delivery(),  # noqa: B008 - it cannot be changed
         *,
         fingerprint: str | None = None,
+        count_retries: bool = False,
     ) -> Answer:
         """The answer of a model to a request, which may be a failure.
 
@@ -333,6 +343,8 @@ class ModelSession:
             budget: Seconds for the answer; ``None`` where there is no limit.
             delivery: How the request reaches the model.
             fingerprint: Of the server that is to answer; by default that of :meth:`describe`.
+            count_retries: Whether calls that were repeated, and the pauses between them, are part
+                of the seconds that the answer took, and of the budget.
 
         Raises:
             ComponentEnvironmentError: If there can be no answer, which says nothing about the
@@ -347,12 +359,13 @@ class ModelSession:
             elif delivery.delay >= limit:
                 answer = Answer()  # whatever it would be, it comes too late
             else:
-                answer = self._answer(request, limit, fingerprint)
+                answer = self._answer(request, limit, fingerprint, count_retries)
         except ConfigurationError as error:
             raise report_environment_error(
                 ComponentEnvironmentError("language model", str(error))
             ) from None
-        return _deliver(answer, delivery.delay, limit)
+        waited = answer.waited if count_retries else 0.0
+        return _deliver(answer, delivery.delay, waited, limit)
 
     @cached_property
     def _offline_client(self) -> OpenAiClient:
@@ -362,7 +375,9 @@ class ModelSession:
 
         return OpenAiClient(Endpoint("http://127.0.0.1/v1", "none"))
 
-    def _answer(self, request: Request, limit: float, fingerprint: str | None) -> Answer:
+    def _answer(
+        self, request: Request, limit: float, fingerprint: str | None, count_retries: bool
+    ) -> Answer:
         server = None if self.mode == "replay" else self._server(request.model)
         request = request if server is None else _scrub_request(request, server.scrub)
         given = fingerprint
@@ -378,11 +393,12 @@ class ModelSession:
             )
         if self.cassette is None:
             assert server is not None
-            return self._ask_server(server, request, limit, fingerprint)
+            return self._ask_server(server, request, limit, fingerprint, count_retries)
         key = request.key(fingerprint)
         stored = self.cassette.find(key)
         if stored is not None:
             self._count(request, fingerprint, "reused")
+            self._count_cause(request, fingerprint, stored)
             return stored
         plain = self._scrub(request.to_json())
         if server is None:
@@ -390,17 +406,33 @@ class ModelSession:
             raise report_environment_error(
                 CassetteMissError(explain_miss(self.cassette, plain, fingerprint))
             )
-        answer = self._ask_server(server, request, limit, fingerprint)
+        answer = self._ask_server(server, request, limit, fingerprint, count_retries)
         return self.cassette.add(Exchange(key, fingerprint, plain, answer, _now()))
 
     def _ask_server(
-        self, server: ModelServer, request: Request, limit: float, fingerprint: str
+        self,
+        server: ModelServer,
+        request: Request,
+        limit: float,
+        fingerprint: str,
+        count_retries: bool,
     ) -> Answer:
-        self._count(request, fingerprint, "asked")
-        answer = server.ask(request, limit)
+        calls = iter(("asked",))
+
+        def call(budget: float) -> Answer:
+            self._count(request, fingerprint, next(calls, "repeated"))
+            answer = server.ask(request, budget)
+            self._count_cause(request, fingerprint, answer)
+            return answer
+
+        answer = self.retries.ask(call, limit, counted=count_retries)
         names = ("text", "detail", "finish", "fingerprint")
         texts = {name: self._scrub(server.scrub(getattr(answer, name))) for name in names}
         return replace(answer, **texts)
+
+    def _count_cause(self, request: Request, fingerprint: str, answer: Answer) -> None:
+        if answer.failure == "unavailable":
+            self._count(request, fingerprint, f"unavailable: {answer.cause or 'other'}")
 
     def _count(self, request: Request, fingerprint: str, answered_by: str) -> None:
         with self._lock:

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 JsonObject = dict[str, Any]
 _MOST_MODELS = 3
 """Models of a cassette that the header names."""
-_OUTCOMES = ("asked", "reused", "injected", "missed")
+_OUTCOMES = ("asked", "repeated", "reused", "injected", "missed")
+_CAUSE = "unavailable: "
+"""What the counts of calls that ended so begin with, by cause."""
 _SESSION_MODULE = "pytest_dura.llm.session"
 
 
@@ -44,7 +46,7 @@ class LanguageModels:
         self._roles = roles
         self._has_begun = False
         self._previous: ModelSession | None = None
-        self._used: dict[tuple[Any, ...], JsonObject] = {}
+        self._used: dict[tuple[Any, ...], Counter[str]] = {}
         self._latest: dict[tuple[str, str], tuple[Any, ...]] = {}
         self._counted: Counter[tuple[str, str, str]] = Counter()
         self._unsent: set[tuple[Any, ...]] = set()
@@ -71,21 +73,24 @@ class LanguageModels:
         self._has_begun = True
         self._previous = self._activate(None)
         self._name = self.context.worker_input.get("dura_llm_session") or os.urandom(8).hex()
-        options = self.context.options
+        options, described = self.context.options, self.context.worker_input
         if options.llm != "live":
-            from pytest_dura.llm.session import ModelSession
-
-            session = ModelSession(
-                options.llm, options.cassette, session=self._name, scrub=self.context.redact
-            )
+            session = self._session(options.llm, options.cassette, scrub=self.context.redact)
             self._replayed = session.replayed
             self._activate(session)
-        elif self.context.worker_input.get("dura_llm_described"):
-            from pytest_dura.llm.session import ModelSession
-
-            session = ModelSession(session=self._name)
-            session.know(self.context.worker_input["dura_llm_described"])
+        elif described.get("dura_llm_described") or options.llm_retries is not None:
+            session = self._session()
+            session.know(described.get("dura_llm_described", ()))
             self._activate(session)
+
+    def _session(self, *given: Any, **named: Any) -> ModelSession:
+        """A model session with the id and the retries of this session."""
+        from pytest_dura.llm.retries import Retries
+        from pytest_dura.llm.session import ModelSession
+
+        most = self.context.options.llm_retries
+        retries = None if most is None else Retries(most)
+        return ModelSession(*given, session=self._name, retries=retries, **named)
 
     def __enter__(self) -> None:
         """See :meth:`begin`."""
@@ -242,7 +247,7 @@ class LanguageModels:
 
     def _register(self, key: tuple[Any, ...]) -> None:
         if key not in self._used:
-            self._used[key] = dict.fromkeys(_OUTCOMES, 0)
+            self._used[key] = Counter()
             self._unsent.add(key)
 
     def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> JsonObject:
@@ -258,7 +263,12 @@ class LanguageModels:
             "capabilities": None if known is None else dict(known.capabilities),
             "prompts": prompts if isinstance(prompts, str) else None,
             "process": str(self.context.worker_input.get("workerid", "main")),
-            **self._used[key],
+            **{outcome: self._used[key][outcome] for outcome in _OUTCOMES},
+            "unavailable": {
+                counted.removeprefix(_CAUSE): count
+                for counted, count in sorted(self._used[key].items())
+                if counted.startswith(_CAUSE)
+            },
         }
 
     def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:

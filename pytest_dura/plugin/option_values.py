@@ -293,6 +293,33 @@ def cassette_file(setting: Setting) -> Path | None:
     return None
 
 
+_MOST_RETRIES = 20
+
+
+def llm_retries(setting: Setting) -> int:
+    """Read how often a request to a language model is repeated.
+
+    Raises:
+        ConfigurationError: If it is no such number, or other processes ask the model.
+    """
+    number = whole_number(at_least=0)(setting)
+    problem, remedy = "", f"for example {setting.key}=3"
+    if number > _MOST_RETRIES:
+        problem = "repeats a request too often"
+    elif setting.other("--dura-executor") not in (None, "in-process"):
+        problem = "reaches this process alone, and the episodes are simulated in others"
+        remedy = f"leave it out, and set DURA_LLM_RETRIES={number} where they run"
+    if problem:
+        raise ConfigurationError(
+            f"{setting.key} {problem}",
+            key=setting.key,
+            found=setting.given,
+            expected=f"a whole number from 0 to {_MOST_RETRIES}",
+            remedy=remedy,
+        )
+    return number
+
+
 _TIMEOUT_OPTION = "--dura-episode-timeout"
 
 

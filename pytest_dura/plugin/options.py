@@ -31,6 +31,7 @@ from pytest_dura.plugin.option_values import (
     file,
     folder,
     is_choice,
+    llm_retries,
     off_switch,
     reuse_folder,
     second_engine,
@@ -535,6 +536,19 @@ class Options:
         same_in_shards=False,
         changes_episodes=True,
         sent_to_workers=True,
+    )
+    llm_retries: Option[int | None] = Option(
+        "--dura-llm-retries",
+        "how often a request is repeated whose language model's server answers 429 or 503, or "
+        "takes no connection",
+        llm_retries,
+        metavar="N",
+        example="3",
+        details="By default as `DURA_LLM_RETRIES` says, or never. See"
+        " [servers](llm-servers.md#a-server-that-is-not-available).",
+        activates=True,
+        repeated_in=("rerun",),
+        same_in_shards=False,
     )
     progress_interval: Option[float] = Option(
         None,

@@ -31,6 +31,7 @@ from pytest_dura.plugin.terminal_tables import (
     effectiveness_lines,
     failure_mode_table,
     fault_table,
+    model_lines,
     monitor_table,
     most_rows,
     pair_table,
@@ -413,7 +414,10 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
     if by_hand:
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
     for lines in (
-        failure_mode_table(shown, by_case=context.config.option.verbose > 0),
+        [
+            *failure_mode_table(shown, by_case=context.config.option.verbose > 0),
+            *model_lines(record.head.models),
+        ],
         reliance_table(listed, overall),
         fault_table(listed),
         attack_table(verdicts, record.head.cases),

@@ -23,6 +23,7 @@ from pytest_dura.reports.failure_modes import (
     failure_mode_text,
     failure_modes_by_component,
     measured_failure_modes,
+    unavailability_text,
 )
 from pytest_dura.reports.role_tables import (
     ATTACK_COLUMNS,
@@ -43,7 +44,7 @@ from pytest_dura.requirements.model import FAULTS
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
     from pytest_dura.evidence.episode_model import FaultEntry
-    from pytest_dura.evidence.session_model import MeasureEntry
+    from pytest_dura.evidence.session_model import LanguageModelEntry, MeasureEntry
     from pytest_dura.evidence.verdict_model import (
         EffectivenessEntry,
         MonitorEntry,
@@ -357,6 +358,13 @@ def failure_mode_table(cases: Sequence[CaseEntry], *, by_case: bool = False) -> 
         ]
     columns = shown_in(failure_mode_columns(), Shown.TERMINAL)
     return [*lines, *wrapped_legend(columns)] if lines else []
+
+
+def model_lines(models: Sequence[LanguageModelEntry]) -> list[str]:
+    """Write a line on each language model whose server was not available at times."""
+    texts = ((model, unavailability_text(model)) for model in models)
+    lines = [f"language model {name(model.model)}: {text}" for model, text in texts if text]
+    return [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
 
 
 def _failure_mode_rows(modes: Sequence[FailureModeEntry], whose: str) -> list[str]:

@@ -12,10 +12,13 @@ from pytest_dura.evidence.case_model import (
     Percentiles,
 )
 from pytest_dura.evidence.metrics import share
+from pytest_dura.evidence.session_model import LanguageModelEntry
+from pytest_dura.evidence.text import counted, name
 
 _COUNTS = attrgetter("hits", "of", "null_hits", "null_of", "episodes", "of_episodes")
 FAILURE_MODE_HEADINGS = {
     "failure": "failure modes",
+    "infrastructure": "of the server or the way there, not the component's own",
     "control": "negative control",
     "comparison": "no failure by itself",
 }
@@ -113,6 +116,23 @@ def decision_age_lines(cases: Sequence[CaseEntry]) -> Iterator[tuple[str, str]]:
     for component, spreads in _spreads(cases, attrgetter("answer_ages")).items():
         if any(spread.max > 0.0 for spread in spreads):
             yield component, _percentiles(spreads, "oldest", ".4g")
+
+
+def unavailability_text(model: LanguageModelEntry, show: Callable[[str], str] = name) -> str:
+    """Text on the calls that found a model's server unavailable; empty if there were none.
+
+    Args:
+        model: The model.
+        show: Makes a cause harmless where the text stands.
+    """
+    failed = sum(model.unavailable.values())
+    if not failed and not model.repeated:
+        return ""
+    causes = ", ".join(f"{count} x {show(cause)}" for cause, count in model.unavailable.items())
+    repeated = "none was repeated" if not model.repeated else (
+        f"{counted(model.repeated, 'request')} {'was' if model.repeated == 1 else 'were'} repeated"
+    )  # fmt: skip
+    return f"unavailable in {counted(failed, 'call')} ({causes}); {repeated}"
 
 
 def _timeouts(cases: Sequence[CaseEntry]) -> dict[str, tuple[int, int]]:

@@ -30,6 +30,7 @@ from pytest_dura.reports.failure_modes import (
     decision_age_lines,
     decision_time_lines,
     failure_modes_by_component,
+    unavailability_text,
 )
 from pytest_dura.reports.role_tables import FailureModeRow, failure_mode_columns
 from pytest_dura.reports.searches import ordered_outcomes, outcome_headline
@@ -87,6 +88,8 @@ def _model_line(model: LanguageModelEntry) -> str:
         f"{model.reused} from the cassette, {model.injected} injected faults, "
         f"{model.missed} missed"
     )
+    if unavailability := unavailability_text(model, _name):
+        text += f"; {unavailability}"
     cassette = model.cassette
     if cassette is None:
         return text

@@ -17,6 +17,7 @@ from corridors import scenario
 from test_fault_campaigns_option import BIAS, NOISE, near_the_wall
 from test_secrets import texts
 
+from pytest_dura.__main__ import main
 from pytest_dura.evidence import SessionRecord, record_problems, verify_bundle
 from pytest_dura.llm import session as sessions
 
@@ -29,6 +30,7 @@ from scripted_server import (  # noqa: E402 - support modules lie elsewhere
     answers,
     answers_by,
     echoes_the_key,
+    fails,
 )
 
 KEY = "planted-Zx9Q7wert-key"
@@ -483,3 +485,87 @@ def test_a_session_without_a_language_model_imports_nothing_that_one_needs(proje
     )
     assert told.stdout.splitlines()[-1] == "[]"
     assert project.evidence().models == []
+
+
+def busy_at_first(times, *, retry_after=0):
+    """As :func:`speed`, but for the first requests about a gap, which find the server busy."""
+    left = [times]
+
+    def behave(exchange):
+        if "gap" in exchange.request.prompt and left[0]:
+            left[0] -= 1
+            fails(429, retry_after=retry_after)(exchange)
+        else:
+            answers_by(speed)(exchange)
+
+    return behave
+
+
+@pytest.mark.parametrize("given", ["option", "environment", "workers"])
+def test_a_server_that_is_busy_is_asked_again_where_it_is_wanted(
+    talking, server, monkeypatch, given
+):
+    server._otherwise = busy_at_first(3)
+    more = {"option": ["--dura-llm-retries=3"], "environment": [],
+            "workers": ["--dura-llm-retries=3", "-n", "1"]}[given]  # fmt: skip
+    if given == "environment":
+        monkeypatch.setenv("DURA_LLM_RETRIES", "3")
+    result = run(talking, "live", *more, runs=1)
+    (told,) = talking.evidence().models
+    assert (told.repeated, told.unavailable) == (3, {"HTTP 429": 3})
+    assert told.asked + told.repeated == len(prompts(server))
+    line = f"language model {server.model}: unavailable in 3 calls (3 x HTTP 429); 3 requests *"
+    result.stdout.fnmatch_lines([line])
+    failures = [one.metrics.violations for one in talking.evidence().episodes]
+    assert not any("generator" in one for one in failures)
+    for page, text in {"summary.md": "3 requests were repeated", "report.html": "3 x "}.items():
+        assert text in (talking.path / "dura-evidence" / page).read_text()
+    assert verify_bundle(talking.path / "dura-evidence").intact
+
+
+def test_otherwise_it_is_not_and_the_record_says_why_it_failed(talking, server):
+    server._otherwise = busy_at_first(3)
+    result = run(talking, "live", runs=1)
+    (told,) = talking.evidence().models
+    assert (told.repeated, told.unavailable) == (0, {"HTTP 429": 3})
+    result.stdout.fnmatch_lines(["*unavailable in 3 calls (3 x HTTP 429); none was repeated"])
+
+
+def test_a_recording_goes_on_where_the_server_was_not_available(talking, server, cut_off):
+    run(talking, "record", runs=1)
+    crossing(talking, "it-fails")
+    server._otherwise = busy_at_first(1)
+    server.requests.clear()
+    run(talking, "record", runs=1)
+    (refused,) = prompts(server)
+    tape = talking.path / "dura-cassette.sqlite"
+    assert main(["cassette", str(tape), "--drop-failures"]) == 0
+    server.requests.clear()
+    run(talking, "record", runs=1)
+    # What failed is asked again, with what comes after it now, and nothing of the other cases.
+    again = prompts(server)
+    assert again[0] == refused
+    (told,) = talking.evidence().models
+    assert told.asked == len(again) < told.reused
+    assert told.unavailable == {}
+    cut_off()
+    run(talking, "replay", runs=1)
+    (told,) = talking.evidence().models
+    assert (told.missed, told.unavailable) == (0, {})
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--dura-llm-retries=-1"], "a whole number of at least 0"),
+        (["--dura-llm-retries=21"], "repeats a request too often"),
+        (["--dura-llm-retries=2", "--dura-executor=processes:2"], "set DURA_LLM_RETRIES=2 where"),
+    ],
+)
+def test_a_number_of_retries_that_cannot_be_used_is_one_usage_error(
+    talking, server, arguments, words
+):
+    result = talking.scenarios(GENERATOR, *arguments)
+    assert result.ret == 4
+    assert words in result.stderr.str()
+    assert server.requests == []

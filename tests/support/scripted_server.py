@@ -257,16 +257,19 @@ class ScriptedServer:
         at_most: Seconds after which it closes by itself.
         keep_alive: Whether a connection takes several requests; a behaviour then tells the length.
         tls: With what it speaks TLS.
+        port: Where it listens; by default where nobody does.
     """
 
-    def __init__(self, *behaviours, otherwise=None, at_most=60.0, keep_alive=False, tls=None):
+    def __init__(
+        self, *behaviours, otherwise=None, at_most=60.0, keep_alive=False, tls=None, port=0
+    ):
         self.accepted = 0
         self.requests, self.unscripted = [], []
         self.model = MODEL
         self._behaviours, self._otherwise = deque(behaviours), otherwise
         self._lock, self._stopped = threading.Lock(), threading.Event()
         self._connections = set()
-        self._server = _Server(("127.0.0.1", 0), _KeepingHandler if keep_alive else _Handler)
+        self._server = _Server(("127.0.0.1", port), _KeepingHandler if keep_alive else _Handler)
         if tls is not None:
             self._server.socket = tls.wrap_socket(self._server.socket, server_side=True)
         self.port = self._server.server_address[1]

@@ -8,6 +8,7 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
@@ -346,3 +347,75 @@ def test_the_listing_is_json_that_acts_on_no_terminal(recorded, capsys):
 def test_the_listing_of_something_else_is_one_error(tmp_path, capsys):
     assert main(["cassette", str(tmp_path / "none")]) == 2
     assert "there is no such cassette" in capsys.readouterr().err
+
+
+def failed(text, failure):
+    whole = exchange(text)
+    return replace(whole, answer=Answer(failure=failure, detail="no", cause="HTTP 503"))
+
+
+@pytest.fixture
+def failing(recorded):
+    cassette = Cassette(recorded, writable=True)
+    for failure in ("unavailable", "timeout", "empty"):
+        cassette.add(failed(failure, failure))
+    cassette.add(failed("twice", "unavailable"))
+    cassette.close()
+    return recorded
+
+
+def outcomes(tape):
+    return [one.answer.failure for one in Cassette(tape, writable=False).exchanges()]
+
+
+def test_failures_of_the_server_are_dropped_and_the_model_s_own_stay(failing, capsys):
+    assert main(["cassette", str(failing), "--drop-failures"]) == 0
+    told = capsys.readouterr().out
+    assert told == "removed 2 exchanges that failed (2 unavailable); 3 are left\n"
+    assert outcomes(failing) == ["", "timeout", "empty"]
+    assert main(["cassette", str(failing), "--drop-failures"]) == 0
+    assert "removed 0 exchanges" in capsys.readouterr().out
+
+
+def test_other_classes_are_dropped_where_they_are_named(failing, capsys):
+    classes = ["--class", "timeout", "--class=empty"]
+    assert main(["cassette", str(failing), "--drop-failures", *classes]) == 0
+    assert "removed 2 exchanges that failed (1 timeout, 1 empty); 3" in capsys.readouterr().out
+    assert outcomes(failing) == ["", "unavailable", "unavailable"]
+    assert main(["cassette", str(failing), *classes]) == 2
+    assert "--drop-failures" in capsys.readouterr().err
+
+
+def test_what_is_dropped_is_dropped_whole_or_not_at_all(failing, capsys):
+    by_hand = sqlite3.connect(failing)
+    by_hand.execute("UPDATE exchanges SET answer = '{' WHERE id = 5")
+    by_hand.commit()
+    by_hand.close()
+    before = failing.read_bytes()
+    assert main(["cassette", str(failing), "--drop-failures"]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+    assert failing.read_bytes() == before
+
+
+def test_nothing_is_made_where_there_is_nothing_to_drop(tmp_path, capsys):
+    assert main(["cassette", str(tmp_path / "none"), "--drop-failures"]) == 2
+    assert "there is no such cassette" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "change", ["cause', 5", "attempts', 0", "retry_after', 'x'", "waited', -1"]
+)
+def test_what_few_answers_have_is_checked_too(recorded, change):
+    by_hand = sqlite3.connect(recorded)
+    by_hand.execute(f"UPDATE exchanges SET answer = json_set(answer, '$.{change})")
+    by_hand.commit()
+    by_hand.close()
+    with pytest.raises(ConfigurationError, match="of an answer"):
+        list(Cassette(recorded, writable=False).exchanges())
+
+
+def test_an_answer_without_anything_new_is_stored_as_ever():
+    assert set(Answer("x").to_json()) == {
+        "text", "failure", "detail", "seconds", "finish", "usage", "fingerprint"
+    }  # fmt: skip

@@ -15,7 +15,7 @@ import pytest
 from pytest_dura.core import ComponentEnvironmentError, ConfigurationError, environment_errors
 from pytest_dura.llm import Answer, Cassette, Delivery, Image, Message, ModelSession, Request
 from pytest_dura.llm import session as sessions
-from pytest_dura.llm.cassette import LONGEST_MISS, CassetteMissError
+from pytest_dura.llm.misses import LONGEST_MISS, CassetteMissError
 
 KEY = "planted-key-1234567"
 PROMPT = "EGO\nspeed 8.0 m/s\nLIDAR\nV1 at 12.0 m\nV2 at 30.0 m"

@@ -1,0 +1,138 @@
+"""Misses: what differs from the nearest recorded request where a cassette has no answer."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from itertools import zip_longest
+from typing import Any
+
+from pytest_dura.core.errors import ComponentEnvironmentError, shorten
+from pytest_dura.llm.cassette import Cassette, Data, Exchange
+
+_MOST_COMPARED = 5000
+"""Exchanges of a model that are compared with a request; a miss must not take minutes."""
+LONGEST_MISS = 900
+_LONGEST_SHOWN = 90
+_PARAMETERS = ("structured", "temperature", "max_tokens", "seed", "sample")
+_HEADING = re.compile(r"[\W_]*([A-Z][A-Z_]{2,29})(?:\W|$)")
+
+
+class CassetteMissError(ComponentEnvironmentError):
+    """Error for a request to which the cassette has no answer: in replay no server is asked."""
+
+    def __init__(self, problem: str) -> None:
+        super().__init__("cassette", problem)
+
+
+def explain_miss(cassette: Cassette, request: Data, fingerprint: str) -> str:
+    """Name what differs from the nearest recorded request, on one line of bounded length.
+
+    The nearest one has the most messages in common, then the sample, then the most lines of the
+    message that differs first. The text depends on the file and the request alone.
+
+    Args:
+        cassette: The cassette without the request.
+        request: ``Request.to_json()``, without secrets as the recorded ones.
+        fingerprint: Of the server that was to answer.
+
+    Raises:
+        ConfigurationError: If the cassette cannot be read.
+    """
+    best: Exchange | None = None
+    best_score: tuple[int, ...] = ()
+    compared = 0
+    for exchange in cassette.exchanges(request["model"]):
+        score = _likeness(exchange, request, fingerprint)
+        if best is None or score > best_score:
+            best, best_score = exchange, score
+        compared += 1
+        if compared == _MOST_COMPARED:
+            break
+    text = f"the cassette {cassette.file.name} has no answer to a request to {request['model']!r}"
+    if best is None:
+        models = sorted({str(description["model"]) for description in cassette.descriptions()})
+        known = f"it knows {shorten(models)}" if len(cassette) else "it is empty"
+        return _bounded(f"{text}: of this model it has none; {known}")
+    differences = list(_differences(best, request, fingerprint))
+    differs = "; ".join(differences) or "what was taken out of it as a secret"
+    return _bounded(f"{text}; from the nearest of {compared} recorded ones it differs in {differs}")
+
+
+def _bounded(text: str) -> str:
+    return text if len(text) <= LONGEST_MISS else text[: LONGEST_MISS - 1] + "…"
+
+
+def _likeness(exchange: Exchange, request: Data, fingerprint: str) -> tuple[int, ...]:
+    recorded = exchange.request
+    pairs = list(zip(recorded["messages"], request["messages"], strict=False))
+    equal = sum(old == new for old, new in pairs)
+    lines = next((_common(old, new) for old, new in pairs if old != new), 0)
+    same = sum(recorded[name] == request[name] for name in (*_PARAMETERS, "schema"))
+    sample = recorded["sample"] == request["sample"]
+    return equal, sample, lines, same, exchange.fingerprint == fingerprint
+
+
+def _common(old: Data, new: Data) -> int:
+    """Number of lines that two messages have in common."""
+    return len({*old["text"].splitlines()} & {*new["text"].splitlines()})
+
+
+def _differences(exchange: Exchange, request: Data, fingerprint: str) -> Iterator[str]:
+    recorded = exchange.request
+    if exchange.fingerprint != fingerprint:
+        yield f"the server's fingerprint ({_was(exchange.fingerprint, fingerprint)})"
+    for name in _PARAMETERS:
+        if recorded[name] != request[name]:
+            yield f"{name} ({_was(recorded[name], request[name])})"
+    if recorded["schema"] != request["schema"]:
+        yield "the schema of the answer"
+    before, now = recorded["messages"], request["messages"]
+    if len(before) != len(now):
+        yield f"the number of messages ({_was(len(before), len(now))})"
+    for number, (old, new) in enumerate(zip(before, now, strict=False), start=1):
+        if old != new:
+            yield f"message {number} ({new['role']}), {_in_message(old, new)}"
+            return
+
+
+def _in_message(old: Data, new: Data) -> str:
+    """What differs first in a message."""
+    if old["role"] != new["role"]:
+        return f"its role ({_was(old['role'], new['role'])})"
+    if old["images"] != new["images"]:
+        names = [
+            str((image or other)["name"])
+            for image, other in zip_longest(new["images"], old["images"])
+            if image != other
+        ]
+        where = f"image {shorten(names[0])}"
+        return where if old["text"] == new["text"] else f"{where}, and {_in_text(old, new)}"
+    return _in_text(old, new)
+
+
+def _in_text(old: Data, new: Data) -> str:
+    before, now = old["text"].splitlines(), new["text"].splitlines()
+    for number, (was, is_now) in enumerate(zip_longest(before, now)):
+        if was != is_now:
+            headings = (_HEADING.match(line) for line in reversed(now[: number + 1]))
+            block = next((f", block {heading[1]}" for heading in headings if heading), "")
+            return f"line {number + 1}{block} ({_was(*_from_difference(was, is_now))})"
+    return "the ends of its lines"
+
+
+def _from_difference(was: str | None, now: str | None) -> tuple[str | None, str | None]:
+    """Two lines from shortly before their first difference, if that is far from the beginning."""
+    if was is None or now is None:
+        return was, now
+    ends = (i for i, (old, new) in enumerate(zip(was, now, strict=False)) if old != new)
+    begin = next(ends, min(len(was), len(now))) - _LONGEST_SHOWN // 3
+    return (was, now) if begin <= 0 else (f"…{was[begin:]}", f"…{now[begin:]}")
+
+
+def _was(recorded: Any, now: Any) -> str:
+    return f"recorded {_shown(recorded)}, asked {_shown(now)}"
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is None else shorten(value, _LONGEST_SHOWN)
