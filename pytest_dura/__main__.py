@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -100,6 +101,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         choices=("fail", "warn"),
         default="warn",
         help="what a rate that got worse than the baseline's does to the gate (default: warn)",
+    )
+    compare = commands.add_parser(
+        "compare", help="show the components of several bundles side by side"
+    )
+    compare.add_argument(
+        "directories",
+        metavar="DIR",
+        type=Path,
+        nargs="+",
+        help="evidence directories; the others are held against the first component",
+    )
+    compare.add_argument(
+        "--all", action="store_true", help="show each verdict, and the pairs of each case"
+    )
+    compare.add_argument(
+        "--json", metavar="FILE", type=Path, help="write everything to this file, too"
     )
     prune = commands.add_parser(
         "prune", help="remove what no session has used for long from a directory of --dura-reuse"
@@ -315,6 +332,27 @@ def _merge(options: argparse.Namespace) -> int:
     return 0 if merged.passed else 1
 
 
+def _compare(options: argparse.Namespace) -> int:
+    from pytest_dura.evidence.side_by_side import compare_bundles
+    from pytest_dura.reports.side_by_side import side_by_side_lines
+
+    result = compare_bundles(options.directories)
+    _print_any_file_name()
+    for line in side_by_side_lines(result, everything=options.all):
+        print(line)
+    if options.json is not None:
+        try:
+            options.json.write_text(json.dumps(result.to_json(), indent=1) + "\n", "utf-8")
+        except OSError as error:
+            raise ConfigurationError(
+                f"the comparison cannot be written: {error.strerror}",
+                file=str(options.json),
+                key="--json",
+                remedy="name a file that can be written",
+            ) from None
+    return 0
+
+
 def _prune(options: argparse.Namespace) -> int:
     from pytest_dura.execution.cache import prune, read_age, read_size
 
@@ -411,6 +449,7 @@ _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "sign": _sign,
     "cassette": _use_cassette,
     "merge": _merge,
+    "compare": _compare,
     "prune": _prune,
     "train-detector": _train,
 }

@@ -52,6 +52,10 @@ class Conditions:
         values["fault_injector"] = plain_data(spec.roles.get("fault_injector"))
         return cls(spec.seed, dict(_leaves("", values)))
 
+    def differences(self, other: Conditions) -> list[str]:
+        """List the dotted paths at which the values differ, sorted."""
+        return sorted(_different(self.values, other.values))
+
 
 def _changed_conditions(
     first_runs: Mapping[int, Conditions], second_runs: Mapping[int, Conditions]
@@ -297,6 +301,13 @@ def compare_claims(claims: Sequence[Claim], baseline: Sequence[Claim]) -> list[B
         claims: Of the new record.
         baseline: Of the earlier record.
     """
+    return corrected_comparisons(uncorrected_comparisons(claims, baseline))
+
+
+def uncorrected_comparisons(
+    claims: Sequence[Claim], baseline: Sequence[Claim]
+) -> list[BaselineComparison]:
+    """Compare as :func:`compare_claims`, each by itself."""
     comparisons = []
     for own, other in _matched_claims(claims, baseline):
         if own is not None and other is not None:
@@ -310,11 +321,12 @@ def compare_claims(claims: Sequence[Claim], baseline: Sequence[Claim]) -> list[B
                 BaselineComparison(other.requirement, other.case, None, other.component, "gone")
             )
     comparisons.sort(key=lambda comparison: (comparison.case, comparison.requirement))
-    return _holm_corrected(comparisons)
+    return comparisons
 
 
-def _holm_corrected(comparisons: list[BaselineComparison]) -> list[BaselineComparison]:
+def corrected_comparisons(comparisons: Sequence[BaselineComparison]) -> list[BaselineComparison]:
     """Correct the results by Holm's method over everything with a p-value."""
+    comparisons = list(comparisons)
     family = [i for i, comparison in enumerate(comparisons) if comparison.p_worse is not None]
     worse = holm([comparisons[i].p_worse or 0.0 for i in family])
     better = holm([comparisons[i].p_better or 0.0 for i in family])

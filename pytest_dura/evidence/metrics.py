@@ -76,11 +76,11 @@ class FailureModes:
 
     def answer_times(self) -> dict[str, Any] | None:
         """Summarise how long decisions took by the component's account, in s of wall-clock time."""
-        return _percentile_summary(self._seconds)
+        return percentile_summary(self._seconds)
 
     def answer_ages(self) -> dict[str, Any] | None:
         """Summarise the ages of decisions when they took effect, in simulated s."""
-        return _percentile_summary(self._ages)
+        return percentile_summary(self._ages)
 
 
 def share(part: int, whole: int) -> float | None:
@@ -88,7 +88,8 @@ def share(part: int, whole: int) -> float | None:
     return part / whole if whole else None
 
 
-def _percentile_summary(values: Iterable[float]) -> dict[str, Any] | None:
+def percentile_summary(values: Iterable[float]) -> dict[str, Any] | None:
+    """Summarise times of decisions, as in :class:`Percentiles`; ``None`` without any."""
     ordered = sorted(values)
     if not ordered:
         return None

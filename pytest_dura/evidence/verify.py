@@ -414,7 +414,7 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
         record = open_record(directory / RECORD_FILE)
     except DamagedRecordError as error:
         verification.problems += [f"{RECORD_FILE}: schema: {each}" for each in error.mismatches]
-        verification.problems += hash_problems(directory, _resume_files(names))
+        verification.problems += hash_problems(directory, resume_files(names))
         return verification  # what follows needs the shape of the schema
     except ConfigurationError as error:
         verification.problems += [*manifest_problems(directory), f"{RECORD_FILE}: {error}"]
@@ -433,7 +433,7 @@ def _check_sentences(
     verification: Verification, record: SessionRecord, names: Iterable[str]
 ) -> None:
     problems = verification.problems
-    kept = () if record.head.gate.result == "passed" else _resume_files(names)
+    kept = () if record.head.gate.result == "passed" else resume_files(names)
     problems += hash_problems(record.directory, kept)
     problems += _extra_files(record)
     verification.totals = record.head.totals
@@ -445,7 +445,7 @@ def _check_sentences(
         problems += rendering_problems(record)
 
 
-def _resume_files(names: Iterable[str]) -> list[str]:
+def resume_files(names: Iterable[str]) -> list[str]:
     """Select the files from which a session that failed can be resumed."""
     return [name for name in names if _RESUME_FILE.fullmatch(name)]
 
