@@ -7,6 +7,11 @@ regular expressions shows whether the text is enough to drive on. It takes the p
 and answers like a model. Told are, by wording and ticks between two decisions, runs with a flag,
 collisions and clearance, and of all flagged ticks: the monitor's reason, and whether the decision
 was made at that tick or was being held. Recovery is on, as in the scenarios.
+
+The rule drives in two manners. ``keen`` asks of a maneuver only that the car can still stop when the
+next decision comes, and disregards what radar contradicts. ``calm`` believes lidar, and takes no
+maneuver that would touch somebody if it were kept for two seconds more: what the safety monitor asks
+of each tick.
 """
 
 from __future__ import annotations
@@ -91,6 +96,9 @@ MARGIN = 0.8
 """s between its time on a place and another's."""
 COMMITTED = 0.5
 """s after the decision's hold, for which the rule must still be able to stop before the line."""
+OUTLOOK = 2.0
+"""s that the calm rule looks beyond the decision's hold, as the safety monitor does at each tick."""
+MANNERS = ("keen", "calm")
 STEP = 0.1
 """s."""
 
@@ -185,17 +193,26 @@ def _follows(course: list[tuple[float, float, float]], met: Mapping[str, Any], r
     return True
 
 
+def _touches(course: list[tuple[float, float, float]], met: Mapping[str, Any]) -> bool:
+    """Whether the front would be where somebody is on the lane, while that one is there."""
+    return any(
+        way > met["at"] + met["along"] * time - 1.5
+        for time, way, speed in course
+        if met["comes"] - REACTION <= time <= met["leaves"] + REACTION and speed > 0.1
+    )
+
+
 def _passes(met: Mapping[str, Any]) -> bool:
     """Whether the ego, accelerating, is past before another comes, or comes when it has left."""
     before = met["you_leave"] + MARGIN < met["comes"]
     return before or met["leaves"] + MARGIN < met["you_come"]
 
 
-def decide(read_: Text) -> tuple[str, list[str]]:
+def decide(read_: Text, manner: str = "keen") -> tuple[str, list[str]]:
     """The quickest maneuver that is safe while it is held, and the ids of what forbids others."""
-    crossing, ahead = [], []
+    crossing, ahead, calm = [], [], manner == "calm"
     for met in read_.conflicts:
-        if met["id"] in read_.doubted:
+        if met["id"] in read_.doubted and not calm:
             continue
         lasting = met["comes"] == 0.0 and met["leaves"] > met["you_come"]
         (ahead if lasting or met["id"] in read_.walkers else crossing).append(met)
@@ -211,6 +228,9 @@ def decide(read_: Text) -> tuple[str, list[str]]:
             against += blocked
         elif not before_line:
             against += [met for met in crossing if not _follows(course, met, read_)]
+        if calm:
+            longer = _course(maneuver, read_, OUTLOOK)
+            against += [met for met in (*ahead, *crossing) if _touches(longer, met)]
         if not before_line and maneuver in ("wait", "yield"):
             continue
         if not against:
@@ -224,10 +244,13 @@ class Rule:
 
     model, base_url = "text rule", "http://127.0.0.1:1/v1"
 
+    def __init__(self, manner: str = "keen") -> None:
+        self._manner = manner
+
     def ask(self, request: Request, _budget: float) -> Answer:
         """Answer like a model."""
         read_ = read(request.messages[0].text, request.messages[-1].text)
-        maneuver, ids = decide(read_)
+        maneuver, ids = decide(read_, self._manner)
         after = _course(maneuver, read_)[-1][2]
         changed = after - read_.speed
         answer = {
@@ -278,8 +301,8 @@ def _reasons(episode: Any) -> Counter[tuple[str, str]]:
     return counted
 
 
-Key = tuple[str, str, int, int]
-"""Wording, case, ticks between decisions, run."""
+Key = tuple[str, str, str, int, int]
+"""Wording, manner, case, ticks between decisions, run."""
 
 
 def templates_of(wording: str, folder: Path) -> Path | None:
@@ -291,16 +314,16 @@ def templates_of(wording: str, folder: Path) -> Path | None:
 
 def run(job: tuple[Key, int, str | None]) -> tuple[Key, Outcome]:
     """One episode."""
-    (wording, name, every, number), seed, templates = job
+    (_, manner, name, every, number), seed, templates = job
     params = {"samples": 1, "beside": (), "decide_every": every, "templates": templates}
     (case,) = expand_cases(load_library([]).scenarios, select=[f"{name}*"])
-    with session.using(session.ModelSession(environ={}, connect=lambda *_: Rule())):
+    with session.using(session.ModelSession(environ={}, connect=lambda *_: Rule(manner))):
         spec = case.spec(number, seed, {"generator": RoleSpec(PLANNER, params)})
         episode = run_episode(spec, recorded=True)
     if episode.failure is not None:
         raise RuntimeError(episode.failure)
     cleared = episode.signals["cleared"] > 0.5
-    return (wording, name, every, number), Outcome(
+    return job[0], Outcome(
         flagged=episode.flagged,
         collided=episode.collided,
         clearance=float(episode.time[np.argmax(cleared)]) if cleared.any() else None,
@@ -327,13 +350,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--every", type=int, nargs="+", default=[10, 1])
     parser.add_argument("--wording", nargs="+", default=WORDINGS, choices=WORDINGS)
+    parser.add_argument("--manner", nargs="+", default=MANNERS, choices=MANNERS)
     given = parser.parse_args()
     cases = sorted(case.id for case in expand_cases(load_library([]).scenarios))
     with tempfile.TemporaryDirectory() as temporary, ProcessPoolExecutor(given.jobs) as pool:
         folders = {name: templates_of(name, Path(temporary)) for name in given.wording}
         jobs = [
-            ((wording, case, every, number), given.seed, folder and str(folder))
+            ((wording, manner, case, every, number), given.seed, folder and str(folder))
             for wording, folder in folders.items()
+            for manner in given.manner
             for every in given.every
             for case in cases
             for number in range(given.runs)
@@ -341,20 +366,18 @@ def main() -> None:
         outcomes = dict(pool.map(run, jobs, chunksize=5))
     print(f"{machine()}\n")
     rows, why = [], []
-    for wording in given.wording:
-        for every in given.every:
-            for case in cases:
-                key = (wording, case, every)
-                listed = [each for name, each in outcomes.items() if name[:3] == key]
-                rows.append([wording, f"{every / 10:g}", case, *_row(listed)])
-            together = [o for k, o in outcomes.items() if (k[0], k[2]) == (wording, every)]
-            counted = sum((each.reasons for each in together), Counter[tuple[str, str]]())
-            for (reason, when), count in sorted(counted.items()):
-                why.append([wording, f"{every / 10:g}", reason, when, str(count)])
-    headers = ["wording", "every s", "scenario", "n", "flag %", "coll %", "clearance s"]
-    print(table(headers, rows))
+    for arm in dict.fromkeys((key[0], key[1], key[3]) for key in outcomes):
+        wording, manner, every = arm
+        shown = [wording, manner, f"{every / 10:g}"]
+        together = {key: each for key, each in outcomes.items() if (*key[:2], key[3]) == arm}
+        for case in cases:
+            rows.append([*shown, case, *_row([o for key, o in together.items() if key[2] == case])])
+        counted = sum((each.reasons for each in together.values()), Counter[tuple[str, str]]())
+        why += [[*shown, *reason, str(count)] for reason, count in sorted(counted.items())]
+    arm_headers = ["wording", "manner", "every s"]
+    print(table([*arm_headers, "scenario", "n", "flag %", "coll %", "clearance s"], rows))
     print()
-    print(table(["wording", "every s", "reason of the flag", "decision", "ticks"], why))
+    print(table([*arm_headers, "reason of the flag", "decision", "ticks"], why))
 
 
 if __name__ == "__main__":
