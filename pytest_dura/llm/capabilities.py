@@ -14,10 +14,19 @@ import numpy as np
 
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.state import NOTHING
 from pytest_dura.llm.answers import read_answer
 from pytest_dura.llm.client import import_extra
 from pytest_dura.llm.endpoint import KEY, MODEL, URL, Endpoint
-from pytest_dura.llm.port import Answer, ChatPort, Image, Message, Request, Structured
+from pytest_dura.llm.port import (
+    Answer,
+    ChatPort,
+    Image,
+    Message,
+    Request,
+    Structured,
+    TokensField,
+)
 from pytest_dura.llm.retries import Retries
 
 LEVELS: tuple[Structured, ...] = get_args(Structured)
@@ -40,6 +49,9 @@ class Capabilities:
         attempts: Tries until the first answer.
         requests: All requests that were made.
         words: A sentence on each of these, by name.
+        tokens: The field in which it takes the longest answer.
+        temperature: Whether it takes a temperature of 0.
+        extra_body: Further fields of each request's body, as the environment has them.
     """
 
     model: str
@@ -52,10 +64,14 @@ class Capabilities:
     attempts: int = 1
     requests: int = 0
     words: Mapping[str, str] = field(default_factory=dict)
+    tokens: TokensField = "max_tokens"
+    temperature: bool = True
+    extra_body: Mapping[str, Any] = NOTHING
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
-        return asdict(self) | {"words": dict(self.words)}
+        rest = replace(self, words={}, extra_body={})
+        return asdict(rest) | {"words": dict(self.words), "extra_body": dict(self.extra_body)}
 
 
 _STABLE = (
@@ -176,6 +192,57 @@ _ATTEMPTS = 3
 _RETRIES = Retries(_ATTEMPTS - 1)
 _NO_ANSWER = ("unavailable", "timeout", "malformed")
 _PERMANENT = (401, 403, 404)
+_INVALID = (400, 422)
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """Fields that a server takes, as far as its refusals have shown."""
+
+    seed: bool = True
+    tokens: TokensField = "max_tokens"
+    temperature: bool = True
+
+    def applied(self, request: Request) -> Request:
+        """The request in this dialect."""
+        return replace(
+            request,
+            seed=request.seed if self.seed else None,
+            tokens=self.tokens,
+            temperature=request.temperature if self.temperature else None,
+        )
+
+    def after(self, refusal: Answer, request: Request) -> Dialect | None:
+        """The dialect to try after a refusal that names a field of the request, if it does."""
+        if _status_of(refusal) not in _INVALID:
+            return None
+        if request.tokens != "none" and re.search(r"max_(completion_)?tokens", refusal.detail):
+            return self._next_tokens()
+        if request.temperature is not None and "temperature" in refusal.detail:
+            return replace(self, temperature=False)
+        if request.seed is not None and re.search(r"\bseed\b", refusal.detail):
+            return replace(self, seed=False)
+        return None
+
+    def weaker(self) -> Dialect | None:
+        """The dialect to try after a refusal that names nothing; ``None`` after the last one."""
+        if self.seed:
+            return replace(self, seed=False)
+        if self.tokens != "none":
+            return self._next_tokens()
+        return replace(self, temperature=False) if self.temperature else None
+
+    def _next_tokens(self) -> Dialect:
+        names = get_args(TokensField)
+        return replace(self, tokens=names[min(names.index(self.tokens) + 1, len(names) - 1)])
+
+    @property
+    def words(self) -> str:
+        """A sentence on the fields that it does not take."""
+        refused = [] if self.tokens == "max_tokens" else ["max_tokens"]
+        refused += ["max_completion_tokens"] if self.tokens == "none" else []
+        refused += [] if self.temperature else ["temperature"]
+        return f"refused {', '.join(refused)}" if refused else "takes max_tokens and temperature"
 
 
 class ProbePort(ChatPort, Protocol):
@@ -199,15 +266,25 @@ class ProbeCalls:
         self._port, self._endpoint, self._budget, self._pause = port, endpoint, budget, pause
         self.requests = 0
         self.attempts = 0
+        self.dialect = Dialect()
         self.fingerprints: set[str] = set()
 
     def ask(self, request: Request) -> Answer:
-        """The answer to a request.
+        """The answer to a request, made in the server's dialect as far as that is known.
 
         It is repeated where the server is not available: what a server cannot do must not be
-        concluded from what it was too busy for.
+        concluded from what it was too busy for. It is also repeated without a field that the
+        server names as it refuses it.
         """
-        return _RETRIES.ask(lambda _: self._call(request), self._budget, counted=False)
+        while True:
+            adapted = self.dialect.applied(request)
+            answer = _RETRIES.ask(
+                lambda _, made=adapted: self._call(made), self._budget, counted=False
+            )
+            dialect = self.dialect.after(answer, adapted)
+            if dialect is None:
+                return answer
+            self.dialect = dialect
 
     def _call(self, request: Request) -> Answer:
         """Make one call, and count it."""
@@ -217,25 +294,31 @@ class ProbeCalls:
             self.fingerprints.add(answer.fingerprint)
         return answer
 
-    def first(self, request: Request) -> tuple[Answer, Request]:
-        """The first answer, and the request that got it: without a seed where seeds are refused.
+    def first(self, request: Request) -> Answer:
+        """The first answer, to the request in the dialect of the server.
 
         Raises:
             ConfigurationError: If there is no answer after :data:`_ATTEMPTS` tries, or the server
                 refuses for good.
         """
+        unanswered = 0
         while True:
             self.attempts += 1
-            answer = self._call(request)
+            adapted = self.dialect.applied(request)
+            answer = self._call(adapted)
             if answer.failure not in _NO_ANSWER:
-                return answer, request
+                return answer
             status = _status_of(answer)
-            if status in _PERMANENT or self.attempts == _ATTEMPTS:
+            if status in _INVALID:
+                dialect = self.dialect.after(answer, adapted) or self.dialect.weaker()
+                if dialect is None:
+                    raise self._no_answer_error(answer, status)
+                self.dialect = dialect
+                continue
+            unanswered += 1
+            if status in _PERMANENT or unanswered == _ATTEMPTS:
                 raise self._no_answer_error(answer, status)
-            if status in (400, 422):
-                request = replace(request, seed=None)
-            else:
-                time.sleep(max(self._pause * self.attempts, _RETRIES.pause(answer, 1) or 0.0))
+            time.sleep(max(self._pause * unanswered, _RETRIES.pause(answer, 1) or 0.0))
 
     def server(self) -> ServerListing:
         """The server's listing; called last, it covers the fingerprints of all answers."""
@@ -298,7 +381,9 @@ def probe(
     port: ProbePort, endpoint: Endpoint, budget: float, *, pause: float = 0.5,
     schema: Mapping[str, Any] = SCHEMA,
 ) -> Capabilities:  # fmt: skip
-    """Measure the capabilities of a server and its model, in 5 to 8 requests.
+    """Measure the capabilities of a server and its model, in 5 to 9 requests.
+
+    Each field that the server refuses costs one more.
 
     Args:
         port: The server.
@@ -312,7 +397,7 @@ def probe(
         ConfigurationError: If the server gives no answer at all.
     """
     calls = ProbeCalls(port, endpoint, budget, pause)
-    plain = Request(endpoint.model, (), max_tokens=700)
+    plain = Request(endpoint.model, (), max_tokens=700, extra=endpoint.extra_body)
     seed, seed_words = _seed(calls, plain)
     plain = replace(plain, seed=SEED if seed else None)
     structured, enforced, structured_words = _structured(calls, plain, schema)
@@ -335,7 +420,11 @@ def probe(
             "seed": seed_words,
             "server": server.words,
             "context": "the server tells none" if context is None else f"{context} tokens",
+            "fields": calls.dialect.words,
         },
+        tokens=calls.dialect.tokens,
+        temperature=calls.dialect.temperature,
+        extra_body=endpoint.extra_body,
     )
 
 
@@ -343,8 +432,8 @@ def _seed(calls: ProbeCalls, plain: Request) -> tuple[bool, str]:
     """Whether equal seeds give equal answers where the sampling is free."""
     request = replace(plain, messages=(Message("user", _VARIED),), temperature=1.0, seed=SEED,
                       max_tokens=200)  # fmt: skip
-    first, used = calls.first(request)
-    if used.seed is None:
+    first = calls.first(request)
+    if not calls.dialect.seed:
         return False, "a request with a seed was refused"
     second = calls.ask(request)
     if not first.text.strip() or not second.text.strip():
@@ -371,7 +460,9 @@ def _structured(
         if reading.answered:
             words.append(f"{level}: kept to it when asked for prose")
             return level, True, "; ".join(words)
-        if answer.failure in ("", "truncated", "empty"):
+        # A server that does not know tools answers as if there were none.
+        called = reading.outcome in ("schema_violation", "unknown_action")
+        if called if level == "tool" else answer.failure in ("", "truncated", "empty"):
             taken.append(level)
         words.append(f"{level}: {reading.outcome}, {reading.detail}")
     return (taken[0] if taken else "none"), False, "; ".join(words)

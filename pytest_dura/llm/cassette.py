@@ -26,7 +26,7 @@ from pytest_dura.core.errors import (
     ConfigurationError,
     report_environment_error,
 )
-from pytest_dura.llm.port import ANSWER_EXTRAS, Answer, Request, WireFailure
+from pytest_dura.llm.port import ANSWER_EXTRAS, REQUEST_EXTRAS, Answer, Request, WireFailure
 
 _ANSWER = Answer().to_json()
 _REQUEST = Request("", ()).to_json()
@@ -44,7 +44,7 @@ def _answer_of(data: Mapping[str, Any]) -> Answer:
         if isinstance(usual, str):
             _need(isinstance(data.get(name, ""), str), f"{name} of an answer is no text")
     _need(data["failure"] in _FAILURES, "an answer has a failure of no known class")
-    for name in ("seconds", "retry_after", "waited"):
+    for name in ("seconds", "retry_after", "waited", "first_token"):
         value = data.get(name, 0.0)
         fits = type(value) in (int, float) and math.isfinite(value) and value >= 0.0
         _need(fits, f"{name} of an answer is no time")
@@ -61,7 +61,7 @@ def _check_request(data: Mapping[str, Any]) -> None:
     Raises:
         ValueError: If it is not.
     """
-    _need(set(data) == set(_REQUEST), "a request has other entries")
+    _need(set(data) - set(REQUEST_EXTRAS) == set(_REQUEST), "a request has other entries")
     _need(isinstance(data["messages"], list), "a request has no list of messages")
     for message in data["messages"]:
         _need(

@@ -1,16 +1,22 @@
-"""Endpoint: a server, a model of it, and its key, which is kept out of all texts."""
+"""Endpoint: a server, a model of it, and what is sent there with each request.
+
+The key, and secrets in headers and in the URL's query, are kept out of all texts.
+"""
 
 from __future__ import annotations
 
 import base64
 import json
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from urllib.parse import SplitResult, quote, quote_plus, urlsplit
+from typing import Any
+from urllib.parse import SplitResult, parse_qsl, quote, quote_plus, urlsplit
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.state import NOTHING
+from pytest_dura.llm.answers import refuse_constant
 
 _SHORTEST = 8
 """Characters of the shortest key that is taken for a secret."""
@@ -26,7 +32,7 @@ _SCRUBBED = "[key]"
 
 
 class Scrubber:
-    """Scrubber of a key out of texts: as it is, percent-encoded, escaped in JSON, and in base64.
+    """Scrubber of keys out of texts: as they are, percent-encoded, escaped in JSON, and in base64.
 
     In JSON any of its characters may be written by its number.
 
@@ -35,13 +41,17 @@ class Scrubber:
     shorter than :data:`_SHORTEST` are no secrets, and are left.
     """
 
-    def __init__(self, key: str) -> None:
-        forms = sorted(set(_forms(key)), key=len, reverse=True) if len(key) >= _SHORTEST else []
-        spelt = "".join(rf"(?:{re.escape(char)}|\\u(?i:{ord(char):04x}))" for char in key)
-        self._pattern = re.compile("|".join([*map(re.escape, forms), spelt])) if forms else None
+    def __init__(self, *keys: str) -> None:
+        secrets = [key for key in dict.fromkeys(keys) if len(key) >= _SHORTEST]
+        forms = sorted({form for key in secrets for form in _forms(key)}, key=len, reverse=True)
+        spelt = [
+            "".join(rf"(?:{re.escape(char)}|\\u(?i:{ord(char):04x}))" for char in key)
+            for key in secrets
+        ]
+        self._pattern = re.compile("|".join([*map(re.escape, forms), *spelt])) if forms else None
 
     def scrub(self, text: str) -> str:
-        """The text without the key."""
+        """The text without the keys."""
         return text if self._pattern is None else self._pattern.sub(_SCRUBBED, text)
 
 
@@ -66,6 +76,8 @@ def _inner(encoded: str, offset: int, length: int) -> str:
 
 URL, MODEL, KEY = "DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY"
 """The environment variables."""
+HEADERS, EXTRA_BODY = "DURA_LLM_HEADERS", "DURA_LLM_EXTRA_BODY"
+"""The environment variables with further headers, and further fields of each request's body."""
 ABOUT = "DURA_LLM_ABOUT"
 """The environment variable that describes the model in words, for header, record and cassette."""
 _NO_KEY = "none"
@@ -76,24 +88,50 @@ _LONGEST = 2000
 _LONGEST_ABOUT = 200
 
 
-@dataclass(frozen=True)
-class Endpoint:
-    """An OpenAI-compatible server, a model of it, and the key.
+_HEADER = re.compile(r"[!#$%&'*+.^_`|~0-9A-Za-z-]{1,100}")
+_SECRET = re.compile(r"key|token|secret|auth|pass|cookie|credential|sig|session", re.IGNORECASE)
+"""Names of headers, and of parts of a query, whose values are as secret as the key."""
+_VERSION = "api-version"
+"""The part of a query that is no secret."""
+_OWN_HEADERS = frozenset(
+    {
+        "host", "content-length", "content-type", "transfer-encoding", "connection", "te",
+        "trailer", "upgrade", "expect", "accept-encoding", "proxy-authorization",
+    }
+)  # fmt: skip
+"""Headers that the transport sets, in lower case."""
+_OWN_FIELDS = frozenset(
+    {
+        "model", "messages", "temperature", "max_tokens", "max_completion_tokens", "seed",
+        "stream", "stream_options", "response_format", "tools", "tool_choice", "n",
+    }
+)  # fmt: skip
+"""Fields of a body that a request sets itself, or that would give other than one answer."""
 
-    The key is in no ``repr``; :meth:`scrub` takes it out of texts of others.
+
+@dataclass(frozen=True, repr=False)
+class Endpoint:
+    """An OpenAI-compatible server, a model of it, and what is sent there with each request.
+
+    No secret is in its ``repr``; :meth:`scrub` takes them out of texts of others.
 
     Args:
-        base_url: Up to and with the version, such as ``http://127.0.0.1:11434/v1``.
+        base_url: Up to and with the version, such as ``http://127.0.0.1:11434/v1``; a query is sent
+            with each request.
         model: Name of the model, as the server has it.
         key: Sent as a bearer token to this server alone.
+        headers: Further headers, by name; an ``Authorization`` takes the place of the key.
+        extra_body: Further fields of the body of each request, plain data without secrets.
 
     Raises:
-        ConfigurationError: For a URL, a name or a key that cannot be used.
+        ConfigurationError: For a part that cannot be used.
     """
 
     base_url: str
     model: str
-    key: str = field(default=_NO_KEY, repr=False)
+    key: str = _NO_KEY
+    headers: Mapping[str, str] = NOTHING
+    extra_body: Mapping[str, Any] = NOTHING
 
     def __post_init__(self) -> None:
         _check_url(self.base_url)
@@ -105,8 +143,16 @@ class Endpoint:
                 expected="a name such as `llama3.1:8b`",
             )
         _check_key(self.key)
-        for name, value in ((URL, self.base_url), (MODEL, self.model)):
-            if self.scrub(value) != value:
+        _check_headers(self.headers)
+        _check_extra(self.extra_body)
+        for place, named in ((HEADERS, self.headers.items()), (URL, self.query)):
+            for name, value in named:
+                if _SECRET.search(name) and len(value) < _SHORTEST:
+                    raise _short_secret(place, name)
+        secrets = Scrubber(*self._secrets)
+        extra = json.dumps(dict(self.extra_body))
+        for name, value in ((URL, self.public), (MODEL, self.model), (EXTRA_BODY, extra)):
+            if secrets.scrub(value) != value:
                 raise ConfigurationError(
                     f"{name} holds the key, and stands in many a file",
                     key=name,
@@ -114,14 +160,18 @@ class Endpoint:
                     remedy=f"take it out of {name}, or {_LOCAL_REMEDY}",
                 )
 
+    def __repr__(self) -> str:
+        return f"Endpoint({self.public!r}, {self.model!r})"
+
     @classmethod
     def from_environment(cls, environ: Mapping[str, str]) -> Endpoint:
-        """From ``DURA_LLM_BASE_URL``, ``DURA_LLM_MODEL`` and ``DURA_LLM_API_KEY``.
+        """From ``DURA_LLM_BASE_URL``, ``DURA_LLM_MODEL``, ``DURA_LLM_API_KEY`` and so on.
 
         Raises:
             ConfigurationError: If one of the first two is missing, or one cannot be used.
         """
-        given = {name: environ.get(name, "").strip() for name in (URL, MODEL, KEY)}
+        names = (URL, MODEL, KEY, HEADERS, EXTRA_BODY)
+        given = {name: environ.get(name, "").strip() for name in names}
         for name, example in ((URL, _EXAMPLE), (MODEL, "llama3.1:8b")):
             if not given[name]:
                 raise ConfigurationError(
@@ -130,20 +180,141 @@ class Endpoint:
                     expected=f"such as {example}",
                     remedy=f"set {URL} and {MODEL}, and {KEY} where the server needs a key",
                 )
-        return cls(given[URL], given[MODEL], given[KEY] or _NO_KEY)
+        return cls(
+            given[URL],
+            given[MODEL],
+            given[KEY] or _NO_KEY,
+            _headers_of(given[HEADERS]),
+            _extra_of(given[EXTRA_BODY]),
+        )
 
     @cached_property
     def public(self) -> str:
         """The URL without user, password, query and fragment."""
         return _public(urlsplit(self.base_url))
 
+    @cached_property
+    def address(self) -> str:
+        """The URL without its query."""
+        return self.base_url.partition("?")[0]
+
+    @cached_property
+    def query(self) -> tuple[tuple[str, str], ...]:
+        """Names and values of the URL's query."""
+        return tuple(parse_qsl(urlsplit(self.base_url).query, keep_blank_values=True))
+
+    @cached_property
+    def sent_headers(self) -> dict[str, str]:
+        """The headers that are sent, with the key where there is one."""
+        given = any(name.casefold() == "authorization" for name in self.headers)
+        own = {} if given or self.key == _NO_KEY else {"Authorization": f"Bearer {self.key}"}
+        return own | dict(self.headers)
+
     def scrub(self, text: str) -> str:
-        """The text with every form of the key replaced by ``[key]``."""
+        """The text with every form of the key, and of other secrets, replaced by ``[key]``."""
         return self._scrubber.scrub(text)
+
+    @property
+    def _secrets(self) -> list[str]:
+        """The key, and the values of headers and of the query whose names say so."""
+        named = [*self.headers.items(), *self.query]
+        return [self.key, *_parts(value for name, value in named if _SECRET.search(name))]
 
     @cached_property
     def _scrubber(self) -> Scrubber:
-        return Scrubber(self.key)
+        """Of all secrets; of values that may be some, unless they are in names that are shown."""
+        named = [*self.headers.items(), *((k, v) for k, v in self.query if k != _VERSION)]
+        shown = f"{self.public} {self.model}"
+        maybe = [part for part in _parts(value for _, value in named) if part not in shown]
+        return Scrubber(*self._secrets, *maybe)
+
+
+def _parts(values: Iterable[str]) -> Iterator[str]:
+    """Values, and what they are made of, such as the token in ``Bearer <token>``."""
+    for value in values:
+        yield from (value, *re.split(r"[\s;,]+", value))
+
+
+def _short_secret(place: str, name: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"the value of {name!r} has fewer than {_SHORTEST} characters, so that it cannot be kept"
+        " out of files: it would be taken for ordinary text",
+        key=place,
+        remedy="leave it out where the server does not need it",
+    )
+
+
+def _headers_of(text: str) -> dict[str, str]:
+    """Headers of a JSON object, or of lines such as ``Name: value``."""
+    if text.startswith("{"):
+        return _object_of(HEADERS, text, "a JSON object of texts")
+    headers = {}
+    for line in text.splitlines():
+        name, colon, value = line.partition(":")
+        if not line.strip():
+            continue
+        if not colon:
+            raise _no_headers("has a line without a colon")
+        headers[name.strip()] = value.strip()
+    return headers
+
+
+def _extra_of(text: str) -> dict[str, Any]:
+    return _object_of(EXTRA_BODY, text, "a JSON object") if text else {}
+
+
+def _object_of(name: str, text: str, expected: str) -> dict[str, Any]:
+    try:
+        value = json.loads(text, parse_constant=refuse_constant)
+    except (ValueError, RecursionError):  # its message would show a part of the text
+        value = None
+    if not isinstance(value, dict):
+        raise ConfigurationError(
+            f"{name} is no JSON object", key=name, expected=expected, remedy="check its quotes"
+        )
+    return value
+
+
+def _no_headers(problem: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"{HEADERS} {problem}",
+        key=HEADERS,
+        expected="lines such as `Name: value`, or a JSON object of texts, in ASCII",
+        remedy="correct it; its values are not shown here",
+    )
+
+
+def _check_headers(headers: Mapping[str, str]) -> None:
+    """Refuse headers that cannot be sent, or that are not the user's to choose."""
+    for name, value in headers.items():
+        if not _HEADER.fullmatch(name):
+            raise _no_headers("has a name that no header has")
+        if name.casefold() in _OWN_HEADERS:
+            raise _no_headers(f"sets {name}, which the client sets itself")
+        if not (isinstance(value, str) and value and value.isascii() and value.isprintable()):
+            raise _no_headers(f"has a value of {name} that no header can hold")
+        if len(value) > _LONGEST:
+            raise _no_headers(f"has a value of {name} that is too long")
+    if len({name.casefold() for name in headers}) < len(headers):
+        raise _no_headers("names a header twice")
+
+
+def own_fields(extra: Mapping[str, Any]) -> list[str]:
+    """Fields of a body that a request sets itself, and nobody else can."""
+    return sorted(_OWN_FIELDS & set(extra))
+
+
+def _check_extra(extra: Mapping[str, Any]) -> None:
+    """Refuse fields that a request sets itself."""
+    own = own_fields(extra)
+    if own:
+        raise ConfigurationError(
+            f"{EXTRA_BODY} sets {', '.join(own)}, which a request sets itself",
+            key=EXTRA_BODY,
+            found=", ".join(own),
+            expected="other fields of the body, such as `top_p` or `chat_template_kwargs`",
+            remedy="leave them out; the planner has parameters for some of them",
+        )
 
 
 def model_about(environ: Mapping[str, str]) -> str:
@@ -194,8 +365,8 @@ def _check_url(url: str) -> None:
     shown = _public(parts)
     if not parts.hostname or port == 0:
         raise refused("names no host or port", "name the server's", shown)
-    if parts.query or parts.fragment:
-        raise refused("has a query or a fragment", "end it with the path", shown)
+    if "#" in url:
+        raise refused("has a fragment", "end it with the path, or a query", shown)
     if parts.path.rstrip("/").endswith("/completions"):
         raise refused("goes too far", "leave out /chat/completions", shown)
 

@@ -9,12 +9,13 @@ from typing import Any
 
 from pytest_dura.core.errors import ComponentEnvironmentError, shorten
 from pytest_dura.llm.cassette import Cassette, Data, Exchange
+from pytest_dura.llm.port import REQUEST_EXTRAS
 
 _MOST_COMPARED = 5000
 """Exchanges of a model that are compared with a request; a miss must not take minutes."""
 LONGEST_MISS = 900
 _LONGEST_SHOWN = 90
-_PARAMETERS = ("structured", "temperature", "max_tokens", "seed", "sample")
+_PARAMETERS = ("structured", "temperature", "max_tokens", "seed", "sample", *REQUEST_EXTRAS)
 _HEADING = re.compile(r"[\W_]*([A-Z][A-Z_]{2,29})(?:\W|$)")
 
 
@@ -68,9 +69,13 @@ def _likeness(exchange: Exchange, request: Data, fingerprint: str) -> tuple[int,
     pairs = list(zip(recorded["messages"], request["messages"], strict=False))
     equal = sum(old == new for old, new in pairs)
     lines = next((_common(old, new) for old, new in pairs if old != new), 0)
-    same = sum(recorded[name] == request[name] for name in (*_PARAMETERS, "schema"))
+    same = sum(_part(recorded, name) == _part(request, name) for name in (*_PARAMETERS, "schema"))
     sample = recorded["sample"] == request["sample"]
     return equal, sample, lines, same, exchange.fingerprint == fingerprint
+
+
+def _part(request: Data, name: str) -> Any:
+    return request.get(name, REQUEST_EXTRAS.get(name))
 
 
 def _common(old: Data, new: Data) -> int:
@@ -83,14 +88,15 @@ def _differences(exchange: Exchange, request: Data, fingerprint: str) -> Iterato
     if exchange.fingerprint != fingerprint:
         yield f"the server's fingerprint ({_was(exchange.fingerprint, fingerprint)})"
     for name in _PARAMETERS:
-        if recorded[name] != request[name]:
-            yield f"{name} ({_was(recorded[name], request[name])})"
+        before, now = _part(recorded, name), _part(request, name)
+        if before != now:
+            yield f"{name} ({_was(before, now)})"
     if recorded["schema"] != request["schema"]:
         yield "the schema of the answer"
-    before, now = recorded["messages"], request["messages"]
-    if len(before) != len(now):
-        yield f"the number of messages ({_was(len(before), len(now))})"
-    for number, (old, new) in enumerate(zip(before, now, strict=False), start=1):
+    earlier, later = recorded["messages"], request["messages"]
+    if len(earlier) != len(later):
+        yield f"the number of messages ({_was(len(earlier), len(later))})"
+    for number, (old, new) in enumerate(zip(earlier, later, strict=False), start=1):
         if old != new:
             yield f"message {number} ({new['role']}), {_in_message(old, new)}"
             return

@@ -14,10 +14,12 @@ from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.state import NOTHING, GeneratorView, PastDecision, Proposal
 from pytest_dura.llm import session
 from pytest_dura.llm.answers import Reading, read_answer
-from pytest_dura.llm.port import Answer, Delivery, Message, Request
+from pytest_dura.llm.endpoint import own_fields
+from pytest_dura.llm.port import Answer, Delivery, Message, Request, Structured, TokensField
 from pytest_dura.llm.prompts import Prompt
 
 Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Temperature = Annotated[float, Field(ge=0, le=2, allow_inf_nan=False)]
 Beside = Literal["reordered", "paraphrased", "injected", "conflict", "blind"]
 EVERYTHING: tuple[Beside, ...] = ("reordered", "paraphrased", "injected", "conflict", "blind")
 
@@ -28,11 +30,26 @@ class KnownServer(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     fingerprint: str = Field("", description="Of the server and the model that it serves.")
-    structured: Literal["json_schema", "json_object_schema", "json_object", "none"] = Field(
-        "none", description="How it is asked for a structured answer."
-    )
+    structured: Structured = Field("none", description="How it is asked for a structured answer.")
     vision: bool = Field(False, description="Whether it sees pictures.")
     seed: bool = Field(False, description="Whether it takes a seed.")
+    tokens: TokensField = Field(
+        "max_tokens", description="The field in which it takes the longest answer."
+    )
+    temperature: bool = Field(True, description="Whether it takes a temperature of 0.")
+    extra_body: dict[str, Any] = Field(
+        default_factory=dict, description="Further fields of the body, of the environment."
+    )
+
+    @classmethod
+    def stated(cls, fingerprint: str, capabilities: Mapping[str, Any]) -> dict[str, Any]:
+        """Plain data on a server; what only few servers need is left out for the others."""
+        server = {name: capabilities[name] for name in ("structured", "vision", "seed")}
+        usual = cls()
+        for name in ("tokens", "temperature", "extra_body"):
+            if capabilities.get(name, getattr(usual, name)) != getattr(usual, name):
+                server[name] = capabilities[name]
+        return {"fingerprint": fingerprint, **server}
 
 
 class Settings(BaseModel):
@@ -70,10 +87,19 @@ class Settings(BaseModel):
         description="Whether the time of requests that were repeated, because the server was not"
         " available, is the component's.",
     )
-    temperature: float = Field(
-        0.0, ge=0, le=2, allow_inf_nan=False, description="Of the sampling, from 0 to 2."
+    temperature: Temperature | None = Field(
+        0.0, description="Of the sampling, from 0 to 2; none is sent for a null."
     )
     max_tokens: int = Field(1000, ge=16, le=8192, description="Longest answer, in tokens.")
+    max_tokens_field: TokensField | None = Field(
+        None, description="The field that has it; by default what the probe found."
+    )
+    extra_body: dict[str, Any] = Field(
+        default_factory=dict, description="Further fields of each request's body."
+    )
+    stream: bool = Field(
+        False, description="Whether answers come in parts, so that the time to the first is known."
+    )
     samples: int = Field(
         2, ge=1, le=20, description="How often the same is asked, to see whether answers agree."
     )
@@ -92,6 +118,13 @@ class Settings(BaseModel):
     @classmethod
     def _all(cls, value: Any) -> Any:
         return EVERYTHING if value == "all" else value
+
+    @field_validator("extra_body")
+    @classmethod
+    def _are_others(cls, fields: dict[str, Any]) -> dict[str, Any]:
+        if own := own_fields(fields):
+            raise ValueError(f"a request sets {', '.join(own)} itself")
+        return fields
 
     @field_validator("beside")
     @classmethod
@@ -225,11 +258,9 @@ class LlmGenerator(Generator):
         resolved: dict[str, Any] = {"prompts": cls.templates_digest(settings)}
         if settings.server is None:
             description = session.current().describe(settings.model)
-            keys = ("structured", "vision", "seed")
-            server = {key: description.capabilities[key] for key in keys}
             resolved |= {
                 "model": description.model,
-                "server": {"fingerprint": description.fingerprint, **server},
+                "server": KnownServer.stated(description.fingerprint, description.capabilities),
             }
         return {**params, **resolved}
 
@@ -360,16 +391,21 @@ class LlmGenerator(Generator):
 
     def request(self, prompt: Prompt, sample: int = 0) -> Request:
         """The request for a prompt."""
-        server = self.settings.known_server
+        server, settings = self.settings.known_server, self.settings
         return Request(
-            model=self.settings.model or "",
+            model=settings.model or "",
             messages=self.messages(prompt),
             schema=self.SCHEMA,
             structured=server.structured,
-            temperature=self.settings.temperature,
-            max_tokens=self.settings.max_tokens,
+            temperature=(settings.temperature or None)
+            if not server.temperature
+            else settings.temperature,
+            max_tokens=settings.max_tokens,
             seed=self._context.seed % 2**31 + sample if server.seed else None,
             sample=sample,
+            tokens=settings.max_tokens_field or server.tokens,
+            extra={**server.extra_body, **settings.extra_body},
+            stream=settings.stream,
         )
 
     def _answers_beside(self, prompt: Prompt) -> dict[str, dict[str, str]]:

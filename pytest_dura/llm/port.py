@@ -18,9 +18,13 @@ WireFailure = Literal["", "unavailable", "timeout", "empty", "refused", "truncat
 """How a call can fail before there is a whole text to read; empty if it did not. Here
 ``malformed`` is a body that is no chat completion."""
 
-Structured = Literal["json_schema", "json_object_schema", "json_object", "none"]
+Structured = Literal["json_schema", "json_object_schema", "tool", "json_object", "none"]
 """How a server is asked for a structured answer: OpenAI's ``json_schema``; llama-cpp-python's
-``json_object`` with a ``schema``; ``json_object`` alone; or by the words of the prompt only."""
+``json_object`` with a ``schema``; a ``tool`` that has to be called, whose arguments are the answer;
+``json_object`` alone; or by the words of the prompt only."""
+
+TokensField = Literal["max_tokens", "max_completion_tokens", "none"]
+"""The field in which a server takes the longest answer; ``none`` for one that takes no bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,24 +73,36 @@ class Request:
         messages: The conversation.
         schema: JSON schema of the answer.
         structured: How the server is asked to keep to it.
-        temperature: Of the sampling; 0 takes the most likely token.
+        temperature: Of the sampling; 0 takes the most likely token. ``None`` is not sent.
         max_tokens: Longest answer.
         seed: Of the sampling; ``None`` where the server takes none.
         sample: Number of the sample, where the same request is made several times.
+        tokens: The field that has ``max_tokens``.
+        extra: Further fields of the body, as they are sent.
+        stream: Whether the answer comes in parts, so that the time to the first is known.
     """
 
     model: str
     messages: tuple[Message, ...]
     schema: Mapping[str, Any] = NOTHING
     structured: Structured = "none"
-    temperature: float = 0.0
+    temperature: float | None = 0.0
     max_tokens: int = 700
     seed: int | None = None
     sample: int = 0
+    tokens: TokensField = "max_tokens"
+    extra: Mapping[str, Any] = NOTHING
+    stream: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain data, with images by their digests. It holds no key and no address."""
-        return {
+        """Return plain data, with images by their digests. It holds no key and no address.
+
+        What only few requests have is left out where they have it not: their keys stay as they were
+        before there was such a thing.
+        """
+        given = {"tokens": self.tokens, "extra": dict(self.extra), "stream": self.stream}
+        rare = {name: value for name, value in given.items() if value != REQUEST_EXTRAS[name]}
+        return rare | {
             "model": self.model,
             "messages": [
                 {
@@ -111,12 +127,16 @@ class Request:
         return hashlib.sha256(canonical([self.to_json(), fingerprint])).hexdigest()
 
 
+REQUEST_EXTRAS: dict[str, Any] = {"tokens": "max_tokens", "extra": {}, "stream": False}
+"""Parts of a request that its plain data may lack, with what they are then."""
+
+
 @dataclass(frozen=True)
 class Answer:
     """Answer of a server. A call never raises: its failure is an answer, too.
 
     Args:
-        text: The raw text, of bounded length.
+        text: The raw text without thoughts, or the arguments of the tool, of bounded length.
         failure: Why there is no whole text, if so.
         detail: Message of the server or the connection on the failure, shortened.
         seconds: Wall-clock seconds that it took.
@@ -128,6 +148,10 @@ class Answer:
         retry_after: Seconds after which the server wants to be asked again, where it says so.
         attempts: Calls that were made; see :mod:`pytest_dura.llm.retries`.
         waited: Wall-clock seconds before the last of these calls began; not in ``seconds``.
+        thoughts: What a reasoning model thought before it answered, as far as the server tells, of
+            bounded length.
+        first_token: Wall-clock seconds until the first part of the answer or the thoughts came,
+            where it was streamed.
     """
 
     text: str = ""
@@ -141,6 +165,8 @@ class Answer:
     retry_after: float | None = None
     attempts: int = 1
     waited: float = 0.0
+    thoughts: str = ""
+    first_token: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; what only few answers have is left out where they have it not."""
@@ -163,7 +189,8 @@ class Answer:
 
 
 ANSWER_EXTRAS: dict[str, Any] = {
-    name: getattr(Answer(), name) for name in ("cause", "retry_after", "attempts", "waited")
+    name: getattr(Answer(), name)
+    for name in ("cause", "retry_after", "attempts", "waited", "thoughts", "first_token")
 }
 """Parts of an answer that its plain data may lack, with what they are then."""
 

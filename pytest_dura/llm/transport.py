@@ -31,6 +31,7 @@ import httpx2
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.llm.port import ServerFault
+from pytest_dura.llm.streams import is_stream
 
 _LEAST = 0.001
 _LONGEST = 86_400.0
@@ -204,6 +205,8 @@ def _is_direct(host: str, port: int | None, no_proxy: str) -> bool:
 
 LONGEST_BODY = 1_000_000
 """Bytes of a response that are read."""
+LONGEST_STREAM = 16_000_000
+"""Bytes of a response that comes in parts: each token has about 300."""
 _LONGEST_ERROR = 16_000
 """Bytes of an error's body that are read."""
 _KEPT = ("content-type", "content-length")
@@ -217,15 +220,18 @@ class Wire(httpx2.BaseTransport):
     Threads share the pool; a process that is forked makes one of its own.
 
     Args:
-        key: The bearer token.
+        headers: That are sent to the server, beside those that the transport itself needs.
         network: Makes the connections.
         proxy: The proxy to the server, if there is one.
     """
 
     def __init__(
-        self, key: str, network: httpcore2.NetworkBackend, proxy: httpcore2.Proxy | None = None
+        self,
+        headers: Mapping[str, str],
+        network: httpcore2.NetworkBackend,
+        proxy: httpcore2.Proxy | None = None,
     ) -> None:
-        self._key, self._network, self._proxy = key, network, proxy
+        self._own_headers, self._network, self._proxy = dict(headers), network, proxy
         self._pools: dict[int, httpcore2.ConnectionPool] = {}
         weakref.finalize(self, _close_connections, self._pools)
 
@@ -261,33 +267,39 @@ class Wire(httpx2.BaseTransport):
                 )
             )
         # An encoding was not asked for, and is not undone: a small body could become a huge one.
-        headers = [pair for pair in response.headers if pair[0].lower() != b"content-encoding"]
-        stream = _Body(response, is_error=response.status >= 300)
+        headers = [(name.lower(), value) for name, value in response.headers]
+        headers = [pair for pair in headers if pair[0] != b"content-encoding"]
+        kinds = (value.decode("latin-1") for name, value in headers if name == b"content-type")
+        longest = LONGEST_STREAM if any(map(is_stream, kinds)) else LONGEST_BODY
+        stream = _Body(response, longest, is_error=response.status >= 300)
         return httpx2.Response(response.status, headers=headers, stream=stream)
 
     def _headers(self, request: httpx2.Request) -> list[tuple[str, str]]:
-        return [
+        needed = [
             ("Host", request.url.netloc.decode("ascii")),
             ("Accept", "application/json"),
             ("Accept-Encoding", "identity"),
-            ("Authorization", f"Bearer {self._key}"),
             ("User-Agent", "pytest-dura"),
             *((name, request.headers[name]) for name in _KEPT if name in request.headers),
         ]
+        own = {name.casefold() for name in self._own_headers}
+        kept = [pair for pair in needed if pair[0].casefold() not in own]
+        return [*kept, *self._own_headers.items()]
 
 
 class _Body(httpx2.SyncByteStream):
     """The bytes of a response.
 
     Args:
+        longest: Bytes that are read of it.
         is_error: Whether the status is that of an error, whose body is read as far as it comes.
     """
 
-    def __init__(self, response: httpcore2.Response, *, is_error: bool) -> None:
-        self._response, self._is_error = response, is_error
+    def __init__(self, response: httpcore2.Response, longest: int, *, is_error: bool) -> None:
+        self._response, self._longest, self._is_error = response, longest, is_error
 
     def __iter__(self) -> Iterator[bytes]:
-        size, limit = 0, _LONGEST_ERROR if self._is_error else LONGEST_BODY
+        size, limit = 0, _LONGEST_ERROR if self._is_error else self._longest
         try:
             with _sdk_errors():
                 for chunk in self._response.iter_stream():

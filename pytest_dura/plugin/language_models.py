@@ -170,6 +170,10 @@ class LanguageModels:
             abilities = ", ".join(
                 f"{name} {'yes' if capabilities.get(name) else 'no'}" for name in ("vision", "seed")
             )
+            if capabilities.get("tokens", "max_tokens") != "max_tokens" or not capabilities.get(
+                "temperature", True
+            ):
+                abilities += f", {capabilities.get('words', {}).get('fields', '')}"
             lines.append(
                 f"dura: language model {description.model} at {description.base_url} "
                 f"({self.context.options.llm}), structured output {level}"

@@ -17,7 +17,8 @@ from pytest_dura.core import ConfigurationError
 from pytest_dura.llm import Answer, Endpoint, Image
 from pytest_dura.llm.answers import FAILURES
 from pytest_dura.llm.capabilities import ServerListing
-from pytest_dura.llm.client import LONGEST_TEXT, data_url, read_completion, refusal_of
+from pytest_dura.llm.client import data_url
+from pytest_dura.llm.completions import LONGEST_TEXT, read_completion, refusal_of
 
 laws = settings(derandomize=True, deadline=None, max_examples=80)
 

@@ -76,6 +76,8 @@ def probed(model, **options):
         (("json_object",), (), "json_object", True),
         ((), ("json_schema", "json_object"), "json_schema", False),
         ((), ("json_object",), "json_object", False),
+        (("tool", "json_object"), ("json_schema",), "tool", True),
+        (("tool", "json_object"), (), "tool", True),
         ((), (), "none", False),
     ],
 )
@@ -83,7 +85,7 @@ def test_the_strongest_level_that_is_enforced_is_found(enforces, takes, level, e
     model = Model(enforces=enforces, takes=takes)
     found = probed(model)
     assert (found.structured, found.enforced) == (level, enforced)
-    assert 5 <= found.requests <= 8
+    assert 5 <= found.requests <= 9
     asked = [one for one in model.asked if one.structured != "none"]
     assert all("plain prose" in one.messages[0].text for one in asked), "it is tempted"
     for one in asked:
@@ -222,7 +224,7 @@ def test_a_server_that_comes_late_is_waited_for_and_the_tries_are_told() -> None
         (refused(401, "Incorrect key"), 1, "DURA_LLM_API_KEY", ["1 try", "check DURA_LLM_API_KEY"]),
         (refused(404, "no such model"), 1, "DURA_LLM_BASE_URL", ["/v1", "DURA_LLM_MODEL",
                                                                 "lists other, m1"]),
-        (refused(400, "bad model"), 3, "DURA_LLM_BASE_URL", ["check DURA_LLM_MODEL"]),
+        (refused(400, "bad model"), 5, "DURA_LLM_BASE_URL", ["check DURA_LLM_MODEL"]),
     ],
 )  # fmt: skip
 def test_a_server_that_gives_no_answer_is_one_clear_error(answer, tries, key, told) -> None:
@@ -240,7 +242,9 @@ def test_capabilities_are_plain_data() -> None:
     capabilities = probed(Model(sees=True, enforces=("json_object",)))
     data = json.loads(json.dumps(capabilities.to_json()))
     assert Capabilities(**data) == capabilities
-    assert set(capabilities.words) == {"structured", "vision", "seed", "server", "context"}
+    assert set(capabilities.words) == {
+        "structured", "vision", "seed", "server", "context", "fields"
+    }  # fmt: skip
 
 
 def test_the_canary_is_the_same_picture_everywhere() -> None:
@@ -278,6 +282,7 @@ def test_a_server_that_ignores_format_picture_and_seed_can_none_of_it(scripted_s
     endpoint = Endpoint(server.base_url, "m1")
     found = probe(OpenAiClient(endpoint), endpoint, 5.0)
     assert (found.structured, found.enforced, found.vision) == ("json_schema", False, False)
-    assert found.words["structured"].count("malformed") == 3
+    assert found.words["structured"].count("malformed") == 4
     formats = [request.json.get("response_format", {}).get("type") for request in server.requests]
-    assert formats == [None, None, "json_schema", "json_object", "json_object", None]
+    assert formats == [None, None, "json_schema", "json_object", None, "json_object", None]
+    assert ["tools" in request.json for request in server.requests].index(True) == 4

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import socket
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,10 +85,19 @@ def test_pictures_come_before_the_text_and_every_pixel_arrives(client) -> None:
         assert np.array_equal(np.asarray(arrived), image.pixels)
 
 
-def test_openai_s_own_servers_get_the_bound_by_its_newer_name() -> None:
-    body = body_of(REQUEST, "https://api.openai.com/v1")
-    assert (body["max_completion_tokens"], "max_tokens" in body) == (700, False)
-    assert "max_tokens" in body_of(REQUEST, "https://openai.com.example.org/v1")
+def test_fields_are_left_out_and_added_as_the_request_says() -> None:
+    usual = {"model": "m1", "messages": body_of(REQUEST)["messages"]}
+    assert body_of(replace(REQUEST, temperature=None, tokens="none")) == usual
+    body = body_of(replace(REQUEST, tokens="max_completion_tokens", extra={"top_k": 5}))
+    assert body == {**usual, "temperature": 0.0, "max_completion_tokens": 700, "top_k": 5}
+
+
+def test_a_tool_is_offered_that_has_to_be_called(client) -> None:
+    body = sent(client, schema=SCHEMA, structured="tool")
+    (tool,) = body["tools"]
+    assert tool["function"]["parameters"] == SCHEMA
+    assert body["tool_choice"]["function"] == {"name": tool["function"]["name"]}
+    assert "response_format" not in body
 
 
 def test_the_environment_changes_nothing(client, monkeypatch, tmp_path) -> None:

@@ -59,7 +59,7 @@ def test_what_is_missing_is_named_with_an_example(missing: str, value: str | Non
         ("http://[::1/v1", "cannot be read"),
         ("http://user:hunter22222@host/v1", "a user or a password"),
         ("http://hunter22222@host/v1", "a user or a password"),
-        ("http://host/v1?api-key=hunter22222", "a query"),
+        ("http://host/v1/chat/completions?a=hunter22222", "goes too far"),
         ("http://host/v1#hunter22222", "a fragment"),
         ("http://ho st/v1", "blanks"),
         ("http://host\\@hunter22222/v1", "characters that no URL has"),
