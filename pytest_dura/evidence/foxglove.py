@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.simulator import Line, Scene
 from pytest_dura.evidence.text import visible
-from pytest_dura.evidence.traces import Trace
+from pytest_dura.evidence.traces import Trace, without_exchange
 
 Schema = dict[str, Any]
 
@@ -303,7 +303,7 @@ def decision_messages(trace: Trace, texts: TextCache) -> Iterator[Message]:
         (*map(texts, column[:length]), *['""'] * (length - len(column)))
         for column in (recording.explanations, recording.reasons, recording.recoveries)
     ]
-    accounts = map(texts.any, recording.accounts[:length])
+    accounts = map(texts.any, map(without_exchange, recording.accounts[:length]))
     account_texts = (*accounts, *["{}"] * (length - len(recording.accounts)))
     rows = zip(decisions, flags, *remarks, account_texts, strict=True)
     for tick, (columns_text, flag, explanation, reason, recovery, account) in enumerate(rows):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.episode import Episode
-from pytest_dura.core.loop_signals import NULL, SECONDS
+from pytest_dura.core.loop_signals import EXCHANGE, NULL, SECONDS
 from pytest_dura.core.simulator import POSE, Recording, Scene
 from pytest_dura.core.state import Event
 from pytest_dura.evidence.entry import plain_data
@@ -153,6 +153,11 @@ def _account_data(account: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in account.items() if key not in (NULL, SECONDS)}
 
 
+def without_exchange(account: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Leave out of an account what was asked and answered in words."""
+    return {key: value for key, value in account.items() if key != EXCHANGE}
+
+
 def _event_data(event: Event) -> dict[str, Any]:
     data: dict[str, Any] = plain_data(event.to_json())
     return data | ({"wall_clock": True} if event.wall_clock else {})
@@ -283,7 +288,9 @@ def _all_columns(trace: Trace) -> dict[str, NDArray[Any]]:
         texts: tuple[str, ...] = getattr(recording, name)
         # An array of texts would be as wide as its longest, and drop a NUL at the end.
         columns[name] = np.array([*texts, None], object)[:-1]
-    accounts = (json.dumps(account, sort_keys=True) for account in recording.accounts)
+    accounts = (
+        json.dumps(without_exchange(account), sort_keys=True) for account in recording.accounts
+    )
     columns["accounts"] = np.array([*accounts, None], object)[:-1]
     if recording.scene is not None:
         columns |= _poses(recording.scene, len(trace.time))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.loop_signals import EXCHANGE
 from pytest_dura.core.roles import Generator, RoleContext
 from pytest_dura.core.state import NOTHING, GeneratorView, PastDecision, Proposal
 from pytest_dura.llm import session
@@ -204,6 +206,7 @@ class Decision:
         seconds: Wall-clock seconds that the answer took.
         ids: Ids of all objects in the prompt.
         beside: Readings of the answers to the requests beside it, by variant.
+        exchange: Request and answer in words, see :func:`exchange_data`.
     """
 
     at: int
@@ -212,6 +215,7 @@ class Decision:
     seconds: float
     ids: tuple[str, ...]
     beside: Mapping[str, Mapping[str, str]] = NOTHING
+    exchange: Mapping[str, Any] = NOTHING
 
     @property
     def outcome(self) -> str:
@@ -375,7 +379,10 @@ class LlmGenerator(Generator):
             beside = self._answers_beside(prompt)
         self._prompts += 1
         reading = read_answer(answer, self.SCHEMA)
-        return Decision(view.index, view.time, reading, answer.seconds, prompt.ids, beside)
+        exchange = exchange_data(self.request(prompt), answer, self._session.scrub_text)
+        return Decision(
+            view.index, view.time, reading, answer.seconds, prompt.ids, beside, exchange
+        )
 
     def _ask(self, prompt: Prompt, sample: int, delivery: Delivery) -> Answer:
         request = self.request(prompt, sample)
@@ -444,6 +451,7 @@ class LlmGenerator(Generator):
                 name: {"outcome": "answered", **self.NULL} for name in decision.beside
             }
             account |= {"beside": dict(decision.beside), "seconds": decision.seconds, "null": null}
+            account[EXCHANGE] = decision.exchange
             replaced = [earlier.account(fresh=True) for earlier in self._latest[:-1]]
             account |= {"replaced": replaced} if replaced else {}
         if not decision.reading.answered:
@@ -465,3 +473,50 @@ class LlmGenerator(Generator):
             policy = "none" if last is None else last.reading.content["maneuver"]
         action = None if policy == "none" else self.command(policy)
         return Proposal(action, failure=failure, account=account)
+
+
+_ROOM_OF_ANSWER, _ROOM_OF_MESSAGES = 12_000, 48_000
+"""Characters of JSON; an account that is longer than ``loop_signals.LONGEST`` is none."""
+
+
+def exchange_data(
+    request: Request, answer: Answer, scrub: Callable[[str], str] = str
+) -> dict[str, Any]:
+    """Request and answer in words, as plain data of bounded size for an account.
+
+    Texts that do not fit are shortened and say so, the earliest messages first; of pictures there
+    is the name.
+
+    Args:
+        request: The deciding request.
+        answer: To it.
+        scrub: Takes secrets out of a text.
+    """
+    room = _ROOM_OF_MESSAGES
+    messages: list[dict[str, Any]] = []
+    for message in reversed(request.messages):
+        text = _fitted(scrub(message.text), room)
+        room -= len(json.dumps(text))
+        images = [image.name for image in message.images]
+        messages.insert(0, {"role": message.role, "text": text, "images": images})
+    return {
+        "messages": messages,
+        "answer": _fitted(answer.text, _ROOM_OF_ANSWER),
+        "detail": answer.detail,
+        "finish": answer.finish,
+        "usage": dict(answer.usage),
+        "seconds": answer.seconds,
+        "attempts": answer.attempts,
+    }
+
+
+def _fitted(text: str, room: int) -> str:
+    """As much of a text as fits into so many characters of JSON."""
+    if len(json.dumps(text)) <= room:
+        return text
+    note = f"... ({len(text)} characters)"
+    room -= len(note)
+    kept = text[: max(room, 0)]
+    while kept and (size := len(json.dumps(kept))) > room:
+        kept = kept[: min(len(kept) * room // size, len(kept) - 1)]
+    return kept + note

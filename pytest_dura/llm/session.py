@@ -367,6 +367,13 @@ class ModelSession:
         waited = answer.waited if count_retries else 0.0
         return _deliver(answer, delivery.delay, waited, limit)
 
+    def scrub_text(self, text: str) -> str:
+        """Take the keys of the servers in use, and other secrets, out of a text."""
+        for server in tuple(self._servers.values()):
+            text = server.scrub(text)
+        scrubbed: str = self._scrub(text)
+        return scrubbed
+
     @cached_property
     def _offline_client(self) -> OpenAiClient:
         """The client for injected faults, whose answers must not depend on any server."""

@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.simulator import Line, Scene, Tracks
 from pytest_dura.evidence.text import html, name, visible
-from pytest_dura.evidence.traces import Trace
+from pytest_dura.evidence.traces import Trace, without_exchange
 from pytest_dura.reports.episode_view import margin_over_time
+from pytest_dura.reports.html.thoughts import thoughts_data
 
 _FARTHEST = 1e6
 """Metres; what is reported farther away, as absurd percepts may be, stands here."""
@@ -141,7 +142,8 @@ def player_data(
         ``words`` for each decision. Signals have six significant digits; ``None`` is NaN, and
         infinities are texts. ``margins`` are the checks' robustness over time, each with the
         ``formula`` that it is of and the ``requirements`` that it decides. For the scene see
-        :func:`_scene_data`.
+        :func:`_scene_data`, for ``thoughts``
+        :func:`~pytest_dura.reports.html.thoughts.thoughts_data`.
     """
     recording, decisions = trace.recording, trace.decisions
     marks = {str(each["signal"]): str(each["event"]) for each in measures if each["signal"]}
@@ -159,7 +161,10 @@ def player_data(
         "explanations": _indexed_texts(recording.explanations),
         "reasons": _indexed_texts(recording.reasons),
         "recoveries": _indexed_texts(recording.recoveries),
-        "accounts": _indexed_texts([_account(account) for account in recording.accounts]),
+        "accounts": _indexed_texts(
+            [_account(without_exchange(account)) for account in recording.accounts]
+        ),
+        "thoughts": thoughts_data(recording),
         "flags": {_name(monitor): _numbers(column) for monitor, column in recording.flags.items()},
         "events": _events(trace, marks),
         "marks": [[_name(signal), _name(event)] for signal, event in marks.items()],
@@ -286,7 +291,7 @@ def _faults(events: Sequence[Mapping[str, Any]], ticks: int) -> list[dict[str, A
 
 
 _ASSETS = Path(__file__).parent / "assets"
-_PARTS = ("basics", "episode", "view", "lanes", "plots", "panels", "keys", "player")
+_PARTS = ("basics", "episode", "view", "lanes", "plots", "panels", "thoughts", "keys", "player")
 _START = """
 DuraPlayer.mount(document.getElementById("player"),
   document.getElementById("episode").textContent, {open: true, page: true});

@@ -19,7 +19,7 @@ function pressed(player, event) {
   const wanted = kind === "SELECT"
     || (kind === "INPUT" && event.target.type === "checkbox" && event.key === " ")
     || ((kind === "BUTTON" || kind === "SUMMARY") && [" ", "Enter"].includes(event.key))
-    || (event.target.closest?.(".dura-scroll") && event.key.startsWith("Arrow"));
+    || (event.target.closest?.(".dura-scroll, .dura-raw") && event.key.startsWith("Arrow"));
   if (wanted) return;
   const act = keys(player).get(event.key.length === 1 ? event.key.toLowerCase() : event.key);
   if (!act) return;

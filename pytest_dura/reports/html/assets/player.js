@@ -15,6 +15,7 @@ class Player {
     this.view = episode.scene && episode.ticks ? new View(episode) : null;
     this.decision = new Decision(episode);
     this.events = new Events(this);
+    this.thoughts = episode.thoughts ? new Thoughts(this) : null;
     this.lanes = new Lanes(this);
     this.plots = new Plots(this);
     this.live = make("p", {class: "dura-hidden", role: "status", "aria-live": "polite"});
@@ -42,7 +43,7 @@ class Player {
       make("div", {class: "dura-side"}, this.decision.node, this.events.node),
       make("div", {class: "dura-timeline"}, this.lanes.node, this.plots.node, axis(episode),
         rowLegend(this))),
-    this.plots.chooser, this.lanes.table, help(this), this.live);
+    this.plots.chooser, this.lanes.table, this.thoughts?.node, help(this), this.live);
   }
 
   stage() {
@@ -201,6 +202,7 @@ class Player {
     this.scrub.setAttribute("aria-valuetext", `${seconds(time)}, tick ${tick} of ${episode.last}`);
     this.decision.update(tick);
     this.events.update(tick);
+    this.thoughts?.update(tick);
     this.lanes.update(tick);
     this.plots.update(tick);
     if (!this.view) return;

@@ -1,0 +1,159 @@
+"""What a component thought: its decisions, their prompts and answers, as data for the player.
+
+All of it comes from the component's accounts, which nothing trusts: a value of another type than
+it should have is left out, and every text is made visible and bounded.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from pytest_dura.core.loop_signals import DECIDED, EXCHANGE
+from pytest_dura.core.simulator import Recording
+from pytest_dura.evidence.text import name, one_line, visible
+
+_ANSWERED = "answered"
+_LONGEST = 50_000
+"""Characters of one message or answer."""
+MOST_CHARACTERS = 1_500_000
+"""Characters of all different messages and answers of an episode; further ones are left out."""
+_LEFT_OUT = "left out of this page, which would become too large; the trace has it"
+_MOST = 100
+"""Entries of a list that are shown."""
+_DECISION = ("maneuver", "intent", "threat_ids")
+"""Keys of an answer that the account gives as well."""
+
+
+class _Texts:
+    """Different texts, each once: decisions repeat the system's message and the examples."""
+
+    def __init__(self) -> None:
+        self.known: dict[str, int] = {}
+        self._room = MOST_CHARACTERS
+
+    def place(self, value: Any) -> int | None:
+        """The index of a text; ``None`` for what is none."""
+        if not isinstance(value, str):
+            return None
+        text = visible(value, _LONGEST)
+        if text not in self.known and len(text) > self._room:
+            text = f"({len(value)} characters, {_LEFT_OUT})"
+        if text not in self.known:
+            self._room -= len(text)
+        return self.known.setdefault(text, len(self.known))
+
+
+def thoughts_data(recording: Recording) -> dict[str, Any] | None:
+    """Decisions of an episode with their prompts and answers; ``None`` where no account tells any.
+
+    Args:
+        recording: Of the episode, without secrets.
+
+    Returns:
+        ``texts``, and ``decisions`` in the order of ``tick``, at which they came into force. Each
+        has ``at`` (tick of the percept behind it), ``outcome``, ``detail`` of a failure,
+        ``fallback``, ``maneuver``, ``intent``, ``said`` as pairs of key and text, ``cited`` as
+        pairs of id and whether it was perceived, ``perceived`` (how many ids), ``seconds``,
+        ``attempts`` (calls that were made), ``usage`` as pairs, ``messages`` as ``[role, text,
+        images]`` and ``answer`` with indices into ``texts``, ``beside`` as ``[variant, outcome,
+        maneuver, intent, changed]``, and ``replaced``: outcome and maneuver of decisions that were
+        refused at the same tick.
+    """
+    texts = _Texts()
+    decisions = [
+        _decision(tick, account, texts)
+        for tick, account in enumerate(recording.accounts)
+        if account.get(DECIDED) is True
+    ]
+    return {"texts": list(texts.known), "decisions": decisions} if decisions else None
+
+
+def _decision(tick: int, account: Mapping[str, Any], texts: _Texts) -> dict[str, Any]:
+    exchange = _mapping(account.get(EXCHANGE))
+    at, perceived = account.get("at"), account.get("perceived")
+    known = {each for each in _list(perceived) if isinstance(each, str)}
+    maneuver = _word(account.get("maneuver"))
+    answer = exchange.get("answer")
+    return {
+        "tick": tick,
+        "at": at if isinstance(at, int) and 0 <= at <= tick else tick,
+        "outcome": _word(account.get("outcome")) or _ANSWERED,
+        "detail": one_line(exchange["detail"]) if isinstance(exchange.get("detail"), str) else "",
+        "fallback": account.get("fallback") is True,
+        "maneuver": maneuver,
+        "intent": _word(account.get("intent")),
+        "said": _said(answer),
+        "cited": [
+            [name(each), each in known or not isinstance(perceived, list)]
+            for each in _list(account.get("cited"))[:_MOST]
+            if isinstance(each, str)
+        ],
+        "perceived": len(known) if isinstance(perceived, list) else None,
+        "seconds": _amount(exchange.get("seconds")),
+        "attempts": _amount(exchange.get("attempts")),
+        "usage": [
+            [name(key), count]
+            for key, count in list(_mapping(exchange.get("usage")).items())[:_MOST]
+            if _amount(count) is not None
+        ],
+        "messages": [
+            [_word(message.get("role")), texts.place(message.get("text")), _images(message)]
+            for message in _list(exchange.get("messages"))
+            if isinstance(message, dict)
+        ],
+        "answer": texts.place(answer),
+        "beside": [
+            [name(variant), *_twin(given, maneuver)]
+            for variant, given in list(_mapping(account.get("beside")).items())[:_MOST]
+            if isinstance(given, dict)
+        ],
+        "replaced": [
+            [_word(given.get("outcome")), _word(given.get("maneuver"))]
+            for given in _list(account.get("replaced"))[:_MOST]
+            if isinstance(given, dict)
+        ],
+    }
+
+
+def _twin(given: Mapping[str, Any], maneuver: str) -> tuple[str, str, str, bool]:
+    """Outcome, maneuver and intent of a variant, and whether the maneuver is another one."""
+    outcome = _word(given.get("outcome")) or _ANSWERED
+    own = _word(given.get("maneuver"))
+    return outcome, own, _word(given.get("intent")), bool(own and maneuver and own != maneuver)
+
+
+def _said(answer: Any) -> list[list[str]]:
+    """What an answer says beside the decision, where it is a JSON object: key and text."""
+    try:
+        data = json.loads(answer) if isinstance(answer, str) else None
+    except (ValueError, RecursionError):
+        return []
+    pairs = list(_mapping(data).items())[:_MOST]
+    return [
+        [name(key), visible(value if isinstance(value, str) else json.dumps(value))]
+        for key, value in pairs
+        if key not in _DECISION
+    ]
+
+
+def _images(message: Mapping[str, Any]) -> list[str]:
+    return [name(each) for each in _list(message.get("images"))[:_MOST] if isinstance(each, str)]
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _word(value: Any) -> str:
+    return name(value) if isinstance(value, str) else ""
+
+
+def _amount(value: Any) -> float | None:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return value if is_number and 0 <= value < 1e12 else None
