@@ -9,7 +9,8 @@ Called code does not end the process either: ``os._exit`` and ``os.exec*`` are r
 runs, and a copy of the process that it makes by ``os.fork`` ends where the call would return.
 
 Every call has a wall-clock limit, so that nothing blocks for ever: the component its time budget
-(:func:`call_within`), everything else the limit of a :class:`CallTimer`. Both share one alarm.
+(:func:`call_within`), everything else the limit of a :class:`CallTimer`. Both share one alarm. No
+alarm reaches another thread than the main one: there a second thread watches the calls.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar, Token
 from functools import partial
 from math import isclose
@@ -410,15 +411,92 @@ class _Alarm:
             raise TimeBudgetExceeded
 
 
+_GIVE_UP: ContextVar[Callable[[str], None] | None] = ContextVar("dura_give_up", default=None)
+
+
+@contextmanager
+def giving_up_by(give_up: Callable[[str], None]) -> Iterator[None]:
+    """Context of an episode that somebody else waits for, in another thread than the main one.
+
+    Args:
+        give_up: Called, from another thread, with the role whose call stays outside of Python for
+            good and with its overrun in words: nothing can end that call.
+    """
+    token = _GIVE_UP.set(give_up)
+    try:
+        yield
+    finally:
+        _GIVE_UP.reset(token)
+
+
+class _Watch:
+    """Thread that holds the calls of another one to their limit.
+
+    It raises in the other thread, when that next runs Python bytecode. A call that does not do so
+    until the next look is given up, if anybody waits for the episode, see :func:`giving_up_by`.
+
+    Args:
+        timer: Of the calls of the thread in which this is made.
+    """
+
+    def __init__(self, timer: CallTimer) -> None:
+        self._timer, self._thread = timer, threading.get_ident()
+        self._give_up = _GIVE_UP.get()
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._interrupted = -1
+
+    def __enter__(self) -> None:
+        threading.Thread(target=self._run, name="dura-watch", daemon=True).start()
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._over.set()
+            if self._interrupted >= 0:  # what has not been raised by now may not be raised later
+                _raise_in(self._thread, None)
+
+    def _run(self) -> None:
+        timer = self._timer
+        while not self._over.wait(timer.period):
+            with self._lock:
+                if self._over.is_set():
+                    return
+                try:
+                    timer.check()
+                except CallBlocked as blocked:
+                    is_stuck = self._interrupted == timer.calls
+                    self._interrupted = timer.calls
+                    _raise_in(self._thread, _with_text(blocked))
+                else:
+                    continue
+            if is_stuck and self._give_up is not None:
+                self._give_up(f"{timer.overran}: {timer.cause}")
+
+
+def _with_text(blocked: CallBlocked) -> type[CallBlocked]:
+    """A class of the same error with the same text: another thread makes it without arguments."""
+    return type("CallBlocked", (CallBlocked,), {"__str__": lambda _: str(blocked)})
+
+
+def _raise_in(thread: int, kind: type[BaseException] | None) -> None:
+    """Raise an exception in a thread when it next runs bytecode; ``None`` takes that back."""
+    error = ctypes.py_object() if kind is None else ctypes.py_object(kind)
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), error)
+
+
 @contextmanager
 def alarms(timer: CallTimer | None = None) -> Iterator[None]:
     """Install the alarm's handler once for many calls, which saves them most of their cost.
 
-    Does nothing where no alarm is available; then the timer has no effect either.
+    In another thread than the main one a thread of its own watches the timer instead. Where there
+    is no alarm in the main thread, nothing is done, and the timer has no effect.
 
     Args:
         timer: For all calls that have no limit of their own.
     """
+    if threading.current_thread() is not threading.main_thread():
+        with nullcontext() if timer is None or timer.limit is None else _Watch(timer):
+            yield
+        return
     if _Alarm.installed is not None or not _alarm_is_free():
         yield
         return
@@ -491,9 +569,7 @@ def _call_in_thread(seconds: float, function: Callable[..., T], *args: Any) -> T
     if not done.wait(seconds):
         with lock:
             if not finished and thread.ident is not None:
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(
-                    ctypes.c_ulong(thread.ident), ctypes.py_object(TimeBudgetExceeded)
-                )
+                _raise_in(thread.ident, TimeBudgetExceeded)
         raise TimeBudgetExceeded if done.wait(GRACE) else CallNotStopped
     if errors:
         raise errors[0]

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import difflib
 import re
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -295,9 +297,12 @@ class ComponentEnvironmentError(DuraError):
         super().__init__(problem)
 
 
-_open_reports: list[list[ComponentEnvironmentError]] = []
-"""Lists of the contexts that are open, the innermost last. They are of the process and not of a
-``ContextVar``, since a thread that a component starts of its own has an empty context."""
+_Report = list[ComponentEnvironmentError]
+_own_report: ContextVar[_Report | None] = ContextVar("dura_environment_errors", default=None)
+_open_reports: dict[int, list[_Report]] = {}
+"""Lists of the contexts that are open by thread, the innermost last. A thread that a component
+starts of its own has an empty context, or that of an earlier call, and reports to every thread that
+calls a component."""
 
 
 def report_environment_error(error: ComponentEnvironmentError) -> ComponentEnvironmentError:
@@ -306,17 +311,26 @@ def report_environment_error(error: ComponentEnvironmentError) -> ComponentEnvir
     Returns:
         The error, to be raised.
     """
-    if _open_reports:
-        _open_reports[-1].append(error)
+    own, threads = _own_report.get(), list(_open_reports.values())
+    if own is not None and any(own is report for reports in threads for report in reports):
+        own.append(error)
+        return error
+    for reports in threads:
+        reports[-1].append(error)
     return error
 
 
 @contextmanager
 def environment_errors() -> Iterator[list[ComponentEnvironmentError]]:
     """Context with the list of errors that are reported in it, and in no context within it."""
-    reported: list[ComponentEnvironmentError] = []
-    _open_reports.append(reported)
+    reported: _Report = []
+    thread = threading.get_ident()
+    _open_reports[thread] = [*_open_reports.get(thread, ()), reported]
+    token = _own_report.set(reported)
     try:
         yield reported
     finally:
-        _open_reports.pop()
+        _own_report.reset(token)
+        outer = _open_reports.pop(thread)[:-1]
+        if outer:
+            _open_reports[thread] = outer

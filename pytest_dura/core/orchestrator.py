@@ -126,8 +126,8 @@ class Orchestrator:
         recorded: Whether episodes keep what a viewer shows of them.
         role_timeout: Seconds of wall-clock time that a role, the component apart, the simulator
             and a metric have for one call; one that takes longer ends the episode as an
-            infrastructure error. ``None`` waits for ever. It holds where an alarm is available:
-            in the main thread, on systems that have them.
+            infrastructure error. ``None`` waits for ever. In the main thread it holds on systems
+            that have alarms.
 
     Raises:
         ConfigurationError: If the roles cannot be scheduled or one is of the wrong kind.

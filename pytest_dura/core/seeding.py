@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numpy as np
 
@@ -42,7 +43,9 @@ def watch_draws(used: np.random.Generator, fresh: np.random.Generator) -> None:
         used: The generator that is drawn from.
         fresh: One of the same seed from which nothing has been drawn.
     """
-    for record in _open_records:
+    known = list(_open_records)
+    own = [record for record in _own_records.get() if record in known]
+    for record in own or known:
         record.note(used, fresh)
 
 
@@ -62,9 +65,10 @@ class DrawRecord:
         return any(_position(generator) != first for generator, first in self._streams)
 
 
+_own_records: ContextVar[tuple[DrawRecord, ...]] = ContextVar("dura_draw_records", default=())
 _open_records: list[DrawRecord] = []
-"""Records of the contexts that are open. They are of the process and not of a ``ContextVar``, since
-a thread that a component starts of its own has an empty context."""
+"""Records of all contexts that are open in the process. A thread that a component starts of its own
+has an empty context, or that of an earlier episode, and its draws count for each of them."""
 
 
 @contextmanager
@@ -72,9 +76,11 @@ def recording_draws() -> Iterator[DrawRecord]:
     """Context with the record of the draws from all streams that are made in it, in any thread."""
     record = DrawRecord()
     _open_records.append(record)
+    token = _own_records.set((*_own_records.get(), record))
     try:
         yield record
     finally:
+        _own_records.reset(token)
         _open_records.remove(record)
 
 

@@ -83,6 +83,10 @@ class ExecutionEntry(Entry):
     processes of the same machine. `dask`: the workers of a Dask cluster."""
     processes: Positive | None
     """How many processes of the same machine; null for another executor."""
+    llm_concurrency: Absent[Positive] = None
+    """Requests to language models that each process of the session made at the same time, at most,
+    and how many episodes it simulated at once in threads; absent where it was one after the
+    other."""
 
 
 class SecondEngineEntry(Entry):

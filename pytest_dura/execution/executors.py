@@ -174,11 +174,21 @@ class Execution:
     executor: Executor = field(default_factory=InProcessExecutor)
     seconds: float = MAX_SECONDS
     here: Counter[tuple[str, str]] = field(default_factory=Counter, compare=False)
+    threads: Executor | None = None
+    """Takes the episodes whose component asks a language model, if there is such an executor."""
 
     @property
     def width(self) -> int:
-        """How many episodes it works on at the same time, by now."""
+        """How many episodes the executor works on at the same time, by now."""
         return int(getattr(self.executor, "width", 1))
+
+    def width_of(self, task: EpisodeTask) -> int:
+        """How many episodes like this it works on at the same time, by now.
+
+        0 for one that :meth:`submit` carries out at once.
+        """
+        executor = self._executor_of(task)
+        return 0 if executor is None else int(getattr(executor, "width", 1))
 
     @property
     def is_lost(self) -> bool:
@@ -187,24 +197,32 @@ class Execution:
 
     @property
     def inside(self) -> bool:
-        """Whether this process simulates, one episode at a time."""
+        """Whether this process simulates, apart from its threads one episode at a time."""
         return isinstance(self.executor, InProcessExecutor)
+
+    def _executor_of(self, task: EpisodeTask) -> Executor | None:
+        """Who simulates an episode; ``None`` for this thread."""
+        if self.threads is not None and task.asks_model and not task.local:
+            return self.threads
+        return None if self.inside or not task.portable else self.executor
 
     def submit(
         self, task: EpisodeTask, address: Address | None = None
     ) -> Future[Episode] | Future[bytes]:
         """Begin an episode; the future is of the episode, or of a packed one from elsewhere.
 
-        An episode that is not portable is simulated here, wherever the others are.
+        An episode that is not portable is simulated here, wherever the others are: in a thread if
+        there are any for it.
 
         Args:
             task: The episode to simulate.
             address: Its address here, which it must have wherever it is simulated.
         """
-        if self.inside or not task.portable:
-            return InProcessExecutor().submit(self.run_here, task)
+        executor = self._executor_of(task)
+        if executor is None or executor is self.threads:
+            return (executor or InProcessExecutor()).submit(self.run_here, task)
         conditions = None if address is None else asdict(address)
-        return self.executor.submit(
+        return executor.submit(
             simulate,
             json.dumps(task.to_json()),
             conditions,
@@ -217,13 +235,16 @@ class Execution:
         Raises:
             ConfigurationError: If a part cannot be built.
         """
-        reason = None if self.inside else reason_not_portable(task)
+        inside = self.inside or self._executor_of(task) is not None
+        reason = None if inside else reason_not_portable(task)
         if reason is not None:
             self.here[task.spec.component, reason] += 1
         return task.run()
 
     def close(self) -> None:
         """Give up episodes that are still under way, and end the processes that simulate."""
+        if self.threads is not None:
+            self.threads.shutdown(wait=False, cancel_futures=True)
         self.executor.shutdown(wait=False, cancel_futures=True)
 
 

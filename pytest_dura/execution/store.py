@@ -305,7 +305,7 @@ class EpisodeStore:
         return episode
 
     def _new(self, task: EpisodeTask, ahead: Iterable[EpisodeTask]) -> JudgedEpisode:
-        alone = self.cache is None and self.execution.inside
+        alone = self.cache is None and not self.execution.width_of(task)
         address = None if alone else self._address(task)
         if address is None:
             episode, cached = JudgedEpisode.of(self.execution.run_here(task)), False
@@ -325,7 +325,7 @@ class EpisodeStore:
             ConfigurationError: If a part of it cannot be built.
         """
         task = replace(task.repeated(), recorded=False)
-        address = None if self.execution.inside else self._address(task)
+        address = self._address(task) if self.execution.width_of(task) else None
         try:
             result = self.execution.submit(task, address).result()
         except ProcessLostError as error:
@@ -426,13 +426,16 @@ class EpisodeStore:
             ahead: Their tasks.
             most: How many this process may simulate by itself.
         """
-        room = IN_FLIGHT * self.execution.width - len(self._flights)
-        if self.execution.inside:
-            room = most or 0
-        begun = 0
-        for task in ahead if room > 0 else ():
+        begun = here = 0
+        for task in ahead:
+            width = self.execution.width_of(task)
+            if not width and not self.execution.inside:
+                continue
+            room = IN_FLIGHT * width - len(self._flights) if width else (most or 0) - here
+            if room <= 0:
+                break
             address = self._address(task)
-            if address is None or not (self.execution.inside or task.portable):
+            if address is None:
                 continue
             if address.name in self._flights or self.memory.find(task) is not None:
                 continue
@@ -441,15 +444,14 @@ class EpisodeStore:
             flight = self._begin(task, address)
             if flight is None:
                 continue
-            if self.execution.inside:
+            if not width:
                 try:
                     episode, cached = self._land(flight)
                 except ConfigurationError:  # raised again if this episode is needed after all
                     continue
                 self.memory.put(task, episode, elsewhere=cached)
+                here += 1
             begun += 1
-            if begun >= room:
-                break
         return begun > 0
 
     def _put(self, flight: _Flight) -> None:

@@ -146,6 +146,11 @@ class EpisodeTask:
         return (*parts, *(metric for metric in self.metrics.values() if not is_named(metric)))
 
     @cached_property
+    def asks_model(self) -> bool:
+        """Whether a role says in its parameters which language model it asks."""
+        return any(stated_model(role) is not None for role in self.spec.roles.values())
+
+    @cached_property
     def portable(self) -> bool:
         """Whether plain data holds all of it, so that another process can simulate it."""
         return reason_not_portable(self) is None

@@ -311,14 +311,18 @@ class LlmGenerator(Generator):
         return {}
 
     def time_limit(self, budget: float | None) -> float | None:
-        """Enough for all requests of a tick, each within its own deadline, and a second more."""
+        """Enough for all requests of a tick, each within its own deadline, and a second more.
+
+        Where several are made at once, each may have to wait for another one before.
+        """
         deadline = self.settings.deadline(budget)
         if deadline is None:
             return None
         requests = self.settings.samples + len(self.settings.beside)
         if not self.settings.count_retries:
             deadline = session.current().retries.time_for(deadline)
-        return requests * deadline + 1.0
+        waits = 1 if session.current().concurrency == 1 else 2
+        return waits * requests * deadline + 1.0
 
     def reset(self, context: RoleContext) -> None:
         """Begin an episode."""
@@ -386,15 +390,18 @@ class LlmGenerator(Generator):
 
     def _ask(self, prompt: Prompt, sample: int, delivery: Delivery) -> Answer:
         request = self.request(prompt, sample)
-        server = self.settings.server
-        fingerprint = None if server is None else server.fingerprint
         return self._session.ask(
             request,
             self._deadline,
             delivery,
-            fingerprint=fingerprint,
+            fingerprint=self._fingerprint,
             count_retries=self.settings.count_retries,
         )
+
+    @property
+    def _fingerprint(self) -> str | None:
+        server = self.settings.server
+        return None if server is None else server.fingerprint
 
     def request(self, prompt: Prompt, sample: int = 0) -> Request:
         """The request for a prompt."""
@@ -421,14 +428,21 @@ class LlmGenerator(Generator):
         A variant that equals the prompt, such as one without pictures where there are none, could
         show nothing and is left out.
         """
-        beside = {}
-        for number, name in enumerate(self.settings.further_samples, start=1):
-            beside[name] = self._read(self._ask(prompt, number, Delivery()))
+        requests = {
+            name: self.request(prompt, number)
+            for number, name in enumerate(self.settings.further_samples, start=1)
+        }
         for name in self.settings.beside:
             variant = self.variant(name, prompt)
             if variant != prompt:
-                beside[name] = self._read(self._ask(variant, 0, Delivery()))
-        return beside
+                requests[name] = self.request(variant)
+        answers = self._session.ask_all(
+            list(requests.values()),
+            self._deadline,
+            fingerprint=self._fingerprint,
+            count_retries=self.settings.count_retries,
+        )
+        return {name: self._read(answer) for name, answer in zip(requests, answers, strict=True)}
 
     def _read(self, answer: Answer) -> dict[str, str]:
         reading = read_answer(answer, self.SCHEMA)

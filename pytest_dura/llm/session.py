@@ -7,12 +7,13 @@ import secrets
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
-from threading import RLock
+from threading import Event, RLock
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from pytest_dura.core.errors import (
@@ -23,8 +24,10 @@ from pytest_dura.core.errors import (
 from pytest_dura.llm.cassette import Cassette, Exchange
 from pytest_dura.llm.endpoint import MODEL, model_about
 from pytest_dura.llm.misses import CassetteMissError, explain_miss
+from pytest_dura.llm.places import Places
 from pytest_dura.llm.port import Answer, Delivery, Request
 from pytest_dura.llm.retries import Retries, retries_of
+from pytest_dura.llm.spending import Spending, Tokens, estimate_tokens
 
 if TYPE_CHECKING:
     from pytest_dura.llm.client import OpenAiClient
@@ -208,6 +211,19 @@ def _unchanged(value: Any) -> Any:
     return value
 
 
+_is_counted: ContextVar[bool] = ContextVar("dura_llm_is_counted", default=True)
+
+
+@contextmanager
+def uncounted() -> Iterator[None]:
+    """Context whose requests enter no count, those in threads with a copy of it included."""
+    token = _is_counted.set(False)
+    try:
+        yield
+    finally:
+        _is_counted.reset(token)
+
+
 class ModelSession:
     """Access to language models in one of three modes.
 
@@ -227,6 +243,8 @@ class ModelSession:
         connect: Makes the connection to the server of an environment.
         retries: How requests are repeated whose server is not available; by default as the
             environment says.
+        concurrency: Requests that are under way at the same time, at most.
+        spending: Counts the requests to servers; by default without a limit.
 
     Raises:
         ConfigurationError: If the cassette, or the environment's number of retries, cannot be used.
@@ -242,8 +260,10 @@ class ModelSession:
         scrub: Scrub = _unchanged,
         connect: Connect = OpenAiServer,
         retries: Retries | None = None,
+        concurrency: int = 1,
+        spending: Spending | None = None,
     ) -> None:
-        self.mode = mode
+        self.mode, self.concurrency = mode, concurrency
         self._environ = os.environ if environ is None else environ
         self.retries = Retries(retries_of(self._environ)) if retries is None else retries
         self.cassette: Cassette | None = None
@@ -258,14 +278,27 @@ class ModelSession:
         ``reused`` from the cassette, ``injected`` as a fault, ``missed`` in the cassette. Beside
         these the calls that were ``repeated``, and by their cause those that ended as
         ``unavailable``, such as ``unavailable: HTTP 429``; a cassette's answers, too."""
+        self.limit_reached = ""
+        """The limit that kept a request from its server, in words; empty if none did."""
+        self._spending = spending or Spending()
+        self._places = Places(concurrency)
+        self._under_way: dict[str, Event] = {}
+        """Requests that are being recorded, by key, each with the event of their end."""
+        self._stopped = False
         self._session = session or secrets.token_hex(8)
         self._scrub, self._connect = scrub, connect
         self._servers: dict[str | None, ModelServer] = {}
         self._described: dict[str | None, ModelDescription | ConfigurationError] = {}
         self._lock = RLock()
 
+    def stop(self) -> None:
+        """Let no further request be answered, and record nothing any more."""
+        with self._lock:
+            self._stopped = True
+
     def close(self) -> None:
         """Close the cassette."""
+        self.stop()
         if self.cassette is not None:
             self.cassette.close()
 
@@ -374,6 +407,31 @@ class ModelSession:
         scrubbed: str = self._scrub(text)
         return scrubbed
 
+    def ask_all(
+        self,
+        requests: Sequence[Request],
+        budget: float | None,
+        *,
+        fingerprint: str | None = None,
+        count_retries: bool = False,
+    ) -> list[Answer]:
+        """The answers to several requests, in their order; they are made at once as far as may be.
+
+        Args:
+            requests: The requests.
+            budget: As in :meth:`ask`, for each of them.
+            fingerprint: As in :meth:`ask`.
+            count_retries: As in :meth:`ask`.
+
+        Raises:
+            ComponentEnvironmentError: As in :meth:`ask`, for the first of those that have none.
+        """
+        calls = [
+            partial(self.ask, request, budget, fingerprint=fingerprint, count_retries=count_retries)
+            for request in requests
+        ]
+        return [call() for call in calls] if self.mode == "replay" else self._places.call_all(calls)
+
     @cached_property
     def _offline_client(self) -> OpenAiClient:
         """The client for injected faults, whose answers must not depend on any server."""
@@ -402,19 +460,47 @@ class ModelSession:
             assert server is not None
             return self._ask_server(server, request, limit, fingerprint, count_retries)
         key = request.key(fingerprint)
-        stored = self.cassette.find(key)
-        if stored is not None:
-            self._count(request, fingerprint, "reused")
-            self._count_cause(request, fingerprint, stored)
-            return stored
-        plain = self._scrub(request.to_json())
-        if server is None:
-            self._count(request, fingerprint, "missed")
-            raise report_environment_error(
-                CassetteMissError(explain_miss(self.cassette, plain, fingerprint))
-            )
-        answer = self._ask_server(server, request, limit, fingerprint, count_retries)
-        return self.cassette.add(Exchange(key, fingerprint, plain, answer, _now()))
+        while True:
+            stored = self.cassette.find(key)
+            if stored is not None:
+                return self._reused(request, fingerprint, stored)
+            if server is None:
+                self._count(request, fingerprint, "missed")
+                plain = self._scrubbed(request.to_json())
+                raise report_environment_error(
+                    CassetteMissError(explain_miss(self.cassette, plain, fingerprint))
+                )
+            with self._lock:
+                ended = self._under_way.get(key)
+                if ended is None:
+                    self._under_way[key] = Event()
+            if ended is None:
+                ask = partial(self._ask_server, server, request, limit, fingerprint, count_retries)
+                return self._record(key, request, fingerprint, ask)
+            ended.wait()  # whoever asks keeps to a limit of its own
+
+    def _record(
+        self, key: str, request: Request, fingerprint: str, ask: Callable[[], Answer]
+    ) -> Answer:
+        """Ask a server and record the exchange, while others with the same request wait for it."""
+        assert self.cassette is not None
+        try:
+            stored = self.cassette.find(key)  # whoever asked before may just have ended
+            if stored is not None:
+                return self._reused(request, fingerprint, stored)
+            answer = ask()
+            plain = self._scrubbed(request.to_json())
+            with self._lock:
+                self._check_goes_on()
+                return self.cassette.add(Exchange(key, fingerprint, plain, answer, _now()))
+        finally:
+            with self._lock:
+                self._under_way.pop(key).set()
+
+    def _reused(self, request: Request, fingerprint: str, stored: Answer) -> Answer:
+        self._count(request, fingerprint, "reused")
+        self._count_cause(request, fingerprint, stored)
+        return stored
 
     def _ask_server(
         self,
@@ -427,23 +513,64 @@ class ModelSession:
         calls = iter(("asked",))
 
         def call(budget: float) -> Answer:
+            self._begin_request()
             self._count(request, fingerprint, next(calls, "repeated"))
             answer = server.ask(request, budget)
+            self._end_request(request, answer)
             self._count_cause(request, fingerprint, answer)
             return answer
 
-        answer = self.retries.ask(call, limit, counted=count_retries)
+        with self._places.taken():
+            answer = self.retries.ask(call, limit, counted=count_retries)
         names = ("text", "detail", "finish", "fingerprint")
-        texts = {name: self._scrub(server.scrub(getattr(answer, name))) for name in names}
-        return replace(answer, **texts)
+        scrubbed = {name: self._scrubbed(server.scrub(getattr(answer, name))) for name in names}
+        return replace(answer, **scrubbed)
+
+    def _begin_request(self) -> None:
+        """Count a request to a server against the limits.
+
+        Raises:
+            ComponentEnvironmentError: If it may not be made.
+        """
+        with self._lock:
+            self._check_goes_on()
+            if not self.limit_reached:
+                self.limit_reached = self._spending.begin() or ""
+            reached = self.limit_reached
+        if reached:
+            raise report_environment_error(
+                ComponentEnvironmentError(
+                    "language model", f"the limit of {reached} is reached (--dura-llm-limit)"
+                )
+            )
+
+    def _end_request(self, request: Request, answer: Answer) -> None:
+        """Count the tokens of a request to a server against the limits."""
+        tokens = Tokens.of(answer.usage, answered=not answer.failure)
+        if tokens.uncounted:  # so that a limit holds all the same
+            texts = (message.text for message in request.messages)
+            tokens = Tokens(estimate_tokens(*texts), estimate_tokens(answer.text))
+        self._spending.end(tokens)
+
+    def _check_goes_on(self) -> None:
+        if self._stopped:
+            raise report_environment_error(
+                ComponentEnvironmentError("language model", "the session has ended")
+            )
+
+    def _scrubbed(self, value: Any) -> Any:
+        """The value without secrets; what takes them out serves one thread at a time."""
+        with self._lock:
+            return self._scrub(value)
 
     def _count_cause(self, request: Request, fingerprint: str, answer: Answer) -> None:
         if answer.failure == "unavailable":
             self._count(request, fingerprint, f"unavailable: {answer.cause or 'other'}")
 
     def _count(self, request: Request, fingerprint: str, answered_by: str) -> None:
-        with self._lock:
-            self.counts[request.model, fingerprint, answered_by] += 1
+        if _is_counted.get():
+            with self._lock:
+                self.counts[request.model, fingerprint, answered_by] += 1
 
     def _server(self, model: str | None) -> ModelServer:
         with self._lock:
@@ -471,7 +598,7 @@ class ModelSession:
             _now(),
             about,
         )
-        data = {key: self._scrub(value) for key, value in description.to_json().items()}
+        data = {key: self._scrubbed(value) for key, value in description.to_json().items()}
         if self.cassette is not None:
             # That of another process, if it was quicker.
             data = dict(self.cassette.describe(data, self._session))

@@ -333,6 +333,11 @@ class SessionHooks:
         # A test that could not be set up is not called.
         if uses_runner(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
             self.session.judge_item(item, report, item_report)
+        reached = self.session.models.limit_reached
+        if reached and not item.session.shouldstop:
+            item.session.shouldstop = (
+                f"the limit of {reached} is reached (--dura-llm-limit); --dura-resume goes on"
+            )
         return report
 
     @pytest.hookimpl(tryfirst=True)
@@ -345,6 +350,7 @@ class SessionHooks:
         """Write the evidence."""
         self._end_forked_copy()
         # What is still under way must not arrive once the episodes are removed.
+        self.session.models.stop()
         self.session.executor.close()
         if self.session.is_worker:
             workeroutput = vars(session.config)["workeroutput"]

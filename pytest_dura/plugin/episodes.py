@@ -12,7 +12,7 @@ import tempfile
 import uuid
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -51,14 +51,21 @@ class SessionExecutor:
 
     Args:
         choice: Who simulates, if it is not this process itself.
+        threads: How many episodes at a time whose component asks a language model.
         is_worker: Whether this is a worker of pytest-xdist.
         collect_only: Whether nothing is run.
     """
 
     def __init__(
-        self, choice: ExecutorChoice | None, *, is_worker: bool, collect_only: bool
+        self,
+        choice: ExecutorChoice | None,
+        *,
+        threads: int = 1,
+        is_worker: bool,
+        collect_only: bool,
     ) -> None:
-        self._choice, self._is_worker, self._collect_only = choice, is_worker, collect_only
+        self._choice, self._threads = choice, threads
+        self._is_worker, self._collect_only = is_worker, collect_only
         self._execution: Execution | ConfigurationError | None = None
         self._simulated_here: Counter[tuple[str, str]] = Counter()
 
@@ -74,6 +81,11 @@ class SessionExecutor:
             try:
                 chosen = self._choice
                 self._execution = Execution() if chosen is None else chosen.execution()
+                if self._threads > 1:
+                    from pytest_dura.execution.threads import EpisodeThreads
+
+                    threads = EpisodeThreads(self._threads)
+                    self._execution = replace(self._execution, threads=threads)
             except ConfigurationError as error:
                 self._execution = error
         if isinstance(self._execution, ConfigurationError):
@@ -117,16 +129,20 @@ class SessionExecutor:
     def to_json(self) -> dict[str, Any]:
         """The record's key ``execution``."""
         choice = self._choice
+        many = {} if self._threads == 1 else {"llm_concurrency": self._threads}
         if choice is None:
-            return {"executor": "in-process", "processes": None}
-        return {"executor": choice.name, "processes": choice.processes}
+            return {"executor": "in-process", "processes": None, **many}
+        return {"executor": choice.name, "processes": choice.processes, **many}
 
     def header(self) -> list[str]:
-        """Header line, if another process simulates."""
-        choice = self._choice
-        if choice is None or choice.kind is None:
-            return []
-        return [f"dura: episodes are simulated {choice.kind.where}"]
+        """Header lines, if another process or several threads simulate."""
+        choice, lines = self._choice, []
+        if choice is not None and choice.kind is not None:
+            lines.append(f"dura: episodes are simulated {choice.kind.where}")
+        if self._threads > 1:
+            many = f"at most {self._threads} requests to language models at once"
+            lines.append(f"dura: {many}, in {self._threads} threads")
+        return lines
 
     def notes(self) -> list[str]:
         """Lines on episodes that were simulated here although an executor was given."""

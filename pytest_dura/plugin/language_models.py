@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.roles import root_conftest_with
 
 if TYPE_CHECKING:
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.llm.session import ModelDescription, ModelSession
+    from pytest_dura.llm.spending import Spending
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.inputs import SessionInputs
     from pytest_dura.plugin.roles import SessionRoles
@@ -54,9 +58,8 @@ class LanguageModels:
 
     def send_to_worker(self, workerinput: dict[str, Any]) -> None:
         """Add what a worker has to know to its input."""
-        if self.context.options.cassette is not None:
-            workerinput["dura_llm_session"] = self._name
-        elif self._active is not None:
+        workerinput["dura_llm_session"] = self._name
+        if self.context.options.cassette is None and self._active is not None:
             # Each worker's own probe might differ, and so describe another component.
             workerinput["dura_llm_described"] = [
                 description.to_json() for description in self._active.descriptions
@@ -73,24 +76,73 @@ class LanguageModels:
         self._has_begun = True
         self._previous = self._activate(None)
         self._name = self.context.worker_input.get("dura_llm_session") or os.urandom(8).hex()
-        options, described = self.context.options, self.context.worker_input
+        options = self.context.options
+        described = self.context.worker_input.get("dura_llm_described", ())
+        is_special = (
+            options.llm_concurrency > 1
+            or options.llm_limit is not None
+            or options.llm_retries is not None
+        )
         if options.llm != "live":
             session = self._session(options.llm, options.cassette, scrub=self.context.redact)
             self._replayed = session.replayed
             self._activate(session)
-        elif described.get("dura_llm_described") or options.llm_retries is not None:
+        elif described or is_special:
             session = self._session()
-            session.know(described.get("dura_llm_described", ()))
+            session.know(described)
             self._activate(session)
 
+    def _spending(self) -> Spending | None:
+        """What all processes of the session ask of servers, if there is a limit of it.
+
+        Raises:
+            ConfigurationError: For the limit of a price that nobody stated.
+        """
+        options = self.context.options
+        if options.llm_limit is None:
+            return None
+        if options.llm_limit.price is not None and options.llm_price is None:
+            raise ConfigurationError(
+                "the limit of a price needs the price of a token",
+                key="--dura-llm-limit",
+                found=f"price={options.llm_limit.price:g} without --dura-llm-price",
+                expected="--dura-llm-price, or the ini setting dura_llm_price",
+                remedy="for example --dura-llm-price='0.15/0.60 USD'",
+            )
+        from pytest_dura.llm.spending import Spending
+
+        return Spending(options.llm_limit, options.llm_price, self._spending_file)
+
+    @property
+    def _spending_file(self) -> Path:
+        """File in which the processes of the session add up what they ask."""
+        return Path(tempfile.gettempdir()) / f"pytest-dura-spending-{self._name}"
+
+    @property
+    def limit_reached(self) -> str:
+        """Limit that kept a request of this process from its server, in words; empty if none."""
+        return "" if self._active is None else self._active.limit_reached
+
+    def stop(self) -> None:
+        """Let no thread that is still under way ask or record anything any more."""
+        if self._has_begun and self._active is not None:
+            self._active.stop()
+
     def _session(self, *given: Any, **named: Any) -> ModelSession:
-        """A model session with the id and the retries of this session."""
+        """A model session with the id, the retries and the limits of this session."""
         from pytest_dura.llm.retries import Retries
         from pytest_dura.llm.session import ModelSession
 
         most = self.context.options.llm_retries
         retries = None if most is None else Retries(most)
-        return ModelSession(*given, session=self._name, retries=retries, **named)
+        return ModelSession(
+            *given,
+            session=self._name,
+            retries=retries,
+            concurrency=self.context.options.llm_concurrency,
+            spending=self._spending(),
+            **named,
+        )
 
     def __enter__(self) -> None:
         """See :meth:`begin`."""
@@ -108,6 +160,9 @@ class LanguageModels:
         session = self._activate(self._previous)
         if session is not None:
             session.close()
+        if not self.context.is_worker:
+            with suppress(OSError):  # what is left in the folder for such files does no harm
+                self._spending_file.unlink(missing_ok=True)
 
     def _activate(self, session: ModelSession | None) -> ModelSession | None:
         """Put a model session to use; returns the one that was in use."""
@@ -242,12 +297,9 @@ class LanguageModels:
     @contextmanager
     def uncounted(self) -> Iterator[None]:
         """Context of a repetition, whose requests enter no count."""
-        earlier = Counter({} if self._active is None else self._active.counts)
-        try:
+        module = sys.modules.get(_SESSION_MODULE)
+        with nullcontext() if module is None else module.uncounted():
             yield
-        finally:
-            later = Counter({} if self._active is None else self._active.counts)
-            self._counted += later - earlier
 
     def _register(self, key: tuple[Any, ...]) -> None:
         if key not in self._used:

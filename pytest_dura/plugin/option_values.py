@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import pytest
 
     from pytest_dura.execution.executors import ExecutorChoice
+    from pytest_dura.llm.spending import Limits, Price
 
 
 BUILTIN_DOMAIN = "driving"
@@ -291,6 +292,20 @@ def cassette_file(setting: Setting) -> Path | None:
             expected="--dura-llm=record or --dura-llm=replay beside it",
         )
     return None
+
+
+def llm_limits(setting: Setting) -> Limits | None:
+    """Read what a session may ask of language models at most."""
+    from pytest_dura.llm.spending import Limits
+
+    return Limits.parse(str(setting.value), setting.key)
+
+
+def llm_price(setting: Setting) -> Price | None:
+    """Read the price of a million tokens."""
+    from pytest_dura.llm.spending import Price
+
+    return Price.parse(str(setting.value), setting.key)
 
 
 _MOST_RETRIES = 20

@@ -31,6 +31,8 @@ from pytest_dura.plugin.option_values import (
     file,
     folder,
     is_choice,
+    llm_limits,
+    llm_price,
     llm_retries,
     off_switch,
     reuse_folder,
@@ -46,6 +48,7 @@ from pytest_dura.plugin.option_values import (
 if TYPE_CHECKING:
     from pytest_dura.execution.executors import ExecutorChoice
     from pytest_dura.llm.session import Mode
+    from pytest_dura.llm.spending import Limits, Price
 
 T = TypeVar("T")
 Level = Literal["summary", "violations", "all"]
@@ -536,6 +539,37 @@ class Options:
         same_in_shards=False,
         changes_episodes=True,
         sent_to_workers=True,
+    )
+    llm_concurrency: Option[int] = Option(
+        "--dura-llm-concurrency",
+        "requests to language models that each process makes at the same time, at most; as many "
+        "episodes of a campaign are simulated at once in threads",
+        whole_number(at_least=1),
+        ini="dura_llm_concurrency",
+        default="1",
+        metavar="N",
+        example="8",
+        details="See [many requests at once](llm.md#many-requests-at-once).",
+        same_in_shards=False,
+    )
+    llm_limit: Option[Limits | None] = Option(
+        "--dura-llm-limit",
+        "requests to the servers of language models, tokens, or price, after which the session "
+        "ends as interrupted; --dura-resume goes on with it",
+        llm_limits,
+        metavar="LIMITS",
+        example="requests=5000,tokens=2e6",
+        details="All processes of the session share it. A price needs `--dura-llm-price`.",
+        same_in_shards=False,
+    )
+    llm_price: Option[Price | None] = Option(
+        "--dura-llm-price",
+        "price of a million tokens of prompts and of answers, with a currency if you like",
+        llm_price,
+        ini="dura_llm_price",
+        metavar="PRICE",
+        example="0.15/0.60 USD",
+        details="There is no list of prices: what a session costs is said only where this is.",
     )
     llm_retries: Option[int | None] = Option(
         "--dura-llm-retries",

@@ -148,7 +148,10 @@ class DuraSession(SessionContext):
         options = self.options
         self.roles = SessionRoles(config, options.generator, options.domain, options.simulator)
         self.executor = SessionExecutor(
-            options.executor, is_worker=self.is_worker, collect_only=config.option.collectonly
+            options.executor,
+            threads=options.llm_concurrency,
+            is_worker=self.is_worker,
+            collect_only=config.option.collectonly,
         )
         self.models = LanguageModels(self, self.roles)
         self.formulas = FormulaEngines(both=options.second_engine)

@@ -11,6 +11,7 @@ import math
 import operator
 from collections.abc import Callable
 from functools import cached_property, lru_cache
+from threading import RLock
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -129,7 +130,7 @@ Operation: TypeAlias = tuple[Callable[..., Any], tuple[int, ...], tuple[Any, ...
 
 
 class Program:
-    """The steps of one formula, compiled mode by mode as they are needed.
+    """The steps of one formula, compiled mode by mode as they are needed, by threads in turn.
 
     Args:
         root: The formula.
@@ -144,19 +145,22 @@ class Program:
         self._numbers: dict[Operation, int] = {}
         self._slots: dict[tuple[int, Mode], int] = {}
         self._orders: dict[int, list[tuple[int, Operation]]] = {}
+        self._lock = RLock()
 
     def slot(self, node: Node, mode: Mode) -> int:
         """Number of the step that computes a part of the formula, shape ``(..., n)``."""
         # By identity, as hashing a tree takes long; the root keeps its parts alive.
         key = (id(node), mode)
         slot = self._slots.get(key)
-        if slot is None:
+        if slot is not None:
+            return slot
+        with self._lock:
             if mode.unknown is not None and not _depends_on_the_end(node, mode.open_end):
                 slot = self.slot(node, Mode(truth=mode.truth))
             else:
                 slot = self._compiled(node, mode)
             self._slots[key] = slot
-        return slot
+            return slot
 
     def samples(self, window: Window) -> tuple[int, int]:
         """First and last sample of a window, relative to the sample at hand."""

@@ -1,0 +1,213 @@
+"""Spending: requests and tokens of a session, their price, and the limits at which it ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from threading import Lock
+
+from pytest_dura.core.errors import ConfigurationError
+
+_MILLION = 1_000_000
+_CHARACTERS_PER_TOKEN = 4
+_LONGEST_CURRENCY = 12
+
+
+def estimate_tokens(*texts: str) -> int:
+    """Estimate the tokens of texts: a token for every four characters, as English text has."""
+    return sum(math.ceil(len(text) / _CHARACTERS_PER_TOKEN) for text in texts)
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """Tokens of one or more requests, as the server counted them.
+
+    Args:
+        prompt: Of the requests.
+        completion: Of the answers.
+        uncounted: Answers for which the server counted nothing.
+    """
+
+    prompt: int = 0
+    completion: int = 0
+    uncounted: int = 0
+
+    @classmethod
+    def of(cls, usage: Mapping[str, int], *, answered: bool) -> Tokens:
+        """Those of one request.
+
+        Args:
+            usage: ``prompt_tokens`` and ``completion_tokens``, as the answer gives them.
+            answered: Whether the model answered: a failure without usage is no uncounted answer.
+        """
+        prompt, completion = (usage.get(f"{name}_tokens") for name in ("prompt", "completion"))
+        if prompt is None or completion is None:
+            return cls(prompt or 0, completion or 0, int(answered))
+        return cls(prompt, completion)
+
+    def __add__(self, other: Tokens) -> Tokens:
+        return Tokens(*(getattr(self, x.name) + getattr(other, x.name) for x in fields(self)))
+
+    def __sub__(self, other: Tokens) -> Tokens:
+        return Tokens(*(getattr(self, x.name) - getattr(other, x.name) for x in fields(self)))
+
+    @property
+    def total(self) -> int:
+        """Tokens of requests and answers."""
+        return self.prompt + self.completion
+
+
+@dataclass(frozen=True)
+class Price:
+    """Price of a million tokens, as the user states it.
+
+    Args:
+        prompt: Of the requests.
+        completion: Of the answers.
+        currency: Such as ``USD``; empty where nothing is said.
+    """
+
+    prompt: float
+    completion: float
+    currency: str = ""
+
+    @classmethod
+    def parse(cls, text: str, key: str) -> Price:
+        """Parse ``0.15/0.60``, or ``0.15/0.60 USD``.
+
+        Raises:
+            ConfigurationError: For anything else.
+        """
+        numbers, _, currency = text.strip().partition(" ")
+        prompt, _, completion = (_number(part) for part in numbers.partition("/"))
+        currency = currency.strip()
+        usable = prompt is not None and completion is not None
+        fits = len(currency) <= _LONGEST_CURRENCY and currency.isprintable()
+        if prompt is None or completion is None or not (usable and fits):
+            raise ConfigurationError(
+                f"{key} states the price of a million tokens",
+                key=key,
+                found=text,
+                expected="PROMPT/COMPLETION, and a currency if you like",
+                remedy=f"for example {key}='0.15/0.60 USD'",
+            )
+        return cls(prompt, completion, currency)
+
+    def of(self, tokens: Tokens) -> float:
+        """The price of some tokens."""
+        spent = tokens.prompt * self.prompt + tokens.completion * self.completion
+        return spent / _MILLION
+
+    def text(self, tokens: Tokens) -> str:
+        """The price of some tokens, in words such as ``0.0312 USD``."""
+        return f"{self.of(tokens):.4g}{f' {self.currency}' if self.currency else ''}"
+
+
+def _number(text: str) -> float | None:
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if 0.0 <= number < math.inf else None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a session may ask of servers; ``None`` where there is no limit.
+
+    Args:
+        requests: Number of requests.
+        tokens: Of prompts and answers.
+        price: In the currency of the price.
+    """
+
+    requests: int | None = None
+    tokens: int | None = None
+    price: float | None = None
+
+    @classmethod
+    def parse(cls, text: str, key: str) -> Limits:
+        """Parse ``requests=5000,tokens=2e6,price=5``, or some of these.
+
+        Raises:
+            ConfigurationError: For anything else.
+        """
+        names = [each.name for each in fields(cls)]
+        values: dict[str, float] = {}
+        for part in text.split(","):
+            name, _, amount = (each.strip() for each in part.partition("="))
+            number = _number(amount)
+            whole = name == "price" or (number is not None and number == int(number))
+            if name not in names or name in values or not number or not whole:
+                raise ConfigurationError(
+                    f"{key} limits what a session asks of language models",
+                    key=key,
+                    found=text,
+                    expected=f"{', '.join(names)}, each at most once and with a number above 0",
+                    remedy=f"for example {key}=requests=5000,tokens=2e6",
+                )
+            values[name] = number
+        whole_numbers = {name: int(values[name]) for name in names[:2] if name in values}
+        return cls(**whole_numbers, price=values.get("price"))
+
+
+class Spending:
+    """What the processes of a session have asked of servers so far, against its limits.
+
+    Args:
+        limits: Those of the session.
+        price: For the limit of a price.
+        file: Shared by the processes of the session, each of which adds what it asks.
+    """
+
+    def __init__(
+        self, limits: Limits = Limits(), price: Price | None = None, file: Path | None = None
+    ) -> None:
+        self.limits, self.price = limits, price
+        self._file, self._read = file, 0
+        self._requests, self._tokens = 0, Tokens()
+        self._lock = Lock()
+
+    def begin(self) -> str | None:
+        """Count a request that is about to be made.
+
+        Returns:
+            The limit that is reached, in words; then it may not be made.
+        """
+        if self.limits == Limits():
+            return None
+        with self._lock:
+            self._add(1, Tokens())
+            limits, price = self.limits, self.price
+            if limits.requests is not None and self._requests > limits.requests:
+                return f"{limits.requests} requests"
+            if limits.tokens is not None and self._tokens.total >= limits.tokens:
+                return f"{limits.tokens} tokens"
+            spent = None if price is None else price.of(self._tokens)
+            if limits.price is not None and spent is not None and spent >= limits.price:
+                return f"a price of {limits.price:g}"
+            return None
+
+    def end(self, tokens: Tokens) -> None:
+        """Count the tokens of a request that was made."""
+        if self.limits != Limits():
+            with self._lock:
+                self._add(0, tokens)
+
+    def _add(self, requests: int, tokens: Tokens) -> None:
+        if self._file is None:
+            self._requests, self._tokens = self._requests + requests, self._tokens + tokens
+            return
+        # What is appended in one write is whole, also beside the writes of other processes.
+        with self._file.open("ab", buffering=0) as stream:
+            stream.write(f"{requests} {tokens.prompt} {tokens.completion}\n".encode())
+        with self._file.open("rb") as stream:
+            stream.seek(self._read)
+            added = stream.read()
+        for line in added.splitlines():
+            other, prompt, completion = map(int, line.split())
+            self._requests += other
+            self._tokens += Tokens(prompt, completion)
+        self._read += len(added)
