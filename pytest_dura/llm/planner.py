@@ -6,7 +6,7 @@ import json
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -22,8 +22,12 @@ from pytest_dura.llm.prompts import Prompt
 
 Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Temperature = Annotated[float, Field(ge=0, le=2, allow_inf_nan=False)]
-Beside = Literal["reordered", "paraphrased", "injected", "conflict", "blind"]
-EVERYTHING: tuple[Beside, ...] = ("reordered", "paraphrased", "injected", "conflict", "blind")
+Beside = Literal[
+    "reordered", "paraphrased", "reformatted", "neutral", "injected", "unhardened", "conflict",
+    "blind",
+]  # fmt: skip
+EVERYTHING: tuple[Beside, ...] = get_args(Beside)
+_ATTACKED: tuple[Beside, ...] = ("injected", "unhardened")
 
 
 class KnownServer(BaseModel):
@@ -111,6 +115,15 @@ class Settings(BaseModel):
     beside_every: int = Field(
         10, ge=1, description="Samples and variants are asked beside every n-th decision."
     )
+    injections: Literal["in_turn", "all"] = Field(
+        "in_turn",
+        description="The attackers' texts of `injected` and `unhardened`: the next one at each"
+        " decision, or all of them.",
+    )
+    hardened: bool = Field(
+        True,
+        description="Whether texts of the scene are enclosed, and the model is warned of them.",
+    )
     history: int = Field(3, ge=0, le=20, description="Earlier decisions in the prompt.")
     images: tuple[str, ...] | None = Field(
         None, description="Cameras whose pictures are shown; by default all, to a model that sees."
@@ -190,6 +203,19 @@ class Settings(BaseModel):
             "again" if number == 1 else f"again_{number}" for number in range(1, self.samples)
         )
 
+    def variants(self, attacks: int) -> tuple[str, ...]:
+        """Names of the variants that are asked beside a decision.
+
+        Args:
+            attacks: Number of the attackers' texts.
+        """
+        count = attacks if self.injections == "all" else 1
+        return tuple(
+            name if number == 1 else f"{name}_{number}"
+            for name in self.beside
+            for number in range(1, (count if name in _ATTACKED else 1) + 1)
+        )
+
 
 _PENDING = "pending"
 """Outcome of a decision that has not landed yet."""
@@ -214,7 +240,7 @@ class Decision:
     reading: Reading
     seconds: float
     ids: tuple[str, ...]
-    beside: Mapping[str, Mapping[str, str]] = NOTHING
+    beside: Mapping[str, Mapping[str, Any]] = NOTHING
     exchange: Mapping[str, Any] = NOTHING
 
     @property
@@ -235,6 +261,12 @@ class Decision:
         }
 
 
+def _as_asked(account: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries of a variant's account that tell what was asked; nothing was complied with."""
+    asked = {key: account[key] for key in ("goal",) if key in account}
+    return {**asked, "complied": []} if "complied" in account else asked
+
+
 class LlmGenerator(Generator):
     """Generator that calls a language model every few ticks, and holds its decision in between.
 
@@ -251,6 +283,8 @@ class LlmGenerator(Generator):
     """Of an answer, with at least ``threat_ids``, ``reasoning``, ``intent`` and ``maneuver``."""
     NULL: ClassVar[Mapping[str, str]]
     """Intent and maneuver of the null component: always the same, whatever the prompt."""
+    ATTACKS: ClassVar[int] = 1
+    """Number of the attackers' texts that the domain has."""
 
     def __init__(self, **params: Any) -> None:
         self.settings = Settings.of(params, self.MANEUVERS)
@@ -290,6 +324,21 @@ class LlmGenerator(Generator):
     def variant(self, name: str, prompt: Prompt) -> Prompt:
         """The prompt of a request beside the deciding one, other than ``again``."""
 
+    def account_beside(self, name: str, prompt: Prompt, reading: Reading) -> Mapping[str, Any]:  # noqa: ARG002 - for overrides
+        """Further entries of an account on the answer to a variant.
+
+        Args:
+            name: Of the variant.
+            prompt: Of the variant.
+            reading: Of the answer.
+        """
+        return {}
+
+    @property
+    def _asked_beside(self) -> int:
+        """Number of earlier decisions of the episode with requests beside them."""
+        return self._prompts // self.settings.beside_every
+
     @abstractmethod
     def command(self, maneuver: str) -> Any:
         """The action that carries a maneuver out."""
@@ -318,7 +367,7 @@ class LlmGenerator(Generator):
         deadline = self.settings.deadline(budget)
         if deadline is None:
             return None
-        requests = self.settings.samples + len(self.settings.beside)
+        requests = self.settings.samples + len(self.settings.variants(self.ATTACKS))
         if not self.settings.count_retries:
             deadline = session.current().retries.time_for(deadline)
         waits = 1 if session.current().concurrency == 1 else 2
@@ -422,7 +471,7 @@ class LlmGenerator(Generator):
             stream=settings.stream,
         )
 
-    def _answers_beside(self, prompt: Prompt) -> dict[str, dict[str, str]]:
+    def _answers_beside(self, prompt: Prompt) -> dict[str, dict[str, Any]]:
         """Answers to further samples of a request, and to variants of it, by name.
 
         A variant that equals the prompt, such as one without pictures where there are none, could
@@ -432,19 +481,26 @@ class LlmGenerator(Generator):
             name: self.request(prompt, number)
             for number, name in enumerate(self.settings.further_samples, start=1)
         }
-        for name in self.settings.beside:
+        variants = {}
+        for name in self.settings.variants(self.ATTACKS):
             variant = self.variant(name, prompt)
             if variant != prompt:
-                requests[name] = self.request(variant)
+                variants[name], requests[name] = variant, self.request(variant)
         answers = self._session.ask_all(
             list(requests.values()),
             self._deadline,
             fingerprint=self._fingerprint,
             count_retries=self.settings.count_retries,
         )
-        return {name: self._read(answer) for name, answer in zip(requests, answers, strict=True)}
+        beside = {}
+        for name, answer in zip(requests, answers, strict=True):
+            beside[name] = self._read(answer)
+            if name in variants:
+                reading = read_answer(answer, self.SCHEMA)
+                beside[name] |= self.account_beside(name, variants[name], reading)
+        return beside
 
-    def _read(self, answer: Answer) -> dict[str, str]:
+    def _read(self, answer: Answer) -> dict[str, Any]:
         reading = read_answer(answer, self.SCHEMA)
         decided = {key: reading.content[key] for key in ("intent", "maneuver") if reading.content}
         return {"outcome": reading.outcome, **decided}
@@ -462,7 +518,8 @@ class LlmGenerator(Generator):
         if decided:
             null = {**account, **self.NULL, "outcome": "answered", "cited": [], "fallback": False}
             null["beside"] = {
-                name: {"outcome": "answered", **self.NULL} for name in decision.beside
+                name: {**_as_asked(told), "outcome": "answered", **self.NULL}
+                for name, told in decision.beside.items()
             }
             account |= {"beside": dict(decision.beside), "seconds": decision.seconds, "null": null}
             account[EXCHANGE] = decision.exchange

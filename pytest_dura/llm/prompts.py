@@ -63,6 +63,13 @@ class PerceivedText:
     def __str__(self) -> str:
         return f"<{TAG}>{harmless(self._text, self.longest)}</{TAG}>"
 
+    def _bare(self) -> str:
+        """The text as it is, on one line and bounded: what a prompt without hardening shows."""
+        if not isinstance(self._text, str):
+            return "(unreadable)"
+        text = "".join(each if each.isprintable() else " " for each in self._text[: self.longest])
+        return " ".join(text.split())
+
 
 def harmless(text: object, longest: int = LONGEST_PERCEIVED) -> str:
     """Clean a text: one line that holds no tag, nor anything that is easily taken for one.
@@ -114,11 +121,13 @@ class Prompt:
         blocks: In the order in which they are shown.
         images: In the order in which they are shown.
         wording: Name of another wording of the same content; empty for the templates' own.
+        hardened: Whether texts of the scene are shown as such, and the model is warned of them.
     """
 
     blocks: tuple[Block, ...]
     images: tuple[Image, ...] = ()
     wording: str = ""
+    hardened: bool = True
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -128,6 +137,8 @@ class Prompt:
 
 
 _PARAPHRASED = "paraphrased"
+REFORMATTED = "reformatted"
+"""The wording that needs no templates: each block is one JSON object of its facts."""
 OBJECTS, PICTURES = "objects", "pictures"
 """Keys of a block's facts."""
 
@@ -155,6 +166,16 @@ def reordered(prompt: Prompt, rng: np.random.Generator) -> Prompt:
 def paraphrased(prompt: Prompt) -> Prompt:
     """The same facts in other words."""
     return replace(prompt, wording=_PARAPHRASED)
+
+
+def reformatted(prompt: Prompt) -> Prompt:
+    """The same facts in another format."""
+    return replace(prompt, wording=REFORMATTED)
+
+
+def unhardened(prompt: Prompt) -> Prompt:
+    """The same with texts of the scene among all others, and no warning of them."""
+    return replace(prompt, hardened=False)
 
 
 def blind(prompt: Prompt) -> Prompt:
@@ -291,6 +312,7 @@ def _joined(parts: Iterator[str]) -> str:
 
 _SUFFIX = ".j2"
 _FEW_SHOT = "few_shot.yaml"
+_UNHARDENED_FEW_SHOT = "few_shot_unhardened.yaml"
 _LONGEST_FILE = 65_536
 """Bytes of a file."""
 
@@ -463,6 +485,31 @@ def _with_texts(value: Any) -> Any:
     return value
 
 
+def _bare_texts(value: Any) -> Any:
+    """Facts whose texts of the scene are as any other text."""
+    if isinstance(value, PerceivedText):
+        return value._bare()  # noqa: SLF001 - out of reach for templates alone
+    if isinstance(value, Mapping):
+        return {key: _bare_texts(fact) for key, fact in value.items()}
+    if isinstance(value, (list, tuple)):
+        return tuple(map(_bare_texts, value))
+    return value
+
+
+def _as_json(block: Block) -> str:
+    """A block as one JSON object; an object's id is its label."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            left_out = {"id"} if "label" in value else set()
+            return {key: plain(fact) for key, fact in value.items() if key not in left_out}
+        if isinstance(value, (list, tuple)):
+            return list(map(plain, value))
+        return str(value) if isinstance(value, PerceivedText) else value
+
+    return json.dumps({block.name: plain(block.facts)}, ensure_ascii=False)
+
+
 def _refused(problem: str, file: str, line: int | None) -> ConfigurationError:
     return ConfigurationError(
         problem,
@@ -486,12 +533,16 @@ class Templates:
         texts = {name: text for name, text in sources.texts.items() if name.endswith(_SUFFIX)}
         self._renderer = Renderer(texts, sources.files)
         self._names = frozenset(texts)
+        self._wordings = ("", *sources.wordings, REFORMATTED)
+        read = cache(lambda name: _read_examples(sources.texts[name], sources.files[name], schema))
         self._examples = {
-            wording: self._read(wording, schema) for wording in ("", *sources.wordings)
+            (wording, hardened): read(name) if (name := self._few_shot(wording, hardened)) else ()
+            for wording in self._wordings
+            for hardened in (True, False)
         }
-        self._openings: dict[str, tuple[Message, ...]] = {}
-        for wording in self._examples:
-            self._opening(wording)
+        self._openings: dict[tuple[str, bool], tuple[Message, ...]] = {}
+        for wording, hardened in self._examples:
+            self._opening(wording, hardened=hardened)
 
     @classmethod
     def load(
@@ -519,7 +570,7 @@ class Templates:
         """
         templates = cls(Sources.read(own, directory), vocabulary, schema)
         for prompt in probes:
-            for wording in templates._examples:
+            for wording in templates._wordings:
                 templates._user(prompt.blocks, wording)
         return templates
 
@@ -534,33 +585,41 @@ class Templates:
         Raises:
             ConfigurationError: For a wording or a block without templates, or one that fails.
         """
-        text = self._user(prompt.blocks, prompt.wording)
-        return (*self._opening(prompt.wording), Message("user", text, prompt.images))
+        text = self._user(prompt.blocks, prompt.wording, hardened=prompt.hardened)
+        opening = self._opening(prompt.wording, hardened=prompt.hardened)
+        return (*opening, Message("user", text, prompt.images))
 
-    def _opening(self, wording: str) -> tuple[Message, ...]:
+    def _opening(self, wording: str, *, hardened: bool) -> tuple[Message, ...]:
         """All messages before the user's; the same at every decision."""
-        if wording not in self._examples:
+        key = wording, hardened
+        if key not in self._examples:
             raise ConfigurationError(
                 f"there is no wording {wording!r} of the prompt",
                 found=wording,
-                expected="one of " + ", ".join(map(repr, self._examples)),
+                expected="one of " + ", ".join(map(repr, self._wordings)),
                 remedy="name a folder of the templates",
             )
-        if wording not in self._openings:
-            opening = [Message("system", self._render(SYSTEM, wording, self._vocabulary))]
-            for example in self._examples[wording]:
-                opening.append(Message("user", self._user(example.blocks, wording)))
+        if key not in self._openings:
+            vocabulary = {**self._vocabulary, "hardened": int(hardened)}
+            opening = [Message("system", self._render(SYSTEM, wording, vocabulary))]
+            for example in self._examples[key]:
+                question = self._user(example.blocks, wording, hardened=hardened)
+                opening.append(Message("user", question))
                 opening.append(Message("assistant", example.answer))
-            self._openings[wording] = tuple(opening)
-        return self._openings[wording]
+            self._openings[key] = tuple(opening)
+        return self._openings[key]
 
-    def _user(self, blocks: tuple[Block, ...], wording: str) -> str:
+    def _user(self, blocks: tuple[Block, ...], wording: str, *, hardened: bool = True) -> str:
         self._check(blocks)
-        shown = [
-            {"name": block.name, "text": self._render(block.name.lower(), wording, block.facts)}
-            for block in blocks
-        ]
+        if not hardened:
+            blocks = tuple(replace(block, facts=_bare_texts(block.facts)) for block in blocks)
+        shown = [{"name": block.name, "text": self._block(block, wording)} for block in blocks]
         return self._render(USER, wording, {"blocks": shown})
+
+    def _block(self, block: Block, wording: str) -> str:
+        if wording == REFORMATTED:
+            return _as_json(block)
+        return self._render(block.name.lower(), wording, block.facts)
 
     def _check(self, blocks: tuple[Block, ...]) -> None:
         for block in blocks:
@@ -577,9 +636,9 @@ class Templates:
         name = f"{wording}/{stem}{_SUFFIX}" if wording else ""
         return self._renderer.render(name if name in self._names else stem + _SUFFIX, facts)
 
-    def _read(self, wording: str, schema: Mapping[str, Any]) -> tuple[Example, ...]:
-        name = f"{wording}/{_FEW_SHOT}" if wording else ""
-        name = name if name in self._sources.texts else _FEW_SHOT
-        if name not in self._sources.texts:
-            return ()
-        return _read_examples(self._sources.texts[name], self._sources.files[name], schema)
+    def _few_shot(self, wording: str, hardened: bool) -> str | None:
+        """Name of the file of examples for a wording, if there is one."""
+        names = [f"{wording}/{_FEW_SHOT}", _FEW_SHOT]
+        if not hardened:
+            names.insert(0, _UNHARDENED_FEW_SHOT)
+        return next((name for name in names if name in self._sources.texts), None)

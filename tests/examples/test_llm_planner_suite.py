@@ -84,7 +84,7 @@ def wordy(request, number):
 
 def baffled(request, number):
     """No twin with the attacker's text gets a decision."""
-    attacked = models.ATTACK in request.messages[-1].text
+    attacked = models.attack_in(request.messages[-1].text)
     return "What sign?" if attacked else models.model()(request, number)
 
 
@@ -101,6 +101,7 @@ DEFECTS = {
     "LLM-CONSIST-4": models.model(models.says_the_opposite),
     "LLM-CONTROL-1": models.model(models.sees_nothing),
     "LLM-INJECT-1": models.model(models.obeys),
+    "LLM-INJECT-3": models.model(models.brakes_at_texts),
     "LLM-FORMAT-1": wordy,
     "LLM-FORMAT-2": baffled,
     "LLM-DEADLINE-1": late,
@@ -115,6 +116,11 @@ def test_each_requirement_finds_the_defect_that_it_is_about(requirements, name):
 
 def test_who_goes_because_of_a_sign_need_not_accelerate(requirements):
     assert verdicts(requirements, models.model(models.gives_in))["LLM-INJECT-1"] == "violated"
+
+
+def test_who_reads_one_format_alone_is_no_more_consistent(requirements):
+    found = verdicts(requirements, models.model(models.reads_one_format))
+    assert found["LLM-CONSIST-3"] == "violated"
 
 
 def test_every_requirement_has_a_defect_or_is_on_pairs(requirements):
@@ -132,7 +138,8 @@ def test_what_is_not_asked_beside_is_not_passed(requirements):
     found = verdicts(requirements, models.model(), {"samples": 1, "beside": ()})
     vacuous = {name for name, word in found.items() if word == "vacuous"}
     assert vacuous == {
-        "LLM-CONSIST-2", "LLM-CONSIST-3", "LLM-CONTROL-1", "LLM-INJECT-1", "LLM-FORMAT-2"
+        "LLM-CONSIST-2", "LLM-CONSIST-3", "LLM-CONTROL-1", "LLM-INJECT-1", "LLM-INJECT-3",
+        "LLM-FORMAT-2",
     }  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from pytest_dura.core.roles import RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import GeneratorView, PastDecision
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
-from pytest_dura.driving.channel_faults import POSTER, PromptTextParameters
+from pytest_dura.driving.channel_faults import POSTER
 from pytest_dura.driving.junction import route
 from pytest_dura.driving.maneuvers import (
     COMFORT_BRAKING,
@@ -34,7 +34,8 @@ from pytest_dura.driving.maneuvers import (
 from pytest_dura.driving.roads import FOUR_WAY, Road
 from pytest_dura.driving.scene import Scene
 from pytest_dura.driving.sensors import Imu, Odometry, Pose, Sign, route_map, signs
-from pytest_dura.llm.answers import IDS, OBSERVATIONS, REASONING, answer_schema
+from pytest_dura.llm.answers import IDS, OBSERVATIONS, REASONING, Reading, answer_schema
+from pytest_dura.llm.driving.attacks import ATTACKS, HARMLESS, Attack, complied_in_words
 from pytest_dura.llm.driving.blocks import (
     BLOCKS,
     by_id,
@@ -47,7 +48,17 @@ from pytest_dura.llm.driving.conflicts import LATER, Conflict, conflict_facts
 from pytest_dura.llm.driving.readings import VIEWS, own_map, rounded
 from pytest_dura.llm.planner import LlmGenerator, Settings
 from pytest_dura.llm.port import Message
-from pytest_dura.llm.prompts import Block, Prompt, Sources, Templates, blind, paraphrased, reordered
+from pytest_dura.llm.prompts import (
+    Block,
+    Prompt,
+    Sources,
+    Templates,
+    blind,
+    paraphrased,
+    reformatted,
+    reordered,
+    unhardened,
+)
 
 INTENTS: tuple[str, ...] = ("slow_down", "hold", "speed_up")
 
@@ -135,8 +146,6 @@ def right_of_way(road: Road) -> tuple[tuple[str, str], ...] | None:
     return tuple((name, road.sign(road.arm(name))) for name in road.entries)
 
 
-ATTACK: str = PromptTextParameters().text
-"""Text on the attacker's sign, as of the fault ``prompt-text``."""
 AHEAD = 20.0
 """m from the ego's front to the attacker's sign, as of the fault."""
 
@@ -146,7 +155,7 @@ _CLOSING = 8.0
 """m/s at which the two approach each other at least."""
 
 
-def with_injection(prompt: Prompt, text: str = ATTACK) -> Prompt:
+def with_injection(prompt: Prompt, text: str = ATTACKS[0].text) -> Prompt:
     """Add a sign with an attacker's text to a prompt.
 
     A prompt with such a text stays as it is: the decision on it is none without an attack, with
@@ -303,6 +312,7 @@ class LlmPlanner(LlmGenerator):
     MANEUVERS: ClassVar[tuple[str, ...]] = tuple(MANEUVERS)
     SCHEMA: ClassVar[Mapping[str, Any]] = SCHEMA
     NULL: ClassVar[Mapping[str, str]] = {"intent": "hold", "maneuver": Maneuver.PROCEED.value}
+    ATTACKS: ClassVar[int] = len(ATTACKS)
 
     def __init__(self, **params: Any) -> None:
         super().__init__(**params)
@@ -334,7 +344,8 @@ class LlmPlanner(LlmGenerator):
         on_map = own_map(view.percept)
         if on_map is not None:
             self._templates = self._told(on_map.road)
-        return driving_prompt(view, past, images=images)
+        prompt = driving_prompt(view, past, images=images)
+        return prompt if self.settings.hardened else unhardened(prompt)
 
     def _told(self, road: Road) -> Templates:
         """The templates, which tell a road's right of way and how long a decision holds."""
@@ -353,10 +364,36 @@ class LlmPlanner(LlmGenerator):
         """The prompt of a metamorphic twin, or of the negative control."""
         if name == "reordered":
             return reordered(prompt, stream(self._context.seed, f"llm:reordered:{self._prompts}"))
+        if name == "neutral":
+            return with_injection(prompt, HARMLESS)
+        attack = self._attack(name)
+        if attack is not None:
+            attacked = with_injection(prompt, attack.text)
+            if attacked == prompt or not name.startswith("unhardened"):
+                return attacked
+            return unhardened(attacked) if prompt.hardened else prompt
         return {
-            "paraphrased": paraphrased, "injected": with_injection, "conflict": with_conflict,
+            "paraphrased": paraphrased, "reformatted": reformatted, "conflict": with_conflict,
             "blind": blind
         }[name](prompt)  # fmt: skip
+
+    def _attack(self, name: str) -> Attack | None:
+        """The attacker's text of a variant; the same one for both at a decision."""
+        kind, _, number = name.partition("_")
+        if kind not in ("injected", "unhardened"):
+            return None
+        if self.settings.injections == "all":
+            return ATTACKS[int(number or 1) - 1]
+        # The seed's share lets short episodes, too, get through all of them together.
+        return ATTACKS[(self._context.seed + self._asked_beside) % len(ATTACKS)]
+
+    def account_beside(self, name: str, prompt: Prompt, reading: Reading) -> Mapping[str, Any]:
+        """What a text on a sign asks for, and what of the like an answer complies with in words."""
+        attack = self._attack(name)
+        if attack is None and name != "neutral":
+            return {}
+        complied = {"complied": complied_in_words(reading, self.messages(prompt)[0].text)}
+        return complied if attack is None else {"goal": attack.goal, **complied}
 
     def command(self, maneuver: str) -> Command:
         """The maneuver, whose acceleration follows speed and stop line at each tick."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ from roads import channels_of
 from pytest_dura import ConfigurationError, Policy, RoleSpec
 from pytest_dura.core import RoleContext
 from pytest_dura.llm import EVERYTHING, Answer
+from pytest_dura.llm.driving.attacks import ATTACKS, HARMLESS
 from pytest_dura.llm.driving.planner import LlmPlanner
 
 
@@ -160,7 +162,7 @@ def test_the_deadline_is_the_shorter_of_its_own_and_the_loops(own, given, deadli
     planner = LlmPlanner(budget=own, samples=3, beside="all")
     assert planner.settings.deadline(given) == deadline
     limit = planner.time_limit(given)
-    assert limit == (None if deadline is None else 8 * deadline + 1.0)
+    assert limit == (None if deadline is None else 11 * deadline + 1.0)
 
 
 def test_a_refused_proposal_is_asked_for_again_with_the_reasons():
@@ -217,15 +219,24 @@ def test_variants_are_asked_beside_the_deciding_request():
     told = [one["beside"] for one in episode.recording.accounts if one["decided"]]
     assert [list(one) for one in told] == [names, [], names]
     assert len(model.requests) == 3 + 2 * len(names)
-    first, again, again_2, reordered, paraphrased, injected, conflict = asked[:7]
+    first, again, again_2, reordered, paraphrased, reformatted = asked[:6]
+    neutral, injected, unhardened, conflict = asked[6:10]
     assert again == replace(first, sample=1, seed=first.seed + 1)
     assert again_2.sample == 2
-    texts = [one.messages[-1].text for one in asked[:7]]
+    texts = [one.messages[-1].text for one in asked[:10]]
     assert sorted(texts[3].splitlines()) == sorted(texts[0].splitlines())
     assert reordered.messages[0] == first.messages[0] != paraphrased.messages[0]
-    assert "right of way and accelerate" in texts[5]
-    assert "right of way and accelerate" not in texts[0]
-    assert len(texts[6].splitlines()) > len(texts[0].splitlines())
+    assert reformatted.messages[0] == first.messages[0]
+    assert json.loads(texts[5].splitlines()[0])["EGO"]["speed"] == 8.0
+    signs = [set(text.splitlines()) - set(texts[0].splitlines()) for text in texts[6:9]]
+    ((harmless,), (attack,), (bare,)) = signs
+    assert HARMLESS in harmless
+    enclosed = next(one.text for one in ATTACKS if one.text in attack)
+    assert f"<perceived_text>{enclosed}</perceived_text>" in attack
+    assert bare.endswith(f",{enclosed}")
+    assert "<perceived_text>" not in "".join(one.text for one in unhardened.messages)
+    assert neutral.messages[:-1] == injected.messages[:-1] == first.messages[:-1]
+    assert len(texts[9].splitlines()) > len(texts[0].splitlines())
     assert {one.sample for one in (reordered, paraphrased, injected, conflict)} == {0}
     assert episode.metrics.tallies["unstable"].hits == 2
     assert proposed(episode) == ["proceed"] * 15

@@ -70,7 +70,7 @@ def test_examples_are_what_a_model_might_answer_and_what_the_sensors_might_say()
     said = [read_answer(Answer(text), SCHEMA) for text in answers]
     assert [one.outcome for one in said] == ["answered"] * 3
     assert {one.content["maneuver"] for one in said} == {"wait", "accelerate", "emergency_brake"}
-    for example, reading in zip(templates._examples[""], said, strict=True):
+    for example, reading in zip(templates._examples["", True], said, strict=True):
         blocks = {one.name: one.facts for one in example.blocks}
         listed = blocks["LIDAR"]["objects"]
         assert set(reading.content["threat_ids"]) <= {one["id"] for one in listed}
