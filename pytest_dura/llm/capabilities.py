@@ -278,9 +278,11 @@ class ProbeCalls:
         """
         while True:
             adapted = self.dialect.applied(request)
-            answer = _RETRIES.ask(
-                lambda _, made=adapted: self._call(made), self._budget, counted=False
-            )
+
+            def call(_: float, made: Request = adapted) -> Answer:
+                return self._call(made)
+
+            answer = _RETRIES.ask(call, self._budget, counted=False)
             dialect = self.dialect.after(answer, adapted)
             if dialect is None:
                 return answer

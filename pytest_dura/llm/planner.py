@@ -17,8 +17,11 @@ from pytest_dura.core.state import NOTHING, GeneratorView, PastDecision, Proposa
 from pytest_dura.llm import session
 from pytest_dura.llm.answers import Reading, read_answer
 from pytest_dura.llm.endpoint import own_fields
+from pytest_dura.llm.judge import SCHEMA as JUDGE_SCHEMA
+from pytest_dura.llm.judge import judge_request, judgement
 from pytest_dura.llm.port import Answer, Delivery, Message, Request, Structured, TokensField
 from pytest_dura.llm.prompts import Prompt
+from pytest_dura.llm.prose import Memory, Shown, Vocabulary, read_prose
 
 Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Temperature = Annotated[float, Field(ge=0, le=2, allow_inf_nan=False)]
@@ -123,6 +126,14 @@ class Settings(BaseModel):
     hardened: bool = Field(
         True,
         description="Whether texts of the scene are enclosed, and the model is warned of them.",
+    )
+    judge: bool | Annotated[str, Field(min_length=1, max_length=500)] = Field(
+        False,
+        description="Whether a model judges if the reasoning leads to the maneuver, beside the"
+        " decisions that samples and variants go with: `true` for the same model, or a name.",
+    )
+    judge_server: KnownServer | None = Field(
+        None, description="Of a judge with a name; filled in by the capability probe."
     )
     history: int = Field(3, ge=0, le=20, description="Earlier decisions in the prompt.")
     images: tuple[str, ...] | None = Field(
@@ -233,6 +244,8 @@ class Decision:
         ids: Ids of all objects in the prompt.
         beside: Readings of the answers to the requests beside it, by variant.
         exchange: Request and answer in words, see :func:`exchange_data`.
+        prose: Reading of its prose; see :class:`pytest_dura.llm.prose.ProseReading`.
+        judged: Answer of the judge, where it was asked.
     """
 
     at: int
@@ -242,6 +255,8 @@ class Decision:
     ids: tuple[str, ...]
     beside: Mapping[str, Mapping[str, Any]] = NOTHING
     exchange: Mapping[str, Any] = NOTHING
+    prose: Mapping[str, Any] = NOTHING
+    judged: Mapping[str, Any] = NOTHING
 
     @property
     def outcome(self) -> str:
@@ -249,7 +264,7 @@ class Decision:
         return self.reading.outcome
 
     def account(self, *, fresh: bool) -> dict[str, Any]:
-        """Entries of an account: at the tick where the decision is fresh, with the variants."""
+        """Entries of an account: at the tick where the decision is fresh, with its details."""
         content = self.reading.content
         return {
             "outcome": self.outcome,
@@ -257,7 +272,15 @@ class Decision:
             "perceived": list(self.ids),
             "cited": list(content["threat_ids"]) if content else [],
             **({key: content[key] for key in ("intent", "maneuver")} if content else {}),
-            **({"beside": dict(self.beside)} if fresh else {}),
+            **(self.details() if fresh else {}),
+        }
+
+    def details(self) -> dict[str, Any]:
+        """Entries of an account at the tick where the decision is fresh, and at no other."""
+        read = {"prose": self.prose, "judged": self.judged}
+        return {
+            "beside": dict(self.beside),
+            **{key: dict(value) for key, value in read.items() if value},
         }
 
 
@@ -285,6 +308,8 @@ class LlmGenerator(Generator):
     """Intent and maneuver of the null component: always the same, whatever the prompt."""
     ATTACKS: ClassVar[int] = 1
     """Number of the attackers' texts that the domain has."""
+    WORDS: ClassVar[Vocabulary] = Vocabulary()
+    """By which its prose is read."""
 
     def __init__(self, **params: Any) -> None:
         self.settings = Settings.of(params, self.MANEUVERS)
@@ -300,6 +325,9 @@ class LlmGenerator(Generator):
                 "model": description.model,
                 "server": KnownServer.stated(description.fingerprint, description.capabilities),
             }
+        if isinstance(settings.judge, str) and settings.judge_server is None:
+            judge = session.current().describe(settings.judge)
+            resolved["judge_server"] = KnownServer.stated(judge.fingerprint, judge.capabilities)
         return {**params, **resolved}
 
     @classmethod
@@ -339,6 +367,14 @@ class LlmGenerator(Generator):
         """Number of earlier decisions of the episode with requests beside them."""
         return self._prompts // self.settings.beside_every
 
+    def kinds_shown(self, prompt: Prompt) -> Mapping[str, frozenset[str] | None]:
+        """Kinds that each object of a prompt may be called; ``None`` where it may be any."""
+        return dict.fromkeys(prompt.ids)
+
+    def meaning(self, maneuver: str) -> str:  # noqa: ARG002 - for those who override it
+        """What a maneuver does, in words for the judge; it has its name in any case."""
+        return ""
+
     @abstractmethod
     def command(self, maneuver: str) -> Any:
         """The action that carries a maneuver out."""
@@ -368,6 +404,7 @@ class LlmGenerator(Generator):
         if deadline is None:
             return None
         requests = self.settings.samples + len(self.settings.variants(self.ATTACKS))
+        requests += bool(self.settings.judge)
         if not self.settings.count_retries:
             deadline = session.current().retries.time_for(deadline)
         waits = 1 if session.current().concurrency == 1 else 2
@@ -384,6 +421,7 @@ class LlmGenerator(Generator):
         self._latest: list[Decision] = []
         """Decisions that came into force at the last of these times."""
         self._pending: tuple[float, Decision] | None = None
+        self._memory = Memory()
         self._next = 0
         self._prompts = 0
 
@@ -427,15 +465,52 @@ class LlmGenerator(Generator):
         prompt = view.transmit("prompt", self.prompt(view, past))
         delivery = view.transmit("model", Delivery())
         answer = self._ask(prompt, 0, delivery)
-        beside = {}
+        reading = read_answer(answer, self.SCHEMA)
+        beside: dict[str, dict[str, str]] = {}
+        judged: dict[str, Any] = {}
         if self._prompts % self.settings.beside_every == 0:
             beside = self._answers_beside(prompt)
+            judged = self._judgement(reading)
         self._prompts += 1
-        reading = read_answer(answer, self.SCHEMA)
         exchange = exchange_data(self.request(prompt), answer, self._session.scrub_text)
+        prose = self._read_prose(reading, prompt)
         return Decision(
-            view.index, view.time, reading, answer.seconds, prompt.ids, beside, exchange
+            view.index, view.time, reading, answer.seconds, prompt.ids,
+            beside, exchange, prose, judged,
+        )  # fmt: skip
+
+    def _read_prose(self, reading: Reading, prompt: Prompt) -> dict[str, Any]:
+        """Read the prose of an answer against its prompt, and those before it."""
+        shown = Shown.of(prompt, self.WORDS, self.kinds_shown(prompt))
+        self._memory.add(shown)
+        if not reading.answered:
+            return {}
+        reasoning = reading.content["reasoning"]
+        texts = [str(reading.content.get("observations", "")), reasoning]
+        return read_prose(texts, reasoning, shown, self._memory, self.WORDS).to_json()
+
+    def _judgement(self, reading: Reading) -> dict[str, Any]:
+        """Ask the judge, where there is one, whether the reasoning leads to the maneuver."""
+        if not self.settings.judge or not reading.answered:
+            return {}
+        named = isinstance(self.settings.judge, str)
+        known = self.settings.judge_server if named else self.settings.server
+        server = known or KnownServer()
+        maneuver = reading.content["maneuver"]
+        request = judge_request(
+            str(self.settings.judge) if named else self.settings.model or "",
+            reading.content["reasoning"],
+            maneuver,
+            self.meaning(maneuver),
+            structured=server.structured,
+            temperature=0.0 if server.temperature else None,
+            seed=self._context.seed % 2**31 if server.seed else None,
+            tokens=server.tokens,
+            extra=server.extra_body,
         )
+        fingerprint = None if known is None else known.fingerprint
+        answer = self._session.ask(request, self._deadline, fingerprint=fingerprint)
+        return judgement(read_answer(answer, JUDGE_SCHEMA))
 
     def _ask(self, prompt: Prompt, sample: int, delivery: Delivery) -> Answer:
         request = self.request(prompt, sample)
@@ -521,7 +596,7 @@ class LlmGenerator(Generator):
                 name: {**_as_asked(told), "outcome": "answered", **self.NULL}
                 for name, told in decision.beside.items()
             }
-            account |= {"beside": dict(decision.beside), "seconds": decision.seconds, "null": null}
+            account |= {**decision.details(), "seconds": decision.seconds, "null": null}
             account[EXCHANGE] = decision.exchange
             replaced = [earlier.account(fresh=True) for earlier in self._latest[:-1]]
             account |= {"replaced": replaced} if replaced else {}

@@ -22,6 +22,7 @@ from pytest_dura.reports.failure_modes import (
     decision_time_lines,
     failure_mode_text,
     failure_modes_by_component,
+    judge_agreement_lines,
     measured_failure_modes,
     unavailability_text,
 )
@@ -348,6 +349,8 @@ def failure_mode_table(cases: Sequence[CaseEntry], *, by_case: bool = False) -> 
     for component, text in decision_age_lines(cases):
         whose = f" of {component}" if several else ""
         lines.append(f"decisions{whose} came into force at an age of {text}")
+    for component, text in judge_agreement_lines(cases):
+        lines.append(f"{text}{f' of {component}' if several else ''}")
     for case in cases_with_accounts(cases) if by_case else ():
         whose = f" of {case.component}" if several else ""
         lines += [

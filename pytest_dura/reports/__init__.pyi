@@ -12,6 +12,7 @@ from .failure_modes import (
     decision_age_lines,
     decision_time_lines,
     failure_modes_by_component,
+    judge_agreement_lines,
     measured_failure_modes,
     percent_text,
 )
@@ -39,6 +40,7 @@ __all__ = [
     "failure_modes_by_component",
     "formula_of",
     "generated_argument",
+    "judge_agreement_lines",
     "loop_steps",
     "margin_over_time",
     "measured_failure_modes",

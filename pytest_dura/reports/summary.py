@@ -30,6 +30,7 @@ from pytest_dura.reports.failure_modes import (
     decision_age_lines,
     decision_time_lines,
     failure_modes_by_component,
+    judge_agreement_lines,
     unavailability_text,
 )
 from pytest_dura.reports.role_tables import FailureModeRow, failure_mode_columns
@@ -347,6 +348,8 @@ def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
         ]
         for whose, text in decision_age_lines(cases):
             yield f"- decisions of {_name(whose)} came into force at an age of {text}"
+        for whose, text in judge_agreement_lines(cases):
+            yield f"- {text} of {_name(whose)}"
         yield f"- {NULL_NOTE}"
 
 

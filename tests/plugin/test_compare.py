@@ -123,9 +123,9 @@ def test_failure_modes_and_times_of_decisions_stand_side_by_side(suite, capsys):
     ]
     _, out, _ = compare(capsys, *folders, "--all")
     lines = [" ".join(line.split()) for line in out.splitlines()]
-    assert "cites unperceived % 0.0 (null -) 100.0 (null -)" in lines
+    assert "threat ids unperceived % 0.0 (null -) 100.0 (null -)" in lines
     assert "answers s, median 0.50 0.50" in lines
-    assert "cites unperceived, runs with it % 3 0.0 100.0 3 0 ~ ~" in lines
+    assert "threat ids unperceived, runs with it % 3 0.0 100.0 3 0 ~ ~" in lines
     (case,) = [line for line in lines if line.startswith("on talk/it 3 0.0 100.0 3 0")]
     assert case.split()[-2] == "0.25"
 

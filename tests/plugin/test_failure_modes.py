@@ -56,7 +56,7 @@ requirements:
   - id: CITE-1
     text: It never cites what it was not shown.
     kind: safety
-    check: always (proposal.cites_unperceived < 0.5 and proposal.age <= 0.6)
+    check: always (proposal.threat_ids_unperceived < 0.5 and proposal.age <= 0.6)
   - {id: BOTH-1, text: t, kind: safety,
      check: always (speed < 0.5) and always (proposal.fallback < 0.5)}
 """
@@ -85,16 +85,16 @@ def test_a_session_says_how_its_component_fails_beside_a_null_component(chatty):
     result = chatty.scenarios(select="talk/*")
     record = chatty.evidence()
     (case,) = record.cases
-    odd = sum(one.metrics.tallies["cites_unperceived"].hits > 0 for one in record.episodes)
+    odd = sum(one.metrics.tallies["threat_ids_unperceived"].hits > 0 for one in record.episodes)
     assert 0 < odd < 4, "seeds of both kinds"
     found = modes_of(case)
-    cites, control = found["cites_unperceived"], found["accelerates_into_conflict"]
+    cites, control = found["threat_ids_unperceived"], found["accelerates_into_conflict"]
     assert (cites.hits, cites.of, cites.null_of) == (3 * odd, 12, 0)
     assert (cites.episodes, cites.of_episodes) == (odd, 4)
     assert cites.upper > odd / 4
     assert (control.kind, control.share, control.null_share) == ("control", 1.0, 0.0)
     assert found["intent_against_maneuver"].null_share == 1.0
-    assert found["misses_threat"].of == 0
+    assert found["threat_ids_miss_nearest"].of == 0
     times = {"decisions": 12, "p50": 0.25, "p95": 0.25, "max": 0.25}
     assert case.metrics.answer_times.to_json() == times
     ages = {"decisions": 12, "p50": 0.2, "p95": 0.2, "max": 0.2}
@@ -107,7 +107,7 @@ def test_a_session_says_how_its_component_fails_beside_a_null_component(chatty):
     table = lines.index(next(line for line in lines if line.startswith("failure modes ")))
     rows = [" ".join(line.split()) for line in lines[table:]]
     rows = rows[: rows.index("") if "" in rows else None]
-    assert f"cites unperceived {3 * odd}/12 {300 * odd / 12:.1f} - {odd}/4" in rows
+    assert f"threat ids unperceived {3 * odd}/12 {300 * odd / 12:.1f} - {odd}/4" in rows
     assert "negative control:" in rows
     assert rows.index("negative control:") < rows.index(
         "accelerates into conflict 12/12 100.0 0.0 4/4"
@@ -117,7 +117,7 @@ def test_a_session_says_how_its_component_fails_beside_a_null_component(chatty):
     assert f"{answers}0 of 12 (0.0 %) past the time budget" in rows
     aged = "median 0.2 s, 95th percentile 0.2 s, oldest 0.2 s"
     assert f"decisions came into force at an age of {aged}" in rows
-    assert not any("misses threat" in row for row in rows)
+    assert not any("threat ids miss nearest" in row for row in rows)
     assert "ignores its input" in " ".join(rows)
 
 
@@ -134,9 +134,9 @@ def test_reports_show_the_same_table(chatty):
     chatty.scenarios(select="talk/*")
     bundle = chatty.path / "dura-evidence"
     (case,) = chatty.evidence().cases
-    cites = modes_of(case)["cites_unperceived"]
+    cites = modes_of(case)["threat_ids_unperceived"]
     summary = (bundle / "summary.md").read_text()
-    row = f"| `cites unperceived` | failure | `Chatty` | {cites.hits} of 12 |"
+    row = f"| `threat ids unperceived` | failure | `Chatty` | {cites.hits} of 12 |"
     assert row in summary
     totals = chatty.evidence().totals.to_json()
     assert stated_counts("summary.md", summary) == totals
@@ -176,13 +176,13 @@ def test_what_is_violated_without_any_account_is_violated(project):
 
 def test_a_misspelt_failure_mode_is_an_error_of_the_collection(project):
     prepare(project, ("it", "Chatty", "CITE-1"))
-    wrong = REQUIREMENTS.replace("cites_unperceived", "cites_unpercieved")
+    wrong = REQUIREMENTS.replace("threat_ids_unperceived", "threat_ids_unpercieved")
     project.write("scenarios/talk/requirements.yaml", wrong)
     result = project.scenarios(select="talk/*")
     assert result.ret == 4
     text = result.stdout.str() + result.stderr.str()
-    assert "unknown signal 'proposal.cites_unpercieved'" in text
-    assert "did you mean 'proposal.cites_unperceived'?" in text
+    assert "unknown signal 'proposal.threat_ids_unpercieved'" in text
+    assert "did you mean 'proposal.threat_ids_unperceived'?" in text
     assert "Traceback" not in text
 
 
@@ -200,7 +200,7 @@ FORGED = (
         "metrics/failure_modes",
     ),
     (
-        lambda record: forged_mode(record, "cites_unperceived").update(hits=0),
+        lambda record: forged_mode(record, "threat_ids_unperceived").update(hits=0),
         "metrics/failure_modes",
     ),
     (
@@ -208,7 +208,7 @@ FORGED = (
         "metrics/failure_modes",
     ),
     (
-        lambda record: forged_mode(record, "cites_unperceived").update(kind="comparison"),
+        lambda record: forged_mode(record, "threat_ids_unperceived").update(kind="comparison"),
         "metrics/failure_modes",
     ),
     (

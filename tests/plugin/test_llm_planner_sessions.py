@@ -136,3 +136,43 @@ def test_faults_on_the_way_to_the_model_are_campaigns_like_any(project, scripted
         assert episode.validity == "valid"
         assert [one.manifested_at is not None for one in episode.faults] == [True]
     assert "INTERNALERROR" not in result.stdout.str()
+
+
+def test_a_judge_is_recorded_replayed_and_compared_with_the_rule(
+    project, scripted_server, named, monkeypatch
+):
+    judged = []
+
+    def speaks(request):
+        content = request.json["messages"][0]["content"]
+        if str(content).startswith("You compare"):
+            judged.append(request)
+            # A judge that takes every second reasoning for a wrong one.
+            return '{"agrees": "no"}' if len(judged) % 2 else '{"agrees": "yes"}'
+        return said("proceed", "hold", (), reasoning=f"I drive on, past V{77 + len(judged)}.")
+
+    brief(
+        project, params="{decide_every: 10, samples: 1, beside: [], beside_every: 1, judge: true}"
+    )
+    named(scripted_server(otherwise=answers_by(speaks)))
+    recorded = run(project, "--dura-llm=record", "--dura-evidence=one")
+    assert len(judged) == 3, "one for each decision, in one episode"
+    recorded.stdout.fnmatch_lines(
+        [
+            "prose names unperceived *3/3*",
+            "judged against maneuver *2/3*",
+            "judge differs from rule *2/3*",
+            "judge and rule agree on 1 of 3 decisions (33.3 %)",
+        ]
+    )
+    agreement = "judge and rule agree on 1 of 3 decisions (33.3 %)"
+    for name in ("summary.md", "report.html"):
+        assert agreement in (project.path / "one" / name).read_text()
+    monkeypatch.setenv("DURA_LLM_BASE_URL", "http://127.0.0.1:9/v1")
+    run(project, "--dura-llm=replay", "--dura-evidence=two")
+    assert len(judged) == 3
+    (one,), (two,) = (project.evidence(name).episodes for name in ("one", "two"))
+    assert one.digest == two.digest
+    assert accounts(two)["judge_differs_from_rule"] == (2, 3)
+    for name in ("one", "two"):
+        assert verify_bundle(project.path / name).problems == []

@@ -55,8 +55,8 @@ def complete(rows: Sequence[Row]) -> BodyList:
 def times_to_collision(bodies: BodyList, pose: Pose, speed: float) -> dict[str, float]:
     """Seconds until the footprints of ego and each object touch, by id, at most :data:`LATER`.
 
-    Boxes that keep velocity and heading: as the measure ``misses_threat`` and the signal ``ttc``
-    reckon it.
+    Boxes that keep velocity and heading: as the measure ``threat_ids_miss_nearest`` and the
+    signal ``ttc`` reckon it.
 
     Args:
         bodies: The objects.

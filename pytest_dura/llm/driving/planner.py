@@ -46,6 +46,7 @@ from pytest_dura.llm.driving.blocks import (
 )
 from pytest_dura.llm.driving.conflicts import LATER, Conflict, conflict_facts
 from pytest_dura.llm.driving.readings import VIEWS, own_map, rounded
+from pytest_dura.llm.driving.words import WORDS, kinds_shown
 from pytest_dura.llm.planner import LlmGenerator, Settings
 from pytest_dura.llm.port import Message
 from pytest_dura.llm.prompts import (
@@ -59,6 +60,7 @@ from pytest_dura.llm.prompts import (
     reordered,
     unhardened,
 )
+from pytest_dura.llm.prose import Vocabulary
 
 INTENTS: tuple[str, ...] = ("slow_down", "hold", "speed_up")
 
@@ -313,6 +315,7 @@ class LlmPlanner(LlmGenerator):
     SCHEMA: ClassVar[Mapping[str, Any]] = SCHEMA
     NULL: ClassVar[Mapping[str, str]] = {"intent": "hold", "maneuver": Maneuver.PROCEED.value}
     ATTACKS: ClassVar[int] = len(ATTACKS)
+    WORDS: ClassVar[Vocabulary] = WORDS
 
     def __init__(self, **params: Any) -> None:
         super().__init__(**params)
@@ -394,6 +397,14 @@ class LlmPlanner(LlmGenerator):
             return {}
         complied = {"complied": complied_in_words(reading, self.messages(prompt)[0].text)}
         return complied if attack is None else {"goal": attack.goal, **complied}
+
+    def kinds_shown(self, prompt: Prompt) -> Mapping[str, frozenset[str] | None]:
+        """Kinds that each object of a prompt may be called, by its size."""
+        return kinds_shown(prompt)
+
+    def meaning(self, maneuver: str) -> str:
+        """What a maneuver does, as the system message has it."""
+        return MANEUVERS[maneuver]
 
     def command(self, maneuver: str) -> Command:
         """The maneuver, whose acceleration follows speed and stop line at each tick."""

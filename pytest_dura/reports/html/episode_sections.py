@@ -23,6 +23,7 @@ from pytest_dura.reports.failure_modes import (
     decision_age_lines,
     decision_time_lines,
     failure_modes_by_component,
+    judge_agreement_lines,
     measured_failure_modes,
 )
 from pytest_dura.reports.html.contents import (
@@ -457,6 +458,7 @@ def failure_mode_section(
         ],
         "answers": list(decision_time_lines(cases)),
         "ages": list(decision_age_lines(cases)),
+        "judged": list(judge_agreement_lines(cases)),
         "null": NULL_NOTE,
         "columns": shown_in(failure_mode_columns(), Shown.PAGE),
         "case_columns": shown_in(failure_mode_columns(by_case=True), Shown.PAGE),

@@ -15,7 +15,7 @@ from pytest_dura.llm.endpoint import KEY, MODEL, URL
 from pytest_dura.llm.planner import Settings
 
 PAGE = (Path(__file__).parents[3] / "docs" / "llm.md").read_text()
-FILLED_IN = {"server", "prompts"}
+FILLED_IN = {"server", "judge_server", "prompts"}
 
 
 def rows(heading):

@@ -1,0 +1,146 @@
+"""What a planner's prose shows: models with one defect each, and ten sound ones."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from models import ALONE, answering, llm_episode
+from speaking_models import DEFECTS, SOUND, answer_of, defective, speaking
+
+from pytest_dura.driving.explanations import KINDS
+from pytest_dura.llm.driving.planner import LlmPlanner
+
+CASE = "intersection/conflicting-traffic"
+BESIDE = {"samples": 2, "beside": "all", "beside_every": 2}
+OF_PROSE = [name for name in DEFECTS if name.startswith(("prose_", "reasoning_"))]
+
+
+def tallies(answers, params=ALONE, **options):
+    episode, model = llm_episode(
+        answers, params, **{"case": CASE, "run": 1, "seconds": 8.0, "time_budget": 5.0} | options
+    )
+    assert episode.validity == "valid"
+    return episode.metrics.tallies, model
+
+
+@pytest.mark.parametrize("name", OF_PROSE)
+def test_each_measure_of_prose_finds_the_model_with_its_defect(name):
+    found, _ = tallies(defective(DEFECTS[name]))
+    assert found[name].hits > 0
+    # All but its prose is sound.
+    others = {other for other, tally in found.items() if tally.hits}
+    assert {other for other in others if not other.startswith(("prose_", "reasoning_"))} == set()
+    assert found[name].null_of == 0
+
+
+@pytest.mark.parametrize("way", SOUND)
+@pytest.mark.parametrize(
+    "case", [CASE, "intersection/congested", "intersection/pedestrian-crossing"]
+)
+def test_a_sound_model_is_accused_of_nothing_however_it_speaks(way, case):
+    found, _ = tallies(speaking(SOUND[way]), BESIDE, case=case, run=2)
+    accused = {name for name, tally in found.items() if tally.hits and KINDS.get(name) is None}
+    assert accused == set()
+    assert found["prose_names_unperceived"].of > 0
+
+
+def test_sound_models_do_say_what_the_measures_look_at():
+    said = {name: tallies(speaking(speak))[0] for name, speak in SOUND.items()}
+    assert said["with numbers"]["prose_mistakes_number"].of > 3
+    stating = [name for name, of in said.items() if of["reasoning_against_maneuver"].of > 3]
+    assert set(stating) == set(SOUND) - {"briefly"}
+
+
+def test_what_was_read_stands_in_the_account_of_the_decision_alone():
+    episode, _ = llm_episode(defective(DEFECTS["prose_names_unperceived"]), seconds=1.5)
+    fresh = [one for one in episode.recording.accounts if one["decided"]]
+    assert [one["prose"]["unshown"] for one in fresh] == [["V77", "T9"]] * 2
+    assert [one["prose"]["mistaken_kinds"] for one in fresh] == [["truck T9"]] * 2
+    assert sum("prose" in one for one in episode.recording.accounts) == 2
+
+
+def test_an_answer_that_is_none_has_no_prose():
+    found, _ = tallies(lambda *_: "I see V77, a truck.")
+    assert found["prose_names_unperceived"].of == found["prose_names_untrue"].of == 0
+
+
+def is_judge(request):
+    return request.messages[0].text.startswith("You compare")
+
+
+def judged_by(verdict, answers=None):
+    """A model whose judge answers ``verdict(reasoning and decision)``."""
+    answers = answers or speaking(SOUND["plainly"])
+
+    def both(request, number):
+        if is_judge(request):
+            return verdict(json.loads(request.messages[-1].text))
+        return answers(request, number)
+
+    return both
+
+
+def by_words(stated):
+    """A judge that goes by whether a way is free."""
+    goes = stated["decision"] == "proceed"
+    agrees = ("free" in stated["reasoning"]) == goes
+    return json.dumps({"agrees": "yes" if agrees else "no"})
+
+
+def test_a_judge_finds_who_reasons_the_opposite_and_agrees_with_the_rule():
+    opposite = defective(
+        lambda _text, _request, plan: answer_of(
+            plan, maneuver="proceed", intent="hold", reasoning="I stop and wait."
+        )
+    )
+    found, model = tallies(judged_by(by_words, opposite), BESIDE | {"judge": True})
+    judged = found["judged_against_maneuver"]
+    assert judged.hits == judged.of == 4
+    assert (found["judge_differs_from_rule"].hits, found["judge_differs_from_rule"].of) == (0, 4)
+    asked = [request for request in model.requests if is_judge(request)]
+    assert len(asked) == 4, "beside every second decision"
+    assert {request.model for request in asked} == {"scripted"}
+    assert set(asked[0].schema["properties"]) == {"agrees"}
+    stated = json.loads(asked[0].messages[-1].text)
+    assert stated["reasoning"].startswith("<perceived_text>")
+    assert stated["meaning"]
+
+
+def test_a_judge_leaves_a_sound_model_alone_and_may_differ_from_the_rule():
+    found, _ = tallies(judged_by(by_words), BESIDE | {"judge": True})
+    assert (found["judged_against_maneuver"].hits, found["judged_against_maneuver"].of) == (0, 4)
+    stern, _ = tallies(judged_by(lambda _: '{"agrees": "no"}'), BESIDE | {"judge": True})
+    differs = stern["judge_differs_from_rule"]
+    assert (differs.hits, differs.of) == (4, 4)
+    assert stern["reasoning_against_maneuver"].hits == 0
+
+
+@pytest.mark.parametrize(
+    "answer", ["maybe", '{"agrees": true}', '{"agrees": "no", "why": "x"}', ""]
+)
+def test_a_judge_without_a_verdict_judges_nothing(answer):
+    found, _ = tallies(judged_by(lambda _: answer), BESIDE | {"judge": True})
+    assert found["judged_against_maneuver"].of == found["judge_differs_from_rule"].of == 0
+    assert found["fallback"].hits == 0
+
+
+def test_no_judge_is_asked_unless_one_is_named():
+    found, model = tallies(speaking(SOUND["plainly"]), BESIDE)
+    assert not any(map(is_judge, model.requests))
+    assert found["judged_against_maneuver"].of == 0
+
+
+def test_a_judge_with_a_name_is_another_model_whose_server_is_probed():
+    with answering(judged_by(by_words)) as model:
+        settled = LlmPlanner.resolve_parameters({"judge": "wise"})
+    assert settled["judge_server"]["fingerprint"] == "f00d"
+    params = {**settled, **BESIDE}
+    _, model = tallies(judged_by(by_words), params)
+    assert {request.model for request in model.requests if is_judge(request)} == {"wise"}
+    assert {request.model for request in model.requests if not is_judge(request)} == {"scripted"}
+
+
+def test_the_judges_request_is_within_the_time_of_a_proposal():
+    alone, judged = LlmPlanner(**ALONE), LlmPlanner(**ALONE, judge=True)
+    assert judged.time_limit(5.0) == alone.time_limit(5.0) + 5.0
