@@ -15,7 +15,7 @@ import sysconfig
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module, metadata
 from pathlib import Path
 from types import MappingProxyType
@@ -280,7 +280,8 @@ _GETTERS = {"getenv", "getenvb"}
 _IMPORTERS = {"import_module", "__import__"}
 
 
-def _names_in(source: bytes) -> tuple[set[str], list[str]]:
+@lru_cache(maxsize=512)  # each item asks for the code of its roles
+def _names_in(source: bytes) -> tuple[frozenset[str], tuple[str, ...]]:
     """Find the environment variables that Python code reads, and the packages that it imports.
 
     Both by literal names. Of variables secrets are left out, and what pytest sets for each of its
@@ -304,12 +305,12 @@ def _names_in(source: bytes) -> tuple[set[str], list[str]]:
                 modules.append(_literal(node.args[0]))
     tops = dict.fromkeys(module.partition(".")[0] for module in modules)
     return (
-        {name for name in variables if name.isidentifier() and not _EXCLUDED.match(name)},
-        [
+        frozenset(name for name in variables if name.isidentifier() and not _EXCLUDED.match(name)),
+        tuple(
             top
             for top in tops
             if top.isidentifier() and top not in {_OURS, *sys.stdlib_module_names}
-        ],
+        ),
     )
 
 

@@ -106,7 +106,7 @@ def import_all() -> None:
     import pytest_dura
 
     ours = [one.name for one in pkgutil.walk_packages(pytest_dura.__path__, "pytest_dura.")]
-    others = ["hypothesis.strategies", "jinja2", "mcap.reader", "mcap.writer"]
+    others = ["filelock", "hypothesis.strategies", "jinja2", "mcap.reader", "mcap.writer"]
     for name in (*ours, *others, "scipy.special"):
         if not name.endswith(".__main__"):
             importlib.import_module(name)
