@@ -189,7 +189,7 @@ def holds_code(text: str) -> bool:
 
 
 _ATTEMPTS = 3
-_RETRIES = Retries(_ATTEMPTS - 1)
+_BUSY = ("HTTP 429", "HTTP 503")
 _NO_ANSWER = ("unavailable", "timeout", "malformed")
 _PERMANENT = (401, 403, 404)
 _INVALID = (400, 422)
@@ -260,10 +260,14 @@ class ProbeCalls:
         endpoint: Its endpoint, for the messages.
         budget: Seconds for each call.
         pause: Seconds before a second try, and twice that before the third.
+        retries: Greatest number of retries of a request, if more than two.
     """
 
-    def __init__(self, port: ProbePort, endpoint: Endpoint, budget: float, pause: float) -> None:
+    def __init__(
+        self, port: ProbePort, endpoint: Endpoint, budget: float, pause: float, retries: int
+    ) -> None:
         self._port, self._endpoint, self._budget, self._pause = port, endpoint, budget, pause
+        self._retries = Retries(max(retries, _ATTEMPTS - 1))
         self.requests = 0
         self.attempts = 0
         self.dialect = Dialect()
@@ -275,6 +279,9 @@ class ProbeCalls:
         It is repeated where the server is not available: what a server cannot do must not be
         concluded from what it was too busy for. It is also repeated without a field that the
         server names as it refuses it.
+
+        Raises:
+            ConfigurationError: If the server stays too busy.
         """
         while True:
             adapted = self.dialect.applied(request)
@@ -282,7 +289,10 @@ class ProbeCalls:
             def call(_: float, made: Request = adapted) -> Answer:
                 return self._call(made)
 
-            answer = _RETRIES.ask(call, self._budget, counted=False)
+            answer = self._retries.ask(call, self._budget, counted=False)
+            if answer.cause in _BUSY:
+                self.attempts = answer.attempts
+                raise self._no_answer_error(answer, _status_of(answer))
             dialect = self.dialect.after(answer, adapted)
             if dialect is None:
                 return answer
@@ -300,7 +310,7 @@ class ProbeCalls:
         """The first answer, to the request in the dialect of the server.
 
         Raises:
-            ConfigurationError: If there is no answer after :data:`_ATTEMPTS` tries, or the server
+            ConfigurationError: If there is no answer after all tries, or the server
                 refuses for good.
         """
         unanswered = 0
@@ -318,9 +328,9 @@ class ProbeCalls:
                 self.dialect = dialect
                 continue
             unanswered += 1
-            if status in _PERMANENT or unanswered == _ATTEMPTS:
+            if status in _PERMANENT or unanswered > self._retries.most:
                 raise self._no_answer_error(answer, status)
-            time.sleep(max(self._pause * unanswered, _RETRIES.pause(answer, 1) or 0.0))
+            time.sleep(max(self._pause * unanswered, self._retries.pause(answer, 1) or 0.0))
 
     def server(self) -> ServerListing:
         """The server's listing; called last, it covers the fingerprints of all answers."""
@@ -347,6 +357,8 @@ class ProbeCalls:
             models = ", ".join(self.server().models)
             known = f"; the server lists {models}" if models else ""
             return f"check {URL}, which often ends with /v1, and {MODEL}{known}"
+        if status == 429:
+            return "wait until the server has time, or raise DURA_LLM_RETRIES"
         if status is not None and 400 <= status < 500:
             return f"check {MODEL}, and what the server says"
         if answer.failure == "timeout":
@@ -381,7 +393,7 @@ _TEMPTING = (
 
 def probe(
     port: ProbePort, endpoint: Endpoint, budget: float, *, pause: float = 0.5,
-    schema: Mapping[str, Any] = SCHEMA,
+    schema: Mapping[str, Any] = SCHEMA, retries: int = 0,
 ) -> Capabilities:  # fmt: skip
     """Measure the capabilities of a server and its model, in 5 to 9 requests.
 
@@ -394,11 +406,12 @@ def probe(
         pause: Seconds before the first request is tried again; it is tried three times.
         schema: Of the structured answers, as
             :func:`~pytest_dura.llm.answers.read_answer` reads it.
+        retries: How often a request is repeated whose server is not available, if more than twice.
 
     Raises:
-        ConfigurationError: If the server gives no answer at all.
+        ConfigurationError: If the server gives no answer at all, or stays too busy.
     """
-    calls = ProbeCalls(port, endpoint, budget, pause)
+    calls = ProbeCalls(port, endpoint, budget, pause, retries)
     plain = Request(endpoint.model, (), max_tokens=700, extra=endpoint.extra_body)
     seed, seed_words = _seed(calls, plain)
     plain = replace(plain, seed=SEED if seed else None)

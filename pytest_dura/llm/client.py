@@ -209,11 +209,14 @@ class OpenAiClient:
     def _streamed(self, response: Any, read: Callable[[bytes], Answer], start: float) -> Answer:
         """The answer of a response that comes in parts."""
         stream, size, limit = EventStream(), 0, self._transport.LONGEST_STREAM
+        chunked = "transfer-encoding" in response.headers
         for chunk in response.iter_bytes():
             size += len(chunk)
             if size > limit:
                 return Answer(failure="malformed", detail=f"a stream of more than {limit} bytes")
             stream.feed(chunk, time.perf_counter() - start)
+            if stream.ended and not chunked:
+                break  # the end of the connection, which some servers leave open, tells no more
         return replace(read(self._without_key(stream.body())), first_token=stream.first_token)
 
     def _without_key(self, body: bytes) -> bytes:

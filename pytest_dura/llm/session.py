@@ -183,6 +183,7 @@ class OpenAiServer:
         self.endpoint = Endpoint.from_environment(chosen)
         self.model, self.base_url = self.endpoint.model, self.endpoint.public
         self.client = OpenAiClient(self.endpoint)
+        self._retries = retries_of(environ)
 
     def ask(self, request: Request, budget: float) -> Answer:
         """See :class:`ModelServer`."""
@@ -192,7 +193,7 @@ class OpenAiServer:
         """See :class:`ModelServer`."""
         from pytest_dura.llm.capabilities import probe
 
-        capabilities = probe(self.client, self.endpoint, _PROBE_BUDGET)
+        capabilities = probe(self.client, self.endpoint, _PROBE_BUDGET, retries=self._retries)
         return capabilities.fingerprint, capabilities.to_json()
 
     def scrub(self, text: str) -> str:
@@ -522,7 +523,7 @@ class ModelSession:
 
         with self._places.taken():
             answer = self.retries.ask(call, limit, counted=count_retries)
-        names = ("text", "detail", "finish", "fingerprint")
+        names = ("text", "detail", "finish", "fingerprint", "thoughts")
         scrubbed = {name: self._scrubbed(server.scrub(getattr(answer, name))) for name in names}
         return replace(answer, **scrubbed)
 

@@ -24,8 +24,9 @@ class EventStream:
     def __init__(self) -> None:
         self.first_token: float | None = None
         """Seconds at which the first part of a text came, as they were given to :meth:`feed`."""
+        self.ended = False
+        """Whether the last part has come."""
         self._rest = b""
-        self._ended = False
         self._error: Any = None
         self._whole: dict[str, Any] = {}
         self._texts: dict[str, list[str]] = {}
@@ -55,7 +56,7 @@ class EventStream:
         self._read(self._rest.strip(), 0.0)
         if self._error is not None:
             return json.dumps({"error": self._error}).encode()
-        if not self._ended and self._finish is None:
+        if not self.ended and self._finish is None:
             raise BadBodyError("truncated", "the stream ends in the middle")
         message: dict[str, Any] = {name: "".join(parts) for name, parts in self._texts.items()}
         if self._arguments:
@@ -66,11 +67,11 @@ class EventStream:
 
     def _read(self, line: bytes, seconds: float) -> None:
         """Read one line; others than data are comments, names and pauses."""
-        if not line.startswith(_DATA) or self._ended:
+        if not line.startswith(_DATA) or self.ended:
             return
         data = line[len(_DATA) :].strip()
         if data == _END:
-            self._ended = True
+            self.ended = True
             return
         try:
             event = json.loads(data, parse_constant=refuse_constant)
@@ -79,7 +80,7 @@ class EventStream:
         if not isinstance(event, dict):
             raise BadBodyError("malformed", "an event is no object")
         if event.get("error"):
-            self._error, self._ended = event["error"], True
+            self._error, self.ended = event["error"], True
             return
         for name in ("system_fingerprint", "usage"):
             if event.get(name) is not None:

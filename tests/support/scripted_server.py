@@ -258,14 +258,17 @@ class ScriptedServer:
         keep_alive: Whether a connection takes several requests; a behaviour then tells the length.
         tls: With what it speaks TLS.
         port: Where it listens; by default where nobody does.
+        models: What it lists; by default one model.
     """
 
     def __init__(
-        self, *behaviours, otherwise=None, at_most=60.0, keep_alive=False, tls=None, port=0
-    ):
+        self, *behaviours, otherwise=None, at_most=60.0, keep_alive=False, tls=None, port=0,
+        models=None,
+    ):  # fmt: skip
         self.accepted = 0
         self.requests, self.unscripted = [], []
         self.model = MODEL
+        self.models = models or {"object": "list", "data": [{"id": MODEL, "object": "model"}]}
         self._behaviours, self._otherwise = deque(behaviours), otherwise
         self._lock, self._stopped = threading.Lock(), threading.Event()
         self._connections = set()
@@ -385,12 +388,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self):
         """The list of models needs no script, and is not recorded."""
-        if not self.path.endswith("/models"):
+        if not self.path.partition("?")[0].endswith("/models"):
             self.do_POST()
             return
-        listing = {"object": "list", "data": [{"id": MODEL, "object": "model"}]}
         request = Request(self.command, self.path, {}, b"")
-        Exchange(request, self.server.script._stopped, self).send(listing)
+        Exchange(request, self.server.script._stopped, self).send(self.server.script.models)
 
     def log_message(self, *_):
         pass

@@ -172,3 +172,87 @@ def test_what_the_model_is_may_be_said_in_a_line() -> None:
 def test_what_is_no_line_about_the_model_is_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match=r"at most 200(.*\n)+.*unset DURA_LLM_ABOUT"):
         model_about({"DURA_LLM_ABOUT": text})
+
+
+# Headers, query and body
+
+ORG = "org-a1b2c3d4"
+TOKEN = "gw-0123456789"
+
+
+def named(**more):
+    return Endpoint.from_environment({**GIVEN, **more})
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"X-Org: {ORG}\nX-Gateway-Token:  Bearer {TOKEN} \n\n",
+        json.dumps({"X-Org": ORG, "X-Gateway-Token": f"Bearer {TOKEN}"}),
+    ],
+)
+def test_headers_are_lines_or_an_object_and_their_values_are_secrets(text: str) -> None:
+    found = named(DURA_LLM_HEADERS=text)
+    assert found.sent_headers == {
+        "Authorization": f"Bearer {SECRET}",
+        "X-Org": ORG,
+        "X-Gateway-Token": f"Bearer {TOKEN}",
+    }
+    for secret in (ORG, TOKEN, SECRET, quote(f"Bearer {TOKEN}"), json.dumps(SECRET)):
+        assert "[key]" in found.scrub(f"it is {secret}.")
+        assert secret not in found.scrub(f"it is {secret}.")
+    assert TOKEN not in repr(found)
+
+
+def test_without_key_no_token_is_sent_and_a_header_takes_its_place() -> None:
+    assert named(DURA_LLM_API_KEY="").sent_headers == {}
+    basic = named(DURA_LLM_HEADERS="authorization: Basic 0123456789")
+    assert basic.sent_headers == {"authorization": "Basic 0123456789"}
+
+
+def test_the_query_is_kept_and_shown_nowhere() -> None:
+    url = f"https://host.example/v1/?api-version=2024-10-21&sig={TOKEN}"
+    found = named(DURA_LLM_BASE_URL=url)
+    assert found.query == (("api-version", "2024-10-21"), ("sig", TOKEN))
+    assert (found.public, found.address) == ("https://host.example/v1", "https://host.example/v1/")
+    assert TOKEN not in repr(found)
+    assert found.scrub(f"since 2024-10-21, by {TOKEN}") == "since 2024-10-21, by [key]"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "no colon hunter22222", "Bad Name: hunter22222", "Host: hunter22222", '{"a": "hunter22222"',
+        '{"X-A": 22222222}', "X-A: ", "X-A: hünter22222", '{"X-A": "hunter22222\\n"}',
+        "content-length: 5", "X-A: hunter22222\nx-a: hunter22222", f"X-A: {'hunter2' * 400}",
+        "X-Api-Key: hunter2",
+    ],
+)  # fmt: skip
+def test_headers_that_cannot_be_sent_are_refused_without_being_told(text: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        named(DURA_LLM_HEADERS=text)
+    assert caught.value.key == "DURA_LLM_HEADERS"
+    assert "hunter2" not in str(caught.value)
+
+
+def test_a_secret_of_the_query_that_is_too_short_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="'sig' has fewer than 8") as caught:
+        named(DURA_LLM_BASE_URL="http://host/v1?sig=hunter2")
+    assert "hunter2" not in str(caught.value)
+
+
+def test_the_body_s_fields_are_plain_data_of_which_none_is_the_request_s() -> None:
+    extra = {"top_p": 0.9, "chat_template_kwargs": {"enable_thinking": False}}
+    assert named(DURA_LLM_EXTRA_BODY=json.dumps(extra)).extra_body == extra
+    for text in ("[1]", "{", '{"a": NaN}', "5"):
+        with pytest.raises(ConfigurationError, match="is no JSON object"):
+            named(DURA_LLM_EXTRA_BODY=text)
+    with pytest.raises(ConfigurationError, match="sets messages, temperature"):
+        named(DURA_LLM_EXTRA_BODY='{"temperature": 1, "messages": []}')
+    with pytest.raises(ConfigurationError, match="DURA_LLM_EXTRA_BODY holds the key"):
+        named(DURA_LLM_EXTRA_BODY=json.dumps({"user": SECRET}))
+
+
+def test_a_value_that_is_a_part_of_what_is_shown_is_no_secret() -> None:
+    found = named(DURA_LLM_HEADERS="X-Model: llama3.1:8b")
+    assert found.scrub("llama3.1:8b drives") == "llama3.1:8b drives"
