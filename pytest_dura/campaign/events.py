@@ -128,6 +128,8 @@ class Progress:
         upper: Upper confidence bound on the rate of violations; see :meth:`bounded`.
         confidence: One-sided confidence of that bound.
         ended: Whether no further run follows, for whatever reason.
+        requests: Requests that this process has made to language models so far; ``None`` where it
+            makes none, or nobody has looked.
         judge: Judges the runs; ``None`` where nothing is judged.
     """
 
@@ -141,6 +143,7 @@ class Progress:
     upper: float | None = None
     confidence: float | None = None
     ended: bool = False
+    requests: int | None = None
     judge: CampaignJudge | None = field(default=None, repr=False, compare=False)
 
     def bounded(self) -> Progress:

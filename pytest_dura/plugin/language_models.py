@@ -123,6 +123,12 @@ class LanguageModels:
         """Limit that kept a request of this process from its server, in words; empty if none."""
         return "" if self._active is None else self._active.limit_reached
 
+    def requests(self) -> int | None:
+        """Return how many requests this process has made to servers; ``None`` for none so far."""
+        counts = {} if self._active is None else dict(self._active.counts)
+        made = (number for (*_, how), number in counts.items() if how in ("asked", "repeated"))
+        return sum(made) or None
+
     def stop(self) -> None:
         """Let no thread that is still under way ask or record anything any more."""
         if self._has_begun and self._active is not None:

@@ -91,12 +91,18 @@ class WorkerFile:
         token: Of the session, as its controller chose it.
         worker: Id of the worker.
         clock: Seconds.
+        requests: Returns how many requests to language models this process has made.
     """
 
     def __init__(
-        self, folder: Path, token: str, worker: str, clock: Callable[[], float] = perf_counter
+        self,
+        folder: Path,
+        token: str,
+        worker: str,
+        clock: Callable[[], float] = perf_counter,
+        requests: Callable[[], int | None] = lambda: None,
     ) -> None:
-        self._folder, self._clock = folder, clock
+        self._folder, self._clock, self._requests = folder, clock, requests
         self._file, self._begun = (folder / f"{token}.{worker}.{end}" for end in ("json", "tmp"))
         self._snapshots = Snapshots(clock)
         self._due: float | None = None
@@ -118,7 +124,7 @@ class WorkerFile:
             self._due = now + WRITE_INTERVAL
         elif now >= self._due and self._usable:
             self._due = now + WRITE_INTERVAL
-            self._replace_file(self._snapshots.of(event))
+            self._replace_file(replace(self._snapshots.of(event), requests=self._requests()))
 
     def _replace_file(self, progress: Progress) -> None:
         data = json.dumps({name: getattr(progress, name) for name in sorted(_FIELDS)}).encode()
@@ -204,7 +210,8 @@ def _checked_progress(data: Any) -> Progress | None:
     if not (isinstance(data, dict) and set(data) == _FIELDS):
         return None
     counts = [data[name] for name in ("taken_over", "done", "budget")]
-    numbers = counts if data["violations"] is None else [*counts, data["violations"]]
+    optional = [data[name] for name in ("violations", "requests") if data[name] is not None]
+    numbers = [*counts, *optional]
     shares = [data[name] for name in ("upper", "confidence") if data[name] is not None]
     is_valid = (
         all(_is_text(data[name]) for name in ("case", "subject"))
@@ -228,12 +235,20 @@ class ProgressHooks:
         mode: How it is shown.
         folder: Where workers write theirs.
         interval: Seconds between the lines of a log.
+        requests: Returns how many requests to language models this process has made.
     """
 
     def __init__(
-        self, config: pytest.Config, mode: DisplayMode, folder: Path, interval: float
+        self,
+        config: pytest.Config,
+        mode: DisplayMode,
+        folder: Path,
+        interval: float,
+        *,
+        requests: Callable[[], int | None],
     ) -> None:
         self._config, self._mode, self._folder, self._interval = config, mode, folder, interval
+        self._requests = requests
         self._reporter: Any = self._config.pluginmanager.getplugin("terminalreporter")
         self._distributed = self._config.pluginmanager.hasplugin("dsession")
         self._token = os.urandom(8).hex()
@@ -283,7 +298,11 @@ class ProgressHooks:
         if self._distributed:
             return read_files(self._folder, self._token)
         self._was_shown = True
-        return self._own_progress
+        requests = self._requests()
+        return {
+            place: replace(progress, requests=requests)
+            for place, progress in self._own_progress.items()
+        }
 
     def _live(self) -> LiveScreen:
         self._guard = TerminalGuard(self._config.get_terminal_writer())

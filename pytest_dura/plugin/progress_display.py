@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import unicodedata
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
@@ -76,6 +76,34 @@ class Pace:
         return max(0.0, remaining - under_way) / rate
 
 
+class Throughput:
+    """Requests per second over the last seconds, at one place.
+
+    Args:
+        window: Seconds that are looked back.
+    """
+
+    def __init__(self, window: float = PACE_WINDOW) -> None:
+        self._window = window
+        self._samples: deque[tuple[float, int]] = deque()
+
+    def rate(self, requests: int | None, now: float) -> float | None:
+        """Requests per second by now; ``None`` where there are none, and at the first look.
+
+        Args:
+            requests: Made so far, of the same process at each look.
+            now: Seconds of a clock that runs evenly.
+        """
+        if requests is None:
+            return None
+        samples = self._samples
+        samples.append((now, requests))
+        while len(samples) > 2 and now - samples[1][0] >= self._window:
+            samples.popleft()
+        begun, first = samples[0]
+        return (requests - first) / (now - begun) if now > begun else None
+
+
 WIDE = 119
 """Columns from which on there is room for a sentence."""
 MINUTE, HOUR = 60, 3600
@@ -92,12 +120,14 @@ class Row:
         progress: How far it is.
         rate: Runs per second, where that is known.
         left: Seconds for the rest of its budget, where that is known.
+        requests: Requests to language models per second, where any are made.
     """
 
     place: str
     progress: Progress
     rate: float | None
     left: float | None
+    requests: float | None = None
 
 
 def log_line(row: Row) -> str:
@@ -109,6 +139,8 @@ def log_line(row: Row) -> str:
         parts.append(f"rate <= {_percent(progress.upper)} ({100 * progress.confidence:g} %)")
     if row.rate is not None:
         parts.append(_speed(row.rate, " runs"))
+    if row.requests is not None:
+        parts.append(_speed(row.requests, " requests"))
     if row.left is not None:
         most = "at most " if progress.may_end_early else ""
         parts.append(f"{most}{duration(row.left)} left")
@@ -125,6 +157,8 @@ def short_line(row: Row) -> str:
         parts.append(f"<= {_percent(progress.upper)}")
     if row.rate is not None:
         parts.append(_speed(row.rate, ""))
+    if row.requests is not None:
+        parts.append(_speed(row.requests, " req"))
     if row.left is not None:
         parts.append(f"{'<= ' if progress.may_end_early else ''}{duration(row.left)} left")
     return f"{_campaign_name(progress)} {', '.join(parts)}"
@@ -204,6 +238,7 @@ class Board:
 
     def __init__(self) -> None:
         self._paces: dict[str, Pace] = {}
+        self._throughputs: defaultdict[str, Throughput] = defaultdict(Throughput)
 
     def rows(self, campaigns: Mapping[str, Progress], now: float) -> list[Row]:
         """Return a row per place, in the order of their names.
@@ -219,7 +254,9 @@ class Board:
         for place in sorted(campaigns, key=lambda place: (len(place), place)):  # gw2 before gw10
             progress, pace = campaigns[place], self._paces[place]
             remaining = progress.budget - progress.done
-            rows.append(Row(place, progress, pace.rate(now), pace.left(remaining, now)))
+            requests = self._throughputs[place].rate(progress.requests, now)
+            left = pace.left(remaining, now)
+            rows.append(Row(place, progress, pace.rate(now), left, requests))
         return rows
 
     def _pace(self, place: str, progress: Progress, now: float) -> Pace:

@@ -242,11 +242,13 @@ class DuraSession(SessionContext):
         folder = self.options.evidence / PROGRESS_FOLDER
         if "dura_progress" in self.worker_input:
             given = self.worker_input
-            return WorkerFile(folder, given["dura_progress"], given["workerid"])
+            return WorkerFile(
+                folder, given["dura_progress"], given["workerid"], requests=self.models.requests
+            )
         mode, interval = display_mode(self.config), self.options.progress_interval
         if mode is None or (mode == "lines" and isinf(interval)):
             return None
-        hooks = ProgressHooks(self.config, mode, folder, interval)
+        hooks = ProgressHooks(self.config, mode, folder, interval, requests=self.models.requests)
         self.config.pluginmanager.register(hooks, "dura-progress")
         return hooks
 

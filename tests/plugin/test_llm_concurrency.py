@@ -15,6 +15,7 @@ from test_llm_planner_sessions import answers, brief, named, scripted_server
 
 from pytest_dura.evidence import verify_bundle
 from pytest_dura.llm import session as sessions
+from pytest_dura.plugin import progress_display
 
 __all__ = ["cut_off", "named", "scripted_server", "server", "talking"]
 
@@ -125,6 +126,16 @@ def test_a_limit_that_is_not_reached_changes_nothing(talking, server):
         passed=2
     )
     assert talking.evidence().status == "complete"
+
+
+def test_progress_says_how_many_requests_are_made(talking, monkeypatch):
+    monkeypatch.setattr(progress_display, "LINES_INTERVAL", 0.005)
+    ini = talking.path / "pytest.ini"
+    ini.write_text(ini.read_text() + "\ndura_progress_interval = 0.004\n")
+    result = run(talking, "live", "--dura-llm-concurrency=2", runs=6)
+    result.stdout.re_match_lines(
+        [r"dura: corridor/it GAP-1: \d of 6 runs, .*\d runs/s, [\d.]+ requests/s, \d+ s left"]
+    )
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from pytest_dura.plugin.progress_display import (
     Board,
     Pace,
     Row,
+    Throughput,
     columns,
     duration,
     log_line,
@@ -196,3 +197,25 @@ def test_a_bound_is_of_its_own_campaign():
     snapshots.of(first.told)
     second.told = replace(second.told, done=3)
     assert snapshots.of(second.told).upper == 0.25
+
+
+def test_requests_per_second_are_those_of_the_last_seconds():
+    throughput = Throughput(window=10.0)
+    assert throughput.rate(None, 0.0) is None
+    assert throughput.rate(100, 0.0) is None
+    assert throughput.rate(120, 4.0) == pytest.approx(5.0)
+    assert throughput.rate(140, 8.0) == pytest.approx(5.0)
+    for second in range(9, 30):
+        rate = throughput.rate(140, float(second))
+    assert rate == 0.0
+
+
+def test_a_place_that_asks_language_models_says_how_often():
+    board = Board()
+    first, second = (replace(at(done), requests=requests) for done, requests in ((0, 10), (1, 40)))
+    assert board.rows({"": first}, 0.0)[0].requests is None
+    (row,) = board.rows({"": second}, 4.0)
+    assert row.requests == pytest.approx(7.5)
+    assert ", 7.5 requests/s, " in log_line(row)
+    assert ", 7.5 req/s, " in short_line(row)
+    assert "req" not in log_line(replace(row, requests=None))
