@@ -8,10 +8,10 @@ and answers like a model. Told are, by wording and ticks between two decisions, 
 collisions and clearance, and of all flagged ticks: the monitor's reason, and whether the decision
 was made at that tick or was being held. Recovery is on, as in the scenarios.
 
-The rule drives in two manners. ``keen`` asks of a maneuver only that the car can still stop when the
-next decision comes, and disregards what radar contradicts. ``calm`` believes lidar, and takes no
-maneuver that would touch somebody if it were kept for two seconds more: what the safety monitor asks
-of each tick.
+The rule drives in two manners. ``keen`` asks of a maneuver only that the car can still stop when
+the next decision comes, and disregards what radar contradicts. ``calm`` believes lidar, and takes
+no maneuver that would touch somebody if it were kept for two seconds more: what the safety monitor
+asks of each tick.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ MARGIN = 0.8
 COMMITTED = 0.5
 """s after the decision's hold, for which the rule must still be able to stop before the line."""
 OUTLOOK = 2.0
-"""s that the calm rule looks beyond the decision's hold, as the safety monitor does at each tick."""
+"""s that the calm rule looks beyond the decision's hold, as the safety monitor does."""
 MANNERS = ("keen", "calm")
 STEP = 0.1
 """s."""
@@ -370,8 +370,10 @@ def main() -> None:
         wording, manner, every = arm
         shown = [wording, manner, f"{every / 10:g}"]
         together = {key: each for key, each in outcomes.items() if (*key[:2], key[3]) == arm}
-        for case in cases:
-            rows.append([*shown, case, *_row([o for key, o in together.items() if key[2] == case])])
+        rows += [
+            [*shown, case, *_row([o for key, o in together.items() if key[2] == case])]
+            for case in cases
+        ]
         counted = sum((each.reasons for each in together.values()), Counter[tuple[str, str]]())
         why += [[*shown, *reason, str(count)] for reason, count in sorted(counted.items())]
     arm_headers = ["wording", "manner", "every s"]
