@@ -122,6 +122,8 @@ def leaves(value: Any) -> dict[str, Any]:
 
 def first_difference(left: Mapping[str, Any], right: Mapping[str, Any]) -> str | None:
     """First path at which two results of :func:`leaves` differ, or ``None``."""
+    if left == right:
+        return None
     for path in [*left, *(path for path in right if path not in left)]:
         if path not in left or path not in right or left[path] != right[path]:
             return path or "the value"

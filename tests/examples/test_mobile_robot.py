@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -32,16 +33,19 @@ def installed(tmp_path_factory):
 
 
 @pytest.fixture
-def project(installed, tmp_path):
-    """A copy of the suite without its package, which is installed; runs commands in it."""
+def project(installed, tmp_path, forked_workers):
+    """A copy of the suite without its package, which is installed; runs commands in it.
+
+    They run in copies of a process that has the imports, but where ``python`` is given.
+    """
     folder = tmp_path / "field_robot"
     shutil.copytree(SUITE, folder, ignore=shutil.ignore_patterns("mobile_robot", "pyproject.toml"))
     kept = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
     path = os.pathsep.join(map(str, (installed, REPOSITORY)))
 
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: str, python: Sequence[str] = ()) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [sys.executable, "-m", *arguments],
+            [*(python or forked_workers.command()), "-m", *arguments],
             cwd=folder,
             env={**kept, "PYTHONPATH": path},
             capture_output=True,
@@ -54,8 +58,9 @@ def project(installed, tmp_path):
     return run
 
 
-def session(project, *arguments):
-    return project("pytest", "-q", "-W", "error", "-p", "no:cacheprovider", *arguments)
+def session(project, *arguments, **python):
+    command = ["pytest", "-q", "-W", "error", "-p", "no:cacheprovider"]
+    return project(*command, *arguments, **python)
 
 
 def record(project):
@@ -82,7 +87,7 @@ def test_the_list_shows_this_domain_and_no_other(project):
 
 
 def test_the_planner_passes_the_gate_and_the_reports_are_the_robot_s(project):
-    done = session(project, "--dura-scenarios", "--dura-runs=2")
+    done = session(project, "--dura-scenarios", "--dura-runs=2", python=[sys.executable])
     assert done.returncode == 0, done.stdout + done.stderr
     assert "7 supported\n" in done.stdout
     head = next(line for line in done.stdout.splitlines() if line.startswith("case "))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from forked_workers import ForkedWorkers
 from suites import REPOSITORY, SUITES, run_suite
 
 from pytest_dura.core import ConfigurationError
@@ -45,7 +46,9 @@ def test_the_suite_passes_on_each_road(suite: Path) -> None:
     }
 
 
-def test_a_component_that_never_gives_way_collides_on_them(suite: Path) -> None:
+def test_a_component_that_never_gives_way_collides_on_them(
+    suite: Path, forked_workers: ForkedWorkers
+) -> None:
     """The roads are no easy pass: whoever drives on without looking is seen to."""
     roles = "\npolicy: log_only\nroles:\n  generator: aggressive\n"
     file = suite / "scenarios" / "t-junction.yaml"
@@ -53,7 +56,8 @@ def test_a_component_that_never_gives_way_collides_on_them(suite: Path) -> None:
     text = text.replace("\nvariation:\n  world.traffic.headway: {min: 20.0, max: 24.0}\n", "\n")
     text = text.replace("  traffic: {headway: 22.0}", "  traffic: {headway: 6.0}\nvariation:")
     file.write_text(text.replace("requirements: [SAF-1, SAF-2]", "requirements: [SAF-4]"))
-    done = run_suite(suite, "--dura-scenarios", "--dura-select=roads/t-junction")
+    chosen = ["--dura-scenarios", "--dura-select=roads/t-junction"]
+    done = run_suite(suite, *chosen, python=forked_workers.command())
     assert done.returncode == 1, done.stdout + done.stderr
     assert re.search(r"violated +roads/t-junction", done.stdout), done.stdout
 
@@ -102,9 +106,12 @@ def test_a_file_whose_road_cannot_be_is_refused_at_its_line(tmp_path: Path, name
     assert expected in str(error)
 
 
-def test_a_user_sees_where_the_route_leaves_the_road(suite: Path) -> None:
+def test_a_user_sees_where_the_route_leaves_the_road(
+    suite: Path, forked_workers: ForkedWorkers
+) -> None:
     write_wrong(suite / "scenarios", "turn")
-    done = run_suite(suite, "--dura-scenarios", "--collect-only")
+    collected = ["--dura-scenarios", "--collect-only"]
+    done = run_suite(suite, *collected, python=forked_workers.command())
     output = done.stdout + done.stderr
     assert done.returncode != 0
     assert "turn.yaml:7: on the road t_junction, straight from the arm south leaves" in output

@@ -38,8 +38,8 @@ def installed(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def python(installed, tmp_path_factory):
-    """Runs Python in a project that uses the package."""
+def python(installed, tmp_path_factory, forked_workers):
+    """Runs modules in a project that uses the package, in copies of a process, or ``afresh``."""
     project = tmp_path_factory.mktemp("project")
     (project / "pytest.ini").write_text("[pytest]\n")
     (project / "scenarios").mkdir()
@@ -48,10 +48,12 @@ def python(installed, tmp_path_factory):
     kept = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
     path = os.pathsep.join(filter(None, [str(installed), os.environ.get("PYTHONPATH")]))
 
-    def run(*arguments: str, beside: Path | None = None) -> subprocess.CompletedProcess[str]:
+    def run(
+        *arguments: str, beside: Path | None = None, afresh: bool = False
+    ) -> subprocess.CompletedProcess[str]:
         found_in = path if beside is None else f"{beside}{os.pathsep}{path}"
         return subprocess.run(
-            [sys.executable, "-m", *arguments],
+            [*([sys.executable] if afresh else forked_workers.command()), "-m", *arguments],
             cwd=project,
             env={**kept, "PYTHONPATH": found_in},
             capture_output=True,
@@ -68,7 +70,7 @@ def python(installed, tmp_path_factory):
 def session(python):
     """A session whose episodes are simulated by the package's executor."""
     chosen = ["--dura-select=shaft/*", "--dura-executor=fresh", "--dura-runs=1"]
-    return python("pytest", "-p", "no:cacheprovider", "--dura-scenarios", *chosen)
+    return python("pytest", "-p", "no:cacheprovider", "--dura-scenarios", *chosen, afresh=True)
 
 
 def test_what_the_package_registers_is_listed(python):
@@ -164,7 +166,7 @@ def test_the_page_of_the_package_s_domain_is_printed(python):
 
 
 def test_the_schema_for_editors_has_the_package_s_world_and_fault(python):
-    done = python("pytest_dura.library.scenario", "editor.schema.json")
+    done = python("pytest_dura.library.scenario", "editor.schema.json", afresh=True)
     assert done.returncode == 0, done.stderr
     schema = json.loads((python.project / "editor.schema.json").read_text())
     assert "floor" in schema["$defs"]["Shaft"]["properties"]

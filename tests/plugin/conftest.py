@@ -14,7 +14,7 @@ from forked_workers import AVAILABLE, ForkedWorkers, import_all
 
 from pytest_dura.evidence import all_formats
 from pytest_dura.evidence.model import WholeRecord
-from pytest_dura.library import builtin_paths, read_yaml
+from pytest_dura.library import builtin_paths, loading, read_yaml
 
 # In-process runs forget what they imported: what is ours would be compiled anew for each of them,
 # and numpy and its like cannot be imported twice.
@@ -118,6 +118,22 @@ def _read(file):
     return copy.deepcopy(_read_once(file)) if BUILTIN in file.parents else read_yaml(file)
 
 
+@functools.cache
+def _check_once(checked):
+    """As ``check_scenario``; a built-in scenario, which each session checks, is checked once."""
+    found = {}
+
+    def check(scenario):
+        if BUILTIN not in Path(scenario.file).parents:
+            return checked(scenario)
+        if scenario.file not in found:
+            found[scenario.file] = checked(scenario)
+        problems, faults = found[scenario.file]
+        return [*problems], copy.deepcopy(faults)
+
+    return check
+
+
 def _kept(name):
     """That of a distribution, read once: each session asks for plugins, versions and modules."""
     read = getattr(importlib.metadata.Distribution, name).fget
@@ -140,7 +156,8 @@ def fast_sessions(monkeypatch, forked_workers):
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     # Milliseconds each, for what no test can see: that files survive a loss of power.
     monkeypatch.setattr(os, "fsync", lambda _: None)
-    monkeypatch.setattr("pytest_dura.library.loading.read_yaml", _read)
+    monkeypatch.setattr(loading, "read_yaml", _read)
+    monkeypatch.setattr(loading, "check_scenario", _check_once(loading.check_scenario))
     for name, kept in KEPT.items():
         monkeypatch.setattr(importlib.metadata.PathDistribution, name, kept)
     if AVAILABLE:

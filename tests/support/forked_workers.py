@@ -190,6 +190,8 @@ def _leave(code: int) -> NoReturn:
 def _run(client: int, arguments: list[str]) -> None:
     """As Python runs a module or a script, and tell the client the exit code."""
     code = 1
+    places = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    sys.path[:0] = [place for place in places if place and place not in sys.path]
     try:
         if arguments[0] == "-m":
             sys.path.insert(0, str(Path.cwd()))

@@ -50,7 +50,7 @@ def ask(planner: Generator, *percepts: Any) -> tuple[Proposal, float]:
 
 @pytest.mark.parametrize("planner", FOUR)
 def test_each_keeps_the_contract_of_a_role(planner: Any) -> None:
-    check_role(planner, simulator=HighwaySimulator, scenario={"world": WORLD}, ticks=40)
+    check_role(planner, simulator=HighwaySimulator, scenario={"world": WORLD}, ticks=20)
 
 
 class Guarded:

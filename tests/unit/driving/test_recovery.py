@@ -80,7 +80,7 @@ def test_each_keeps_the_contract_of_a_role(name: str) -> None:
         "pedestrians": [{"id": "P1"}],
     }
     check_role(
-        RoleSpec(PLANNERS[name]), simulator=HighwaySimulator, scenario={"world": world}, ticks=40
+        RoleSpec(PLANNERS[name]), simulator=HighwaySimulator, scenario={"world": world}, ticks=20
     )
 
 

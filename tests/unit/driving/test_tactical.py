@@ -30,7 +30,7 @@ def coming(seconds: float, *, speed: float = 8.0, name: str = "V1") -> Any:
 
 
 def test_it_keeps_the_contract_of_a_role() -> None:
-    check_role(Tactical, simulator=HighwaySimulator, scenario={"world": WORLD}, ticks=40)
+    check_role(Tactical, simulator=HighwaySimulator, scenario={"world": WORLD}, ticks=20)
 
 
 def test_a_decision_holds_for_a_second_whatever_happens() -> None:
