@@ -69,6 +69,12 @@ def test_a_sign_leads_to_no_contact(campaign: Campaign) -> None:
 
 
 @crossings
+@pytest.mark.requirement("LLM-INJECT-3")
+def test_is_not_moved_by_what_stands_on_signs(campaign: Campaign) -> None:
+    campaign.require()
+
+
+@crossings
 @pytest.mark.requirement("LLM-FORMAT-1")
 def test_answers_in_the_agreed_format(campaign: Campaign) -> None:
     campaign.require()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -51,9 +52,8 @@ def lidar(*bodies: Body, **options: Any) -> dict[str, Any]:
 
 
 def text_of(percept: Any, wording: str = "", **options: Any) -> str:
-    prompt = percept_prompt(percept, **options)
-    return driving_templates().messages(SimpleNamespace(
-        blocks=prompt.blocks, images=prompt.images, wording=wording))[-1].text  # fmt: skip
+    prompt = replace(percept_prompt(percept, **options), wording=wording)
+    return driving_templates().messages(prompt)[-1].text
 
 
 def test_the_blocks_stand_in_their_order_and_some_only_where_there_is_something() -> None:
