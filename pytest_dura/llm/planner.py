@@ -621,7 +621,7 @@ class LlmGenerator(Generator):
         return Proposal(action, failure=failure, account=account)
 
 
-_ROOM_OF_ANSWER, _ROOM_OF_MESSAGES = 12_000, 48_000
+_ROOM_OF_ANSWER, _ROOM_OF_THOUGHTS, _ROOM_OF_MESSAGES = 10_000, 10_000, 40_000
 """Characters of JSON; an account that is longer than ``loop_signals.LONGEST`` is none."""
 
 
@@ -648,10 +648,12 @@ def exchange_data(
     return {
         "messages": messages,
         "answer": _fitted(answer.text, _ROOM_OF_ANSWER),
+        "thoughts": _fitted(answer.thoughts, _ROOM_OF_THOUGHTS),
         "detail": answer.detail,
         "finish": answer.finish,
         "usage": dict(answer.usage),
         "seconds": answer.seconds,
+        "first_token": answer.first_token,
         "attempts": answer.attempts,
     }
 

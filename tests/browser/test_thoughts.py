@@ -18,7 +18,13 @@ ANSWER = {
 }  # fmt: skip
 TWINS = {
     "again": {"outcome": "answered", "maneuver": "wait", "intent": "hold"},
-    "injected": {"outcome": "answered", "maneuver": "accelerate", "intent": "speed_up"},
+    "injected": {
+        "outcome": "answered",
+        "maneuver": "accelerate",
+        "intent": "speed_up",
+        "goal": "hasten",
+        "complied": ["hasten"],
+    },
     "blind": {"outcome": "malformed"},
 }
 EVERY = 10
@@ -59,7 +65,8 @@ def accounts(text="EGO: speed 8.0", answer=None, **changes):
             }
             words |= {"answer": "", "detail": "no answer within 2 s"}
         if since == 0:
-            account |= {"beside": TWINS if number == 0 else {}, "exchange": words}
+            account |= {"beside": TWINS if number == 0 else {}, "exchange": words,
+                        "prose": {"unshown": ["V77"]}, "judged": {"agrees": False}}  # fmt: skip
         told.append(account | changes)
     return tuple(told)
 
@@ -118,6 +125,7 @@ def test_the_decision_in_force_is_shown_until_the_next_one(page):
         "answered wait intent: slow down", "Observations a car on the left",
         "Reasoning it comes soon", "Confidence 80", "V9: not perceived", "Perceived 2 objects",
         "Answer took 0.25 s", "Tokens 1,200 in, 34 out",
+        "In prose: names, never shown V77", "Judge reasoning and maneuver: they do not agree",
     ):  # fmt: skip
         assert part in text
     seek(page, 15)
@@ -128,7 +136,9 @@ def test_variants_stand_beside_it_and_what_changed_is_marked(page):
     seek(page, 5)
     rows = [" ".join(row.split()) for row in page.locator(".dura-twins tbody tr").all_inner_texts()]
     assert rows == [
-        "again wait hold same", "injected accelerate speed up changed", "blind malformed failed",
+        "again wait hold same",
+        "injected goal: hasten accelerate speed up changed its words comply: hasten",
+        "blind malformed failed",
     ]  # fmt: skip
     seek(page, 15)
     assert "No variants were asked beside this decision." in shown(page)

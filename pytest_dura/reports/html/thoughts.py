@@ -22,6 +22,12 @@ MOST_CHARACTERS = 1_500_000
 _LEFT_OUT = "left out of this page, which would become too large; the trace has it"
 _MOST = 100
 """Entries of a list that are shown."""
+_PROSE = {
+    "unshown": "names, never shown",
+    "mistaken_kinds": "kinds that no object has",
+    "mistaken_numbers": "numbers far from the facts",
+}
+"""What is wrong with the prose of an answer, by the key of the account's ``prose``."""
 _DECISION = ("maneuver", "intent", "threat_ids")
 """Keys of an answer that the account gives as well."""
 
@@ -55,11 +61,12 @@ def thoughts_data(recording: Recording) -> dict[str, Any] | None:
         ``texts``, and ``decisions`` in the order of ``tick``, at which they came into force. Each
         has ``at`` (tick of the percept behind it), ``outcome``, ``detail`` of a failure,
         ``fallback``, ``maneuver``, ``intent``, ``said`` as pairs of key and text, ``cited`` as
-        pairs of id and whether it was perceived, ``perceived`` (how many ids), ``seconds``,
-        ``attempts`` (calls that were made), ``usage`` as pairs, ``messages`` as ``[role, text,
-        images]`` and ``answer`` with indices into ``texts``, ``beside`` as ``[variant, outcome,
-        maneuver, intent, changed]``, and ``replaced``: outcome and maneuver of decisions that were
-        refused at the same tick.
+        pairs of id and whether it was perceived, ``perceived`` (how many ids), ``prose`` as pairs
+        of a mistake in words and where, ``judge``, ``seconds``, ``first`` (seconds until the first
+        token), ``attempts`` (calls that were made), ``usage`` as pairs, ``messages`` as ``[role,
+        text, images]``, ``answer`` and ``thoughts`` with indices into ``texts``, ``beside`` as
+        ``[variant, outcome, maneuver, intent, changed, goal, complied]``, and ``replaced``: outcome
+        and maneuver of decisions that were refused at the same tick.
     """
     texts = _Texts()
     decisions = [
@@ -91,7 +98,10 @@ def _decision(tick: int, account: Mapping[str, Any], texts: _Texts) -> dict[str,
             if isinstance(each, str)
         ],
         "perceived": len(known) if isinstance(perceived, list) else None,
+        "prose": _mistakes(_mapping(account.get("prose"))),
+        "judge": _judge(_mapping(account.get("judged"))),
         "seconds": _amount(exchange.get("seconds")),
+        "first": _amount(exchange.get("first_token")),
         "attempts": _amount(exchange.get("attempts")),
         "usage": [
             [name(key), count]
@@ -104,6 +114,7 @@ def _decision(tick: int, account: Mapping[str, Any], texts: _Texts) -> dict[str,
             if isinstance(message, dict)
         ],
         "answer": texts.place(answer),
+        "thoughts": texts.place(exchange.get("thoughts") or None),
         "beside": [
             [name(variant), *_twin(given, maneuver)]
             for variant, given in list(_mapping(account.get("beside")).items())[:_MOST]
@@ -117,11 +128,29 @@ def _decision(tick: int, account: Mapping[str, Any], texts: _Texts) -> dict[str,
     }
 
 
-def _twin(given: Mapping[str, Any], maneuver: str) -> tuple[str, str, str, bool]:
-    """Outcome, maneuver and intent of a variant, and whether the maneuver is another one."""
+def _twin(given: Mapping[str, Any], maneuver: str) -> tuple[str, str, str, bool, str, list[str]]:
+    """Outcome, maneuver and intent of a variant, and whether the maneuver is another one.
+
+    Of an attack also its goal, and the goals with which the words of the answer comply.
+    """
     outcome = _word(given.get("outcome")) or _ANSWERED
     own = _word(given.get("maneuver"))
-    return outcome, own, _word(given.get("intent")), bool(own and maneuver and own != maneuver)
+    changed = bool(own and maneuver and own != maneuver)
+    goal, complied = _word(given.get("goal")), _names(given.get("complied"))
+    return outcome, own, _word(given.get("intent")), changed, goal, complied
+
+
+def _mistakes(prose: Mapping[str, Any]) -> list[list[Any]]:
+    """What is wrong with the prose, in words, and where."""
+    found = [[label, _names(prose.get(key))] for key, label in _PROSE.items()]
+    return [pair for pair in found if pair[1]]
+
+
+def _judge(judged: Mapping[str, Any]) -> str:
+    """What a judge says of reasoning and maneuver; empty without one."""
+    if isinstance(judged.get("agrees"), bool):
+        return "they agree" if judged["agrees"] else "they do not agree"
+    return _word(judged.get("outcome"))
 
 
 def _said(answer: Any) -> list[list[str]]:
@@ -139,7 +168,11 @@ def _said(answer: Any) -> list[list[str]]:
 
 
 def _images(message: Mapping[str, Any]) -> list[str]:
-    return [name(each) for each in _list(message.get("images"))[:_MOST] if isinstance(each, str)]
+    return _names(message.get("images"))
+
+
+def _names(value: Any) -> list[str]:
+    return [name(each) for each in _list(value)[:_MOST] if isinstance(each, str)]
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:

@@ -34,21 +34,31 @@ def test_a_decision_has_its_prompt_its_answer_and_what_differs_beside_it():
     answer = json.dumps({"observations": "a car", "maneuver": "wait", "confidence": 7})
     beside = {
         "again": {"outcome": "answered", "maneuver": "wait", "intent": "hold"},
-        "injected": {"outcome": "answered", "maneuver": "accelerate", "intent": "speed_up"},
+        "injected": {
+            "outcome": "answered",
+            "maneuver": "accelerate",
+            "intent": "speed_up",
+            "goal": "hasten",
+            "complied": ["hasten"],
+        },
         "blind": {"outcome": "malformed"},
     }
     told = decision(exchange=exchange("EGO: here", answer), beside=beside,
                     replaced=[{"outcome": "answered", "maneuver": "proceed"}])  # fmt: skip
+    told |= {"prose": {"names": ["V1"], "unshown": ["V77"], "mistaken_kinds": None},
+             "judged": {"outcome": "answered", "agrees": False}}  # fmt: skip
     data = thoughts(told, {"decided": False, "at": 0}, decision(at=1, exchange=exchange("EGO: on")))
     first, second = data["decisions"]
     assert (first["tick"], first["at"], second["tick"], second["at"]) == (0, 0, 2, 1)
     assert first["said"] == [["observations", "a car"], ["confidence", "7"]]
     assert first["cited"] == [["V1", True], ["V9", False]]
     assert first["beside"] == [
-        ["again", "answered", "wait", "hold", False],
-        ["injected", "answered", "accelerate", "speed_up", True],
-        ["blind", "malformed", "", "", False],
+        ["again", "answered", "wait", "hold", False, "", []],
+        ["injected", "answered", "accelerate", "speed_up", True, "hasten", ["hasten"]],
+        ["blind", "malformed", "", "", False, "", []],
     ]
+    assert first["prose"] == [["names, never shown", ["V77"]]]
+    assert (first["judge"], second["judge"], second["prose"]) == ("they do not agree", "", [])
     assert first["replaced"] == [["answered", "proceed"]]
     assert (first["seconds"], first["attempts"], first["usage"]) == (
         0.5,
@@ -97,7 +107,7 @@ ANYTHING = st.recursive(
     max_leaves=8,
 )
 KEYS = ("at", "outcome", "fallback", "maneuver", "intent", "cited", "perceived", "beside",
-        "replaced", "exchange")  # fmt: skip
+        "replaced", "exchange", "prose", "judged")  # fmt: skip
 INNER = ("messages", "answer", "detail", "usage", "seconds", "attempts", "role", "text", "images")
 
 

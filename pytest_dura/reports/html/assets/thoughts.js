@@ -33,10 +33,13 @@ class Thoughts {
     this.prompt = make("div", {class: "dura-messages"});
     this.answerTitle = make("summary", {});
     this.answer = make("pre", {class: "dura-raw", tabindex: "0"});
+    this.thinking = make("pre", {class: "dura-raw", tabindex: "0"});
     this.account = make("pre", {class: "dura-raw", tabindex: "0"});
     this.folds = make("div", {class: "dura-folds"},
       make("details", {class: "dura-details dura-prompt"}, this.promptTitle, this.prompt),
       make("details", {class: "dura-details dura-answer"}, this.answerTitle, this.answer),
+      make("details", {class: "dura-details dura-thinking"},
+        make("summary", {}, "Thoughts before the answer"), this.thinking),
       make("details", {class: "dura-details"}, make("summary", {}, "Account at this tick"),
         this.account));
     this.node = make("section", {class: "dura-panel dura-thoughts", "aria-label": "What it thought"},
@@ -90,6 +93,9 @@ class Thoughts {
     const answer = one.answer === null ? "" : this.texts[one.answer];
     say(this.answerTitle, `Raw answer: ${characters(answer)}`);
     say(this.answer, answer || "–");
+    const thinking = one.thoughts === null ? "" : this.texts[one.thoughts];
+    say(this.thinking, thinking);
+    this.folds.querySelector(".dura-thinking").hidden = !thinking;
     this.folds.querySelector(".dura-prompt").hidden = !texts.length;
     this.folds.querySelector(".dura-answer").hidden = !answer;
   }
@@ -114,7 +120,10 @@ class Thoughts {
     const rows = [["Failed with", one.detail],
       ["Cites", cited.length ? cited : one.outcome === "answered" ? "nothing" : ""],
       ["Perceived", one.perceived === null ? "" : counted(one.perceived, "object")],
+      ...one.prose.map(([label, where]) => [`In prose: ${label}`, where.map((each) => chip("bad", each))]),
+      ["Judge", one.judge && `reasoning and maneuver: ${words(one.judge)}`],
       ["Answer took", one.seconds === null ? "" : seconds(one.seconds)
+        + (one.first === null ? "" : `, the first token ${seconds(one.first)}`)
         + (one.attempts > 1 ? `, at call ${grouped(one.attempts)}` : "")],
       ["Tokens", tokens],
       ["Before, refused", one.replaced.map(([outcome, maneuver]) => words(maneuver || outcome))
@@ -128,19 +137,22 @@ class Thoughts {
     if (!one.beside.length) {
       return make("p", {class: "dura-note"}, "No variants were asked beside this decision.");
     }
-    const rows = one.beside.map(([variant, outcome, maneuver, intent, changed]) => {
+    const rows = one.beside.map(([variant, outcome, maneuver, intent, changed, goal, complied]) => {
       const failed = outcome !== "answered";
       const look = failed ? "bad" : changed ? "odd" : "plain";
       return make("tr", {class: changed || failed ? "dura-changed" : null},
-        make("th", {scope: "row"}, words(variant)),
+        make("th", {scope: "row"}, words(variant),
+          goal ? make("span", {class: "dura-note"}, ` goal: ${words(goal)}`) : null),
         make("td", {}, failed ? words(outcome) : words(maneuver || "–"),
           intent ? make("span", {class: "dura-note"}, ` ${words(intent)}`) : null),
-        make("td", {}, make("span", {class: `dura-chip dura-chip-${look}`},
-          failed ? "failed" : changed ? "changed" : "same")));
+        make("td", {}, make("span", {class: `dura-chip dura-whole dura-chip-${look}`},
+          failed ? "failed" : changed ? "changed" : "same"),
+        complied.length ? " " : null, complied.length ? make("span", {class: "dura-chip dura-chip-bad"},
+          `its words comply: ${complied.map(words).join(", ")}`) : null));
     });
     return make("table", {}, make("caption", {}, "Variants of the prompt, asked beside it"),
       make("thead", {}, make("tr", {},
-        ["Variant", "Decision", "Against it"].map((title) => make("th", {scope: "col"}, title)))),
+        ["Variant", "Decision", "Result"].map((title) => make("th", {scope: "col"}, title)))),
       make("tbody", {}, rows));
   }
 
