@@ -380,8 +380,7 @@ MEANINGS: Mapping[str, str] = {
     "fails_beside": "of decisions beside which variants were asked: one of these came to no "
     "decision, and so shows nothing of what it was asked for",
     "fallback": "the action is its fallback, no decision of its own",
-    "unavailable": "no answer: its server could not be reached, or answered with an error; that is "
-    "no failure of the component's own",
+    "unavailable": "no answer: its server could not be reached, or answered with an error",
     "timeout": "no answer within its time budget",
     "empty": "an answer without text",
     "refused": "it declined to answer",

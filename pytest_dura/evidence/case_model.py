@@ -200,8 +200,8 @@ class FailureModeEntry(Entry):
     name: str
     """Its name; formulas read it as `proposal.` and the name."""
     kind: Literal["failure", "infrastructure", "control", "comparison"]
-    """Whether it is a failure, one of the infrastructure and not the component's own, the negative
-    control, or a comparison that is no failure by itself."""
+    """Whether it is a failure, one of the server or the way there, the negative control, or a
+    comparison that is no failure by itself."""
     hits: Count
     """Decisions that showed it."""
     of: Count

@@ -286,8 +286,8 @@ class TallyEntry(Entry):
     null_of: Count
     """Decisions of it that could have."""
     kind: Literal["failure", "infrastructure", "control", "comparison"]
-    """Whether it is a failure, one of the infrastructure and not the component's own, the negative
-    control, or a comparison that is no failure by itself."""
+    """Whether it is a failure, one of the server or the way there, the negative control, or a
+    comparison that is no failure by itself."""
 
 
 class EpisodeMetricsEntry(Entry):

@@ -42,6 +42,13 @@ _SECRET_PARAMETER = re.compile(
 )
 """Whole name of a parameter, a header or a key of data."""
 
+_NAMED_SECRET = re.compile(
+    r"(?:key|token|secret|auth|passw|cookie|credential|sig)[a-z]{0,20}\"?\s*[:=]\s*\"?"
+    r"([^\"\r\n,&#]{1,4000})",
+    re.IGNORECASE,
+)
+"""A header, or a part of a URL's query, whose name says that its value is secret."""
+
 _COMMON_VALUES = {
     "password", "passwords", "changeme", "redacted", "disabled", "undefined", "required",
     "optional", "production", "development", "localhost", "username", "anonymous",
@@ -49,7 +56,7 @@ _COMMON_VALUES = {
 
 
 def _secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterator[tuple[str, str]]:
-    """Yield ``(name, value)`` of variables that hold secrets, and of passwords in URLs.
+    """Yield ``(name, value)`` of variables that hold secrets, and of secrets in URLs and headers.
 
     Args:
         environ: The variables.
@@ -65,6 +72,10 @@ def _secrets_of(environ: Mapping[str, str], globs: Sequence[str] = ()) -> Iterat
             password = _password(value)
             if password:
                 yield name, password
+        query = value.partition("?")[2] if "://" in value else ""
+        for match in _NAMED_SECRET.finditer(value if upper.endswith("_HEADERS") else query):
+            for secret in {match[1], unquote(match[1]), match[1].rpartition(" ")[2]}:
+                yield name, secret
 
 
 def is_common(value: str) -> bool:

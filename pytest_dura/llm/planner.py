@@ -655,6 +655,8 @@ def exchange_data(
         "seconds": answer.seconds,
         "first_token": answer.first_token,
         "attempts": answer.attempts,
+        **({"thoughts": _fitted(answer.thoughts, _ROOM_OF_ANSWER)} if answer.thoughts else {}),
+        **({} if answer.first_token is None else {"first_token": answer.first_token}),
     }
 
 

@@ -18,7 +18,7 @@ from pytest_dura.evidence.text import counted, name
 _COUNTS = attrgetter("hits", "of", "null_hits", "null_of", "episodes", "of_episodes")
 FAILURE_MODE_HEADINGS = {
     "failure": "failure modes",
-    "infrastructure": "of the server or the way there, not the component's own",
+    "infrastructure": "of the server or the way there",
     "control": "negative control",
     "comparison": "no failure by itself",
 }

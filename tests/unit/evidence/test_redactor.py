@@ -28,6 +28,21 @@ def test_a_variable_whose_name_speaks_of_a_secret(name):
 
 
 @pytest.mark.parametrize(
+    "name, value",
+    [
+        ("DURA_LLM_HEADERS", f'{{"X-Org": "my-org-name", "api-key": "{SECRET}"}}'),
+        ("DURA_LLM_HEADERS", f"X-Org: my-org-name\nX-Auth-Token:  {SECRET}\n"),
+        ("OTLP_HEADERS", f"a=my-org-name,x-api-key={SECRET}"),
+        ("PROXY_HEADERS", f"Authorization: Bearer {SECRET}"),
+        ("BASE", f"https://my-org-name.test/v1?version=1&sig={SECRET}&a=b"),
+    ],
+)
+def test_headers_and_queries_hold_secrets_by_their_names(name, value):
+    redact = Redactor.of_environment({name: value}).redact
+    assert redact(f"it is {SECRET} of my-org-name") == f"it is [redacted: {name}] of my-org-name"
+
+
+@pytest.mark.parametrize(
     "name",
     [
         "PATH", "MONKEY_BUSINESS", "KEYBOARD_LAYOUT", "PWD", "OLDPWD", "SSH_AUTH_SOCK",

@@ -123,3 +123,15 @@ def test_whatever_a_component_says_of_itself_can_be_shown(account, words):
         assert len(data["decisions"]) == 1
         assert pack_data(data)
         assert all(text.isprintable() or set(text) & {"\n", "\t"} for text in data["texts"])
+
+
+def test_what_a_model_thought_before_its_answer_comes_first():
+    answer = json.dumps({"observations": "a car", "maneuver": "wait"})
+    given = exchange("EGO", answer, thoughts="First\x1b this.", first_token=0.25)
+    (told,) = thoughts(decision(exchange=given))["decisions"]
+    assert [key for key, _ in told["said"]] == ["thoughts", "first token", "observations"]
+    assert "First" in told["said"][0][1]
+    assert "\x1b" not in told["said"][0][1]
+    assert told["said"][1][1] == "after 0.25 s"
+    (told,) = thoughts(decision(exchange=exchange("EGO", thoughts=5, first_token="x")))["decisions"]
+    assert told["said"] == []
