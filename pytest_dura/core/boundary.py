@@ -343,12 +343,70 @@ class CallTimer:
         return f"it did not come back within {self.limit:g} s of wall-clock time"
 
 
+class Pauses:
+    """Wall-clock time within a call that is not the called code's, such as a wait for others."""
+
+    __slots__ = ("_since", "_total")
+
+    def __init__(self) -> None:
+        self._total, self._since = 0.0, 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Sum of the pauses so far, the one under way included."""
+        since = self._since
+        return self._total + (monotonic() - since if since else 0.0)
+
+    def begin(self) -> None:
+        """Begin a pause."""
+        self._since = monotonic()
+
+    def end(self) -> None:
+        """End it."""
+        self._total, self._since = self.seconds, 0.0
+
+
+_PAUSES: ContextVar[Pauses | None] = ContextVar("dura_pauses", default=None)
+
+
+@contextmanager
+def with_pauses() -> Iterator[Pauses]:
+    """Context of a call whose limit, and whose measured time, leave out its pauses."""
+    pauses = Pauses()
+    token = _PAUSES.set(pauses)
+    try:
+        yield pauses
+    finally:
+        _PAUSES.reset(token)
+
+
+@contextmanager
+def paused() -> Iterator[None]:
+    """Context of a pause in the call that is under way, if there is one."""
+    pauses = _PAUSES.get()
+    if pauses is None:
+        yield
+        return
+    pauses.begin()
+    try:
+        yield
+    finally:
+        pauses.end()
+
+
+def _paused_seconds() -> float:
+    pauses = _PAUSES.get()
+    return 0.0 if pauses is None else pauses.seconds
+
+
 T = TypeVar("T")
 
 GRACE = 0.2
 """Seconds that a call has to stop once it was interrupted."""
 _TIMER_RESOLUTION = 2e-6
 """Seconds."""
+_LEAST_WAIT = 1e-3
+"""Seconds between two looks at a call that pauses."""
 
 
 class TimeBudgetExceeded(CallEnded):
@@ -406,7 +464,7 @@ class _Alarm:
     def __call__(self, _signum: int, _frame: object) -> None:
         if not self.armed:
             self.timer.check()
-        elif monotonic() >= self.due:  # earlier, it is a late alarm of the timer
+        elif monotonic() >= self.due + _paused_seconds():  # earlier, it is of the timer, or pauses
             self.expired = True
             raise TimeBudgetExceeded
 
@@ -526,7 +584,7 @@ def _alarm_is_free() -> bool:
 
 
 def _call_with_alarm(alarm: _Alarm, seconds: float, function: Callable[..., T], *args: Any) -> T:
-    alarm.due = monotonic() + seconds
+    alarm.due = monotonic() + seconds - _paused_seconds()
     alarm.armed, alarm.expired = True, False
     try:
         # The alarm repeats, since a callee may swallow one and go on (a bare `except` in a loop).
@@ -565,8 +623,11 @@ def _call_in_thread(seconds: float, function: Callable[..., T], *args: Any) -> T
 
     context = contextvars.copy_context()
     thread = threading.Thread(target=context.run, args=(work,), daemon=True)
+    before, end = _paused_seconds(), monotonic() + seconds
     thread.start()
-    if not done.wait(seconds):
+    while not done.wait(max(end + _paused_seconds() - before - monotonic(), _LEAST_WAIT)):
+        if monotonic() < end + _paused_seconds() - before:
+            continue
         with lock:
             if not finished and thread.ident is not None:
                 _raise_in(thread.ident, TimeBudgetExceeded)

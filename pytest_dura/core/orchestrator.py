@@ -18,7 +18,14 @@ from time import perf_counter_ns
 from types import MappingProxyType
 from typing import Any, Protocol, cast
 
-from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary, CallBlocked, CallTimer, alarms
+from pytest_dura.core.boundary import (
+    ROLE_TIMEOUT,
+    Boundary,
+    CallBlocked,
+    CallTimer,
+    alarms,
+    with_pauses,
+)
 from pytest_dura.core.component import Component, Messages, plain_copy
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import (
@@ -358,9 +365,9 @@ class Orchestrator:
         self.state.proposal = None
         start = perf_counter_ns()
         view = self.state.generator_view(feedback, self._messages.transmit)
-        with environment_errors() as errors:
+        with environment_errors() as errors, with_pauses() as pauses:
             proposal, problem, is_plain = self._component.propose(view)
-        elapsed = perf_counter_ns() - start
+        elapsed = perf_counter_ns() - start - int(pauses.seconds * 1e9)
         seconds = None if proposal is None else declared_seconds(proposal.account)
         self.state.generator_seconds = elapsed / 1e9 if seconds is None else seconds
         self.log.metrics.log_time("generator", tick.index, elapsed)

@@ -85,8 +85,7 @@ class ExecutionEntry(Entry):
     """How many processes of the same machine; null for another executor."""
     llm_concurrency: Absent[Positive] = None
     """Requests to language models that each process of the session made at the same time, at most,
-    and how many episodes it simulated at once in threads; absent where it was one after the
-    other."""
+    for episodes that it simulated at once in threads; absent where it was one after the other."""
 
 
 class SecondEngineEntry(Entry):

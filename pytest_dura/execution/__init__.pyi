@@ -1,9 +1,9 @@
 from .address import Addresses, describe_machine
 from .cache import CLAIM, EPISODE, EpisodeCache, prune, read_age, read_size
 from .codec import pack
-from .executors import Execution, ExecutorChoice
+from .executors import IN_FLIGHT, Execution, ExecutorChoice
 from .processes import MAX_STARTS, ProcessPool
-from .store import IN_FLIGHT, EpisodeStore
+from .store import EpisodeStore
 from .task import EpisodeTask, missing_episode, run_episode
 from .worker import CallFailedError, ProcessLostError
 

@@ -18,6 +18,8 @@ from pytest_dura.execution.address import Address, simulate
 from pytest_dura.execution.task import EpisodeTask, reason_not_portable
 
 KEY = "--dura-executor"
+IN_FLIGHT = 2
+"""Episodes per worker that are under way, so that no worker waits for its next one."""
 MAX_SECONDS = 3600.0
 """Limit of an episode in another process, beside the time that its component is given."""
 

@@ -19,7 +19,7 @@ from pytest_dura.core.errors import ConfigurationError, DuraError, describe_erro
 from pytest_dura.execution.address import Address, Addresses
 from pytest_dura.execution.cache import MAX_ATTEMPTS, CacheEntry, Claim, EpisodeCache
 from pytest_dura.execution.codec import SERIES, pack, unpack
-from pytest_dura.execution.executors import MAX_SECONDS, Execution, time_limit_of
+from pytest_dura.execution.executors import IN_FLIGHT, MAX_SECONDS, Execution, time_limit_of
 from pytest_dura.execution.task import EpisodeTask, missing_episode
 from pytest_dura.execution.worker import CallFailedError, ProcessLostError
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
@@ -219,8 +219,6 @@ class EarlierEpisodes:
         return self._index
 
 
-IN_FLIGHT = 2
-"""Episodes per worker that are under way, so that no worker waits for its next one."""
 MAX_WAIT = IN_FLIGHT * MAX_SECONDS
 """Seconds to wait for an episode of another process, beside its component's time budgets; then it
 is simulated here. The other process may have begun another one before it."""

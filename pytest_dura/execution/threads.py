@@ -18,6 +18,7 @@ from time import monotonic
 from typing import Any, ParamSpec, TypeVar, cast
 
 from pytest_dura.core.boundary import CallEnded, giving_up_by
+from pytest_dura.execution.executors import IN_FLIGHT
 from pytest_dura.execution.worker import CallFailedError, ProcessLostError
 
 T = TypeVar("T")
@@ -42,11 +43,12 @@ class EpisodeThreads(Executor):
     """Executor of calls in threads that end with the process.
 
     Args:
-        width: How many threads at most; they are started when they are needed.
+        width: How many episodes are worked on at the same time. There are more threads, for all
+            that is begun ahead: where episodes wait for their turn at a server, no turn is lost.
     """
 
     def __init__(self, width: int) -> None:
-        self.width = width
+        self.width, self._most = width, IN_FLIGHT * width
         self._calls: SimpleQueue[_Call | None] = SimpleQueue()
         self._lock = threading.Lock()
         self._threads: list[threading.Thread] = []
@@ -88,7 +90,7 @@ class EpisodeThreads(Executor):
 
     def _start_threads(self) -> None:
         """Start a thread if there is work for it, under the lock."""
-        if len(self._threads) < min(self.width, self._unfinished):
+        if len(self._threads) < min(self._most, self._unfinished):
             thread = threading.Thread(target=self._serve, name="dura-episodes", daemon=True)
             self._threads.append(thread)
             thread.start()

@@ -6,8 +6,10 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
-from threading import Condition, Thread
+from threading import Event, Lock, Thread
 from typing import TypeVar
+
+from pytest_dura.core.boundary import paused
 
 T = TypeVar("T")
 
@@ -18,35 +20,51 @@ _has_place: ContextVar[bool] = ContextVar("dura_llm_has_place", default=False)
 class Places:
     """Places of the requests that are under way at the same time, for the threads of a process.
 
-    Who needs a place waits for at most one request of another thread: further places are only
-    taken where nobody waits.
+    Who needs a place gets it in turn, and the wait is no time of the component's. Further places
+    are only taken where nobody waits.
 
     Args:
         count: How many there are.
     """
 
     def __init__(self, count: int) -> None:
-        self._free, self._waiting = count, 0
-        self._change = Condition()
+        self._free = count
+        self._queue: deque[Event] = deque()
+        """Events of those who wait, the first one first; there is none while a place is free."""
+        self._lock = Lock()
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Context of a request, which waits until a place is free, unless the thread has one."""
+        """Context of a request, which waits for its turn, unless the thread has a place."""
         if _has_place.get():
             yield
             return
-        with self._change:
-            self._waiting += 1
-            try:
-                while not self._free:
-                    self._change.wait()
-            finally:
-                self._waiting -= 1
-            self._free -= 1
+        turn = Event()
+        with self._lock:
+            if self._free:
+                self._free -= 1
+                turn.set()
+            else:
+                self._queue.append(turn)
+        if not turn.is_set():
+            self._wait_for(turn)
         try:
             yield
         finally:
             self._give()
+
+    def _wait_for(self, turn: Event) -> None:
+        try:
+            with paused():
+                turn.wait()
+        except BaseException:  # a time limit; it is raised again
+            with self._lock:
+                is_waiting = turn in self._queue
+                if is_waiting:
+                    self._queue.remove(turn)
+            if not is_waiting:
+                self._give()
+            raise
 
     def call_all(self, calls: Sequence[Callable[[], T]]) -> list[T]:
         """The results of calls that make a request each, in their order.
@@ -91,13 +109,16 @@ class Places:
         return [results[number] for number in range(len(calls))]
 
     def _try_take(self) -> bool:
-        """Take a place beside the next one, if nobody waits for it."""
-        with self._change:
-            spare = self._free > self._waiting + 1
+        """Take a place beside the next one, if both are free."""
+        with self._lock:
+            spare = self._free > 1
             self._free -= spare
         return spare
 
     def _give(self) -> None:
-        with self._change:
-            self._free += 1
-            self._change.notify()
+        """Hand a place to the first who waits, or leave it free."""
+        with self._lock:
+            if self._queue:
+                self._queue.popleft().set()
+            else:
+                self._free += 1

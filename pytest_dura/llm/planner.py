@@ -396,10 +396,7 @@ class LlmGenerator(Generator):
         return {}
 
     def time_limit(self, budget: float | None) -> float | None:
-        """Enough for all requests of a tick, each within its own deadline, and a second more.
-
-        Where several are made at once, each may have to wait for another one before.
-        """
+        """Enough for all requests of a tick, each within its own deadline, and a second more."""
         deadline = self.settings.deadline(budget)
         if deadline is None:
             return None
@@ -407,8 +404,7 @@ class LlmGenerator(Generator):
         requests += bool(self.settings.judge)
         if not self.settings.count_retries:
             deadline = session.current().retries.time_for(deadline)
-        waits = 1 if session.current().concurrency == 1 else 2
-        return waits * requests * deadline + 1.0
+        return requests * deadline + 1.0
 
     def reset(self, context: RoleContext) -> None:
         """Begin an episode."""

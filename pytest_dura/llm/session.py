@@ -264,7 +264,7 @@ class ModelSession:
         concurrency: int = 1,
         spending: Spending | None = None,
     ) -> None:
-        self.mode, self.concurrency = mode, concurrency
+        self.mode = mode
         self._environ = os.environ if environ is None else environ
         self.retries = Retries(retries_of(self._environ)) if retries is None else retries
         self.cassette: Cassette | None = None

@@ -51,7 +51,7 @@ class SessionExecutor:
 
     Args:
         choice: Who simulates, if it is not this process itself.
-        threads: How many episodes at a time whose component asks a language model.
+        threads: How many requests to language models are made at once, for episodes in threads.
         is_worker: Whether this is a worker of pytest-xdist.
         collect_only: Whether nothing is run.
     """
@@ -140,8 +140,7 @@ class SessionExecutor:
         if choice is not None and choice.kind is not None:
             lines.append(f"dura: episodes are simulated {choice.kind.where}")
         if self._threads > 1:
-            many = f"at most {self._threads} requests to language models at once"
-            lines.append(f"dura: {many}, in {self._threads} threads")
+            lines.append(f"dura: at most {self._threads} requests to language models at once")
         return lines
 
     def notes(self) -> list[str]:

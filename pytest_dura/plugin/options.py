@@ -542,8 +542,8 @@ class Options:
     )
     llm_concurrency: Option[int] = Option(
         "--dura-llm-concurrency",
-        "requests to language models that each process makes at the same time, at most; as many "
-        "episodes of a campaign are simulated at once in threads",
+        "requests to language models that each process makes at the same time, at most, for "
+        "episodes of a campaign that it simulates at once in threads",
         whole_number(at_least=1),
         ini="dura_llm_concurrency",
         default="1",

@@ -51,7 +51,7 @@ def test_episodes_at_once_are_replayed_one_after_the_other(talking, server, cut_
     server._otherwise = together = Together(3, speed)
     recorded = run(talking, "record", "--dura-llm-concurrency=3", "--dura-evidence=one", runs=6)
     recorded.assert_outcomes(passed=2)
-    assert "dura: at most 3 requests to language models at once, in 3 threads" in recorded.outlines
+    assert "dura: at most 3 requests to language models at once" in recorded.outlines
     assert together.most == 3 <= together.met
     asked = prompts(server)
     assert len(asked) == len(set(asked))

@@ -68,7 +68,7 @@ def room(seed: int, roles: dict[str, RoleSpec]) -> EpisodeSpec:
 
 @pytest.fixture
 def store() -> Iterator[EpisodeStore]:
-    made = EpisodeStore(execution=Execution(threads=EpisodeThreads(4)))
+    made = EpisodeStore(execution=Execution(threads=EpisodeThreads(2)))
     yield made
     made.close()
 
