@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
 from typing import Any, ClassVar
 
 from pytest_dura.core.errors import ConfigurationError
@@ -165,9 +166,15 @@ class Role(ABC):
 
 
 class Generator(Role):
-    """The component under test."""
+    """The component under test.
+
+    ``requirement_files`` are files of requirements that come with it: they apply to the scenarios
+    that their globs match and whose domain has their signals, when the option ``--dura-generator``
+    names the component.
+    """
 
     name = "generator"
+    requirement_files: ClassVar[tuple[Path, ...]] = ()
 
     @abstractmethod
     def propose(self, view: GeneratorView) -> Proposal:

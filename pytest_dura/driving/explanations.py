@@ -339,12 +339,12 @@ MEANINGS: Mapping[str, str] = {
     "prompt of the episode has shown by then",
     "prose_names_untrue": "of decisions with prose: it names an object other than a sign or a bare "
     "radar return that has not been there by then, shown or not",
-    "prose_mistakes_kind": "of decisions with prose and no pictures: it names a kind of object, "
+    "prose_mistakes_kind": "of decisions with prose: it names a kind of object, "
     "such as a truck, that nothing shown has, or another than that of the object named beside",
     "prose_mistakes_number": "of decisions whose prose says a distance or a speed of an object: "
     "one is off all that it was shown of it by more than a quarter, and by more than 2 m or 1 m/s",
-    "reasoning_against_maneuver": "of decisions whose reasoning says that the car brakes, "
-    "stops, keeps its speed, accelerates or goes: the maneuver does none of what it says",
+    "reasoning_against_maneuver": "of decisions with prose: the reasoning says that the car "
+    "brakes, stops, keeps its speed, accelerates or goes, and the maneuver does none of that",
     "reasoning_against_motion": "of decisions whose reasoning says one thing about the speed "
     "alone: while the maneuver was carried out, it changed otherwise",
     "judged_against_maneuver": "of decisions that a judge was asked about: a language model says "
@@ -535,9 +535,10 @@ def _reasoning(
 ) -> dict[str, bool | None]:
     """Measures of the reasoning against the maneuver, by the rule and by the judge."""
     shown: dict[str, bool | None] = {}
-    acts = frozenset() if decision.prose is None else decision.prose.acts
+    acts: frozenset[str] = frozenset() if decision.prose is None else decision.prose.acts
     rule = all(_act_contradicts(act, maneuver, speed) for act in acts) if acts else None
-    shown["reasoning_against_maneuver"] = rule
+    if decision.prose is not None:
+        shown["reasoning_against_maneuver"] = bool(rule)
     if decision.judged is not None:
         shown["judged_against_maneuver"] = not decision.judged
         shown["judge_differs_from_rule"] = None if rule is None else rule is decision.judged

@@ -18,6 +18,7 @@ from pytest_dura.library.documents import Document, read_yaml
 from pytest_dura.library.fault_campaigns import ScenarioFaults
 from pytest_dura.library.requirements import (
     LocatedRequirement,
+    apply_of_component,
     apply_requirements,
     check_reference,
     is_requirement_file,
@@ -74,8 +75,17 @@ def builtin_paths() -> list[Path]:
     return folders[:1]
 
 
-def load_library(paths: Sequence[Path | str], *, builtin: bool = True) -> Library:
+def load_library(
+    paths: Sequence[Path | str], *, builtin: bool = True, brought: Sequence[Path] = ()
+) -> Library:
     """Read everything below the given paths, and the built-in files.
+
+    Args:
+        paths: Files and folders of the user.
+        builtin: Whether the built-in files are read.
+        brought: Requirement files that come with the component. Each of their requirements applies
+            to the scenarios of its globs whose domain has its signals; one of the same id in
+            another file takes its place.
 
     Raises:
         ConfigurationError: One for all errors in all files.
@@ -83,8 +93,11 @@ def load_library(paths: Sequence[Path | str], *, builtin: bool = True) -> Librar
     own = [Path(path) for path in paths]
     documents = _documents([*builtin_paths(), *own] if builtin else own)
     scenarios, faults = _scenarios(documents)
-    located = _requirements(documents)
-    scenarios = apply_requirements(scenarios, located)
+    own_requirements = _requirements(documents)
+    of_component = _requirements(_documents(brought))
+    located = dict(sorted({**of_component, **own_requirements}.items()))
+    scenarios = apply_requirements(scenarios, own_requirements)
+    scenarios = apply_of_component(scenarios, of_component, located)
     _map_collecting_errors(
         lambda reference: check_reference(*reference, located),
         [

@@ -171,12 +171,54 @@ def apply_requirements(
     """Add to each scenario, after its own, the requirements that name it in ``applies_to``."""
     applied = dict(scenarios)
     for name, located in requirements.items():
-        for glob in located.requirement.applies_to:
-            for scenario in applied.values():
-                if fnmatchcase(scenario.name, glob) and name not in scenario.requirements:
-                    added = (*scenario.requirements, name)
-                    applied[scenario.name] = scenario.model_copy(update={"requirements": added})
+        for scenario in _matched(applied, located.requirement):
+            applied[scenario.name] = _with_requirement(scenario, name)
     return applied
+
+
+def apply_of_component(
+    scenarios: Mapping[str, Scenario],
+    of_component: Mapping[str, LocatedRequirement],
+    requirements: Mapping[str, LocatedRequirement],
+) -> dict[str, Scenario]:
+    """Add to each scenario the component's requirements that name it, where it has their signals.
+
+    Args:
+        scenarios: By name.
+        of_component: The requirements that come with the component.
+        requirements: All of the session; one of these may stand in place of a component's.
+    """
+    applied = dict(scenarios)
+    for name, located in of_component.items():
+        for scenario in _matched(applied, located.requirement):
+            if _has_signals(scenario, requirements[name].requirement.check):
+                applied[scenario.name] = _with_requirement(scenario, name)
+    return applied
+
+
+def _matched(scenarios: Mapping[str, Scenario], requirement: Requirement) -> list[Scenario]:
+    """The scenarios that a requirement names in ``applies_to``."""
+    globs = requirement.applies_to
+    return [
+        scenario
+        for scenario in scenarios.values()
+        if any(fnmatchcase(scenario.name, glob) for glob in globs)
+    ]
+
+
+def _with_requirement(scenario: Scenario, name: str) -> Scenario:
+    if name in scenario.requirements:
+        return scenario
+    return scenario.model_copy(update={"requirements": (*scenario.requirements, name)})
+
+
+def _has_signals(scenario: Scenario, check: Check) -> bool:
+    """Whether a scenario's domain declares all signals of a formula; a function reads any."""
+    if not isinstance(check, str) or is_function_path(check):
+        return True
+    formula = read_formula(check)
+    known = _known_signals(scenario.system, formula)
+    return known is not None and set(formula.signals) <= set(known)
 
 
 def unmatched_globs(

@@ -517,8 +517,8 @@ class ProseReading:
         names: Ids that it names, in their order.
         unshown: Those that no prompt of the episode has shown.
         kinds: Kinds that it names, with the id beside them.
-        mistaken_kinds: Those that no shown object has, or not the one beside it; ``None`` where
-            pictures were shown.
+        mistaken_kinds: Those that no shown object has, or not the one beside it. Where pictures
+            were shown, only the latter are known.
         numbers: Numbers that it says of objects whose facts have such a unit.
         mistaken_numbers: Those that are far from all facts of the object.
         acts: What it says that the component does.
@@ -527,7 +527,7 @@ class ProseReading:
     names: tuple[str, ...]
     unshown: tuple[str, ...]
     kinds: tuple[str, ...]
-    mistaken_kinds: tuple[str, ...] | None
+    mistaken_kinds: tuple[str, ...]
     numbers: tuple[str, ...]
     mistaken_numbers: tuple[str, ...]
     acts: tuple[str, ...]
@@ -535,7 +535,7 @@ class ProseReading:
     def to_json(self) -> dict[str, Any]:
         """Entry ``prose`` of an account."""
         return {
-            key: None if value is None else list(value)
+            key: list(value)
             for key, value in (
                 ("names", self.names),
                 ("unshown", self.unshown),
@@ -580,9 +580,7 @@ def read_prose(
         names=tuple(names),
         unshown=tuple(name for name in names if name not in memory.ids),
         kinds=tuple(dict.fromkeys(map(_kind_text, kinds))),
-        mistaken_kinds=None
-        if shown.pictures
-        else tuple(
+        mistaken_kinds=tuple(
             dict.fromkeys(_kind_text(each) for each in kinds if _is_mistaken(each, shown, memory))
         ),
         numbers=tuple(map(_number_text, numbers)),
@@ -611,5 +609,5 @@ def _is_mistaken(named: NamedKind, shown: Shown, memory: Memory) -> bool:
     if named.id is not None and named.id in shown.kinds:
         own = shown.kinds[named.id]
         return own is not None and named.kind not in own
-    any_kind = named.id is None and None in shown.kinds.values()
-    return not any_kind and named.kind not in memory.kinds
+    unknown = named.id is None and None in shown.kinds.values()
+    return not unknown and not shown.pictures and named.kind not in memory.kinds

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -101,13 +101,28 @@ class SessionContext:
             self.extend_import_path()
             try:
                 self._library = load_library(
-                    self.options.paths, builtin=self.options.builtin_scenarios
+                    self.options.paths,
+                    builtin=self.options.builtin_scenarios,
+                    brought=self._brought_requirements(),
                 )
             except ConfigurationError as error:
                 self._library = error
         if isinstance(self._library, ConfigurationError):
             raise self._library.with_traceback(None)
         return self._library
+
+    def _brought_requirements(self) -> Sequence[Path]:
+        """Requirement files that come with the component of ``--dura-generator``.
+
+        Raises:
+            ConfigurationError: If there is no such component.
+        """
+        if self.options.generator is None:
+            return ()
+        from pytest_dura.library.roles import generator_of_option
+
+        component = generator_of_option(self.options.generator).resolve()
+        return tuple(getattr(component, "requirement_files", ()))
 
     def redact(self, value: Any) -> Any:
         """Copy plain data without the secrets that this process knows of by now."""

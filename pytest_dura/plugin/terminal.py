@@ -36,6 +36,7 @@ from pytest_dura.plugin.terminal_tables import (
     most_rows,
     pair_table,
     reliance_table,
+    uncovered_mode_lines,
     worst_cases,
     wrapped_legend,
 )
@@ -416,6 +417,7 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
     for lines in (
         [
             *failure_mode_table(shown, by_case=context.config.option.verbose > 0),
+            *uncovered_mode_lines(record.head),
             *model_lines(record.head.models),
         ],
         reliance_table(listed, overall),

@@ -25,6 +25,7 @@ from pytest_dura.reports.failure_modes import (
     judge_agreement_lines,
     measured_failure_modes,
     unavailability_text,
+    uncovered_lines,
 )
 from pytest_dura.reports.role_tables import (
     ATTACK_COLUMNS,
@@ -45,6 +46,7 @@ from pytest_dura.requirements.model import FAULTS
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
     from pytest_dura.evidence.episode_model import FaultEntry
+    from pytest_dura.evidence.model import RecordHead
     from pytest_dura.evidence.session_model import LanguageModelEntry, MeasureEntry
     from pytest_dura.evidence.verdict_model import (
         EffectivenessEntry,
@@ -368,6 +370,19 @@ def model_lines(models: Sequence[LanguageModelEntry]) -> list[str]:
     texts = ((model, unavailability_text(model)) for model in models)
     lines = [f"language model {name(model.model)}: {text}" for model, text in texts if text]
     return [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
+
+
+def uncovered_mode_lines(head: RecordHead) -> list[str]:
+    """Write a line for each component with failures that none of its requirements reads."""
+    lines = list(uncovered_lines(head))
+    several = len(failure_modes_by_component(head.cases)) > 1
+    return [
+        line
+        for component, text in lines
+        for line in textwrap.wrap(
+            text + (f", of {component}" if several else ""), WIDTH, subsequent_indent="  "
+        )
+    ]
 
 
 def _failure_mode_rows(modes: Sequence[FailureModeEntry], whose: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
 
@@ -12,6 +13,7 @@ from pytest_dura.evidence.case_model import (
     Percentiles,
 )
 from pytest_dura.evidence.metrics import share
+from pytest_dura.evidence.model import RecordHead
 from pytest_dura.evidence.session_model import LanguageModelEntry
 from pytest_dura.evidence.text import counted, name
 
@@ -23,6 +25,9 @@ FAILURE_MODE_HEADINGS = {
     "comparison": "no failure by itself",
 }
 """Headings of tables above the measures of a kind."""
+_JUDGED_KINDS = ("failure", "control")
+"""Kinds of measures that a requirement may be asked for."""
+_OF_PROPOSAL = re.compile(r"\bproposal\.(\w+)")
 _TIMEOUT = "timeout"
 """Name of the failure mode of a decision that was not there in time."""
 _JUDGE_DIFFERS = "judge_differs_from_rule"
@@ -133,6 +138,32 @@ def judge_agreement_lines(cases: Sequence[CaseEntry]) -> Iterator[tuple[str, str
                         f" ({percent_text(agreed / mode.of)} %)"
                     ),
                 )
+
+
+def uncovered_lines(
+    head: RecordHead, show: Callable[[str], str] = name
+) -> Iterator[tuple[str, str]]:
+    """Each component with failures that showed and that no formula it was judged by reads.
+
+    Args:
+        head: Of the record.
+        show: Makes a name harmless where the text stands.
+    """
+    checks = {requirement.id: requirement.check for requirement in head.requirements}
+    for component, modes in failure_modes_by_component(head.cases).items():
+        read = {
+            signal
+            for verdict in head.verdicts
+            if verdict.component == component
+            for signal in _OF_PROPOSAL.findall(checks.get(verdict.requirement, ""))
+        }
+        shown = [
+            f"{show(failure_mode_text(mode.name))} ({mode.hits} of {mode.of})"
+            for mode in modes
+            if mode.kind in _JUDGED_KINDS and mode.hits and mode.name not in read
+        ]
+        if shown:
+            yield component, f"no requirement covers {', '.join(shown)}"
 
 
 def unavailability_text(model: LanguageModelEntry, show: Callable[[str], str] = name) -> str:

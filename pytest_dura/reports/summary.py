@@ -32,6 +32,7 @@ from pytest_dura.reports.failure_modes import (
     failure_modes_by_component,
     judge_agreement_lines,
     unavailability_text,
+    uncovered_lines,
 )
 from pytest_dura.reports.role_tables import FailureModeRow, failure_mode_columns
 from pytest_dura.reports.searches import ordered_outcomes, outcome_headline
@@ -349,6 +350,8 @@ def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
         for whose, text in decision_age_lines(cases):
             yield f"- decisions of {_name(whose)} came into force at an age of {text}"
         for whose, text in judge_agreement_lines(cases):
+            yield f"- {text} of {_name(whose)}"
+        for whose, text in uncovered_lines(record.head, _name):
             yield f"- {text} of {_name(whose)}"
         yield f"- {NULL_NOTE}"
 

@@ -261,6 +261,8 @@ def _percept(along: float) -> dict[str, Any]:
 
 
 TEMPLATES = Path(__file__).parent / "templates"
+REQUIREMENTS = Path(__file__).parent / "requirements.yaml"
+"""Requirements on the failure modes of a planner."""
 
 
 def driving_templates(
@@ -316,6 +318,7 @@ class LlmPlanner(LlmGenerator):
     NULL: ClassVar[Mapping[str, str]] = {"intent": "hold", "maneuver": Maneuver.PROCEED.value}
     ATTACKS: ClassVar[int] = len(ATTACKS)
     WORDS: ClassVar[Vocabulary] = WORDS
+    requirement_files: ClassVar[tuple[Path, ...]] = (REQUIREMENTS,)
 
     def __init__(self, **params: Any) -> None:
         super().__init__(**params)

@@ -25,6 +25,7 @@ from pytest_dura.reports.failure_modes import (
     failure_modes_by_component,
     judge_agreement_lines,
     measured_failure_modes,
+    uncovered_lines,
 )
 from pytest_dura.reports.html.contents import (
     UNREMARKABLE,
@@ -458,7 +459,7 @@ def failure_mode_section(
         ],
         "answers": list(decision_time_lines(cases)),
         "ages": list(decision_age_lines(cases)),
-        "judged": list(judge_agreement_lines(cases)),
+        "judged": [*judge_agreement_lines(cases), *uncovered_lines(record.head)],
         "null": NULL_NOTE,
         "columns": shown_in(failure_mode_columns(), Shown.PAGE),
         "case_columns": shown_in(failure_mode_columns(by_case=True), Shown.PAGE),

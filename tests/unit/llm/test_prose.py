@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import yaml
 
-from pytest_dura.llm import PerceivedText, Prompt
+from pytest_dura.llm import Image, PerceivedText, Prompt
 from pytest_dura.llm.driving.planner import TEMPLATES
 from pytest_dura.llm.driving.words import WORDS, kinds_shown
 from pytest_dura.llm.prompts import Block
@@ -121,6 +122,13 @@ def test_kinds_that_are_shown_negated_or_supposed_are_none(text):
 def test_what_is_as_long_as_a_lorry_may_be_called_one():
     assert read("a truck V5", prompt_of(body("V5", length=12.0))).mistaken_kinds == ()
     assert read("a car V5", prompt_of(body("V5", length=12.0))).mistaken_kinds == ()
+
+
+def test_a_picture_may_show_anything_but_what_sensors_saw_otherwise():
+    picture = Image("camera_front", np.zeros((2, 2, 3), np.uint8))
+    prompt = prompt_of(body("V3"), images=[picture])
+    assert read("a truck comes, and a truck T9", prompt).mistaken_kinds == ()
+    assert read("a truck V3", prompt).mistaken_kinds == ("truck V3",)
 
 
 def test_a_bare_radar_return_may_be_anything_but_what_has_an_id_of_its_own():
