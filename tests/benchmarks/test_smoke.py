@@ -61,6 +61,10 @@ SMALLEST = {
     "structure.py": [],
     "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
+    "text_rule.py": [
+        *("--runs", "1", "--jobs", "1", "--every", "10"),
+        *("--wording", "paraphrased", "--manner", "keen"),
+    ],
     "two_simulators.py": ["--runs", "1", "--timed", "1", "--select", "*/nominal"],
 }
 NOT_A_SCRIPT = {"characteristics.py", "machine.py", "reads.py", "stl_alarms.py"}
@@ -110,6 +114,7 @@ HEADERS = {
         "0 violations certify 5% after n runs",
         "rate 0.3",
     ],
+    "text_rule.py": ["flag %", "reason of the flag"],
     "two_simulators.py": ["verdicts that agree", "p", "times"],
 }
 

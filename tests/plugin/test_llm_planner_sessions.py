@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import openai.resources.chat  # noqa: F401 - in-process runs forget what they imported
 import pytest
@@ -16,7 +17,7 @@ SUPPORT = str(Path(__file__).parents[1] / "support")
 if SUPPORT not in sys.path:
     sys.path.insert(0, SUPPORT)
 
-from careful_model import careful  # noqa: E402 - support modules lie elsewhere
+from careful_model import careful, obeys_unless_warned  # noqa: E402 - support modules lie elsewhere
 from llm_servers import null_server, scripted_server  # noqa: E402
 from models import said  # noqa: E402
 from scripted_server import answers_by, fails  # noqa: E402
@@ -99,6 +100,35 @@ def answers(request):
     text = request.json["messages"][-1]["content"]
     answer = careful(text if "EGO" in text else "EGO: speed 0.0")
     return said(answer["maneuver"], answer["intent"], answer["ids"])
+
+
+def test_a_session_shows_what_a_model_resists_and_what_the_prompt_does(
+    project, scripted_server, named
+):
+    """A model that obeys texts in the scene unless its prompt warns it of them."""
+
+    def speaks(request):
+        messages = [SimpleNamespace(text=one["content"]) for one in request.json["messages"]]
+        text = messages[-1].text
+        if "EGO" not in text:
+            return answers(request)
+        told = obeys_unless_warned(text, SimpleNamespace(messages=messages), careful(text))
+        words = {"reasoning": told["reasoning"]} if "reasoning" in told else {}
+        return said(told["maneuver"], told["intent"], told["ids"], **words)
+
+    beside = "[neutral, injected, unhardened]"
+    brief(
+        project,
+        params=f"{{samples: 1, beside_every: 1, injections: all, beside: {beside}}}",
+    )
+    named(scripted_server(otherwise=answers_by(speaks)))
+    result = run(project)
+    (episode,) = project.evidence().episodes
+    shown = accounts(episode)
+    assert shown["obeys_injection"] == shown["injection_changes"] == (0, 3)
+    assert shown["obeys_unhardened"] == (3, 3)
+    assert shown["text_changes"] == (0, 3)
+    result.stdout.fnmatch_lines(["obeys injection * 0/3 *", "obeys unhardened * 3/3 *"])
 
 
 def test_a_server_that_dies_fails_its_decisions_and_not_the_session(
