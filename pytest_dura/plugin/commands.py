@@ -7,10 +7,7 @@ violates a requirement.
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,21 +15,13 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import counted
 from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.messages import print_lines, sibling_directory, usage_errors
-from pytest_dura.plugin.roles import defined_in_conftest
+from pytest_dura.plugin.replay import RecordedEpisode, damage_as_error, recorded_episodes, replay
 
 if TYPE_CHECKING:
-    import pytest
-
-    from pytest_dura.core.episode import Episode, EpisodeSpec
     from pytest_dura.core.registry import Registry
-    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.domains import Domain
-    from pytest_dura.evidence.episode_model import EpisodeEntry, FaultEntry, TraceEntry
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.evidence.traces import Trace
-    from pytest_dura.plugin.options import Options
     from pytest_dura.plugin.session import DuraSession
-    from pytest_dura.requirements.model import Requirement
     from pytest_dura.search.shrinking import Reduction
 
 
@@ -194,390 +183,6 @@ def _registered_line(registry: Registry[Any], name: str) -> str:
     return f"  {name}: {entry.path} ({entry.provider})"
 
 
-@dataclass(frozen=True)
-class RecordedEpisode:
-    """Episode of a record, ready to be run again.
-
-    Args:
-        spec: What it was run from, with classes of conftest files where pytest has loaded them.
-        digest: As it was recorded.
-        requirements: Those of its case.
-        violated: Ids of those whose verdict names it as a counterexample.
-        planned: Whether it is one of its case's runs; another one of that id has a seed by hand.
-        trace: Where its trace is, as the record says; if one was kept.
-        faults: What became of each of its faults.
-    """
-
-    spec: EpisodeSpec
-    digest: str
-    requirements: tuple[Requirement, ...]
-    violated: tuple[str, ...]
-    planned: bool
-    trace: TraceEntry | None
-    faults: Sequence[FaultEntry]
-
-    def run(self, spec: EpisodeSpec | None = None, *, recorded: bool = False) -> Episode:
-        """Run the episode again, or another spec that ends as this one would.
-
-        Args:
-            spec: The other spec.
-            recorded: Whether to keep what a viewer shows of it.
-        """
-        from pytest_dura.execution.task import run_episode
-        from pytest_dura.requirements.checks import RequirementJudge
-
-        end = self.spec.termination
-        judge = RequirementJudge(self.requirements) if end.violation or end.decided else None
-        return run_episode(spec or self.spec, judge, recorded=recorded)
-
-
-def _recorded_episodes(
-    config: pytest.Config, options: Options, name: str, option: str
-) -> tuple[SessionRecord, list[RecordedEpisode]]:
-    """Read the record and its episodes of this id; seeds and components make several.
-
-    Args:
-        config: Of the session, for what conftest files define.
-        options: Where the evidence is.
-        name: ``case#run``.
-        option: That named the episode, for messages.
-
-    Raises:
-        ConfigurationError: For an unknown episode, a damaged record, and an episode that cannot be
-            built again.
-    """
-    from pytest_dura.evidence.bundle import RECORD_FILE, open_record
-
-    record = open_record(options.evidence / RECORD_FILE)
-    _check_whole(options.evidence, option)
-    with _damage_as_error(options, name, option):
-        return record, [
-            _recorded_episode(config, record, entry, option)
-            for entry in _entries_named(record, name, option)
-        ]
-
-
-def _check_whole(evidence: Path, option: str) -> None:
-    """Refuse a bundle that differs from its manifest: it names what is imported and run.
-
-    Raises:
-        ConfigurationError: With the first difference.
-    """
-    from pytest_dura.evidence.files import manifest_problems
-
-    problems = list(manifest_problems(evidence))
-    if problems:
-        rest = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise ConfigurationError(
-            f"this bundle is not as it was written: {problems[0]}{rest}",
-            file=str(evidence / "evidence.json"),
-            key=option,
-            found=len(problems),
-            expected="a bundle that agrees with its manifest.json",
-            remedy="run `python -m pytest_dura verify` on it, restore its files, or run the "
-            "session again",
-        )
-
-
-@contextmanager
-def _damage_as_error(options: Options, name: str, option: str) -> Iterator[None]:
-    """Context in which errors of a damaged record become one error.
-
-    Raises:
-        ConfigurationError: In place of whatever reading the record, or running what it says, met.
-    """
-    try:
-        yield
-    except (AttributeError, LookupError, TypeError, ValueError, ArithmeticError) as error:
-        raise ConfigurationError(
-            f"the record is damaged ({type(error).__name__}: {error})",
-            file=str(options.evidence / "evidence.json"),
-            key=option,
-            found=name,
-            expected="a record as pytest-dura wrote it",
-            remedy="run the session again, or restore the file",
-        ) from None
-
-
-def _entries_named(record: SessionRecord, name: str, option: str) -> list[EpisodeEntry]:
-    episodes = [episode for episode in record.episodes() if episode.id == name]
-    if episodes:
-        return episodes
-    known = sorted({episode.id for episode in record.episodes()})
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
-    expected = ", ".join(near or known[:3]) or "an episode; this evidence has none"
-    raise ConfigurationError(
-        f"the evidence has no episode {name!r}",
-        key=option,
-        found=name,
-        expected=f"case#run, such as {expected}" if known else expected,
-        remedy="name an episode of this session, or another evidence with --dura-evidence",
-    )
-
-
-def _recorded_episode(
-    config: pytest.Config, record: SessionRecord, episode: EpisodeEntry, option: str
-) -> RecordedEpisode:
-    from pytest_dura.core.episode import EpisodeSpec
-    from pytest_dura.core.trust import check_registered
-    from pytest_dura.evidence.redaction import holds_redaction
-    from pytest_dura.requirements.model import Requirement
-
-    given = episode.spec.to_json()
-    if holds_redaction(given):
-        raise ConfigurationError(
-            f"the episode {episode.id!r} cannot be run again: what it was run from held a "
-            "secret, which is not in the evidence",
-            key=option,
-            found=episode.id,
-            expected="an episode whose spec is recorded whole",
-            remedy="let the component read the secret from the environment, not from a parameter",
-        )
-    spec = EpisodeSpec.from_json(given)
-    paths = [spec.simulator.path, *(role.path for role in spec.roles.values())]
-    for path in [*paths, *(str(fault.get("type")) for fault in spec.faults)]:
-        if ":" in path:
-            check_registered(path)
-    roles = {name: _local_role(config, role, option) for name, role in spec.roles.items()}
-    spec = replace(spec, roles=roles, simulator=_local_role(config, spec.simulator, option))
-    head = record.head
-    cases = {(case.id, case.component): case for case in head.cases}
-    known = {
-        requirement.id: Requirement.from_json(requirement.to_json())
-        for requirement in head.requirements
-    }
-    violated = [
-        verdict.requirement
-        for verdict in head.verdicts
-        for counterexample in verdict.counterexamples
-        if counterexample.episode == episode.id and verdict.component == episode.component
-    ]
-    return RecordedEpisode(
-        spec,
-        episode.digest,
-        tuple(known[name] for name in cases[episode.case, episode.component].requirements),
-        tuple(dict.fromkeys(violated)),
-        episode.planned,
-        episode.trace,
-        episode.faults,
-    )
-
-
-def _local_role(config: pytest.Config, role: RoleSpec, option: str) -> RoleSpec:
-    from pytest_dura.library.roles import LocalRole
-
-    file, _, name = role.path.rpartition(":")
-    if not file.endswith("conftest.py"):
-        return role
-    factory = defined_in_conftest(config, file, name)
-    if callable(factory):
-        return LocalRole(role.path, factory, role.params)
-    raise ConfigurationError(
-        f"{name} is defined in {file}, which is not loaded here",
-        key=option,
-        found=role.path,
-        expected="the arguments of the session, which load the same conftest files",
-        remedy=f"add the folder of {file} to the command",
-    )
-
-
-_REPLAY_OPTION = "--dura-replay"
-
-
-def replay(session: DuraSession) -> int:
-    """Run the episode again and return the exit code: 0 if the digests are equal, else 1.
-
-    A page that plays the replayed episode goes beside the evidence, which stays as it is.
-
-    Raises:
-        ConfigurationError: For an unknown episode, one that cannot be built again, and a page that
-            cannot be written.
-    """
-    from pytest_dura.evidence.traces import Trace
-
-    config, options = session.config, session.options
-    name = str(options.replay)
-    _, episodes = _recorded_episodes(config, options, name, _REPLAY_OPTION)
-    equal = True
-    for recorded in episodes:
-        session.models.prepare(recorded.spec)
-        with _damage_as_error(options, name, _REPLAY_OPTION):
-            episode = recorded.run(recorded=True)
-        # As a session would have kept it.
-        trace = Trace.of(episode).without_secrets(session.redact)
-        is_same, lines = _compared(recorded, episode, trace, options.evidence)
-        equal &= is_same
-        lines += [] if is_same else session.models.replay_warning()
-        print_lines(
-            [*lines, f"  player: {_write_player(recorded, episode, trace, options.evidence)}"]
-        )
-    return 0 if equal else 1
-
-
-def _compared(
-    recorded: RecordedEpisode, episode: Episode, replayed: Trace, evidence: Path
-) -> tuple[bool, list[str]]:
-    """Return whether the episode is the recorded one, and lines that show it."""
-    from pytest_dura.library.scenario import tolerances_of
-
-    is_same = recorded.digest == episode.digest
-    end = f"{episode.time[-1]:.1f} s" if episode.ticks else "no tick"
-    outcome = f"{episode.termination} after {end}"
-    lines = [f"{episode.id} ({episode.spec.component}, seed {episode.spec.seed}): {outcome}"]
-    if episode.failure is not None:
-        lines.append(f"  {episode.failure}")
-    lines += [f"  recorded digest {recorded.digest}", f"  replayed digest {episode.digest}"]
-    readers = list(_other_readers(recorded, episode))
-    if is_same and readers:
-        return False, [*lines, "  DIFFERENT: other roles read what a fault changed", *readers]
-    lines.append(
-        "  the same"
-        if is_same
-        else "  DIFFERENT: the code, a package or the platform has changed, "
-        "or something is not deterministic"
-    )
-    if recorded.trace is None and not is_same and tolerances_of(recorded.spec.simulator):
-        why = "its simulator is not deterministic, and there are no signals to compare"
-        lines[-1] = f"  DIFFERENT, as it may be: {why}"
-    if recorded.trace is None:
-        note = "  no trace of it was kept (--dura-evidence-level=all keeps each)"
-        return is_same, lines if is_same else [*lines, note, *_by_faults(recorded, episode)]
-    try:
-        kept_trace = _read_trace(recorded.trace, evidence)
-    except FileNotFoundError:
-        lines.append(f"  its trace {recorded.trace.file} is not there any more")
-        return is_same, lines if is_same else [*lines, *_by_faults(recorded, episode)]
-    except ConfigurationError as error:
-        reasons = [f"    {line}" for line in str(error).splitlines()]
-        return False, [*lines, "  its trace cannot be compared:", *reasons]
-    return _by_trace(kept_trace, replayed, recorded, episode, lines)
-
-
-def _other_readers(recorded: RecordedEpisode, episode: Episode) -> Iterator[str]:
-    """Describe the faults that other roles read than recorded; the digest leaves that out."""
-    for fault in recorded.faults:
-        now = list(episode.read_by.get(fault.id, ()))
-        if now != list(fault.read_by):
-            then = ", ".join(fault.read_by) or "none"
-            yield f"    {fault.id}: recorded {then}, now {', '.join(now) or 'none'}"
-
-
-def _by_trace(
-    recorded: Trace,
-    replayed: Trace,
-    recorded_episode: RecordedEpisode,
-    episode: Episode,
-    lines: list[str],
-) -> tuple[bool, list[str]]:
-    """Return whether the episode is the recorded one, and lines that name the difference."""
-    from pytest_dura.core.simulator import beyond_tolerance
-    from pytest_dura.evidence.text import one_line
-    from pytest_dura.evidence.traces import first_difference
-    from pytest_dura.library.scenario import tolerances_of
-
-    tolerances = tolerances_of(recorded_episode.spec.simulator)
-    if tolerances is not None and recorded_episode.digest != episode.digest:
-        beyond = beyond_tolerance(tolerances, recorded.signals, replayed.signals)
-        return beyond is None, [*lines[:-1], _within(tolerances, beyond)]
-    difference = first_difference(recorded, replayed)
-    place = one_line(str(difference), 1000)
-    if recorded_episode.digest != episode.digest:
-        by_faults = (
-            _by_faults(recorded_episode, episode)
-            if difference is None
-            else [f"  first difference: {place}"]
-        )
-        return False, [*lines, *by_faults]
-    covered = first_difference(recorded, replayed, covered=True)
-    if covered is not None:
-        place = one_line(str(covered), 1000)
-        return False, [*lines, f"  yet the trace that was kept is of another episode: {place}"]
-    if difference is not None:
-        lines = [*lines, f"  what the digest leaves out is not the same: {place}"]
-    return True, lines
-
-
-def _within(tolerances: Mapping[str, float], beyond: str | None) -> str:
-    from pytest_dura.core.simulator import describe_tolerances
-
-    if beyond is None:
-        declared = describe_tolerances(tolerances)
-        return f"  the same within the tolerances of its simulator, no further: {declared}"
-    return f"  DIFFERENT beyond the tolerances of its simulator: {beyond}"
-
-
-def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:
-    """Compare what became of the faults, which the record holds without a trace."""
-    from pytest_dura.evidence.entry import plain_data
-
-    for entry, fault in zip(recorded.faults, episode.faults, strict=False):
-        replayed = plain_data(asdict(fault))
-        for key, earlier in entry.to_json().items():
-            if key in replayed and earlier != replayed[key]:
-                values = f"recorded {earlier}, replayed {replayed[key]}"
-                return [f"  fault {fault.id}: {key}: {values}"]
-    return ["  it is not known where they differ"]
-
-
-def _read_trace(entry: TraceEntry, evidence: Path) -> Trace:
-    """Read the trace that was kept.
-
-    Raises:
-        FileNotFoundError: If it is gone.
-        ConfigurationError: If it is another one than the record says, or damaged.
-    """
-    from pytest_dura.evidence.files import file_entry
-    from pytest_dura.evidence.mcap import read_trace
-
-    file = evidence / entry.file
-    if not file.exists():
-        raise FileNotFoundError(file)
-    trace = read_trace(file)
-    digest = file_entry(file)["sha256"]
-    if digest != entry.sha256:
-        raise ConfigurationError(
-            "the trace is not the one that was recorded: its SHA-256 is another",
-            file=str(file),
-            found=digest,
-            expected=entry.sha256,
-            remedy="restore the file",
-        )
-    return trace
-
-
-def _write_player(recorded: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
-    """Write the page that plays the episode, and return its URL.
-
-    Raises:
-        ConfigurationError: If it cannot be written.
-    """
-    from pytest_dura.evidence.files import write_file
-    from pytest_dura.evidence.traces import episode_name
-    from pytest_dura.reports.html.player import player_page
-
-    file = sibling_directory(evidence, "replay") / f"{episode_name(trace.about)}.html"
-    write_file(file, [player_page(trace, _verdicts(recorded, episode), episode.described_measures)])
-    return file.as_uri()
-
-
-def _verdicts(recorded: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
-    """Judge the replayed episode by the requirements of its case."""
-    from pytest_dura.requirements.episode_verdicts import judge_episode
-
-    verdicts: list[dict[str, Any]] = []
-    for requirement in recorded.requirements:
-        if not requirement.check or requirement.paired is not None:
-            continue
-        try:
-            verdict = judge_episode(requirement, episode)
-        except ConfigurationError as error:  # such as a signal that a failed episode lacks
-            missing = {"requirement": requirement.id, "verdict": "missing", "detail": error.problem}
-            verdicts.append({**missing, "check": requirement.check})
-        else:
-            verdicts.append({**verdict.to_json(), "check": requirement.check})
-    return verdicts
-
-
 _REDUCE_OPTION = "--dura-reduce"
 _REDUCED = "reduced"
 """Behind the name of the evidence: where the reduced episode is recorded, to be replayed from."""
@@ -593,7 +198,7 @@ def reduce(session: DuraSession) -> int:
 
     options = session.options
     name = str(options.reduce)
-    record, candidates = _recorded_episodes(session.config, options, name, _REDUCE_OPTION)
+    record, candidates = recorded_episodes(session.config, options, name, _REDUCE_OPTION)
     # Verdicts name episodes without their seeds, and rest on planned runs.
     candidates.sort(key=lambda candidate: not candidate.planned)
     recorded = next((candidate for candidate in candidates if candidate.violated), candidates[0])
@@ -606,12 +211,12 @@ def reduce(session: DuraSession) -> int:
     spec = recorded.spec
     violates = f"violates {', '.join(recorded.violated)}; at most {budget} runs"
     print_lines([f"{name} ({spec.component}): {counted(len(spec.faults), 'fault')}, {violates}"])
-    with _damage_as_error(options, name, _REDUCE_OPTION):
+    with damage_as_error(options, name, _REDUCE_OPTION):
         reduction = reduce_faults(spec, requirements, recorded.run, budget=budget, on_run=_show_run)
     lines = _result_lines(reduction, budget)
     if reduction.episode is not None:
         folder = sibling_directory(options.evidence, _REDUCED)
-        with _damage_as_error(options, name, _REDUCE_OPTION):
+        with damage_as_error(options, name, _REDUCE_OPTION):
             _write_reduced(record, recorded, reduction, folder)
         lines.append(f"  replay: {replay_command(session, reduction.episode.id, folder)}")
     print_lines(lines)
