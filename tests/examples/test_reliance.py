@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from pytest_dura import CampaignVerdict, RoleSpec, Runner
-from pytest_dura.library import expand_cases, load_library
+from pytest_dura.library import Library, expand_cases, load_library
 
 BAD = {
     "aggressive": "aggressive",
@@ -17,11 +17,17 @@ BAD = {
 
 
 @cache
-def judged(generator: str, requirement: str) -> CampaignVerdict:
+def runner_of(generator: str) -> tuple[Library, Runner]:
+    """Each runner simulates its episodes once, whatever is judged of them."""
     library = load_library([])
+    return library, Runner(lambda: library, roles={"generator": RoleSpec(generator)})
+
+
+@cache
+def judged(generator: str, requirement: str) -> CampaignVerdict:
+    library, runner = runner_of(generator)
     (case,) = expand_cases(library.scenarios, select=["*/conflicting-traffic"])
-    bench = Runner(lambda: library, roles={"generator": RoleSpec(generator)})
-    return bench.campaign(case).judge(library.requirements[requirement])
+    return runner.campaign(case).judge(library.requirements[requirement])
 
 
 @pytest.mark.parametrize("planner", BAD)

@@ -187,8 +187,15 @@ def _leave(code: int) -> NoReturn:
     os._exit(code)
 
 
-def _run(client: int, arguments: list[str]) -> None:
-    """As Python runs a module or a script, and tell the client the exit code."""
+def _run(client: int, arguments: list[str], address: str) -> None:
+    """As Python runs a module or a script, and tell the client the exit code.
+
+    Workers of pytest-xdist that it starts are forked from where this copy is from.
+    """
+    import execnet.gateway_io
+
+    worker = [sys.executable, "-IS", "-c", CLIENT, address]
+    execnet.gateway_io.popen_args = lambda _spec: worker
     code = 1
     places = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     sys.path[:0] = [place for place in places if place and place not in sys.path]
@@ -218,10 +225,11 @@ if __name__ == "__main__":
     signal.signal(signal.SIGCHLD, _reap)
     gc.collect()
     gc.freeze()  # a copy that searches what was there before for garbage copies all of it
-    client, arguments = _serve(sys.argv[1])
+    address = sys.argv[1]
+    client, arguments = _serve(address)
     if arguments:
         sys.path[:] = before[1:]
-        _run(client, arguments)
+        _run(client, arguments, address)
     else:
         sys.path[:] = before
         exec(eval(sys.stdin.readline()))  # as execnet begins a worker
