@@ -435,7 +435,7 @@ def test_pictures_are_not_looked_at_unless_asked_for() -> None:
     percept_prompt(channels_of())  # its cameras raise
 
 
-@pytest.mark.parametrize("wording", ["", "paraphrased"])
+@pytest.mark.parametrize("wording", ["", "paraphrased", "reformatted"])
 def test_a_prompt_is_bounded_whatever_there_is_to_tell(wording) -> None:
     bodies = [car(f"LONGEST_NAME_{n:03}", -9999.9, -9999.9 + n, 2.0, 69.9) for n in range(200)]
     signs = tuple(Sign("k" * 999, 1.0 + n, "text " * 999) for n in range(200))
@@ -444,7 +444,8 @@ def test_a_prompt_is_bounded_whatever_there_is_to_tell(wording) -> None:
         "lidar": BodyList.of(bodies), "radar": np.full((200, 3), -99.9), "controls": signs
     }  # fmt: skip
     options: dict[str, Any] = {"past": [done] * 99, "feedback": ["y" * 999] * 99, "now": 9999.9}
-    assert len(text_of(percept, wording, images=["x"] * 2, **options)) < 10_000
+    most = 12_000 if wording == "reformatted" else 10_000
+    assert len(text_of(percept, wording, images=["x"] * 2, **options)) < most
     found = facts("CONTROLS", percept)
     assert (len(found["objects"]), found["farther"]) == (MOST_SIGNS, 200 - MOST_SIGNS)
     assert len(facts("HISTORY", percept, past=[done] * 99)["decisions"]) == 5
