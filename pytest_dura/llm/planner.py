@@ -644,14 +644,12 @@ def exchange_data(
     return {
         "messages": messages,
         "answer": _fitted(answer.text, _ROOM_OF_ANSWER),
-        "thoughts": _fitted(answer.thoughts, _ROOM_OF_THOUGHTS),
         "detail": answer.detail,
         "finish": answer.finish,
         "usage": dict(answer.usage),
         "seconds": answer.seconds,
-        "first_token": answer.first_token,
         "attempts": answer.attempts,
-        **({"thoughts": _fitted(answer.thoughts, _ROOM_OF_ANSWER)} if answer.thoughts else {}),
+        **({"thoughts": _fitted(answer.thoughts, _ROOM_OF_THOUGHTS)} if answer.thoughts else {}),
         **({} if answer.first_token is None else {"first_token": answer.first_token}),
     }
 

@@ -48,6 +48,7 @@ def accounts(text="EGO: speed 8.0", answer=None, **changes):
             ],
             "answer": json.dumps(ANSWER) if answer is None else answer,
             "detail": "", "seconds": 0.25, "attempts": 1,
+            "thoughts": f"hm at {at}", "first_token": 0.05,
             "usage": {"prompt_tokens": 1200, "completion_tokens": 34},
         }  # fmt: skip
         account = {
@@ -124,7 +125,7 @@ def test_the_decision_in_force_is_shown_until_the_next_one(page):
     for part in (
         "answered wait intent: slow down", "Observations a car on the left",
         "Reasoning it comes soon", "Confidence 80", "V9: not perceived", "Perceived 2 objects",
-        "Answer took 0.25 s", "Tokens 1,200 in, 34 out",
+        "Answer took 0.25 s, the first token 0.05 s", "Tokens 1,200 in, 34 out",
         "In prose: names, never shown V77", "Judge reasoning and maneuver: they do not agree",
     ):  # fmt: skip
         assert part in text
@@ -156,7 +157,7 @@ def test_a_failed_decision_says_why(page):
 
 def test_prompt_and_answer_are_folded_and_stand_there_as_they_were(page):
     seek(page, 5)
-    assert not page.get_by_text("at 3", exact=False).is_visible()
+    assert not page.locator(".dura-messages pre").last.is_visible()
     unfold(page, "Prompt: 2 messages, ")
     assert page.locator(".dura-messages pre").all_text_contents() == [
         SYSTEM, "<perceived_text>V1</perceived_text>,car,14.4\nat 3",
@@ -169,6 +170,8 @@ def test_prompt_and_answer_are_folded_and_stand_there_as_they_were(page):
     assert "with camera_front" in shown(page)
     unfold(page, "Raw answer: ")
     assert json.loads(page.locator(".dura-answer pre").text_content()) == ANSWER
+    unfold(page, "Thoughts before the answer")
+    assert page.locator(".dura-thinking pre").text_content() == "hm at 3"
     # What is unfolded stays so, and follows the time.
     seek(page, 15)
     assert page.locator(".dura-messages pre").last.text_content().endswith("at 13")

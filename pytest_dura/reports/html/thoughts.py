@@ -7,7 +7,7 @@ it should have is left out, and every text is made visible and bounded.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from pytest_dura.core.loop_signals import DECIDED, EXCHANGE
@@ -91,7 +91,7 @@ def _decision(tick: int, account: Mapping[str, Any], texts: _Texts) -> dict[str,
         "fallback": account.get("fallback") is True,
         "maneuver": maneuver,
         "intent": _word(account.get("intent")),
-        "said": [*_thoughts(exchange), *_said(answer)],
+        "said": _said(answer),
         "cited": [
             [name(each), each in known or not isinstance(perceived, list)]
             for each in _list(account.get("cited"))[:_MOST]
@@ -151,14 +151,6 @@ def _judge(judged: Mapping[str, Any]) -> str:
     if isinstance(judged.get("agrees"), bool):
         return "they agree" if judged["agrees"] else "they do not agree"
     return _word(judged.get("outcome"))
-
-
-def _thoughts(exchange: Mapping[str, Any]) -> Iterator[list[str]]:
-    """What a reasoning model thought before its answer, and when its first token came."""
-    if isinstance(thoughts := exchange.get("thoughts"), str) and thoughts:
-        yield ["thoughts", visible(thoughts, _LONGEST)]
-    if (seconds := _amount(exchange.get("first_token"))) is not None:
-        yield ["first token", f"after {seconds:.2f} s"]
 
 
 def _said(answer: Any) -> list[list[str]]:

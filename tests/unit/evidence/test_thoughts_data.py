@@ -108,7 +108,19 @@ ANYTHING = st.recursive(
 )
 KEYS = ("at", "outcome", "fallback", "maneuver", "intent", "cited", "perceived", "beside",
         "replaced", "exchange", "prose", "judged")  # fmt: skip
-INNER = ("messages", "answer", "detail", "usage", "seconds", "attempts", "role", "text", "images")
+INNER = (
+    "messages",
+    "answer",
+    "detail",
+    "usage",
+    "seconds",
+    "attempts",
+    "thoughts",
+    "first_token",
+    "role",
+    "text",
+    "images",
+)
 
 
 @given(
@@ -125,13 +137,11 @@ def test_whatever_a_component_says_of_itself_can_be_shown(account, words):
         assert all(text.isprintable() or set(text) & {"\n", "\t"} for text in data["texts"])
 
 
-def test_what_a_model_thought_before_its_answer_comes_first():
+def test_what_a_model_thought_before_its_answer_is_kept_apart_from_it():
     answer = json.dumps({"observations": "a car", "maneuver": "wait"})
     given = exchange("EGO", answer, thoughts="First\x1b this.", first_token=0.25)
-    (told,) = thoughts(decision(exchange=given))["decisions"]
-    assert [key for key, _ in told["said"]] == ["thoughts", "first token", "observations"]
-    assert "First" in told["said"][0][1]
-    assert "\x1b" not in told["said"][0][1]
-    assert told["said"][1][1] == "after 0.25 s"
-    (told,) = thoughts(decision(exchange=exchange("EGO", thoughts=5, first_token="x")))["decisions"]
-    assert told["said"] == []
+    data = thoughts(decision(exchange=given), decision(exchange=exchange("EGO", answer)))
+    told, without = data["decisions"]
+    assert [key for key, _ in told["said"]] == ["observations"]
+    assert (data["texts"][told["thoughts"]], told["first"]) == ("First\\x1b this.", 0.25)
+    assert (without["thoughts"], without["first"]) == (None, None)
