@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.llm.session import ModelDescription, ModelSession
+    from pytest_dura.llm.servers import ModelDescription
+    from pytest_dura.llm.session import ModelSession
     from pytest_dura.llm.spending import Spending
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.inputs import SessionInputs
