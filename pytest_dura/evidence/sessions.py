@@ -22,8 +22,6 @@ from pytest_dura.evidence.session_model import (
 
 OWN_ORIGIN: JsonObject = {"session": None, "changed": None}
 """The origin of an episode that was simulated by the session itself, for the first time."""
-NO_REUSE: JsonObject = {"mode": "none", "session": None, "searched": None}
-"""Reuse of a session that knows of no earlier one."""
 _REUSE_MODES = ("none", "resume", "reuse")
 
 

@@ -29,8 +29,6 @@ SITUATIONS: dict[str, str] = {
     WITHOUT_EFFECT: "the declared variation has no effect",
 }
 """Texts of the two in messages."""
-EQUAL_RUNS = 2
-"""Runs after which a campaign ends if nothing is declared to vary and they are equal."""
 
 
 class Situations:

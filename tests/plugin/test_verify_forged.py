@@ -383,8 +383,8 @@ def is_refuted(made, record, on_traces):
     """
     if check_record(record):
         return True
-    record["totals"] = totals(SessionRecord.of(record, made)).to_json()
     read = SessionRecord.of(record, made)
+    read = read.changed(totals=totals(read))
     checks = (
         lambda: record_problems(read),
         lambda: conclusion_problems(read, on_traces),

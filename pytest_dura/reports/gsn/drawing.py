@@ -14,6 +14,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 from pytest_dura.reports.gsn.element import Argument, Element
 from pytest_dura.reports.svg import Point, Svg, path_of, points_of, tag
@@ -70,6 +71,7 @@ def _breakable_pieces(text: str, width: float, size: float) -> list[str]:
     return pieces
 
 
+@lru_cache(maxsize=1024)
 def _letter(char: str) -> float:
     if char in "iljtfrI.,:;'|!()[] /-":
         return _NARROW

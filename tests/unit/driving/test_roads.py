@@ -131,12 +131,11 @@ def test_copies_of_a_route_are_the_route() -> None:
         assert pickle.loads(pickle.dumps(way)) is way
 
 
-@pytest.mark.parametrize("seed", [3, 8])
 @pytest.mark.parametrize("route", ROUTES, ids=str)
-def test_the_rule_based_planner_crosses_without_contact(route: Route, seed: int) -> None:
+def test_the_rule_based_planner_crosses_without_contact(route: Route) -> None:
     world = world_of(route, traffic={"headway": 12.0})
     episode = run(
-        spec_of_drive(world, generator="rule_based", seed=seed, duration=60.0, policy="recover")
+        spec_of_drive(world, generator="rule_based", seed=3, duration=60.0, policy="recover")
     )
     assert episode.failure is None
     assert not episode.collided
