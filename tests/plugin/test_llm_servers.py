@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ssl
 import sys
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from test_secrets import texts
 import pytest_dura.llm.capabilities
 import pytest_dura.llm.driving.planner  # noqa: F401 - see above
 from pytest_dura.evidence import verify_bundle
+from pytest_dura.llm import Cassette
 
 SUPPORT = str(Path(__file__).parents[1] / "support")
 if SUPPORT not in sys.path:
@@ -21,8 +23,9 @@ if SUPPORT not in sys.path:
 
 import server_dialects as dialects  # noqa: E402 - support modules lie elsewhere
 from llm_servers import scripted_server  # noqa: E402
+from tls_servers import certificate, tunnel  # noqa: E402
 
-__all__ = ["scripted_server"]
+__all__ = ["certificate", "scripted_server", "tunnel"]
 
 KEY, ORGANISATION = "sk-planted-0123456789", "org-planted-98765"
 SIGNATURE, GATEWAY = "planted-sig-1357", "planted-gw-24680"
@@ -98,6 +101,40 @@ def test_a_session_of_streams_is_recorded_and_replayed(project, scripted_server,
     assert accounts(one)["fallback"] == (0, 3)
     streamed = [request for request in server.requests if request.json.get("stream")]
     assert len(streamed) == 3
-    page = (project.path / "one" / "report.html").read_text()
+    tape = Cassette(project.path / "dura-cassette.sqlite", writable=False)
+    answers = [one.answer for one in tape.exchanges()]
+    assert {one.thoughts for one in answers} == {"Nobody comes."}
+    assert all(0.02 <= one.first_token <= one.seconds for one in answers)
     assert verify_bundle(project.path / "one").intact
-    assert page
+
+
+def test_a_session_reaches_its_server_through_a_proxy_and_trusts_its_own_authority(
+    project, scripted_server, tunnel, certificate, monkeypatch
+):
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate)
+    server = scripted_server(otherwise=dialects.vllm(drives), keep_alive=True, tls=context)
+    proxy = tunnel(("127.0.0.1", server.port))
+    for name in ("HTTP_PROXY", "ALL_PROXY", "NO_PROXY", "SSL_CERT_DIR"):
+        monkeypatch.delenv(name, raising=False)
+        monkeypatch.delenv(name.lower(), raising=False)
+    for name, value in {
+        "DURA_LLM_BASE_URL": "https://model.test/v1",
+        "DURA_LLM_MODEL": "m",
+        "HTTPS_PROXY": proxy.address.replace("me:pass", "me:planted-pass-13579"),
+        "SSL_CERT_FILE": str(certificate),
+    }.items():
+        monkeypatch.setenv(name, value)
+    brief(project, params=ALONE)
+    result = run(project, "--dura-llm=record")
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["dura: language model m at https://model.test/v1 (record), *"])
+    assert accounts(project.evidence().episodes[0])["fallback"] == (0, 3)
+    assert {head[0] for head in proxy.asked} == {"connect model.test:443 http/1.1"}
+    files = texts(project.path)
+    assert [name for name, data in dict(files).items() if b"planted-pass" in data] == []
+
+    monkeypatch.delenv("SSL_CERT_FILE")
+    result = run(project, "--dura-evidence=two")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert "certificate verify failed" in result.stderr.str()

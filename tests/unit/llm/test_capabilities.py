@@ -78,6 +78,7 @@ def probed(model, **options):
         ((), ("json_object",), "json_object", False),
         (("tool", "json_object"), ("json_schema",), "tool", True),
         (("tool", "json_object"), (), "tool", True),
+        ((), ("tool", "json_object"), "json_object", False),
         ((), (), "none", False),
     ],
 )

@@ -154,6 +154,15 @@ def test_pauses_that_count_end_with_the_budget(client) -> None:
     assert (len(server.requests), pauses) == (1, [])
 
 
+def test_a_call_that_is_repeated_has_what_is_left_of_the_budget_where_pauses_count(client) -> None:
+    behaviours = (script.fails(503, retry_after=0.4), script.is_slow(20.0, script.answers("late")))
+    made, server, _ = session(client, *behaviours, pauses=time.sleep)
+    start = time.monotonic()
+    answer = made.ask(REQUEST, 0.8, count_retries=True)
+    assert (answer.failure, len(server.requests)) == ("timeout", 2)
+    assert time.monotonic() - start < 1.1
+
+
 def test_the_time_for_all_calls_holds_whatever_the_server_asks_for() -> None:
     retries = Retries(2)
     assert Retries(0).time_for(5.0) == 5.0
@@ -203,6 +212,16 @@ def test_a_server_that_is_busy_during_the_probe_can_what_it_can(client) -> None:
     one = client(otherwise=behave)
     server = one.server
     assert probe(one, one.endpoint, 5.0).structured == "json_schema"
+
+
+def test_what_a_server_was_too_busy_for_is_not_taken_for_what_it_cannot_do(client) -> None:
+    def behave(exchange):
+        busy = "response_format" in exchange.request.json
+        (script.fails(429, retry_after=0) if busy else script.answers("sea"))(exchange)
+
+    one = client(otherwise=behave)
+    with pytest.raises(ConfigurationError, match=r"3 tries \(unavailable\): HTTP 429"):
+        probe(one, one.endpoint, 5.0)
 
 
 def test_a_cassette_keeps_how_often_and_why_it_failed(client, tmp_path) -> None:
