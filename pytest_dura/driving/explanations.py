@@ -319,6 +319,8 @@ _THREAT = 4.0
 is (van der Horst 1991; Farber 1991; after Minderhoud and Bovy 2001)."""
 _SPEED_BAND = 0.5
 """m/s; speeds that differ by no more are the same."""
+_ROUNDED = 0.05
+"""m/s by which a prompt rounds the speed: who is told of a margin may come down on either side."""
 _MOTION_BAND = 0.5
 """m/s2; a car that changes its speed by less keeps it: so much it loses when it coasts."""
 _NO_BODY = re.compile(r"[RS][0-9]+")
@@ -601,10 +603,11 @@ def contradicts(intent: int, maneuver: Maneuver, speed: float) -> bool:
     """
     low, high = speeds_of(maneuver)
     if intent < 0:
-        return low > 0.0 and speed - _SPEED_BAND <= low
+        return low > 0.0 and speed <= low + _SPEED_BAND - _ROUNDED
     if intent > 0:
-        return high < TOP_SPEED and high <= speed + _SPEED_BAND
-    return low > speed + _SPEED_BAND or high < speed - _SPEED_BAND
+        return high < TOP_SPEED and high - _SPEED_BAND + _ROUNDED <= speed
+    band = _SPEED_BAND + _ROUNDED
+    return low > speed + band or high < speed - band
 
 
 def _acceleration(

@@ -151,6 +151,7 @@ def _words(text: str) -> frozenset[str]:
 
 
 _QUOTED = re.compile('"[^"]*"|\u201c[^\u201d]*\u201d|`[^`]*`')
+_QUESTION = "?"
 _SENTENCE_END = re.compile(r"[.!?;\n]")
 _MARKS = r"[,:()\u2013\u2014]|-(?=\s)|/"
 
@@ -175,6 +176,8 @@ def sentences(text: str, ids: Iterable[str], vocabulary: Vocabulary) -> list[lis
     read: list[list[Token]] = [[]]
     for match in pattern.finditer(_QUOTED.sub(" ", text)):
         if match["end"]:
+            if match["end"] == _QUESTION:
+                read[-1].append(Token("mark", _QUESTION))
             read.append([])
         elif match["id"]:
             read[-1].append(Token("id", match["id"]))
@@ -196,6 +199,8 @@ _SUPPOSED = _words(
 )
 """Words after which a noun of the sentence does not say that there is such an object."""
 _OWN = _words("my our own ego your")
+_DRIVEN = _words("in drive driving drives")
+"""Words before the component's own car: ``I drive a car``."""
 _COMPOUND = _words(
     "lane stop station sign signs crossing route park size sized like door path side"
 )
@@ -218,7 +223,8 @@ def named_kinds(sentence: Sequence[Token], vocabulary: Vocabulary) -> Iterator[N
         if kind is None or _text_at(sentence, place + 1) in _COMPOUND:
             continue
         before = [_text_at(sentence, place - back) for back in (1, 2)]
-        if _OWN & set(before):
+        is_own = token.text in vocabulary.selves and before[1] in _DRIVEN
+        if is_own or _OWN & set(before):
             continue
         beside = _id_beside(sentence, place)
         if supposed:
@@ -305,6 +311,10 @@ _NOT_DONE = _words(
 """Words after which a verb of the clause is not done: negations, possibilities, requests."""
 _CONDITIONS = _words("if once when whenever until till unless after before while then")
 _REASONS = _words("because since as although though despite given for")
+_FINITE = _words(
+    "is are was were isn't would will could may might can must should leads lead causes cause risks"
+    " means seems has does needs"
+)
 _CONSEQUENCES = _words("so therefore thus hence but")
 _LEADS = _words(
     "so therefore thus hence but must should need needs to have better best now just will shall "
@@ -323,6 +333,8 @@ _WITHIN_PHRASE = _words("my the our this current own same")
 
 def stated_acts(sentence: Sequence[Token], vocabulary: Vocabulary) -> Iterator[str]:
     """The acts that a sentence states of the component itself, as it does them now."""
+    if sentence[-1].text == _QUESTION:
+        return
     reader = _ActReader(sentence, vocabulary)
     place = 0
     while place < len(sentence):
@@ -376,7 +388,7 @@ class _ActReader:
         verb = self._verb_at(place)
         if verb is not None:
             act, length, is_ing = verb
-            if self._states(place, is_ing=is_ing):
+            if self._states(place, place + length, is_ing=is_ing):
                 return act, place + length
             self._leading = self._leading and self._not_done
             return "", place + length
@@ -392,12 +404,24 @@ class _ActReader:
             self._leading = False
         return "", place + 1
 
-    def _states(self, place: int, *, is_ing: bool) -> bool:
+    def _states(self, place: int, end: int, *, is_ing: bool) -> bool:
         if self._not_done or _text_at(self._sentence, place - 1) in _DETERMINERS:
             return False
         if self._subject:
             return self._subject == "own"
-        return place == 0 if is_ing else self._leading
+        if not is_ing:
+            # "Proceed is unsafe" speaks of the maneuver.
+            return self._leading and _text_at(self._sentence, end) not in _FINITE
+        return place == 0 and not self._is_subject(end)
+
+    def _is_subject(self, place: int) -> bool:
+        """Whether what begins before a place is spoken of: ``Going now is risky``."""
+        for token in self._sentence[place:]:
+            if token.text in _FINITE:
+                return True
+            if token.type == "mark" or token.text in _CONDITIONS | _REASONS | _CONSEQUENCES:
+                return False
+        return False
 
     def _verb_at(self, place: int) -> tuple[str, int, bool] | None:
         """Act, number of tokens, and whether it ends in -ing, of the verb at a place."""

@@ -37,6 +37,10 @@ SMALLEST = {
         *("--planners", "reactive", "--scenarios", "conflicting-traffic"),
     ],
     "kills.py": ["--trials", "1", "--only", "executor process"],
+    "llm_defects.py": [
+        *("--runs", "1", "--jobs", "1", "--only"),
+        *("invents V77 and a truck T9 in prose", "slow", "with numbers"),
+    ],
     "llm_replay.py": [
         *(
             "--runs",
@@ -88,6 +92,7 @@ HEADERS = {
     "injector_cost.py": ["share of a tick"],
     "intersection_search.py": ["bang-bang"],
     "kills.py": ["simulated twice"],
+    "llm_defects.py": ["runs that show it", "runs that accuse it"],
     "llm_replay.py": ["session"],
     "loop_cost.py": [
         "ratio to highway-env without Generator",

@@ -8,6 +8,7 @@ import shutil
 
 import careful_model as models
 import pytest
+import speaking_models as speaking
 from llm_servers import scripted_server
 from models import llm_episode, said
 from scripted_server import answers_by
@@ -95,6 +96,9 @@ def silent(request, number):
 DEFECTS = {
     "LLM-GROUND-1": models.model(models.hallucinates),
     "LLM-GROUND-2": models.model(models.overlooks),
+    "LLM-PROSE-1": speaking.defective(speaking.invents_in_prose),
+    "LLM-PROSE-2": speaking.defective(speaking.names_a_kind_that_is_not_there),
+    "LLM-PROSE-3": speaking.defective(speaking.reasons_the_opposite),
     "LLM-CONSIST-1": models.model(models.contradicts_itself),
     "LLM-CONSIST-2": models.model(models.throws_dice),
     "LLM-CONSIST-3": models.model(models.reads_the_order),
@@ -158,7 +162,7 @@ def test_the_suite_judges_the_model_that_the_environment_names(
     options = ["--dura-runs=1", "--dura-no-twins", "--dura-evidence-level=summary"]
     done = run_suite(suite, *options, python=forked_workers.command())
     assert done.returncode == 1, done.stdout + done.stderr
-    assert "14 undecided" in done.stdout  # a single run supports no rate
+    assert "17 undecided" in done.stdout  # a single run supports no rate
     record = json.loads((suite / "dura-evidence" / "evidence.json").read_text())
     assert [one["model"] for one in record["models"]] == ["careful"]
     assert {one["requirement"] for one in record["verdicts"]} > set(DEFECTS)
@@ -220,7 +224,7 @@ def test_the_suite_is_replayed_from_its_cassette_without_server_and_environment(
     output, record = replayed(cut_off, IN_FOLDER)
     assert first_line(output).startswith(f"dura: answers replayed from {CASSETTE}: {SPOKE}20")
     assert {one["requirement"] for one in record["verdicts"]} > set(DEFECTS)
-    assert len(record["verdicts"]) == 14
+    assert len(record["verdicts"]) == 17
     # Random ids are those of no object: the verdicts come from the answers.
     assert any(one["violations"] for one in record["verdicts"])
 

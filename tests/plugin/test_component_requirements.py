@@ -82,7 +82,7 @@ def test_a_model_that_hallucinates_fails_it(project, scripted_server, monkeypatc
     result = run(project)
     found = verdicts()
     failed = {name for name, verdict in found.items() if verdict == "violated"}
-    assert failed == {"LLM-GROUND-1", "LLM-GROUND-2", "LLM-GROUND-3"}
+    assert failed == {"LLM-GROUND-1", "LLM-PROSE-1", "LLM-PROSE-2"}
     assert result.ret == 1
     # What has no requirement of its own is named below the table.
     text = " ".join(result.stdout.str().split())

@@ -245,6 +245,10 @@ def is_slow(_text, _request, plan):
     return Answer(json.dumps(answer_of(plan)), seconds=30.0)
 
 
+def is_turned_away(_text, _request, _plan):
+    return Answer(failure="unavailable", detail="HTTP 429: too many requests", seconds=0.1)
+
+
 def invents_in_prose(_text, _request, plan):
     seen = "V77 and a truck T9 come from the right."
     return answer_of(plan, observations=seen)

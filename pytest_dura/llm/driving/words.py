@@ -36,7 +36,7 @@ WORDS = Vocabulary(
             "brake", "slow down", "slow for", "decelerate", "reduce speed", "lower speed",
             "cut speed",
         ),
-        "stop": ("stop", "halt", "wait", "yield", "give way", "hold back"),
+        "stop": ("stop", "halt", "wait", "yield", "give way", "hold back", "hold position"),
         "hold": ("keep speed", "hold speed", "maintain speed", "keep pace"),
         "faster": ("accelerate", "speed up", "increase speed", "go faster", "pick up speed"),
         "go": ("go", "proceed", "drive on", "continue", "cross", "enter", "move on"),

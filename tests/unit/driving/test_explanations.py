@@ -173,6 +173,11 @@ def test_an_absurd_percept_shows_no_threat() -> None:
         ("slow_down", "accelerate", 0.0, 1),
         ("hold", "proceed", 8.8, 0),
         ("hold", "proceed", 5.0, 1),
+        ("hold", "yield", 4.54, 0),  # a prompt says 4.5
+        ("slow_down", "proceed_cautiously", 5.46, 0),
+        ("hold", "proceed_cautiously", 5.46, 0),
+        ("speed_up", "yield", 3.54, 0),
+        ("hold", "yield", 4.6, 1),
         ("hold", "proceed_cautiously", 5.2, 0),
         ("hold", "wait", 0.1, 0),
         ("hold", "wait", 6.0, 1),

@@ -119,6 +119,12 @@ def test_kinds_that_are_shown_negated_or_supposed_are_none(text):
     assert read(text).mistaken_kinds == ()
 
 
+def test_its_own_car_is_none_that_it_sees():
+    walker = prompt_of(body("P1", "pedestrian"))
+    assert read("I drive a car, and am in a car", walker).mistaken_kinds == ()
+    assert read("a car comes", walker).mistaken_kinds == ("car",)
+
+
 def test_what_is_as_long_as_a_lorry_may_be_called_one():
     assert read("a truck V5", prompt_of(body("V5", length=12.0))).mistaken_kinds == ()
     assert read("a car V5", prompt_of(body("V5", length=12.0))).mistaken_kinds == ()
@@ -192,6 +198,14 @@ STATED = [
     ("I slow down and stop. No need to accelerate.", {"slower", "stop"}),
     ("V3 forces me to brake.", {"slower"}),
     ("I choose emergency_brake.", {"slower"}),
+    ("Stopping now would block the junction, so continue.", {"go"}),
+    ("Waiting at the line, since V3 is near.", {"stop"}),
+    ("The path is clear, allowing me to proceed.", {"go"}),
+    ("Given the sign and V3 closing at 9.9 m/s, I must wait.", {"stop"}),
+    ("V3 has the right of way, therefore I will stop at the line and wait.", {"stop"}),
+    ("The ego vehicle should decelerate to let V3 pass.", {"slower"}),
+    ("My plan: slow down, then proceed once V3 is gone.", {"slower"}),
+    ("Keep speed; V3 yields to me.", {"hold"}),
 ]
 UNSTATED = [
     "I do not accelerate.",
@@ -222,6 +236,18 @@ UNSTATED = [
     "The yield sign is ahead.",
     "Cross traffic is near.",
     "I braked before.",
+    "Proceeding would lead to a collision with V3.",
+    "Accelerating into the junction is unsafe.",
+    "Going now is risky.",
+    "Braking is unnecessary.",
+    "Proceed is unsafe.",
+    "It would be unsafe to proceed.",
+    "Accelerate? No.",
+    "Not stopping here would be dangerous.",
+    "Avoid entering until V3 passes.",
+    "Do not proceed.",
+    "The ego should not stop in the junction.",
+    "V3's driver must brake for me, so no action is needed.",
     "because",
     "",
 ]
