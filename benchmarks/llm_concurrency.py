@@ -1,6 +1,6 @@
 """A session with a language model at 0.3 s a call: one request after the other, and 8 at once.
 
-Run: python benchmarks/llm_concurrency.py [--runs 15] [--serial-runs 1] [--concurrency 8]
+Run: python benchmarks/llm_concurrency.py [--runs 15] [--serial-runs 1] [--select GLOB]
 
 The six built-in scenarios of the intersection with the planner of `llm`, whose server on loopback
 sleeps before each answer and takes so many requests at once; the others have to wait. The sessions
@@ -21,7 +21,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -102,14 +102,15 @@ def served(seconds: float, places: int) -> Iterator[str]:
         server.server_close()
 
 
-def session(folder: Path, url: str, runs: int, concurrency: int, select: str) -> dict[str, Any]:
+def session(
+    folder: Path, url: str, runs: int, concurrency: int, more: Sequence[str]
+) -> dict[str, Any]:
     """Run a session; returns what it took."""
     evidence = folder / f"at-once-{concurrency}"
     command = [
         *(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--dura-scenarios"),
         *("--dura-generator=llm", "--dura-time-budget=30", f"--dura-runs={runs}"),
-        *(f"--dura-select={select}", f"--dura-llm-concurrency={concurrency}"),
-        f"--dura-evidence={evidence}",
+        *(f"--dura-evidence={evidence}", f"--dura-llm-concurrency={concurrency}", *more),
     ]
     named = {"DURA_LLM_BASE_URL": url, "DURA_LLM_MODEL": NAME}
     spent, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
@@ -136,7 +137,10 @@ def main() -> None:
     parser.add_argument("--concurrency", type=int, default=8)
     parser.add_argument("--seconds", type=float, default=0.3, help="before each answer")
     parser.add_argument("--select", default="intersection/*")
+    parser.add_argument("--path", type=Path, help="with further scenario files")
     options = parser.parse_args()
+    more = [f"--dura-select={options.select}"]
+    more += [] if options.path is None else [f"--dura-path={options.path.absolute()}"]
     print(f"Measured on: {machine()}\n")
     rows = []
     with (
@@ -144,7 +148,7 @@ def main() -> None:
         served(options.seconds, options.concurrency) as url,
     ):
         for runs, at_once in ((options.serial_runs, 1), (options.runs, options.concurrency)):
-            rows.append(session(Path(folder), url, runs, at_once, options.select))
+            rows.append(session(Path(folder), url, runs, at_once, more))
     rates = [row["requests"] / row["seconds"] for row in rows]
     headers = ["requests at once", "episodes", "requests", "s", "requests/s", "ms per request",
                "CPU s", "times as many requests/s"]  # fmt: skip

@@ -359,6 +359,7 @@ class EpisodeLog:
             self.metrics.tallies = dict(columns.tallies)
             self.metrics.answer_seconds = list(columns.seconds)
             self.metrics.answer_ages = list(columns.ages)
+            self.metrics.answer_usage = dict(columns.usage)
 
     def _recording(self, simulator: Simulator, state: StateManager) -> Recording:
         decisions = len(self._columns["verdict"])

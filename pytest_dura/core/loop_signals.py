@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -33,6 +34,12 @@ NULL = "null"
 """Key of an account: the account of a null component, which ignores its input."""
 SECONDS = "seconds"
 """Key of an account: how long the component took for its decision, in s of wall-clock time."""
+USAGE = "usage"
+"""Key of an account: what the component's new decisions used, counts by :data:`USAGE_COUNTS`."""
+USAGE_COUNTS = ("requests", "prompt", "completion", "uncounted")
+"""Requests to language models; the tokens of their prompts and of their answers, as servers counted
+them; answers for which no server did."""
+_GREATEST_COUNT = 2**53
 EXCHANGE = "exchange"
 """Key of an account: request and answer behind a new decision. Reports show it; nothing is measured
 by it, and traces are compared without it."""
@@ -102,12 +109,14 @@ class AccountColumns:
         seconds: Wall-clock seconds of each new decision that declares them.
         ages: Simulated seconds between the percept behind a decision and the tick at which it came
             into force, of each new decision of the component's own that declares them.
+        usage: Sums over new decisions, by :data:`USAGE_COUNTS`; empty where none declares any.
     """
 
     signals: Mapping[str, Floats]
     tallies: Mapping[str, Tally]
     seconds: Sequence[float]
     ages: Sequence[float]
+    usage: Mapping[str, int]
 
 
 def account_columns(
@@ -148,7 +157,10 @@ def account_columns(
         for tick, account in decisions
         if account.get(_FALLBACK) is not True
     ]
-    return AccountColumns(signals, tallies, _known(spent), _known(ages))
+    usage: Counter[str] = Counter()
+    for _, account in decisions:
+        usage.update(_declared_usage(account))
+    return AccountColumns(signals, tallies, _known(spent), _known(ages), dict(usage))
 
 
 def _decides(account: Mapping[str, Any]) -> bool:
@@ -185,6 +197,16 @@ def _declared_age(account: Mapping[str, Any], time: float) -> float | None:
     # 0.4 s after 1 s is 1.4 s, whatever the float rounds to.
     age = round(age, _DECIMALS)
     return age if age <= round(time, _DECIMALS) else None
+
+
+def _declared_usage(account: Mapping[str, Any]) -> dict[str, int]:
+    """Counts of what a decision declares to have used; empty where one of them is no count."""
+    usage = account.get(USAGE)
+    if not isinstance(usage, Mapping):
+        return {}
+    counts = {name: usage.get(name) for name in USAGE_COUNTS}
+    usable = all(type(count) is int and 0 <= count < _GREATEST_COUNT for count in counts.values())
+    return {name: int(count or 0) for name, count in counts.items()} if usable else {}
 
 
 def _duration(value: Any) -> float | None:

@@ -166,6 +166,8 @@ class DependabilityMetrics:
         answer_seconds: Wall-clock seconds that the component declares for its decisions.
         answer_ages: Simulated seconds from the percept behind each of its own decisions to the tick
             at which it came into force, as the component declares them.
+        answer_usage: What its decisions used, as the component declares it: requests to language
+            models and tokens; see :data:`pytest_dura.core.loop_signals.USAGE_COUNTS`.
         user: User-defined metrics, filled when the episode is complete.
     """
 
@@ -185,6 +187,7 @@ class DependabilityMetrics:
     tallies: dict[str, Tally] = field(default_factory=dict)
     answer_seconds: list[float] = field(default_factory=list)
     answer_ages: list[float] = field(default_factory=list)
+    answer_usage: dict[str, int] = field(default_factory=dict)
     user: dict[str, float] = field(default_factory=dict)
 
     def log_time(self, role: str, tick: int, nanoseconds: int) -> None:
@@ -294,6 +297,7 @@ class DependabilityMetrics:
             "tallies": {name: asdict(tally) for name, tally in self.tallies.items()},
             "answer_seconds": list(self.answer_seconds),
             "answer_ages": list(self.answer_ages),
+            **({"answer_usage": dict(self.answer_usage)} if self.answer_usage else {}),
             "user": dict(self.user),
         }
 

@@ -338,6 +338,29 @@ class CaseMetricsEntry(Entry):
     """How old the component's own decisions were when they came into force, by its own account,
     over valid episodes: simulated time since the percept behind them; null where it tells of
     none."""
+    usage: Absent[CaseUsage] = None
+    """What its decisions used of language models; absent where no episode tells of it."""
+
+
+class CaseUsage(Entry):
+    """What the decisions of a case used of language models, over all of its episodes that tell.
+
+    Fault-free twins, repetitions and searches are not among them; the key `models` counts every
+    request.
+    """
+
+    episodes: Positive
+    """Episodes that tell of it, also invalid ones."""
+    decisions: Count
+    """Their decisions."""
+    requests: Count
+    """Requests, those beside the decisions included."""
+    prompt: Count
+    """Tokens of the requests, as the server counted them."""
+    completion: Count
+    """Tokens of the answers."""
+    uncounted: Count
+    """Answers for which the server counted no tokens."""
 
 
 class RepeatEntry(Entry):

@@ -327,8 +327,27 @@ class EpisodeMetricsEntry(Entry):
     answer_ages: list[Amount]
     """Simulated seconds from the percept behind each decision of its own to the tick at which it
     came into force, by its own account."""
+    answer_usage: Absent[UsageEntry] = None
+    """What its decisions used of language models, by its own account; absent where it tells of
+    nothing."""
     user: JsonObject
     """Metrics of the user's own, by name."""
+
+
+class UsageEntry(Entry):
+    """What decisions used of language models, as the component's account has it.
+
+    A replay from a cassette has the same.
+    """
+
+    requests: Count
+    """Requests, those beside the decisions included."""
+    prompt: Count
+    """Tokens of the requests, as the server counted them."""
+    completion: Count
+    """Tokens of the answers."""
+    uncounted: Count
+    """Answers for which the server counted no tokens."""
 
 
 class EpisodeTimings(Entry):

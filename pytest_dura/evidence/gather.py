@@ -87,6 +87,7 @@ class Components:
 
 
 _COUNTS = ("asked", "repeated", "reused", "injected", "missed")
+_TOKENS = ("asked_tokens", "reused_tokens")
 _NAMES = ("component", "model", "fingerprint", "prompts", "base_url", "mode")
 
 
@@ -122,8 +123,17 @@ class LanguageModels:
                 (Counter(report.get("unavailable", {})) for report in reports.values()), Counter()
             )
             unavailable = {cause: causes[cause] for cause in sorted(causes)}
-            models.append({**plain, **counts, "unavailable": unavailable, "cassette": None})
+            tokens = {name: _summed_tokens(reports.values(), name) for name in _TOKENS}
+            summed = {**counts, **tokens, "unavailable": unavailable}
+            models.append({**plain, **summed, "cassette": None})
         return models
+
+
+def _summed_tokens(reports: Iterable[Mapping[str, Any]], name: str) -> dict[str, int]:
+    tokens: Counter[str] = Counter()
+    for report in reports:
+        tokens.update(report.get(name, {}))
+    return dict(sorted(tokens.items()))
 
 
 def _total(model: Mapping[str, Any]) -> int:

@@ -63,6 +63,7 @@ def _merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]
         "environment": first.environment.replace(git=git),
         "execution": first.execution,
         **_merged_second_engine(parts),
+        **({} if first.llm_price is None else {"llm_price": first.llm_price}),
         "argument": first.argument,
         "reuse": merged_reuse(part.record.head.reuse for part in parts),
         "shard": None,

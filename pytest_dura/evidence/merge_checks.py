@@ -354,6 +354,7 @@ def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
 def _session(record: SessionRecord) -> NamedValues:
     options = {"base_seed", "evidence_level", "require_repeatable", "argument", "selection"}
     yield from record.head.to_json(include=options).items()
+    yield "llm_price", record.head.llm_price
     engine = record.head.second_engine
     yield "second_engine.version", None if engine is None else engine.version
     yield "gate.warn_undecided", record.head.gate.warn_undecided

@@ -287,6 +287,7 @@ class CaseMetrics:
         self._user: dict[str, array[float]] = {}
         self._faults = FaultMetrics()
         self._failure_modes = FailureModes()
+        self._usage: Counter[str] = Counter()
 
     def add(self, episode: EpisodeEntry) -> None:
         """Add an episode.
@@ -305,6 +306,10 @@ class CaseMetrics:
         self._known.update(key for key, value in known.items() if value is not None)
         self._in_run.update(raised)
         self._faults.add(episode)
+        usage = episode.metrics.answer_usage
+        if usage is not None:
+            decisions = len(episode.metrics.answer_seconds)
+            self._usage.update({"episodes": 1, "decisions": decisions, **usage.to_json()})
         if episode.validity != "valid":
             return
         self._in_valid.update(raised)
@@ -361,6 +366,7 @@ class CaseMetrics:
             "failure_modes": self._failure_modes.to_json(),
             "answer_times": self._failure_modes.answer_times(),
             "answer_ages": self._failure_modes.answer_ages(),
+            **({"usage": dict(self._usage)} if self._usage else {}),
         }
 
     def _share(self, key: str, planned: int) -> dict[str, Any] | None:

@@ -23,6 +23,7 @@ from pytest_dura.evidence.session_model import (
     LanguageModelEntry,
     MeasureEntry,
     MergedShard,
+    PriceEntry,
     ReuseEntry,
     SecondEngineEntry,
     SelectionEntry,
@@ -115,6 +116,8 @@ class RecordHead(Entry):
     and `--dura-runs` left of the plan. Of a shard, that of the whole session."""
     component_under_test: ComponentUnderTest
     """The component under test."""
+    llm_price: Absent[PriceEntry] = None
+    """Price of a million tokens of language models; absent where nobody stated one."""
     models: list[LanguageModelEntry]
     """The language models that components asked; empty if none did."""
     measures: list[MeasureEntry]

@@ -377,6 +377,28 @@ class CassetteEntry(Entry):
     """All that it holds."""
 
 
+class TokensEntry(Entry):
+    """Tokens of requests to a language model, as its server counted them."""
+
+    prompt: Count = 0
+    """Of the requests."""
+    completion: Count = 0
+    """Of the answers."""
+    uncounted: Count = 0
+    """Answers for which the server counted nothing."""
+
+
+class PriceEntry(Entry):
+    """Price of a million tokens (`--dura-llm-price`), as the user stated it."""
+
+    prompt: Amount
+    """Of requests."""
+    completion: Amount
+    """Of answers."""
+    currency: str
+    """In the user's words; may be empty."""
+
+
 class LanguageModelEntry(Entry):
     """A language model that a component asked."""
 
@@ -404,8 +426,12 @@ class LanguageModelEntry(Entry):
     """Calls that ended as `unavailable`, by cause: `HTTP 429` and the like, `connection`, or
     `request` for one that could not be made. Those that were repeated, and answers from the
     cassette, are among them."""
+    asked_tokens: TokensEntry = Field(default_factory=TokensEntry)
+    """Tokens of the requests to the server, those that were repeated included."""
     reused: Count
     """Answers from the cassette."""
+    reused_tokens: TokensEntry = Field(default_factory=TokensEntry)
+    """Tokens that those took when they were recorded."""
     injected: Count
     """Requests that an injected fault kept from the server."""
     missed: Count

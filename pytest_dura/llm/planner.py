@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, get_args
@@ -22,6 +23,7 @@ from pytest_dura.llm.judge import judge_request, judgement
 from pytest_dura.llm.port import Answer, Delivery, Message, Request, Structured, TokensField
 from pytest_dura.llm.prompts import Prompt
 from pytest_dura.llm.prose import Memory, Shown, Vocabulary, read_prose
+from pytest_dura.llm.spending import usage_of
 
 Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Temperature = Annotated[float, Field(ge=0, le=2, allow_inf_nan=False)]
@@ -246,6 +248,7 @@ class Decision:
         exchange: Request and answer in words, see :func:`exchange_data`.
         prose: Reading of its prose; see :class:`pytest_dura.llm.prose.ProseReading`.
         judged: Answer of the judge, where it was asked.
+        usage: Requests and tokens of the decision and of what was asked beside it.
     """
 
     at: int
@@ -257,6 +260,7 @@ class Decision:
     exchange: Mapping[str, Any] = NOTHING
     prose: Mapping[str, Any] = NOTHING
     judged: Mapping[str, Any] = NOTHING
+    usage: Mapping[str, int] = NOTHING
 
     @property
     def outcome(self) -> str:
@@ -460,6 +464,7 @@ class LlmGenerator(Generator):
         past = [decision for decision in view.past if decision.time in remembered]
         prompt = view.transmit("prompt", self.prompt(view, past))
         delivery = view.transmit("model", Delivery())
+        self._answers: list[Answer] = []
         answer = self._ask(prompt, 0, delivery)
         reading = read_answer(answer, self.SCHEMA)
         beside: dict[str, dict[str, str]] = {}
@@ -472,7 +477,7 @@ class LlmGenerator(Generator):
         prose = self._read_prose(reading, prompt)
         return Decision(
             view.index, view.time, reading, answer.seconds, prompt.ids,
-            beside, exchange, prose, judged,
+            beside, exchange, prose, judged, usage_of(self._answers),
         )  # fmt: skip
 
     def _read_prose(self, reading: Reading, prompt: Prompt) -> dict[str, Any]:
@@ -506,17 +511,20 @@ class LlmGenerator(Generator):
         )
         fingerprint = None if known is None else known.fingerprint
         answer = self._session.ask(request, self._deadline, fingerprint=fingerprint)
+        self._answers.append(answer)
         return judgement(read_answer(answer, JUDGE_SCHEMA))
 
     def _ask(self, prompt: Prompt, sample: int, delivery: Delivery) -> Answer:
         request = self.request(prompt, sample)
-        return self._session.ask(
+        answer = self._session.ask(
             request,
             self._deadline,
             delivery,
             fingerprint=self._fingerprint,
             count_retries=self.settings.count_retries,
         )
+        self._answers.append(answer)
+        return answer
 
     @property
     def _fingerprint(self) -> str | None:
@@ -563,6 +571,7 @@ class LlmGenerator(Generator):
             fingerprint=self._fingerprint,
             count_retries=self.settings.count_retries,
         )
+        self._answers += answers
         beside = {}
         for name, answer in zip(requests, answers, strict=True):
             beside[name] = self._read(answer)
@@ -593,6 +602,8 @@ class LlmGenerator(Generator):
                 for name, told in decision.beside.items()
             }
             account |= {**decision.details(), "seconds": decision.seconds, "null": null}
+            usage = sum((Counter(each.usage) for each in self._latest), Counter())
+            account["usage"] = {name: usage[name] for name in decision.usage}
             account[EXCHANGE] = decision.exchange
             replaced = [earlier.account(fresh=True) for earlier in self._latest[:-1]]
             account |= {"replaced": replaced} if replaced else {}

@@ -136,6 +136,9 @@ class ModelSession:
         ``reused`` from the cassette, ``injected`` as a fault, ``missed`` in the cassette. Beside
         these the calls that were ``repeated``, and by their cause those that ended as
         ``unavailable``, such as ``unavailable: HTTP 429``; a cassette's answers, too."""
+        self.tokens: Counter[tuple[str, str, str]] = Counter()
+        """Number of tokens by model, fingerprint and what they were for: ``prompt``, ``completion``
+        and ``uncounted`` answers, behind ``asked`` or ``reused`` and a blank."""
         self.limit_reached = ""
         """The limit that kept a request from its server, in words; empty if none did."""
         self._spending = spending or Spending()
@@ -357,6 +360,7 @@ class ModelSession:
 
     def _reused(self, request: Request, fingerprint: str, stored: Answer) -> Answer:
         self._count(request, fingerprint, "reused")
+        self._count_tokens(request, fingerprint, "reused", stored)
         self._count_cause(request, fingerprint, stored)
         return stored
 
@@ -375,6 +379,7 @@ class ModelSession:
             self._count(request, fingerprint, next(calls, "repeated"))
             answer = server.ask(request, budget)
             self._end_request(request, answer)
+            self._count_tokens(request, fingerprint, "asked", answer)
             self._count_cause(request, fingerprint, answer)
             return answer
 
@@ -424,6 +429,13 @@ class ModelSession:
     def _count_cause(self, request: Request, fingerprint: str, answer: Answer) -> None:
         if answer.failure == "unavailable":
             self._count(request, fingerprint, f"unavailable: {answer.cause or 'other'}")
+
+    def _count_tokens(self, request: Request, fingerprint: str, how: str, answer: Answer) -> None:
+        if _is_counted.get():
+            tokens = Tokens.of(answer.usage, answered=not answer.failure)
+            with self._lock:
+                for name, number in vars(tokens).items():
+                    self.tokens[request.model, fingerprint, f"{how} {name}"] += number
 
     def _count(self, request: Request, fingerprint: str, answered_by: str) -> None:
         if _is_counted.get():

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from threading import Lock
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.llm.port import Answer
 
 _MILLION = 1_000_000
 _CHARACTERS_PER_TOKEN = 4
@@ -57,6 +58,19 @@ class Tokens:
     def total(self) -> int:
         """Tokens of requests and answers."""
         return self.prompt + self.completion
+
+
+def usage_of(answers: Iterable[Answer]) -> dict[str, int]:
+    """What the requests behind some answers used, as an account says it.
+
+    Args:
+        answers: Answers, also those from a cassette.
+    """
+    requests, tokens = 0, Tokens()
+    for answer in answers:
+        requests += 1
+        tokens += Tokens.of(answer.usage, answered=not answer.failure)
+    return {"requests": requests, **asdict(tokens)}
 
 
 @dataclass(frozen=True)

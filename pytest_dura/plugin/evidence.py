@@ -263,6 +263,7 @@ class SessionEvidence:
                     "shard": self._shard_json(),
                     "merged_from": None,
                     "selection": self._selection.to_json(),
+                    **self._models.price_json(),
                 },
                 options.evidence,
             )

@@ -35,6 +35,8 @@ _MOST_MODELS = 3
 _OUTCOMES = ("asked", "repeated", "reused", "injected", "missed")
 _CAUSE = "unavailable: "
 """What the counts of calls that ended so begin with, by cause."""
+_TOKENS = "tokens: "
+"""What the counts of tokens begin with, by what they were for."""
 _SESSION_MODULE = "pytest_dura.llm.session"
 
 
@@ -291,6 +293,8 @@ class LanguageModels:
         if session is None:
             return []
         counts = Counter(session.counts)
+        for (model, fingerprint, kind), count in Counter(session.tokens).items():
+            counts[model, fingerprint, _TOKENS + kind] = count
         for (model, fingerprint, outcome), count in (counts - self._counted).items():
             key = self._latest.get((model, fingerprint), (None, model, fingerprint, None))
             self._register(key)
@@ -327,12 +331,24 @@ class LanguageModels:
             "prompts": prompts if isinstance(prompts, str) else None,
             "process": str(self.context.worker_input.get("workerid", "main")),
             **{outcome: self._used[key][outcome] for outcome in _OUTCOMES},
+            **{
+                f"{how}_tokens": {
+                    kind: self._used[key][f"{_TOKENS}{how} {kind}"]
+                    for kind in ("prompt", "completion", "uncounted")
+                }
+                for how in ("asked", "reused")
+            },
             "unavailable": {
                 counted.removeprefix(_CAUSE): count
                 for counted, count in sorted(self._used[key].items())
                 if counted.startswith(_CAUSE)
             },
         }
+
+    def price_json(self) -> JsonObject:
+        """The record's key ``llm_price``, which is absent without a price."""
+        price = self.context.options.llm_price
+        return {} if price is None else {"llm_price": vars(price)}
 
     def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:
         """Return the record of a finished session with the cassette as it is now."""

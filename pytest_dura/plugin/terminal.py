@@ -37,6 +37,7 @@ from pytest_dura.plugin.terminal_tables import (
     pair_table,
     reliance_table,
     uncovered_mode_lines,
+    usage_table,
     worst_cases,
     wrapped_legend,
 )
@@ -418,8 +419,9 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
         [
             *failure_mode_table(shown, by_case=context.config.option.verbose > 0),
             *uncovered_mode_lines(record.head),
-            *model_lines(record.head.models),
+            *model_lines(record.head.models, record.head.llm_price),
         ],
+        usage_table(listed, record.head.llm_price),
         reliance_table(listed, overall),
         fault_table(listed),
         attack_table(verdicts, record.head.cases),

@@ -41,13 +41,14 @@ from pytest_dura.reports.role_tables import (
     summed_pairs,
 )
 from pytest_dura.reports.tables import CaseRow, case_columns
+from pytest_dura.reports.usage import spending_text, usage_columns, usage_rows
 from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
     from pytest_dura.evidence.episode_model import FaultEntry
     from pytest_dura.evidence.model import RecordHead
-    from pytest_dura.evidence.session_model import LanguageModelEntry, MeasureEntry
+    from pytest_dura.evidence.session_model import LanguageModelEntry, MeasureEntry, PriceEntry
     from pytest_dura.evidence.verdict_model import (
         EffectivenessEntry,
         MonitorEntry,
@@ -365,9 +366,21 @@ def failure_mode_table(cases: Sequence[CaseEntry], *, by_case: bool = False) -> 
     return [*lines, *wrapped_legend(columns)] if lines else []
 
 
-def model_lines(models: Sequence[LanguageModelEntry]) -> list[str]:
-    """Write a line on each language model whose server was not available at times."""
-    texts = ((model, unavailability_text(model)) for model in models)
+def usage_table(cases: Sequence[CaseEntry], price: PriceEntry | None) -> list[str]:
+    """Write a line per case and component on the tokens that decisions used."""
+    rows = usage_rows(cases, price)
+    several = len({row.case.component for row in rows}) > 1
+    named = [(row.case.id + (f" ({row.case.component})" if several else ""), row) for row in rows]
+    return table("tokens", usage_columns(price), named)
+
+
+def model_lines(models: Sequence[LanguageModelEntry], price: PriceEntry | None = None) -> list[str]:
+    """Write a line on what each language model was asked, and on whether it was available."""
+    texts = [
+        (model, text)
+        for model in models
+        for text in (spending_text(model, price), unavailability_text(model))
+    ]
     lines = [f"language model {name(model.model)}: {text}" for model, text in texts if text]
     return [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
 

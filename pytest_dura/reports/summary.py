@@ -21,6 +21,7 @@ from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import (
     LanguageModelEntry,
+    PriceEntry,
 )
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
@@ -44,6 +45,7 @@ from pytest_dura.reports.tables import (
     RequirementRow,
     case_columns,
 )
+from pytest_dura.reports.usage import spending_text, usage_columns, usage_rows
 from pytest_dura.reports.verdicts import (
     assertion_sentences,
     rate_bound,
@@ -66,19 +68,20 @@ from pytest_dura.reports.wording import (
 from pytest_dura.requirements.campaign_verdicts import violation_text
 
 
-def _model_lines(models: Sequence[LanguageModelEntry], most: int) -> Iterator[str]:
+def _model_lines(record: SessionRecord, most: int) -> Iterator[str]:
     """A line for each entry of the record's key ``models``.
 
     Args:
-        models: The entries.
+        record: Of the session.
         most: The greatest number of lines; a last line says how many entries are left out.
     """
-    yield from map(_model_line, models[:most])
+    models = record.head.models
+    yield from (_model_line(model, record.head.llm_price) for model in models[:most])
     if len(models) > most:
         yield f"- and {len(models) - most} more language models"
 
 
-def _model_line(model: LanguageModelEntry) -> str:
+def _model_line(model: LanguageModelEntry, price: PriceEntry | None) -> str:
     capabilities = model.capabilities or {}
     level = _name(str(capabilities.get("structured", "unknown")))
     enforcement = "enforced" if capabilities.get("enforced") else "not enforced"
@@ -90,6 +93,8 @@ def _model_line(model: LanguageModelEntry) -> str:
         f"{model.reused} from the cassette, {model.injected} injected faults, "
         f"{model.missed} missed"
     )
+    if spending := spending_text(model, price):
+        text += f"; {markdown(spending, 400)}"
     if unavailability := unavailability_text(model, _name):
         text += f"; {unavailability}"
     cassette = model.cassette
@@ -112,7 +117,7 @@ def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
         version = f", version {_name(str(component.version))}" if component.version else ""
         digest = f", SHA-256 {_name(component.digest)}" if component.digest else ", no digest"
         yield f"- component under test: {_name(component.name)}{version}{digest}"
-    yield from _model_lines(record.head.models, most)
+    yield from _model_lines(record, most)
     yield from [f"- merged from {shards}"] if (shards := merge_text(record)) else []
     yield f"- commit: {commit}"
     yield f"- tool: {_name(tool.name)} {_name(tool.version)}"
@@ -354,6 +359,9 @@ def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
         for whose, text in uncovered_lines(record.head, _name):
             yield f"- {text} of {_name(whose)}"
         yield f"- {NULL_NOTE}"
+    price = record.head.llm_price
+    if used := usage_rows(cases, price):
+        yield from _table("Tokens", usage_columns(price), used, "cases")
 
 
 def _coverage_lines(record: SessionRecord) -> Iterator[str]:

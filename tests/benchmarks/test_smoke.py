@@ -41,6 +41,10 @@ SMALLEST = {
         *("--runs", "1", "--jobs", "1", "--only"),
         *("invents V77 and a truck T9 in prose", "slow", "with numbers"),
     ],
+    "llm_concurrency.py": [
+        *("--runs", "1", "--seconds", "0.01", "--select", "brief/*"),
+        *("--path", str(Path(__file__).with_name("scenarios"))),
+    ],
     "llm_replay.py": [
         *(
             "--runs",
@@ -93,6 +97,7 @@ HEADERS = {
     "intersection_search.py": ["bang-bang"],
     "kills.py": ["simulated twice"],
     "llm_defects.py": ["runs that show it", "runs that accuse it"],
+    "llm_concurrency.py": ["requests at once"],
     "llm_replay.py": ["session"],
     "loop_cost.py": [
         "ratio to highway-env without Generator",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,15 +14,21 @@ import pytest
 from test_llm_modes import GENERATOR, cut_off, digests, prompts, run, server, speed, talking
 from test_llm_planner_sessions import answers, brief, named, scripted_server
 
-from pytest_dura.evidence import verify_bundle
+from pytest_dura.evidence import SessionRecord, read_trace, verify_bundle
+from pytest_dura.evidence.verify import conclusion_problems
 from pytest_dura.llm import session as sessions
 from pytest_dura.plugin import progress_display
 
 __all__ = ["cut_off", "named", "scripted_server", "server", "talking"]
 
-from scripted_server import answers_by
+from scripted_server import answers_by, completion
 
 INCOMPLETE = "evidence.json: the session is interrupted: its evidence is incomplete"
+
+
+def run_brief(project, *arguments):
+    options = ["--dura-no-twins", "--dura-evidence-level=all", *arguments]
+    return project.scenarios(*options, select="brief/*")
 
 
 class Together:
@@ -128,6 +135,136 @@ def test_a_limit_that_is_not_reached_changes_nothing(talking, server):
     assert talking.evidence().status == "complete"
 
 
+def tokens(entry):
+    return entry.prompt, entry.completion, entry.uncounted
+
+
+def test_tokens_and_price_of_decisions_cases_and_session_are_the_same_in_a_replay(
+    project, scripted_server, named, monkeypatch
+):
+    asked = []
+
+    def counts_tokens(exchange):
+        usage = {"prompt_tokens": 1000, "completion_tokens": 50}
+        if "EGO" in exchange.request.prompt:
+            asked.append(1)
+            usage = {} if len(asked) == 1 else usage
+        body = completion(answers(exchange.request))
+        exchange.send({**body, "usage": usage})
+
+    brief(project)
+    named(scripted_server(otherwise=counts_tokens))
+    price = "--dura-llm-price=2/10 EUR"
+    recorded = run_brief(project, price, "--dura-llm=record")
+    monkeypatch.setenv("DURA_LLM_BASE_URL", "http://127.0.0.1:9/v1")
+    replayed = run_brief(project, price, "--dura-llm=replay", "--dura-evidence=two")
+    count = project.evidence().models[0].asked
+    spent = (1000 * (count - 1), 50 * (count - 1), 1)
+    cost = f"{(2 * spent[0] + 10 * spent[1]) / 1e6:.4g} EUR"
+    for folder, result, how in (
+        ("dura-evidence", recorded, f"{count} requests to the server"),
+        ("two", replayed, f"{count} answers from the cassette"),
+    ):
+        record = project.evidence(folder)
+        (model,), (case,), (episode,) = record.models, record.cases, record.episodes
+        by_server = folder != "two"
+        assert tokens(model.asked_tokens) == (spent if by_server else (0, 0, 0))
+        assert tokens(model.reused_tokens) == ((0, 0, 0) if by_server else spent)
+        assert tokens(episode.metrics.answer_usage) == tokens(case.metrics.usage) == spent
+        decisions = len(episode.metrics.answer_seconds)
+        usage = case.metrics.usage
+        assert (usage.episodes, usage.decisions, usage.requests) == (1, decisions, count)
+        assert (record.llm_price.prompt, record.llm_price.currency) == (2.0, "EUR")
+        words = f"{how}: {spent[0]} + {spent[1]} tokens (prompts + answers), {cost}"
+        shown = " ".join(result.stdout.str().split())
+        assert f"{words}; the server counted none for 1 answer" in shown
+        per_decision = f"{(spent[0] + spent[1]) / decisions:.0f}"
+        row = f"brief/crossing 1 {decisions} {count} {spent[0]} {spent[1]} {per_decision} 1 {cost}"
+        assert row in shown
+        summary = (project.path / folder / "summary.md").read_text()
+        assert f"{spent[0]} | {spent[1]} | {per_decision} | 1 | {cost} |" in summary
+        page = (project.path / folder / "report.html").read_text()
+        assert page.count(cost) == 2
+        assert verify_bundle(project.path / folder).problems == []
+    one, two = (project.evidence(name).episodes[0] for name in ("dura-evidence", "two"))
+    assert one.digest == two.digest
+    trace = next((project.path / "two").glob("episodes/*.mcap"))
+    accounts = read_trace(trace).recording.accounts
+    fresh = [each["usage"] for each in accounts if each.get("decided")]
+    assert sum(each["requests"] for each in fresh) == count
+    assert sum(each["prompt"] for each in fresh) == spent[0]
+
+
+def test_a_record_whose_case_does_not_add_up_its_tokens_is_found(project, scripted_server, named):
+    brief(project)
+    named(scripted_server(otherwise=answers_by(answers)))
+    run_brief(project, "--dura-llm=record")
+    bundle = project.path / "dura-evidence"
+    record = project.evidence().to_json()
+    record["cases"][0]["metrics"]["usage"]["prompt"] += 1
+    problems = conclusion_problems(SessionRecord.of(record, bundle), {})
+    assert any("usage/prompt" in each for each in problems)
+
+
+ESTIMATE = re.compile(
+    r"language model: at most (\d+) requests in (\d+) episodes?, pairs and twins included; "
+    r"about (\S+) \+ (\S+) tokens \(prompts \+ answers\)"
+)
+
+
+def estimated(result):
+    lines = result.outlines
+    (at,) = [number for number, line in enumerate(lines) if ESTIMATE.fullmatch(line)]
+    return [float(each) for each in ESTIMATE.fullmatch(lines[at]).groups()], lines[at + 1 :]
+
+
+def test_a_list_estimates_a_session_before_it_asks_anybody(project, scripted_server, named):
+    brief(project)
+    server = scripted_server(otherwise=answers_by(answers))
+    named(server)
+    listing = ["--dura-list", "--dura-select=brief/*", "--dura-runs=2", "--dura-llm-price=2/10"]
+    (requests, episodes, prompt, answer), rest = estimated(project.run(*listing))
+    assert server.requests == []
+    cost = float(rest[0].strip().removeprefix("about "))
+    assert cost == pytest.approx((2 * prompt + 10 * answer) / 1e6, rel=0.1)
+    assert rest[1].strip().startswith("it rests on the longest episodes, and on the first prompt")
+    project.scenarios("--dura-llm=record", "--dura-runs=2", select="brief/*")
+    (model,) = project.evidence().models
+    assert (requests, episodes) == (model.asked, 2)
+    sent = [each for each in server.requests if "EGO" in each.prompt]
+    characters = sum(len(each.prompt) for each in sent)
+    assert prompt == pytest.approx(characters / 4, rel=0.1)
+    (requests, _, prompt, answer), rest = estimated(
+        project.run(*listing, "--dura-llm=record", "--dura-cassette=dura-cassette.sqlite")
+    )
+    assert (prompt, answer) == pytest.approx((10 * requests, 5 * requests), rel=0.05)
+    rests = f"it rests on the longest episodes, and on the tokens of {len(sent)} answers in dura-"
+    assert rest[1].strip() == f"{rests}cassette.sqlite"
+    assert rest[2].strip() == "what the cassette has by now is not asked again"
+
+
+def test_a_list_says_what_it_cannot_estimate(talking, server):
+    result = talking.run("--dura-list", GENERATOR, "--dura-runs=3")
+    assert result.ret == 0
+    assert not any(ESTIMATE.match(line) for line in result.outlines)
+    told = "6 episodes ask a language model; how often cannot be estimated"
+    assert (
+        told
+        in talking.run(
+            "--dura-list", "--dura-select=corridor/it*", GENERATOR, "--dura-runs=3"
+        ).outlines
+    )
+    assert server.requests == []
+
+
+def test_without_a_price_nothing_has_one(talking):
+    result = run(talking, "live", runs=1)
+    shown = " ".join(result.stdout.str().split())
+    assert "tokens (prompts + answers)" in shown
+    assert talking.evidence().llm_price is None
+    assert "llm_price" not in talking.evidence().to_json()
+
+
 def test_progress_says_how_many_requests_are_made(talking, monkeypatch):
     monkeypatch.setattr(progress_display, "LINES_INTERVAL", 0.005)
     ini = talking.path / "pytest.ini"
@@ -160,7 +297,7 @@ def test_ctrl_c_waits_for_no_answer_and_what_was_done_is_taken_over(talking, ser
     answer = answers_by(speed)
 
     def slow(exchange):
-        if "gap" in exchange.request.prompt and len(prompts(server)) > 20:
+        if "gap" in exchange.request.prompt and len(prompts(server)) > 45:
             first.set()
             exchange.sleep(20.0)
         answer(exchange)
@@ -168,7 +305,7 @@ def test_ctrl_c_waits_for_no_answer_and_what_was_done_is_taken_over(talking, ser
     server._otherwise = slow
     command = [
         *(sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--dura-scenarios"),
-        *("--dura-select=corridor/it*", GENERATOR, "--dura-runs=6", "--dura-llm=record"),
+        *("--dura-select=corridor/it*", GENERATOR, "--dura-runs=12", "--dura-llm=record"),
         "--dura-llm-concurrency=3",
     ]
     with subprocess.Popen(
@@ -187,7 +324,7 @@ def test_ctrl_c_waits_for_no_answer_and_what_was_done_is_taken_over(talking, ser
     assert (record.status, record.gate.result) == ("interrupted", "incomplete")
     assert verify_bundle(talking.path / "dura-evidence").problems == [INCOMPLETE]
     server._otherwise = answer
-    resumed = run(talking, "record", "--dura-resume", "--dura-llm-concurrency=3", runs=6)
+    resumed = run(talking, "record", "--dura-resume", "--dura-llm-concurrency=3", runs=12)
     resumed.assert_outcomes(passed=2)
     assert talking.evidence().reuse.taken_over > 0
-    assert len(prompts(server)) - len(set(prompts(server))) <= 3
+    assert len(prompts(server)) - len(set(prompts(server))) <= 6

@@ -48,6 +48,7 @@ from pytest_dura.reports.role_tables import (
 )
 from pytest_dura.reports.svg import Scale
 from pytest_dura.reports.tables import case_columns
+from pytest_dura.reports.usage import usage_columns, usage_rows
 
 Data = Mapping[str, Any]
 Heading = Mapping[str, Any]
@@ -443,7 +444,8 @@ def failure_mode_section(
     record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
     """A table over all cases for each component that gave accounts, and one of single cases."""
-    cases = record.head.cases
+    cases, price = record.head.cases, record.head.llm_price
+    usage = usage_rows(cases, price)
     rows = [
         FailureModeRow(failure_mode, case.component, case)
         for case in cases_with_accounts(cases)
@@ -463,6 +465,8 @@ def failure_mode_section(
         "null": NULL_NOTE,
         "columns": shown_in(failure_mode_columns(), Shown.PAGE),
         "case_columns": shown_in(failure_mode_columns(by_case=True), Shown.PAGE),
+        "usage": usage[:MAX_MODE_ROWS],
+        "usage_columns": usage_columns(price),
         "rows": rows[:MAX_MODE_ROWS],
         "left_out": len(rows[MAX_MODE_ROWS:]),
     }

@@ -54,6 +54,7 @@ from pytest_dura.reports.tables import (
     OutcomeRow,
     SearcherRow,
 )
+from pytest_dura.reports.usage import spending_text
 from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.reports.wording import (
     conclusion_sentences,
@@ -355,7 +356,9 @@ def provenance_section(
     """Components, packages, inputs and timings, and the comparisons with the baseline."""
     return {
         "components": components_under_test(record),
-        "models": record.head.models,
+        "models": [
+            (model, spending_text(model, record.head.llm_price)) for model in record.head.models
+        ],
         "packages": sorted(record.head.environment.packages.items()),
         "redacted": sorted(record.head.redacted.items()),
         "inputs": record.head.inputs,
