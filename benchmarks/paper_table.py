@@ -99,11 +99,12 @@ def case_of(scenario: str, attacked: bool) -> Case:
     return case
 
 
-def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
-    """One episode."""
+def run(job: tuple[Key, str | RoleSpec, int]) -> tuple[Key, Outcome]:
+    """One episode of a planner, by its short name or as a role."""
     key, generator, base_seed = job
     scenario, attacked, policy, number = key
-    roles = {"generator": RoleSpec(PLANNERS[generator])}
+    role = RoleSpec(PLANNERS[generator]) if isinstance(generator, str) else generator
+    roles = {"generator": role}
     case = case_of(scenario, attacked)
     spec = case.spec(number, base_seed, roles, policy=policy)
     episode = Orchestrator.build(spec).run(spec)
@@ -348,6 +349,33 @@ def _bar(bar: tuple[float, float] | None, colour: str, top: float, x: Scale) -> 
     yield tag("text", f"{middle:.1f}", x=right + 5, y=y + 4, font_size=10)
 
 
+def places() -> tuple[list[str], list[str]]:
+    """The scenarios in the paper's order, and those with attacks."""
+    by_place = sorted(
+        expand_cases(load_library([]).scenarios),
+        key=lambda case: (case.scenario.order or len(PAPER) + 1, case.id),
+    )
+    return [case.id for case in by_place], [case.id for case in by_place if case.faults]
+
+
+def keys_of(scenarios: list[str], attacks: list[str], runs: int) -> list[Key]:
+    """All runs of a planner: each scenario with and without recovery, and without its attack."""
+    keys: list[Key] = [(s, True, p, n) for s in scenarios for p in POLICIES for n in range(runs)]
+    return keys + [(s, False, p, n) for s in attacks for p in POLICIES for n in range(runs)]
+
+
+def print_tables(name: str, arms: Arms, scenarios: list[str], attacks: list[str]) -> None:
+    """The tables of a planner, below a heading."""
+    print(f"### {name}\n")
+    print(paper_table(arms, scenarios, attacks))
+    print("\nHow far does it lie from the paper's, attacks and recovery on?\n")
+    print(against_paper(arms, scenarios))
+    print("\nDo attacks raise flags, collisions and clearance time? (recovery on)\n")
+    print(effect_of_attacks(arms, attacks))
+    print("\nDoes switching recovery off raise collisions? (log_only against recover)\n")
+    print(effect_of_recovery(arms, scenarios), end="\n\n", flush=True)
+
+
 def main() -> None:
     """Run, compare, print, draw."""
     arguments = argparse.ArgumentParser(description=__doc__)
@@ -360,15 +388,8 @@ def main() -> None:
     arguments.add_argument("--seed", type=int, default=0)
     arguments.add_argument("--figure", type=Path, help="write the clearance times there, as SVG")
     options = arguments.parse_args()
-    by_place = sorted(
-        expand_cases(load_library([]).scenarios),
-        key=lambda case: (case.scenario.order or len(PAPER) + 1, case.id),
-    )
-    scenarios = [case.id for case in by_place]
-    attacks = [case.id for case in by_place if case.faults]
-    runs = range(options.runs)
-    keys: list[Key] = [(s, True, p, n) for s in scenarios for p in POLICIES for n in runs]
-    keys += [(s, False, p, n) for s in attacks for p in POLICIES for n in runs]
+    scenarios, attacks = places()
+    keys = keys_of(scenarios, attacks, options.runs)
     print(f"{machine()}\n")
     planners = {}
     with ProcessPoolExecutor(options.jobs) as pool:
@@ -377,14 +398,7 @@ def main() -> None:
             arms = Arms(dict(pool.map(run, jobs, chunksize=20)), options.runs)
             planners[generator] = arms
             seeds = f"{options.runs} paired seeds a scenario, base seed {options.seed}"
-            print(f"### {generator}, {seeds}\n")
-            print(paper_table(arms, scenarios, attacks))
-            print("\nHow far does it lie from the paper's, attacks and recovery on?\n")
-            print(against_paper(arms, scenarios))
-            print("\nDo attacks raise flags, collisions and clearance time? (recovery on)\n")
-            print(effect_of_attacks(arms, attacks))
-            print("\nDoes switching recovery off raise collisions? (log_only against recover)\n")
-            print(effect_of_recovery(arms, scenarios), end="\n\n", flush=True)
+            print_tables(f"{generator}, {seeds}", arms, scenarios, attacks)
     if options.figure is not None:
         drawn = clearance_figure(planners, scenarios, options.runs)
         options.figure.write_text(drawn, encoding="utf-8")

@@ -69,6 +69,7 @@ SMALLEST = {
     "structure.py": [],
     "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
+    "tiny_driver.py": ["drives", "--runs", "1", "--component", "tiny"],
     "text_rule.py": [
         *("--runs", "1", "--jobs", "1", "--every", "10"),
         *("--wording", "paraphrased", "--manner", "keen"),
@@ -124,6 +125,7 @@ HEADERS = {
         "0 violations certify 5% after n runs",
         "rate 0.3",
     ],
+    "tiny_driver.py": ["tiny"],
     "text_rule.py": ["flag %", "reason of the flag"],
     "two_simulators.py": ["verdicts that agree", "p", "times"],
 }
@@ -147,7 +149,7 @@ def test_each_script_is_tried_here() -> None:
 
 @pytest.mark.parametrize("script", SMALLEST)
 def test_the_script_prints_its_tables(script, tmp_path, forked_workers) -> None:
-    if script == "llm_replay.py":
+    if script in ("llm_replay.py", "tiny_driver.py"):
         require_null_model()
     if script == "two_simulators.py":
         pytest.importorskip("libsumo")

@@ -112,14 +112,17 @@ def test_the_wheel_holds_what_users_need_and_nothing_else(wheel: Path) -> None:
     assert modules == {name for name in names if name.endswith(".py")}
 
 
-def test_the_source_distribution_holds_the_example_suites_and_their_cassette(tmp_path) -> None:
+def test_the_source_distribution_holds_the_example_suites_and_their_cassettes(tmp_path) -> None:
     build = ["-m", "build", "--sdist", "--no-isolation", "--outdir", str(tmp_path)]
     run(sys.executable, *build, str(REPOSITORY), cwd=tmp_path)
     (found,) = tmp_path.glob("*.tar.gz")
     with tarfile.open(found) as opened:
         names = {name.partition("/")[2] for name in opened.getnames()}
-    suite = "example_suites/llm_planner"
-    assert {f"{suite}/null-model.sqlite", f"{suite}/conftest.py"} <= names
+    suites = {"llm_planner": "null-model.sqlite", "tiny_driver": "tiny-driver.sqlite"}
+    for suite, cassette in suites.items():
+        folder = f"example_suites/{suite}"
+        assert {f"{folder}/{cassette}", f"{folder}/conftest.py"} <= names
+    assert "example_suites/tiny_driver/tiny-driver.gguf" in names
 
 
 def test_the_built_in_scenarios_are_those_of_this_installation(installation: Installation) -> None:
