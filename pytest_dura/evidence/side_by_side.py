@@ -28,11 +28,11 @@ from pytest_dura.evidence.baseline import (
 )
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 from pytest_dura.evidence.entry import plain_data
-from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry, UsageEntry
 from pytest_dura.evidence.files import file_entry, files_below
 from pytest_dura.evidence.metrics import percentile_summary
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.session_model import MeasureEntry
+from pytest_dura.evidence.session_model import MeasureEntry, PriceEntry
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.evidence.verify import hash_problems, resume_files
@@ -77,6 +77,7 @@ class Figures:
         failure_modes: By name.
         answer_times: Percentiles of the wall-clock seconds of decisions; ``None`` without any.
         answer_ages: Percentiles of their ages in simulated seconds; ``None`` without any.
+        usage: Requests to language models and tokens; ``None`` where no run tells of any.
     """
 
     run: int
@@ -85,6 +86,7 @@ class Figures:
     failure_modes: Mapping[str, ModeCount]
     answer_times: Mapping[str, Any] | None
     answer_ages: Mapping[str, Any] | None
+    usage: UsageEntry | None
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,7 @@ class Side:
         status: ``complete`` or ``interrupted``.
         gate: Result of the session's gate, which may be on further components.
         base_seed: The session's.
+        price: Of a million tokens, as the session was given it; ``None`` without.
         verdicts: All of the component, in the record's order.
         figures: Over the shared cases.
     """
@@ -133,6 +136,7 @@ class Side:
     status: str
     gate: str
     base_seed: int
+    price: PriceEntry | None
     verdicts: Sequence[VerdictShown]
     figures: Figures
 
@@ -262,6 +266,7 @@ class _Run:
     tallies: Mapping[str, ModeCount]
     answer_seconds: Sequence[float]
     answer_ages: Sequence[float]
+    usage: UsageEntry | None
 
     @classmethod
     def of(cls, episode: EpisodeEntry) -> _Run:
@@ -273,6 +278,7 @@ class _Run:
             {name: ModeCount(**tally.to_json()) for name, tally in metrics.tallies.items()},
             metrics.answer_seconds,
             metrics.answer_ages,
+            metrics.answer_usage,
         )
 
 
@@ -299,6 +305,7 @@ class _Read:
             status=head.status,
             gate=head.gate.result,
             base_seed=head.base_seed,
+            price=head.llm_price,
             verdicts=[_shown_verdict(verdict) for verdict in own],
             figures=_figures([run for case in cases for run in self.runs[case].values()], measures),
         )
@@ -487,7 +494,15 @@ def _figures(runs: Sequence[_Run], measures: Sequence[MeasureEntry]) -> Figures:
         modes,
         percentile_summary(value for run in valid for value in run.answer_seconds),
         percentile_summary(value for run in valid for value in run.answer_ages),
+        _summed_usage([run.usage for run in valid if run.usage is not None]),
     )
+
+
+def _summed_usage(usages: Sequence[UsageEntry]) -> UsageEntry | None:
+    if not usages:
+        return None
+    names = UsageEntry.model_fields
+    return UsageEntry(**{name: sum(getattr(each, name) for each in usages) for name in names})
 
 
 def _added(mode: ModeCount, tally: ModeCount) -> ModeCount:

@@ -24,6 +24,7 @@ from pytest_dura.reports.failure_modes import (
     failure_mode_text,
     percent_text,
 )
+from pytest_dura.reports.usage import price_text
 
 _WIDTH = 100
 _LEVEL = 0.05
@@ -140,6 +141,7 @@ def _figures(result: SideBySide) -> Iterator[str]:
             rows.append([f"{failure_mode_text(name(mode))} %{which}", *cells])
     rows += _times("answers s", [own.answer_times for own in figures])
     rows += _times("age of decisions s", [own.answer_ages for own in figures])
+    rows += _spending(sides)
     about = counted(len(result.cases), "shared case")
     yield from _aligned([about, *(side.letter for side in sides)], rows)
     if any(own.failure_modes for own in figures):
@@ -181,6 +183,27 @@ def _times(label: str, spreads: Sequence[Mapping[str, Any] | None]) -> list[list
         ]
         for key, text in named.items()
     ]
+
+
+def _spending(sides: Sequence[Side]) -> list[list[str]]:
+    """Rows with requests, tokens and price, where any component's runs tell of them."""
+    usages = [side.figures.usage for side in sides]
+    if not any(usages):
+        return []
+    labels = {
+        "requests": "requests to models", "prompt": "tokens of prompts",
+        "completion": "tokens of answers", "uncounted": "answers without a count of tokens",
+    }  # fmt: skip
+    rows = [
+        [label, *("-" if usage is None else str(getattr(usage, key)) for usage in usages)]
+        for key, label in labels.items()
+        if key != "uncounted" or any(usage and usage.uncounted for usage in usages)
+    ]
+    prices = [
+        "-" if side.price is None or usage is None else price_text(side.price, usage)
+        for side, usage in zip(sides, usages, strict=True)
+    ]
+    return [*rows, ["price of them", *prices]] if {*prices} != {"-"} else rows
 
 
 def _contrast_lines(contrast: Contrast, result: SideBySide, *, everything: bool) -> Iterator[str]:

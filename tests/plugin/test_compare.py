@@ -24,11 +24,13 @@ COMPONENTS = """
 from pytest_dura import Generator, Proposal
 
 class Account(Generator):
-    invents = "GHOST"
+    invents, words = "GHOST", 10
     def propose(self, view):
+        usage = {"requests": 2, "prompt": 100, "completion": self.words, "uncounted": 0}
         account = {"decided": True, "at": view.index, "age": 0.0, "outcome": "answered",
                    "fallback": False, "perceived": ["WALL"], "cited": [self.invents],
-                   "intent": "hold", "maneuver": "proceed", "seconds": 0.5}
+                   "intent": "hold", "maneuver": "proceed", "seconds": 0.5,
+                   "usage": usage}
         return Proposal(self.speed(view), account=account)
 
 class Slow(Account):
@@ -45,7 +47,7 @@ class Calm(Slow):
         return "wait"
 
 class Talker(Calm):
-    invents = "GHOST"
+    invents, words = "GHOST", 50
 """
 TALK = """
 name: talk/it
@@ -118,13 +120,27 @@ def test_components_stand_side_by_side_in_pairs_of_equal_seeds(suite, capsys):
 def test_failure_modes_and_times_of_decisions_stand_side_by_side(suite, capsys):
     suite.write("scenarios/talk.yaml", TALK)
     folders = [
-        keep(suite, component, component, "--dura-scenarios", "--dura-select=talk/*", "-k", "talk")
-        for component in ("Calm", "Talker")
+        keep(
+            suite,
+            component,
+            component,
+            "--dura-scenarios",
+            "--dura-select=talk/*",
+            "-k",
+            "talk",
+            *price,
+        )
+        for component, price in (("Calm", []), ("Talker", ["--dura-llm-price=1000/2000 USD"]))
     ]
     _, out, _ = compare(capsys, *folders, "--all")
     lines = [" ".join(line.split()) for line in out.splitlines()]
     assert "threat ids unperceived % 0.0 (null -) 100.0 (null -)" in lines
     assert "answers s, median 0.50 0.50" in lines
+    # 10 decisions in each of 3 runs.
+    assert "requests to models 60 60" in lines
+    assert "tokens of prompts 3000 3000" in lines
+    assert "tokens of answers 300 1500" in lines
+    assert "price of them - 6 USD" in lines
     assert "threat ids unperceived, runs with it % 3 0.0 100.0 3 0 ~ ~" in lines
     (case,) = [line for line in lines if line.startswith("on talk/it 3 0.0 100.0 3 0")]
     assert case.split()[-2] == "0.25"
