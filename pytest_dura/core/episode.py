@@ -552,10 +552,11 @@ def _first_difference(episode: Episode, other: Episode) -> int | None:
 
 def canonical(data: Any) -> bytes:
     """Encode data as JSON with sorted keys and no blanks: equal data give equal bytes."""
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), default=_plain).encode()
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), default=plain_value).encode()
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
+    """Convert numbers and arrays of numpy, and mappings, as ``default`` of ``json.dumps``."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     if isinstance(value, Mapping):

@@ -8,14 +8,13 @@ import math
 import re
 import zlib
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.episode import Episode, EpisodeSpec, plain_value
 from pytest_dura.core.errors import DuraError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord, Tally
 from pytest_dura.core.simulator import Line, Recording, Scene, Tracks
@@ -66,7 +65,7 @@ def pack(episode: Episode) -> bytes:
         "recording": None if episode.recording is None else _recording(episode.recording, columns),
         "columns": columns.kinds,
     }
-    text = json.dumps(head, default=_plain).encode()
+    text = json.dumps(head, default=plain_value).encode()
     whole = b"%d\n" % len(text) + text + b"".join(columns.data)
     if len(whole) > MAX_UNPACKED_BYTES:
         raise ValueError(f"it takes {len(whole)} bytes, and at most {MAX_UNPACKED_BYTES} are read")
@@ -257,11 +256,3 @@ def _recording_of(data: Data, columns: list[NDArray[Any]]) -> Recording:
     columns_of_texts = {name: tuple(data[name]) for name in texts}
     flags = {name: columns[place] for name, place in data["flags"].items()}
     return Recording(**{**data, **columns_of_texts, "flags": flags, "scene": scene})
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, (np.generic, np.ndarray)):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return dict(value)
-    raise TypeError(f"{type(value).__name__} is no plain data")

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from typing import ClassVar, ParamSpec, TypeVar
+from queue import Empty, SimpleQueue
+from typing import Any, ClassVar, ParamSpec, TypeVar
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
@@ -22,6 +23,15 @@ IN_FLIGHT = 2
 """Episodes per worker that are under way, so that no worker waits for its next one."""
 MAX_SECONDS = 3600.0
 """Limit of an episode in another process, beside the time that its component is given."""
+
+
+def cancel_queued(calls: SimpleQueue[Any]) -> None:
+    """Cancel the futures of all calls that are queued; ``None`` stands for the end of a thread."""
+    with suppress(Empty):
+        while True:
+            call = calls.get_nowait()
+            if call is not None:
+                call.future.cancel()
 
 
 class ExecutorKind(ABC):

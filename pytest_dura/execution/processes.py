@@ -19,7 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import IO, Any, ParamSpec, TypeVar, cast
 
 from pytest_dura.core.errors import DuraError
-from pytest_dura.execution.executors import ExecutorKind
+from pytest_dura.execution.executors import ExecutorKind, cancel_queued
 from pytest_dura.execution.worker import (
     READY,
     RETIRES,
@@ -336,7 +336,7 @@ class ProcessPool(Executor):
             self._closed = True
             self._killing = not wait
             if cancel_futures or not wait:
-                self._drain()
+                cancel_queued(self._calls)
             threads = list(self._threads)
             for _ in threads:
                 self._calls.put(None)
@@ -345,15 +345,6 @@ class ProcessPool(Executor):
                     child.kill()
         for thread in threads:
             thread.join()  # what has been killed ends at once
-
-    def _drain(self) -> None:
-        while True:
-            try:
-                call = self._calls.get_nowait()
-            except Empty:
-                return
-            if call is not None:
-                call.future.cancel()
 
     def _serve(self) -> None:
         """Hand calls to a process, one after the other, in a thread of the pool."""

@@ -13,12 +13,12 @@ from concurrent.futures import Executor, Future
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
 from functools import partial
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from time import monotonic
 from typing import Any, ParamSpec, TypeVar, cast
 
 from pytest_dura.core.boundary import CallEnded, giving_up_by
-from pytest_dura.execution.executors import IN_FLIGHT
+from pytest_dura.execution.executors import IN_FLIGHT, cancel_queued
 from pytest_dura.execution.worker import CallFailedError, ProcessLostError
 
 T = TypeVar("T")
@@ -78,7 +78,7 @@ class EpisodeThreads(Executor):
         with self._lock:
             self._closed = True
             if cancel_futures or not wait:
-                self._drain()
+                cancel_queued(self._calls)
             threads, running = list(self._threads), list(self._running)
             for _ in threads:
                 self._calls.put(None)
@@ -94,15 +94,6 @@ class EpisodeThreads(Executor):
             thread = threading.Thread(target=self._serve, name="dura-episodes", daemon=True)
             self._threads.append(thread)
             thread.start()
-
-    def _drain(self) -> None:
-        while True:
-            try:
-                call = self._calls.get_nowait()
-            except Empty:
-                return
-            if call is not None:
-                call.future.cancel()
 
     def _serve(self) -> None:
         """Carry out calls, one after the other, in a thread of this executor."""

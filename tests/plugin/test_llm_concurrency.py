@@ -292,6 +292,7 @@ def test_what_cannot_be_read_is_one_usage_error(talking, server, given, words):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals")
+@pytest.mark.usefixtures("hears_keys")
 def test_ctrl_c_waits_for_no_answer_and_what_was_done_is_taken_over(talking, server):
     first = threading.Event()
     answer = answers_by(speed)

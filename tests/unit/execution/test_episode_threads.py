@@ -168,8 +168,9 @@ def test_the_end_of_the_executor_waits_for_no_thread_that_goes_on() -> None:
         released.wait(30.0)
         return "late"
 
-    running, queued = threads.submit(blocked), threads.submit(blocked)
+    running = threads.submit(blocked)
     assert entered.wait(10.0)
+    _, queued = threads.submit(blocked), threads.submit(blocked)  # one more than are begun ahead
     begun = time.monotonic()
     threads.shutdown(wait=False, cancel_futures=True)
     assert time.monotonic() - begun < 5.0
