@@ -417,6 +417,14 @@ class RecordBuilder:
         """Doubts about the whole session; each begins with ``infrastructure:``."""
         return sorted({*self._clashes.values(), *self._problems, *self._components.problems()})
 
+    def add_models(self, models: Iterable[Mapping[str, Any]]) -> None:
+        """Add what was asked of language models beside the items' reports.
+
+        Args:
+            models: As in :class:`pytest_dura.evidence.episodes.ItemReport`.
+        """
+        self._models.add(models)
+
     def record(self, status: Status) -> SessionRecord:
         """Make the record; its episodes can be read until the builder is closed.
 

@@ -401,6 +401,8 @@ class SessionEvidence:
             **self._formulas.to_json(),
         }
         self.record.header = self._properties.with_profile(header)
+        # Those of an item that never reported, and of episodes that were begun ahead in vain.
+        self.record.add_models(self.context.redact(self._models.take()))
         record = self.given.with_baseline(self.record.record(status))
         recorded = [*self.record.problems, *self.record.objections]
         self.objections = [*recorded, *self.given.regressions(record)]

@@ -324,6 +324,8 @@ def test_ctrl_c_waits_for_no_answer_and_what_was_done_is_taken_over(talking, ser
     record = talking.evidence()
     assert (record.status, record.gate.result) == ("interrupted", "incomplete")
     assert verify_bundle(talking.path / "dura-evidence").problems == [INCOMPLETE]
+    (model,) = record.models  # also of the item that was interrupted
+    assert model.asked == len(prompts(server)) > 45
     server._otherwise = answer
     resumed = run(talking, "record", "--dura-resume", "--dura-llm-concurrency=3", runs=12)
     resumed.assert_outcomes(passed=2)

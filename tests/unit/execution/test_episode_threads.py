@@ -15,7 +15,7 @@ from thermostat import Controller, HeatMonitor
 from pytest_dura import Assessment, EpisodeSpec, RoleSpec, stream
 from pytest_dura.core import ComponentEnvironmentError, environment_errors, report_environment_error
 from pytest_dura.core.seeding import recording_draws
-from pytest_dura.execution import CallFailedError, EpisodeStore, EpisodeTask, Execution
+from pytest_dura.execution import IN_FLIGHT, CallFailedError, EpisodeStore, EpisodeTask, Execution
 from pytest_dura.execution.threads import EpisodeThreads
 from pytest_dura.library import load_library
 from pytest_dura.runner import Runner
@@ -168,9 +168,8 @@ def test_the_end_of_the_executor_waits_for_no_thread_that_goes_on() -> None:
         released.wait(30.0)
         return "late"
 
-    running = threads.submit(blocked)
+    running, *_, queued = [threads.submit(blocked) for _ in range(IN_FLIGHT + 1)]
     assert entered.wait(10.0)
-    _, queued = threads.submit(blocked), threads.submit(blocked)  # one more than are begun ahead
     begun = time.monotonic()
     threads.shutdown(wait=False, cancel_futures=True)
     assert time.monotonic() - begun < 5.0
