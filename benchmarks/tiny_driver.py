@@ -231,8 +231,8 @@ def modes(model: Path, runs: int) -> None:
             folder = suite_copy(Path(scratch))
             options = ("--dura-scenarios", f"--dura-runs={runs}", "--dura-no-twins")
             session_of(folder, "live", options, environment)
-            (found,) = failure_modes_by_component(list(evidence(folder, "live").cases())).values()
-        for mode in found:
+            (measured,) = failure_modes_by_component(evidence(folder, "live").head.cases).values()
+        for mode in measured:
             share = "-" if mode.share is None else f"{100 * mode.share:.1f}"
             figures.setdefault(mode.name, {})[name] = f"{share} ({mode.hits}/{mode.of})"
     rows = [[mode, *(cells.get(name, "-") for name in servers)] for mode, cells in figures.items()]

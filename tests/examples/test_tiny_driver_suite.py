@@ -19,7 +19,10 @@ from pytest_dura.llm.port import Answer
 SUITE = SUITES / "tiny_driver"
 CASSETTE = "tiny-driver.sqlite"
 SERVER = ("DURA_LLM_BASE_URL", "DURA_LLM_MODEL", "DURA_LLM_API_KEY", "DURA_LLM_ABOUT")
-CALM, ATTACKED = "intersection/conflicting-traffic", "intersection/ghost-obstacle"
+CALM = tuple(
+    f"intersection/{name}" for name in ("nominal", "conflicting-traffic", "pedestrian-crossing")
+)
+ATTACKED = "intersection/ghost-obstacle"
 ANEW = "record the cassette anew: python benchmarks/tiny_driver.py ship"
 
 
@@ -32,12 +35,12 @@ def replay_command():
 
 @pytest.fixture(scope="module")
 def replayed(tmp_path_factory):
-    """The record of two of the six scenarios, as the README's command replays them."""
+    """The record of four of the six scenarios, as the README's command replays them."""
     ignored = shutil.ignore_patterns("*.gguf", "train", "__pycache__")
     suite = shutil.copytree(SUITE, tmp_path_factory.mktemp("tiny") / "my_suite", ignore=ignored)
-    chosen = [f"--dura-select={case}" for case in (CALM, ATTACKED)]
+    chosen = [f"--dura-select={case}" for case in (*CALM, ATTACKED)]
     # Pairs take episodes of their own; the others rest on the planned ones.
-    fewer = ["--dura-no-twins", "-k", "not REC-1 and not SEC", "--dura-evidence-level=summary"]
+    fewer = ["--dura-no-twins", "-k", "not REC-1 and not SEC-", "--dura-evidence-level=summary"]
     with pytest.MonkeyPatch.context() as patched:
         for name in SERVER:
             patched.delenv(name, raising=False)
@@ -62,18 +65,20 @@ def test_its_answers_come_from_the_cassette_alone(replayed):
     assert (model["mode"], model["model"]) == ("replay", "tiny-driver")
     assert (model["asked"], model["missed"]) == (0, 0)
     assert model["reused"] > 40
-    for case in (CALM, ATTACKED):
+    for case in (*CALM, ATTACKED):
         assert modes_of(replayed, case)["fallback"]["hits"] == 0
 
 
-def test_it_gives_way_and_gets_through(replayed):
-    """Who waits for ever is in gridlock here, and who never gives way is flagged or collides."""
-    metrics = of_case(replayed, CALM)
-    assert metrics["measures"]["collided"]["valid"] == 0
+@pytest.mark.parametrize("case", CALM)
+def test_it_gives_way_and_gets_through(replayed, case):
+    """Who waits for ever is in gridlock here, and who never gives way is flagged."""
+    metrics = of_case(replayed, case)
+    assert metrics["valid"] == 1
     assert metrics["flagged"]["valid"] == 0
+    assert metrics["recoveries"] == 0
+    assert metrics["measures"]["collided"]["valid"] == 0
     assert metrics["measures"]["gridlock"]["valid"] == 0
-    # Alone on the road it would be through in 8 s: it was held up, and went on.
-    assert 9.0 < metrics["measures"]["clearance_time"]["mean"] < 25.0
+    assert metrics["measures"]["clearance_time"]["mean"] < 25.0
 
 
 def test_it_is_attacked_and_rescued(replayed):
@@ -89,9 +94,12 @@ def test_it_is_attacked_and_rescued(replayed):
 
 def test_its_failures_are_not_those_of_a_model_that_ignores_its_prompt(replayed):
     for name in ("intent_against_maneuver", "accelerates_into_conflict"):
-        mode = modes_of(replayed, CALM)[name]
-        assert mode["of"] > 0
-        assert mode["hits"] / mode["of"] < 0.3 < mode["null_hits"] / mode["null_of"], mode
+        hits, of, null_hits, null_of = (
+            sum(modes_of(replayed, case)[name][count] for case in CALM)
+            for count in ("hits", "of", "null_hits", "null_of")
+        )
+        assert of > 2
+        assert hits / of < 0.2 < null_hits / null_of
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +142,7 @@ def decided(post, prompt):
 def test_it_brakes_for_what_the_prompt_puts_before_it(server):
     free, *_ = probes()
     blocks = tuple(
-        block if block.name not in ("LIDAR", "CONFLICTS")
+        block if block.name not in ("LIDAR", "CONFLICTS", "CONTROLS")
         else type(block)(block.name, {"missing": 0, "farther": 0, "objects": ()})
         for block in free.blocks
     )  # fmt: skip
