@@ -4,10 +4,10 @@ from .client import OpenAiClient
 from .driving.blocks import BLOCKS, MOST, MOST_SIGNS, driving_prompt, percept_prompt
 from .driving.planner import INTENTS, MANEUVERS, driving_templates, with_conflict, with_injection
 from .endpoint import Endpoint
-from .planner import EVERYTHING
 from .port import Answer, Delivery, Image, Message, Request, ServerFault
 from .prompts import PerceivedText, Prompt, harmless, reordered
 from .session import ModelSession
+from .settings import EVERYTHING
 
 __all__ = [
     "BLOCKS",

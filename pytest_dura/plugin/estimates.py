@@ -24,8 +24,8 @@ from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
-    from pytest_dura.llm.planner import Settings
     from pytest_dura.llm.port import Answer, Request
+    from pytest_dura.llm.settings import Settings
     from pytest_dura.plugin.session import DuraSession
 
 _MODULES = frozenset({"pytest_dura.llm.planner", "pytest_dura.llm.session"})
@@ -114,8 +114,9 @@ def _estimate(session: DuraSession, case: Case, episodes: int) -> _CaseEstimate 
     target = case.roles(session.runner.roles)["generator"].resolve()
     if _MODULES.isdisjoint(sys.modules):  # whoever asks has imported one of them
         return False
-    from pytest_dura.llm.planner import LlmGenerator, Settings
+    from pytest_dura.llm.planner import LlmGenerator
     from pytest_dura.llm.session import using
+    from pytest_dura.llm.settings import Settings
 
     with using(_session(_StandIn("model"))):
         task = session.runner.task(case)

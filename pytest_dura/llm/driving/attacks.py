@@ -69,7 +69,7 @@ def complied_in_words(reading: Reading, system: str) -> list[str]:
         system: The system's message of its request.
     """
     prose = "\n".join(str(reading.content.get(key, "")) for key in ("observations", "reasoning"))
-    swerves = any(not _NOT.search(found["between"]) for found in _SAYS_SWERVE.finditer(prose))
+    swerves = any(not _NOT.search(match["between"]) for match in _SAYS_SWERVE.finditer(prose))
     swerves |= reading.outcome == "unknown_action" and bool(_SWERVES.search(reading.detail))
     reveals = bool(_pieces(prose) & _pieces(system))
     return [goal for goal, reached in zip(IN_WORDS, (swerves, reveals), strict=True) if reached]

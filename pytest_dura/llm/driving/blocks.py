@@ -160,16 +160,16 @@ def _conflict_facts(
     """Facts of the block CONFLICTS; see :func:`pytest_dura.llm.driving.conflicts.conflicts`."""
     if bodies is None or pose is None or speed is None or on_map is None:
         return {"missing": 1, "farther": 0, "objects": ()}
-    found = conflicts(complete([row for _, row in bodies]), pose, speed, on_map)
-    found.sort(key=lambda each: (each.comes, each.begins, int(each.body)))
+    listed = conflicts(complete([row for _, row in bodies]), pose, speed, on_map)
+    listed.sort(key=lambda each: (each.comes, each.begins, int(each.body)))
     objects = []
-    for each in found[:MOST_CONFLICTS]:
+    for each in listed[:MOST_CONFLICTS]:
         name = shown_id(bodies[int(each.body)][0])
         facts = conflict_facts(each, name, speed, on_map.speed_limit)
         objects.append({**facts, "label": label(name)})
     return {
         "missing": 0,
-        "farther": len(found) - len(objects),
+        "farther": len(listed) - len(objects),
         "objects": tuple(sorted(objects, key=by_id)),
     }
 

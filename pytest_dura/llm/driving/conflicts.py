@@ -147,22 +147,22 @@ def _across(body: Body, scene: Scene) -> Conflict | None:
     return Conflict(body.id, begins, ends, comes, leaves, forward)
 
 
-def conflict_facts(found: Conflict, name: str, speed: float, limit: float) -> dict[str, Any]:
+def conflict_facts(conflict: Conflict, name: str, speed: float, limit: float) -> dict[str, Any]:
     """Facts of a conflict: where, when the object is there, and when the ego would be.
 
     Args:
-        found: The conflict.
+        conflict: The conflict.
         name: As the id is shown.
         speed: Of the ego, in m/s.
         limit: Of the road, in m/s.
     """
     times: Mapping[str, float] = {
-        "comes": found.comes,
-        "leaves": found.leaves,
-        "you_come": launched(found.begins, speed, limit),
-        "you_leave": launched(found.ends, speed, limit),
+        "comes": conflict.comes,
+        "leaves": conflict.leaves,
+        "you_come": launched(conflict.begins, speed, limit),
+        "you_leave": launched(conflict.ends, speed, limit),
     }
     return {
-        "id": name, "at": rounded(found.begins), "along": rounded(found.along),
+        "id": name, "at": rounded(conflict.begins), "along": rounded(conflict.along),
         **{key: rounded(value) for key, value in times.items()},
     }  # fmt: skip

@@ -47,7 +47,7 @@ from pytest_dura.llm.driving.blocks import (
 from pytest_dura.llm.driving.conflicts import LATER, Conflict, conflict_facts
 from pytest_dura.llm.driving.readings import VIEWS, own_map, rounded
 from pytest_dura.llm.driving.words import WORDS, kinds_shown
-from pytest_dura.llm.planner import LlmGenerator, Settings
+from pytest_dura.llm.planner import LlmGenerator
 from pytest_dura.llm.port import Message
 from pytest_dura.llm.prompts import (
     Block,
@@ -61,6 +61,7 @@ from pytest_dura.llm.prompts import (
     unhardened,
 )
 from pytest_dura.llm.prose import Vocabulary
+from pytest_dura.llm.settings import Settings
 
 INTENTS: tuple[str, ...] = ("slow_down", "hold", "speed_up")
 

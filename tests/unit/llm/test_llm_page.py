@@ -12,7 +12,7 @@ from pytest_dura.driving.explanations import MEANINGS
 from pytest_dura.llm import EVERYTHING, INTENTS, MANEUVERS
 from pytest_dura.llm.answers import FAILURE_MEANINGS as CLASSES
 from pytest_dura.llm.endpoint import KEY, MODEL, URL
-from pytest_dura.llm.planner import Settings
+from pytest_dura.llm.settings import Settings
 
 PAGE = (Path(__file__).parents[3] / "docs" / "llm.md").read_text()
 FILLED_IN = {"server", "judge_server", "prompts"}

@@ -9,6 +9,7 @@ from models import ALONE, answering, llm_episode
 from speaking_models import DEFECTS, SOUND, answer_of, defective, speaking
 
 from pytest_dura.driving.explanations import KINDS
+from pytest_dura.llm import ModelSession
 from pytest_dura.llm.driving.planner import LlmPlanner
 
 CASE = "intersection/conflicting-traffic"
@@ -90,6 +91,18 @@ def by_words(stated):
     goes = stated["decision"] == "proceed"
     agrees = ("free" in stated["reasoning"]) == goes
     return json.dumps({"agrees": "yes" if agrees else "no"})
+
+
+def test_each_request_of_a_component_counts_its_retries_alike(monkeypatch):
+    counted, ask = [], ModelSession.ask
+
+    def recording(self, request, *given, count_retries=False, **named):
+        counted.append((is_judge(request), count_retries))
+        return ask(self, request, *given, count_retries=count_retries, **named)
+
+    monkeypatch.setattr(ModelSession, "ask", recording)
+    tallies(judged_by(by_words), BESIDE | {"judge": True, "count_retries": True})
+    assert set(counted) == {(False, True), (True, True)}
 
 
 def test_a_judge_finds_who_reasons_the_opposite_and_agrees_with_the_rule():
