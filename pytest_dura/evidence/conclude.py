@@ -7,15 +7,14 @@ by the session that writes the record and again to verify it.
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from typing import Any, TypeAlias
 
-from pytest_dura.evidence.case_model import CaseEntry, CasePlan, ChoicesEntry, RangeEntry
+from pytest_dura.evidence.case_model import CaseEntry, CasePlan, RequirementEntry
 from pytest_dura.evidence.entry import JsonObject
-from pytest_dura.evidence.episode_model import EpisodeEntry, SpecEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import (
     CaseMetrics,
     PooledMetrics,
@@ -25,161 +24,15 @@ from pytest_dura.evidence.metrics import (
     verdicts_on_cases,
 )
 from pytest_dura.evidence.model import SessionRecord, Totals
+from pytest_dura.evidence.operating_domain import (
+    CombinationCoverage,
+    ExposureCoverage,
+    ParameterCoverage,
+)
 from pytest_dura.evidence.redaction import count_redactions
 from pytest_dura.evidence.session_model import InputEntry
 from pytest_dura.evidence.sessions import origin_counts
 from pytest_dura.evidence.verdict_model import MonitorEntry, PairsEntry, VerdictEntry
-
-_BINS = 10
-"""Equal parts of a range, in which values are counted."""
-
-
-class ParameterCoverage:
-    """Counts the values of varied parameters in valid episodes.
-
-    All cases of a scenario draw the same values from the same seed, so that each seed counts once.
-
-    Args:
-        cases: The record's cases; ``variation`` holds the ranges.
-    """
-
-    def __init__(self, cases: Iterable[CasePlan]) -> None:
-        self._scenarios: dict[str, dict[str, _Spread | _Choices]] = {}
-        self._counted: set[tuple[str, str, int]] = set()
-        for case in cases:
-            spreads = self._scenarios.setdefault(case.scenario, {})
-            for path, variation in case.variation.items():
-                if path not in spreads and isinstance(variation, RangeEntry):
-                    spreads[path] = _Spread(variation)
-                elif path not in spreads and isinstance(variation, ChoicesEntry):
-                    spreads[path] = _Choices(variation)
-
-    def add(self, episode: EpisodeEntry) -> None:
-        """Add an episode, if it is a planned and valid one."""
-        if not episode.planned or episode.validity != "valid":
-            return
-        spec = episode.spec
-        scenario = spec.scenario.name
-        for path, spread in self._scenarios.get(scenario, {}).items():
-            key = scenario, path, spec.seed
-            if key not in self._counted:
-                value = _drawn_value(spec, path)
-                if value is not _ABSENT and spread.accepts(value):
-                    self._counted.add(key)
-                    spread.add(value)
-
-    def to_json(self) -> list[dict[str, Any]]:
-        """Convert to ``{scenario, parameter, low, high, choices, drawn, least, ..., covered}``.
-
-        ``bins`` counts the values in ten equal parts of a range, ``choices`` those of each choice;
-        ``covered`` is the share of parts or choices with any.
-        """
-        return [
-            {"scenario": scenario, "parameter": path, **spreads[path].to_json()}
-            for scenario, spreads in sorted(self._scenarios.items())
-            for path in sorted(spreads)
-        ]
-
-
-class _Spread:
-    """Values drawn from an interval."""
-
-    def __init__(self, variation: RangeEntry) -> None:
-        self.low, self.high = float(variation.min), float(variation.max)
-        self.least, self.greatest = math.inf, -math.inf
-        self.bins = [0] * _BINS
-
-    def accepts(self, value: Any) -> bool:
-        """Whether a value is a number, or the numbers of an input over time."""
-        return all(
-            isinstance(element, (int, float)) and not isinstance(element, bool)
-            for element in _elements(value)
-        )
-
-    def add(self, value: Any) -> None:
-        for number in _elements(value):
-            share = (number - self.low) / (self.high - self.low) if self.high > self.low else 0.0
-            self.bins[min(max(int(share * _BINS), 0), _BINS - 1)] += 1
-            self.least, self.greatest = min(self.least, number), max(self.greatest, number)
-
-    def to_json(self) -> dict[str, Any]:
-        drawn = sum(self.bins)
-        # A range without width has a single part.
-        parts = _BINS if self.high > self.low else 1
-        return {
-            "low": self.low,
-            "high": self.high,
-            "choices": None,
-            "drawn": drawn,
-            "least": self.least if drawn else None,
-            "greatest": self.greatest if drawn else None,
-            "bins": self.bins,
-            "covered": sum(count > 0 for count in self.bins) / parts,
-        }
-
-
-class _Choices:
-    """Values drawn from a list."""
-
-    def __init__(self, variation: ChoicesEntry) -> None:
-        self.values: list[Any] = []
-        for value in variation.choice:
-            if not any(_same_value(value, known) for known in self.values):
-                self.values.append(value)
-        self.counts = [0] * len(self.values)
-
-    def accepts(self, value: Any) -> bool:
-        return any(_same_value(known, value) for known in self.values)
-
-    def add(self, value: Any) -> None:
-        for i, known in enumerate(self.values):
-            if _same_value(known, value):
-                self.counts[i] += 1
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "low": None,
-            "high": None,
-            "choices": [
-                {"value": value, "count": count}
-                for value, count in zip(self.values, self.counts, strict=True)
-            ],
-            "drawn": sum(self.counts),
-            "least": None,
-            "greatest": None,
-            "bins": [],
-            "covered": sum(count > 0 for count in self.counts) / len(self.counts),
-        }
-
-
-_ABSENT = object()
-
-
-def _drawn_value(spec: SpecEntry, path: str) -> Any:
-    """Look up a path of a variation, ``world.x.y`` or ``faults.id.x``, in an episode's spec."""
-    head, _, rest = path.partition(".")
-    data: Any = spec.scenario.world
-    if head == "faults":
-        name, _, rest = rest.partition(".")
-        data = next((fault.to_json() for fault in spec.faults if fault.id == name), _ABSENT)
-    for key in rest.split("."):
-        if isinstance(data, Mapping):
-            data = data.get(key, _ABSENT)
-        elif isinstance(data, (list, tuple)) and key.isdecimal() and int(key) < len(data):
-            data = data[int(key)]
-        else:
-            return _ABSENT
-    return data
-
-
-def _elements(value: Any) -> list[Any]:
-    return list(value) if isinstance(value, (list, tuple)) else [value]
-
-
-def _same_value(value: Any, other: Any) -> bool:
-    # To Python, True equals 1; as values of a world they differ.
-    return isinstance(value, bool) == isinstance(other, bool) and bool(value == other)
-
 
 Place: TypeAlias = "tuple[str, str, str, str]"
 """Scenario, faults, requirement and component."""
@@ -191,7 +44,10 @@ WORST_FIRST = ("violated", "undecided", "supported")
 
 
 def coverage(
-    cases: Sequence[CasePlan], verdicts: Iterable[VerdictEntry], episodes: Iterable[EpisodeEntry]
+    cases: Sequence[CasePlan],
+    verdicts: Sequence[VerdictEntry],
+    episodes: Iterable[EpisodeEntry],
+    requirements: Iterable[RequirementEntry] = (),
 ) -> dict[str, Any]:
     """Compute the record's key ``coverage``.
 
@@ -208,18 +64,23 @@ def coverage(
         cases: The record's cases.
         verdicts: The record's verdicts.
         episodes: The record's episodes.
+        requirements: The record's requirements, by whose kinds violations are weighed.
     """
     grid = _Grid(cases, verdicts)
     untested = grid.untested_count()
     shown = list(grid.untested() if untested <= MAX_CELLS else grid.first_untested())
-    parameters = ParameterCoverage(cases)
+    parameters, combinations = ParameterCoverage(cases), CombinationCoverage(cases)
+    exposure = ExposureCoverage(cases, verdicts, requirements)
     for episode in episodes:
-        parameters.add(episode)
+        for counted in (parameters, combinations, exposure):
+            counted.add(episode)
     cells = map(grid.cell, (*grid.statuses, *shown))
     return {
         "cells": sorted(cells, key=itemgetter("scenario", "faults", "requirement", "component")),
         "left_out": untested - len(shown),
         "parameters": parameters.to_json(),
+        **combinations.to_json(),
+        **exposure.to_json(),
     }
 
 
@@ -582,7 +443,9 @@ def conclude_record(
         gate=gate,
         inputs=inputs,
         reuse=record.head.reuse.replace(**origins._asdict()),
-        coverage=coverage(record.head.cases, record.head.verdicts, record.episodes()),
+        coverage=coverage(
+            record.head.cases, record.head.verdicts, record.episodes(), record.head.requirements
+        ),
         timings=timings(
             record.episodes(), wall_seconds=wall_seconds, evidence_seconds=evidence_seconds
         ),

@@ -1,0 +1,475 @@
+"""Coverage of what scenarios vary: single parameters, their pairs, and declared exposure.
+
+All of it is counted over the draws of valid planned episodes, of which each adds a few numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+from pytest_dura.evidence.case_model import (
+    CasePlan,
+    ChoicesEntry,
+    ExposurePlan,
+    RangeEntry,
+    RequirementEntry,
+)
+from pytest_dura.evidence.episode_model import EpisodeEntry, SpecEntry
+from pytest_dura.evidence.verdict_model import VerdictEntry
+
+_BINS = 10
+"""Equal parts of a range, in which values are counted."""
+
+
+class ParameterCoverage:
+    """Counts the values of varied parameters in valid episodes.
+
+    All cases of a scenario draw the same values from the same seed, so that each seed counts once.
+
+    Args:
+        cases: The record's cases; ``variation`` holds the ranges.
+    """
+
+    def __init__(self, cases: Iterable[CasePlan]) -> None:
+        self._scenarios: dict[str, dict[str, _Spread | _Choices]] = {}
+        self._counted: set[tuple[str, str, int]] = set()
+        for case in cases:
+            spreads = self._scenarios.setdefault(case.scenario, {})
+            for path, variation in case.variation.items():
+                if path not in spreads and isinstance(variation, RangeEntry):
+                    spreads[path] = _Spread(variation)
+                elif path not in spreads and isinstance(variation, ChoicesEntry):
+                    spreads[path] = _Choices(variation)
+
+    def add(self, episode: EpisodeEntry) -> None:
+        """Add an episode, if it is a planned and valid one."""
+        if not episode.planned or episode.validity != "valid":
+            return
+        spec = episode.spec
+        scenario = spec.scenario.name
+        for path, spread in self._scenarios.get(scenario, {}).items():
+            key = scenario, path, spec.seed
+            if key not in self._counted:
+                value = _drawn_value(spec, path)
+                if value is not _ABSENT and spread.accepts(value):
+                    self._counted.add(key)
+                    spread.add(value)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Convert to ``{scenario, parameter, low, high, choices, drawn, least, ..., covered}``.
+
+        ``bins`` counts the values in ten equal parts of a range, ``choices`` those of each choice;
+        ``covered`` is the share of parts or choices with any.
+        """
+        return [
+            {"scenario": scenario, "parameter": path, **spreads[path].to_json()}
+            for scenario, spreads in sorted(self._scenarios.items())
+            for path in sorted(spreads)
+        ]
+
+
+class _Spread:
+    """Values drawn from an interval."""
+
+    def __init__(self, variation: RangeEntry) -> None:
+        self.low, self.high = float(variation.min), float(variation.max)
+        self.least, self.greatest = math.inf, -math.inf
+        self.bins = [0] * _BINS
+
+    def accepts(self, value: Any) -> bool:
+        """Whether a value is a number, or the numbers of an input over time."""
+        return all(
+            isinstance(element, (int, float)) and not isinstance(element, bool)
+            for element in _elements(value)
+        )
+
+    def add(self, value: Any) -> None:
+        for number in _elements(value):
+            share = (number - self.low) / (self.high - self.low) if self.high > self.low else 0.0
+            self.bins[min(max(int(share * _BINS), 0), _BINS - 1)] += 1
+            self.least, self.greatest = min(self.least, number), max(self.greatest, number)
+
+    def to_json(self) -> dict[str, Any]:
+        drawn = sum(self.bins)
+        # A range without width has a single part.
+        parts = _BINS if self.high > self.low else 1
+        return {
+            "low": self.low,
+            "high": self.high,
+            "choices": None,
+            "drawn": drawn,
+            "least": self.least if drawn else None,
+            "greatest": self.greatest if drawn else None,
+            "bins": self.bins,
+            "covered": sum(count > 0 for count in self.bins) / parts,
+        }
+
+
+class _Choices:
+    """Values drawn from a list."""
+
+    def __init__(self, variation: ChoicesEntry) -> None:
+        self.values: list[Any] = []
+        for value in variation.choice:
+            if not any(_same_value(value, known) for known in self.values):
+                self.values.append(value)
+        self.counts = [0] * len(self.values)
+
+    def accepts(self, value: Any) -> bool:
+        return any(_same_value(known, value) for known in self.values)
+
+    def add(self, value: Any) -> None:
+        for i, known in enumerate(self.values):
+            if _same_value(known, value):
+                self.counts[i] += 1
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "low": None,
+            "high": None,
+            "choices": [
+                {"value": value, "count": count}
+                for value, count in zip(self.values, self.counts, strict=True)
+            ],
+            "drawn": sum(self.counts),
+            "least": None,
+            "greatest": None,
+            "bins": [],
+            "covered": sum(count > 0 for count in self.counts) / len(self.counts),
+        }
+
+
+_ABSENT = object()
+
+
+def _drawn_value(spec: SpecEntry, path: str) -> Any:
+    """Look up a path of a variation, ``world.x.y`` or ``faults.id.x``, in an episode's spec."""
+    head, _, rest = path.partition(".")
+    data: Any = spec.scenario.world
+    if head == "faults":
+        name, _, rest = rest.partition(".")
+        data = next((fault.to_json() for fault in spec.faults if fault.id == name), _ABSENT)
+    for key in rest.split("."):
+        if isinstance(data, Mapping):
+            data = data.get(key, _ABSENT)
+        elif isinstance(data, (list, tuple)) and key.isdecimal() and int(key) < len(data):
+            data = data[int(key)]
+        else:
+            return _ABSENT
+    return data
+
+
+def _elements(value: Any) -> list[Any]:
+    return list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+def _same_value(value: Any, other: Any) -> bool:
+    # To Python, True equals 1; as values of a world they differ.
+    return isinstance(value, bool) == isinstance(other, bool) and bool(value == other)
+
+
+PAIR_PARTS = 5
+"""Parts of a range where pairs are counted: the 25 cells of a pair can be filled by a campaign."""
+MAX_PAIRED_CHOICES = 20
+"""Values of a choice up to which it stands in pairs."""
+MAX_PAIRS = 1000
+"""Pairs that the record lists."""
+_NO_PART = 255
+
+
+class _Parts:
+    """Equal parts of a range, or the values of a choice, and where a drawn value falls.
+
+    Args:
+        variation: Of one parameter.
+        parts: Parts of a range; choices have a part each.
+    """
+
+    def __init__(self, variation: RangeEntry | ChoicesEntry, parts: int) -> None:
+        self._range = variation if isinstance(variation, RangeEntry) else None
+        self._values = [] if isinstance(variation, RangeEntry) else _Choices(variation).values
+        flat = self._range is not None and not self._range.max > self._range.min
+        self.number = len(self._values) if self._range is None else 1 if flat else parts
+
+    def part_of(self, value: Any) -> int | None:
+        """Return the number of the part; ``None`` for what is no single value of it."""
+        if self._range is None:
+            return next(
+                (i for i, known in enumerate(self._values) if _same_value(known, value)), None
+            )
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            return None
+        low, high = float(self._range.min), float(self._range.max)
+        share = (value - low) / (high - low) if high > low else 0.0
+        return min(max(int(share * self.number), 0), self.number - 1)
+
+
+class CombinationCoverage:
+    """Counts combinations of two parameters of a scenario, in fifths of ranges and single choices.
+
+    Each seed of a scenario counts once; of its cases, one may draw what another leaves out.
+
+    Args:
+        cases: The record's cases; ``variation`` holds the ranges.
+    """
+
+    def __init__(self, cases: Iterable[CasePlan]) -> None:
+        self._unpaired: set[tuple[str, str]] = set()
+        by_scenario: dict[str, dict[str, _Parts]] = {}
+        for case in cases:
+            known = by_scenario.setdefault(case.scenario, {})
+            for path, variation in case.variation.items():
+                parts = _Parts(variation, PAIR_PARTS)
+                over_time = isinstance(variation, RangeEntry) and variation.pieces is not None
+                if over_time or parts.number > max(MAX_PAIRED_CHOICES, PAIR_PARTS):
+                    self._unpaired.add((case.scenario, path))
+                else:
+                    known.setdefault(path, parts)
+        self._parts = {
+            scenario: dict(sorted(paths.items())) for scenario, paths in by_scenario.items()
+        }
+        self._draws: dict[str, dict[int, bytearray]] = {scenario: {} for scenario in by_scenario}
+        """By scenario and seed, the part of each parameter."""
+
+    def add(self, episode: EpisodeEntry) -> None:
+        """Add an episode, if it is a planned and valid one."""
+        if not episode.planned or episode.validity != "valid":
+            return
+        spec = episode.spec
+        parts = self._parts.get(spec.scenario.name, {})
+        if len(parts) < 2:
+            return
+        draws = self._draws[spec.scenario.name]
+        drawn = draws.setdefault(spec.seed, bytearray([_NO_PART] * len(parts)))
+        for place, (path, own) in enumerate(parts.items()):
+            if drawn[place] == _NO_PART:
+                value = _drawn_value(spec, path)
+                part = None if value is _ABSENT else own.part_of(value)
+                drawn[place] = _NO_PART if part is None else part
+
+    def to_json(self) -> dict[str, Any]:
+        """Convert to the key ``combinations``; to nothing where no scenario varies two."""
+        pairs = [pair for scenario in sorted(self._parts) for pair in self._pairs(scenario)]
+        if not pairs:
+            return {}
+        cells = [len(pair["counts"]) * len(pair["counts"][0]) for pair in pairs]
+        worst = sorted(pairs, key=lambda pair: pair["covered"])
+        return {
+            "combinations": {
+                "pairs": len(pairs),
+                "cells": sum(cells),
+                "met": sum(pair["met"] for pair in pairs),
+                "unpaired": len(self._unpaired),
+                "worst": worst[:MAX_PAIRS],
+            }
+        }
+
+    def _pairs(self, scenario: str) -> Iterator[dict[str, Any]]:
+        parts, draws = self._parts[scenario], self._draws[scenario].values()
+        for (i, first), (j, second) in combinations(enumerate(parts), 2):
+            counts = [[0] * parts[second].number for _ in range(parts[first].number)]
+            for drawn in draws:
+                if _NO_PART not in (drawn[i], drawn[j]):
+                    counts[drawn[i]][drawn[j]] += 1
+            cells = [count for row in counts for count in row]
+            met = sum(count > 0 for count in cells)
+            yield {
+                "scenario": scenario,
+                "first": first,
+                "second": second,
+                "drawn": sum(cells),
+                "met": met,
+                "counts": counts,
+                "covered": met / len(cells),
+            }
+
+
+KINDS = ("safety", "security", "recovery", "performance")
+"""Kinds of requirements, the gravest first."""
+
+
+class ExposureCoverage:
+    """Counts which part of the declared exposure was exercised, and weighs violations by it.
+
+    Reference arms, and runs without the fault that no verdict is on, do not count.
+
+    Args:
+        cases: The record's cases; ``exposure`` holds what is declared.
+        verdicts: The record's verdicts.
+        requirements: The record's requirements, for their kinds.
+    """
+
+    def __init__(
+        self,
+        cases: Iterable[CasePlan],
+        verdicts: Sequence[VerdictEntry],
+        requirements: Iterable[RequirementEntry],
+    ) -> None:
+        kinds = {requirement.id: requirement.kind for requirement in requirements}
+        judged = {verdict.case for verdict in verdicts}
+        twins = {verdict.pairs.case for verdict in verdicts if verdict.pairs} - judged
+        self._declared: dict[tuple[str, str], _DeclaredExposure] = {}
+        """By component and scenario."""
+        self._undeclared: dict[str, set[str]] = {}
+        self._scenario_of: dict[tuple[str, str], tuple[str, str]] = {}
+        for case in cases:
+            if case.without or case.id in twins:
+                continue
+            key = case.component, case.scenario
+            if case.exposure is None:
+                self._undeclared.setdefault(case.component, set()).add(case.scenario)
+                continue
+            self._declared.setdefault(key, _DeclaredExposure(case, case.exposure))
+            self._scenario_of[case.id, case.component] = key
+        self._kinds: dict[tuple[str, str], set[str]] = {}
+        """Kinds of the requirements that are judged on each case."""
+        self._violated: dict[tuple[str, str], set[str]] = {}
+        """Kinds that each episode violates."""
+        for verdict in verdicts if self._declared else ():
+            kind = kinds.get(verdict.requirement)
+            if kind is None:
+                continue
+            self._kinds.setdefault((verdict.case, verdict.component), set()).add(kind)
+            for counterexample in verdict.counterexamples:
+                if counterexample.valid:
+                    key = counterexample.episode, verdict.component
+                    self._violated.setdefault(key, set()).add(kind)
+
+    def add(self, episode: EpisodeEntry) -> None:
+        """Add an episode, if it is a planned and valid one of a case that counts."""
+        key = episode.case, episode.component
+        place = self._scenario_of.get(key)
+        if place is None or not episode.planned or episode.validity != "valid":
+            return
+        violated = self._violated.get((episode.id, episode.component), set())
+        self._declared[place].add(episode.spec, self._kinds.get(key, set()), violated)
+
+    def to_json(self) -> dict[str, Any]:
+        """Convert to the key ``exposure``; to nothing where no scenario declares any."""
+        components = sorted({component for component, _ in self._declared})
+        return {"exposure": list(map(self._of_component, components))} if components else {}
+
+    def _of_component(self, component: str) -> dict[str, Any]:
+        own = [exposure for (whose, _), exposure in self._declared.items() if whose == component]
+        own.sort(key=lambda exposure: (-exposure.weight, exposure.scenario))
+        whole = math.fsum(exposure.weight for exposure in own)
+        exercised = math.fsum(exposure.weight * exposure.exercised() for exposure in own)
+        undeclared = self._undeclared.get(component, set()) - {each.scenario for each in own}
+        weighed = (_weighed_violations(kind, own, whole) for kind in KINDS)
+        return {
+            "component": component,
+            "declared": whole,
+            "exercised": _share_of(exercised, whole),
+            "undeclared": sorted(undeclared),
+            "scenarios": [exposure.to_json(whole) for exposure in own],
+            "violations": [entry for entry in weighed if entry["runs"]],
+        }
+
+
+class _DeclaredExposure:
+    """Runs of a scenario with a declared exposure, by the weighted parts that they drew from."""
+
+    def __init__(self, case: CasePlan, exposure: ExposurePlan) -> None:
+        self.scenario, self.weight = case.scenario, float(exposure.weight)
+        self._source = exposure.source
+        self._weights = {
+            path: weights
+            for path, weights in exposure.parameters.items()
+            if weights and path in case.variation
+        }
+        self._parts = {
+            path: _Parts(case.variation[path], len(weights))
+            for path, weights in self._weights.items()
+        }
+        self._runs: Counter[tuple[int | None, ...]] = Counter()
+        self._of_kind: Counter[tuple[str, bool, tuple[int | None, ...]]] = Counter()
+        """Runs by kind, whether they violate it, and parts."""
+
+    def add(self, spec: SpecEntry, kinds: Iterable[str], violated: set[str]) -> None:
+        """Add a run that is judged by requirements of some kinds."""
+        values = ((parts, _drawn_value(spec, path)) for path, parts in self._parts.items())
+        drawn = tuple(None if value is _ABSENT else parts.part_of(value) for parts, value in values)
+        self._runs[drawn] += 1
+        self._of_kind.update((kind, kind in violated, drawn) for kind in kinds)
+
+    def exercised(self) -> float:
+        """Return the share that was exercised."""
+        return min((each["exercised"] for each in self._parameters()), default=1.0) * bool(
+            self._runs
+        )
+
+    def _parameters(self) -> Iterator[dict[str, Any]]:
+        for place, (path, weights) in enumerate(self._weights.items()):
+            runs = [0] * len(weights)
+            for drawn, count in self._runs.items():
+                part = drawn[place]
+                if part is not None and part < len(runs):
+                    runs[part] += count
+            hit = math.fsum(weight for weight, count in zip(weights, runs, strict=True) if count)
+            yield {
+                "parameter": path,
+                "weights": weights,
+                "runs": runs,
+                "exercised": _share_of(hit, math.fsum(weights)),
+            }
+
+    def of_kind(self, kind: str) -> tuple[int, int, float | None]:
+        """Count the runs judged by a kind, and the violating ones, and weigh their share."""
+        counts, weights = [0, 0], [0.0, 0.0]
+        # In an order of their own, so that the sums do not depend on that of the episodes.
+        known = [(key[1:], count) for key, count in self._of_kind.items() if key[0] == kind]
+        for (violates, drawn), count in sorted(known, key=repr):
+            counts[violates] += count
+            weights[violates] += count * self._weight_of(drawn)
+        whole = sum(weights)
+        return sum(counts), counts[True], weights[True] / whole if whole > 0 else None
+
+    def _weight_of(self, drawn: tuple[int | None, ...]) -> float:
+        """Multiply the weights of the parts that a run drew from; what it did not draw is 1."""
+        weight = 1.0
+        for part, weights in zip(drawn, self._weights.values(), strict=True):
+            if part is not None and part < len(weights):
+                weight *= _share_of(weights[part], math.fsum(weights))
+        return weight
+
+    def to_json(self, whole: float) -> dict[str, Any]:
+        """Convert to plain data.
+
+        Args:
+            whole: Sum of all weights of the component's scenarios.
+        """
+        return {
+            "scenario": self.scenario,
+            "weight": self.weight,
+            "source": self._source,
+            "share": _share_of(self.weight, whole),
+            "runs": self._runs.total(),
+            "exercised": self.exercised(),
+            "parameters": list(self._parameters()),
+        }
+
+
+def _weighed_violations(
+    kind: str, scenarios: Sequence[_DeclaredExposure], whole: float
+) -> dict[str, Any]:
+    counted = [(each.weight, *each.of_kind(kind)) for each in scenarios]
+    known = [(weight, share) for weight, _, _, share in counted if share is not None]
+    exposed = math.fsum(weight for weight, _ in known)
+    violated = math.fsum(weight * share for weight, share in known)
+    return {
+        "kind": kind,
+        "runs": sum(runs for _, runs, _, _ in counted),
+        "violating": sum(violating for _, _, violating, _ in counted),
+        "scenarios": sum(runs > 0 for _, runs, _, _ in counted),
+        "of_exposure": _share_of(exposed, whole),
+        "weighed": _share_of(violated, exposed) if known else None,
+    }
+
+
+def _share_of(part: float, whole: float) -> float:
+    """Divide; sums of numbers may be above 1 by a rounding, which no share is."""
+    return min(part / whole, 1.0) if whole > 0 else 0.0
