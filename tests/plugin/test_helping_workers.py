@@ -105,7 +105,10 @@ def test_nobody_helps_with_what_others_would_not_find(logged, project, monkeypat
     assert [test for _, _, test in simulated if test == "-"] == []
 
 
-def test_helping_ends_where_the_requirement_is_decided(logged):
+def test_helping_ends_where_the_requirement_is_decided(logged, monkeypatch):
+    # Episodes so long that a busy machine's pauses are short beside them: who waits for an episode
+    # begins later ones for as long as it waits.
+    monkeypatch.setenv("HELP_SLEEP", "0.02")
     runs = "{until: decided, at_most: 40}"
     evidence, simulated = logged("-n2", runs=runs, requirements=["BASE", "PAIR"])
     verdicts = {one.requirement: one for one in evidence.verdicts}
