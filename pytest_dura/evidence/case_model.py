@@ -515,7 +515,9 @@ class PairEntry(Entry):
     """Draws of both: seeds of valid planned episodes."""
     met: Count
     """Cells with any draw."""
-    counts: list[list[Count]]
+    counts: Annotated[
+        list[Annotated[list[Count], Field(min_length=1)]], Field(min_length=1)
+    ]
     """Draws by cell: a row for each part of the first parameter, in it a number for each part of
     the second. Parts are fifths of a range, or single choices."""
     covered: Share
@@ -525,9 +527,9 @@ class PairEntry(Entry):
 class CombinationsEntry(Entry):
     """Which combinations of the parameters of a scenario were drawn, two at a time."""
 
-    pairs: Count
+    pairs: Positive
     """Pairs of parameters, over all scenarios."""
-    cells: Count
+    cells: Positive
     """Cells of all of them."""
     met: Count
     """Cells with any draw."""

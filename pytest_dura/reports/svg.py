@@ -96,11 +96,11 @@ class Scale:
         return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
 
     @classmethod
-    def from_zero(cls, greatest: float, start: float, end: float) -> Scale:
-        """Make a scale from 0 to the first tick above a value."""
-        step = _tick_step(greatest)
-        high = step * (math.floor(greatest / step + 1e-9) + 1)
-        return cls(0.0, high, start, end, step)
+    def between(cls, low: float, high: float, start: float, end: float) -> Scale:
+        """Make a scale from the last tick up to a value to the first tick from another one on."""
+        step = _tick_step(high - low if high > low else max(abs(high), 1.0))
+        first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+        return cls(first * step, max(last, first + 1) * step, start, end, step)
 
     @property
     def ticks(self) -> list[float]:
@@ -110,9 +110,7 @@ class Scale:
 
 
 def _tick_step(greatest: float) -> float:
-    """Return 1, 2 or 5 times a power of ten that gives five to ten ticks up to a value."""
-    if greatest <= 0:
-        return 1.0
+    """Return 1, 2 or 5 times a power of ten that gives five to ten ticks up to a value above 0."""
     power = 10.0 ** math.floor(math.log10(greatest / 5))
     return next(step for step in (power, 2 * power, 5 * power, 10 * power) if greatest / step < 10)
 

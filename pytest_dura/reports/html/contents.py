@@ -147,8 +147,6 @@ def _passed(verdict: VerdictEntry) -> bool:
 
 MAX_LISTED = 1000
 """Episodes in the list."""
-_MAX_DOTS = 200
-"""Runs of a case that are drawn one by one."""
 UNREMARKABLE = 4
 """Rank of a valid episode without a violation, a flag or a notable measure."""
 _MAX_CANDIDATES = 36
@@ -161,14 +159,10 @@ class CaseTally:
 
     Args:
         validities: How many episodes are valid, invalid and missing, those run by hand included.
-        numbers: By measure, those of the first valid planned runs that have one.
-        having: By measure, how many runs have one.
         outcomes: Of each fault, how many planned episodes came to which outcome.
     """
 
     validities: Counter[str] = field(default_factory=Counter)
-    numbers: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
-    having: Counter[str] = field(default_factory=Counter)
     outcomes: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
 
     def add(self, episode: EpisodeEntry) -> None:
@@ -178,13 +172,6 @@ class CaseTally:
             return
         for fault in episode.faults:
             self.outcomes[fault.id][fault.outcome or "not followed"] += 1
-        if episode.validity != "valid":
-            return
-        for name, value in episode.outcome.measures.items():
-            if value is not None and not isinstance(value, bool):
-                self.having[name] += 1
-                if len(self.numbers[name]) < _MAX_DOTS:
-                    self.numbers[name].append(value)
 
 
 @dataclass(frozen=True)

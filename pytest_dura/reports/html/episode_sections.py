@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from pytest_dura.evidence.case_model import (
     CaseEntry,
     CellEntry,
-    MeasuredNumbers,
     ParameterEntry,
 )
 from pytest_dura.evidence.model import SessionRecord
@@ -46,7 +44,6 @@ from pytest_dura.reports.role_tables import (
     FaultRow,
     failure_mode_columns,
 )
-from pytest_dura.reports.svg import Scale
 from pytest_dura.reports.tables import case_columns
 from pytest_dura.reports.usage import usage_columns, usage_rows
 
@@ -87,86 +84,8 @@ def matrix(
     return {"corner": corner, "columns": requirements, "rows": rows}
 
 
-CHART_LEFT, CHART_RIGHT, CHART_TOP = 8.0, 712.0, 8.0
-_CHART_ROW = 46.0
-"""Height of a case: its name, and its runs below."""
-_CHART_JITTER = (0.0, 4.0, -4.0, 2.0, -2.0)
-"""Runs of nearly the same time are shifted up and down in turn, so that each can be seen."""
-
-
-@dataclass(frozen=True)
-class MeasureRow:
-    """A case of the plot.
-
-    Args:
-        case: Id of the case.
-        numbers: Of single runs.
-        runs: How many runs have one, of which ``numbers`` may hold the first only.
-        mean: Over all of them.
-        sd: Standard deviation; ``None`` for a single run.
-    """
-
-    case: str
-    numbers: Sequence[float]
-    runs: int
-    mean: float | None
-    sd: float | None
-
-
-def measure_chart(rows: Sequence[MeasureRow]) -> Mapping[str, Any]:
-    """The plot's lines, dots and labels, in its own coordinates.
-
-    Args:
-        rows: At least one, each with at least one run.
-    """
-    greatest = max(max(row.numbers) for row in rows)
-    greatest = max([greatest, *((row.mean or 0.0) + (row.sd or 0.0) for row in rows)])
-    scale = Scale.from_zero(greatest, CHART_LEFT, CHART_RIGHT)
-    height = CHART_TOP + _CHART_ROW * len(rows)
-    return {
-        "width": CHART_RIGHT + 8.0,
-        "height": height + 40.0,
-        "left": CHART_LEFT,
-        "right": CHART_RIGHT,
-        "top": CHART_TOP,
-        "bottom": height,
-        "ticks": [{"x": _chart_x(value, scale), "value": value} for value in scale.ticks],
-        "rows": [
-            _chart_row(row, CHART_TOP + _CHART_ROW * place, scale) for place, row in enumerate(rows)
-        ],
-    }
-
-
-def _chart_row(row: MeasureRow, top: float, scale: Scale) -> Mapping[str, Any]:
-    y = top + 31.0
-    mean, sd = row.mean, row.sd or 0.0
-    return {
-        "case": row.case,
-        "y": y,
-        "label": top + 14.0,
-        "dots": [
-            {
-                "x": _chart_x(number, scale),
-                "y": y + _CHART_JITTER[place % len(_CHART_JITTER)],
-            }
-            for place, number in enumerate(row.numbers)
-        ],
-        "numbers": sorted(row.numbers),
-        "runs": row.runs,
-        "mean": mean,
-        "sd": row.sd,
-        "x": None if mean is None else _chart_x(mean, scale),
-        "low": None if mean is None else _chart_x(max(mean - sd, 0.0), scale),
-        "high": None if mean is None else _chart_x(mean + sd, scale),
-    }
-
-
-def _chart_x(value: float, scale: Scale) -> float:
-    return round(scale(value), 1)
-
-
 def scenario_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """One row for each case and component, and a chart for each measure that is a number.
+    """One row for each case and component.
 
     Arms that lack a role come last: they are there to be compared with.
     """
@@ -174,24 +93,12 @@ def scenario_section(record: SessionRecord, contents: ReportContents, _links: Ep
     rows: list[tuple[CaseEntry, str | None]] = []
     measures = record.head.measures
     columns = shown_in(case_columns(cases, measures), Shown.PAGE)
-    charts: dict[str, list[MeasureRow]] = {
-        measure.name: [] for measure in measures if measure.shown == "mean"
-    }
     anchors: set[str] = set()
     shown, rest = split_folded(cases, contents.folded, case_key)
     for case in shown:
         anchor = case_anchor(case.id)
-        tally = contents.cases.get(case_key(case), CaseTally())
         rows.append((case, None if anchor in anchors else anchor))
         anchors.add(anchor)
-        for measure, chart in charts.items():
-            if tally.numbers.get(measure) and not case.without:
-                spread = case.metrics.measures.get(measure)
-                mean, sd = None, None
-                if isinstance(spread, MeasuredNumbers):
-                    mean, sd = spread.mean, spread.sd
-                numbers, runs = tally.numbers[measure], tally.having[measure]
-                chart.append(MeasureRow(case.id, numbers, runs, mean, sd))
     return {
         "groups": [
             {
@@ -208,14 +115,6 @@ def scenario_section(record: SessionRecord, contents: ReportContents, _links: Ep
         ],
         "overall": [total for total in record.head.overall if total.cases > 1],
         "columns": columns,
-        "charts": [
-            {
-                "measure": each,
-                **measure_chart(charts[each.name]),
-            }
-            for each in measures
-            if charts.get(each.name)
-        ],
     }
 
 

@@ -22,7 +22,7 @@ from pytest_dura.reports.columns import (
     seconds_text,
     share_text,
 )
-from pytest_dura.reports.html import episode_sections, verdict_sections
+from pytest_dura.reports.html import episode_sections, plot_sections, verdict_sections
 from pytest_dura.reports.html.contents import (
     BriefEpisode,
     CaseKey,
@@ -240,6 +240,7 @@ _SECTIONS: Mapping[str, Section] = {
     "faults": episode_sections.fault_section,
     "coverage": episode_sections.coverage_section,
     "traceability": verdict_sections.traceability_section,
+    "plots": plot_sections.plot_section,
     "monitors": verdict_sections.monitor_section,
     "episodes": episode_sections.episode_section,
     "provenance": verdict_sections.provenance_section,

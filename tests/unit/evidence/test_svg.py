@@ -46,11 +46,14 @@ def test_a_path_breaks_where_there_is_no_place():
     assert path_of(points) == "M0.0 1.0M2.0 3.0L3.0 4.0"
 
 
-@pytest.mark.parametrize("greatest", [0.0, 0.3, 1.0, 4.9, 9.9, 10.0, 3600.0])
-def test_a_scale_from_zero_ends_at_a_tick_above_the_greatest_value(greatest):
-    scale = Scale.from_zero(greatest, 5.0, 105.0)
-    assert scale.ticks[0] == 0.0
-    assert scale.ticks[-1] == pytest.approx(scale.high)
-    assert scale.high > greatest
-    assert len(scale.ticks) <= 12
-    assert (scale(scale.low), scale(scale.high)) == (5.0, 105.0)
+@pytest.mark.parametrize(
+    "low, high",
+    [(0.0, 0.3), (0.0, 1.0), (-1.0, 0.0), (-26.0, 10.0), (7.2, 7.3), (5.0, 5.0), (0.0, 0.0),
+     (-3.0, -3.0), (-1e100, 1e100), (0.0, 3600.0)],
+)  # fmt: skip
+def test_a_scale_between_numbers_has_few_ticks_around_them(low, high):
+    scale = Scale.between(low, high, 5.0, 105.0)
+    assert scale.ticks[0] <= low + 1e-9 * abs(low)
+    assert scale.ticks[-1] >= high - 1e-9 * abs(high)
+    assert 2 <= len(scale.ticks) <= 13
+    assert (scale(scale.low), scale(scale.high)) == (5.0, pytest.approx(105.0))
