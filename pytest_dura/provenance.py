@@ -589,7 +589,21 @@ def _distribution_of(top: str, file: Path | None) -> str | None:
 
 @cache
 def _owners() -> Mapping[str, list[str]]:
-    return metadata.packages_distributions()
+    """Distributions by the packages and modules that they bring."""
+    owners = metadata.packages_distributions()
+    if sys.version_info < (3, 11):
+        # Python 3.10 reads top_level.txt alone, which few of today's build tools write.
+        owners = {package: list(names) for package, names in owners.items()}
+        for distribution in metadata.distributions():
+            if distribution.read_text("top_level.txt"):
+                continue
+            for package in {
+                file.parts[0] if len(file.parts) > 1 else file.stem
+                for file in distribution.files or ()
+                if file.suffix == ".py"
+            }:
+                owners.setdefault(package, []).append(distribution.metadata["Name"])
+    return owners
 
 
 def _git(root: Path, evidence: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Models of requirements and cases in the record: their faults, figures and coverage."""
+"""Models of hazards, requirements and cases in the record: their faults, figures and coverage."""
 
 from __future__ import annotations
 
@@ -33,6 +33,25 @@ class PairedEntry(Entry):
     """Greatest acceptable growth of the measure, in its unit."""
 
 
+class HazardEntry(Entry):
+    """A state of the system that leads to a loss in worst-case conditions, as its author says."""
+
+    id: str
+    """Unique name."""
+    text: str
+    """The state of the system, in words."""
+    loss: str
+    """What it may lead to that somebody does not want to lose."""
+    severity: Literal["S0", "S1", "S2", "S3"] | None
+    """Class of severity as its author declares it, by the names of ISO 26262-3; null for none."""
+    operating_condition: str
+    """Under which conditions of operation it leads to the loss."""
+    triggering_condition: str
+    """Which conditions of a scene, or which attacks, may bring it about."""
+    source: str
+    """Which analysis it comes from."""
+
+
 class RequirementEntry(Entry):
     """A requirement."""
 
@@ -61,6 +80,8 @@ class RequirementEntry(Entry):
     """Globs of scenarios to which it applies besides those that name it."""
     paired: PairedEntry | None
     """For a requirement on pairs of runs."""
+    mitigates: Absent[list[str]] = None
+    """Ids of the hazards that meeting it mitigates; absent where it names none."""
 
 
 class RangeEntry(Entry):

@@ -108,6 +108,8 @@ def plain_data(value: Any) -> Any:
     """
     if value is None or isinstance(value, (bool, int, str)):
         return value
+    if isinstance(value, float):  # numpy's doubles are such; before the slower questions
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, Entry):
         return value.to_json()
     if isinstance(value, Mapping):
@@ -116,6 +118,4 @@ def plain_data(value: Any) -> Any:
         return [plain_data(entry) for entry in value]
     if hasattr(value, "tolist"):  # numpy's scalars and arrays
         return plain_data(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
     raise TypeError(f"{type(value).__name__} is not plain data")

@@ -194,8 +194,9 @@ class TraceEntry(Entry):
     """SHA-256 of the file."""
     bytes: Positive
     """Its size, in bytes."""
-    kept_for: Literal["violation", "sample", "missing", "all"]
-    """Why it was kept."""
+    kept_for: Literal["violation", "sample", "missing", "all", "twin"]
+    """Why it was kept; `twin` if only to be seen beside a counterexample, as its run of the same
+    seed without its faults or without a role."""
 
 
 class OriginEntry(Entry):

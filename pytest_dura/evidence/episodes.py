@@ -23,7 +23,7 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.measures import Measure, measured
-from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CasePlan, HazardEntry, RepeatEntry, RequirementEntry
 from pytest_dura.evidence.entry import Entry, JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import with_chains
@@ -109,7 +109,7 @@ def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
 
 EPISODES_PER_PART = 64
 """Episodes that a report holds unpacked; see :meth:`ItemReport.split`."""
-_PART_KEYS = ("components", "cases", "measures", "requirements", "episodes", "chains")
+_PART_KEYS = ("components", "cases", "measures", "hazards", "requirements", "episodes", "chains")
 
 
 class ClaimReport(Entry):
@@ -142,6 +142,7 @@ class ItemReport:
         sources: SHA-256 of the files of components by their names, by the components' digests.
         cases: Cases that it used.
         measures: What the simulators declare.
+        hazards: Those that the requirements mitigate, and once in each process those of the user.
         requirements: Each requirement involved.
         episodes: Of :func:`episode_record`.
         verdicts: On campaigns.
@@ -170,6 +171,7 @@ class ItemReport:
     sources: dict[str, dict[str, str]] = field(default_factory=dict)
     cases: list[CasePlan] = field(default_factory=list)
     measures: list[MeasureEntry] = field(default_factory=list)
+    hazards: list[HazardEntry] = field(default_factory=list)
     requirements: list[RequirementEntry] = field(default_factory=list)
     episodes: list[JsonObject] = field(default_factory=list)
     verdicts: list[AttemptEntry] = field(default_factory=list)
@@ -434,5 +436,5 @@ def _unpacked(data: bytes) -> Any:
 
 def _weight(trace: JsonObject) -> int:
     """Weight of the reason for which a trace is kept."""
-    reasons = ("all", "sample", "missing", "violation")
+    reasons = ("twin", "all", "sample", "missing", "violation")
     return reasons.index(trace.get("kept_for", reasons[0]))

@@ -285,8 +285,8 @@ def _stream_identity(stream: IO[bytes]) -> tuple[int, ...]:
 
 
 InputKind = Literal[
-    "scenario", "requirements", "faults", "test", "conftest", "component", "check", "role",
-    "configuration", "baseline", "argument", "cassette",
+    "scenario", "requirements", "hazards", "faults", "test", "conftest", "component", "check",
+    "role", "configuration", "baseline", "argument", "cassette",
 ]  # fmt: skip
 
 

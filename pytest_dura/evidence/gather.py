@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.core.episode import canonical
-from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CasePlan, HazardEntry, RepeatEntry, RequirementEntry
 from pytest_dura.evidence.conclude import measure_cases
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episodes import (
@@ -314,6 +314,7 @@ class RecordBuilder:
     """Reasons of items why the session does not pass, in order."""
     _components: Components = field(default_factory=Components)
     _measures: dict[str, MeasureEntry] = field(default_factory=dict)
+    _hazards: dict[str, HazardEntry] = field(default_factory=dict)
     _requirements: dict[str, RequirementEntry] = field(default_factory=dict)
     _cases: dict[tuple[str, str], CasePlan] = field(default_factory=dict)
     _components_of: dict[str, list[str]] = field(default_factory=dict)
@@ -350,6 +351,11 @@ class RecordBuilder:
         self._expected[item, known.id, plan.id] = plan
         self._add_requirement(known)
 
+    def add_hazards(self, hazards: Iterable[HazardEntry]) -> None:
+        """Add hazards that the session has to answer for; the first of an id holds."""
+        for hazard in hazards:
+            self._hazards.setdefault(hazard.id, hazard)
+
     def _add_requirement(self, requirement: RequirementEntry) -> None:
         self._requirements.setdefault(requirement.id, requirement)
 
@@ -368,6 +374,7 @@ class RecordBuilder:
         for component in report.components:
             self._components.add(component)
         self._components.add_sources(report.sources)
+        self.add_hazards(report.hazards)
         for requirement in report.requirements:
             self._add_requirement(requirement)
         for case in report.cases:
@@ -442,6 +449,7 @@ class RecordBuilder:
                 "component_under_test": self._components.to_json(),
                 "models": self._models.to_json(),
                 "measures": sorted(self._measures.values(), key=attrgetter("place", "name")),
+                **self._hazards_json(),
                 "requirements": [self._requirements[name] for name in sorted(self._requirements)],
                 "cases": [
                     {**case.to_json(), **_unmeasured(case), "repeat": self._repeats.get(key)}
@@ -454,6 +462,11 @@ class RecordBuilder:
         )
         record = SessionRecord(head, self.directory or Path(), self._spool.__iter__)
         return measure_cases(record)
+
+    def _hazards_json(self) -> JsonObject:
+        """The record's key ``hazards``, if there are any."""
+        hazards = [self._hazards[name] for name in sorted(self._hazards)]
+        return {"hazards": hazards} if hazards else {}
 
     def verdicts(self) -> list[VerdictEntry]:
         """List all verdicts, also on what never reported, sorted by case and requirement."""

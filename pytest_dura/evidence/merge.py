@@ -39,7 +39,7 @@ from pytest_dura.evidence.traces import is_trace_path
 from pytest_dura.evidence.verdict_model import VerdictEntry
 
 _PLANNED_KEYS = set(CasePlan.model_fields)
-_TRACE_REASONS = ("all", "sample", "missing", "violation")
+_TRACE_REASONS = ("twin", "all", "sample", "missing", "violation")
 """Reasons to keep a trace; of several the last one is recorded."""
 
 
@@ -149,6 +149,7 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
             if case.repeat is not None
         ]
         report.measures += head.measures
+        report.hazards += head.hazards or []
         report.requirements += head.requirements
         report.monitors += head.monitors
         report.models += [{**model.to_json(), "process": part.name} for model in head.models]

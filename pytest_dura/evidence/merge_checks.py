@@ -385,6 +385,8 @@ def _read_files(record: SessionRecord) -> NamedValues:
 
 
 def _requirements_and_cases(record: SessionRecord) -> NamedValues:
+    for hazard in record.head.hazards or ():
+        yield f"hazards {hazard.id}", hazard
     for requirement in record.head.requirements:
         yield f"requirements {requirement.id}", requirement
     for case in record.head.cases:

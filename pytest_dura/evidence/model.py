@@ -8,7 +8,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-from pytest_dura.evidence.case_model import CaseEntry, CoverageEntry, OverallEntry, RequirementEntry
+from pytest_dura.evidence.case_model import (
+    CaseEntry,
+    CoverageEntry,
+    HazardEntry,
+    OverallEntry,
+    RequirementEntry,
+)
 from pytest_dura.evidence.entry import Absent, Count, Entry, JsonObject, Positive
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.search_model import SearchEntry
@@ -122,6 +128,9 @@ class RecordHead(Entry):
     """The language models that components asked; empty if none did."""
     measures: list[MeasureEntry]
     """The figures that simulators declare for their episodes, in the order of tables."""
+    hazards: Absent[list[HazardEntry]] = None
+    """Sorted by id: those of the user's files, and of the built-in ones those that a requirement of
+    the session mitigates. Absent where there are none."""
     requirements: list[RequirementEntry]
     """Sorted by id."""
     cases: list[CaseEntry]

@@ -501,8 +501,14 @@ def _texts(value: Any) -> Iterator[str]:
     pending = [value]
     while pending:
         element = pending.pop()
+        kind = type(element)  # exact types first: of the data of a session most are these
+        if kind is float or kind is int or element is None or kind is bool:
+            continue
         if isinstance(element, str):
             yield element
+        elif kind is dict:
+            pending.extend(element)
+            pending.extend(element.values())
         elif isinstance(element, Entry):
             pending.append(element.to_json())
         elif isinstance(element, Mapping):

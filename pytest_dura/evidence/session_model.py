@@ -257,6 +257,7 @@ class InputEntry(Entry):
     kind: Literal[
         "scenario",
         "requirements",
+        "hazards",
         "faults",
         "test",
         "conftest",

@@ -127,6 +127,8 @@ def _retention_problems(
         return
     if level == "summary":
         yield "it has a trace, at the evidence level summary"
+    if trace.kept_for == "twin" and level != "violations":
+        yield f"its trace is kept as a twin, at the evidence level {level}"
     if violated and trace.kept_for != "violation":
         yield f"its trace is kept for {trace.kept_for!r}, and it violated a requirement"
     if trace.file != trace_path(episode.to_json(include=_IDENTITY)):

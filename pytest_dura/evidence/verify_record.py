@@ -22,6 +22,7 @@ from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, EpisodeMetricsEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, repeat_problems
 from pytest_dura.evidence.gather import question_key
+from pytest_dura.evidence.hazards import hazard_problems
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.redaction import holds_redaction
 from pytest_dura.evidence.search_model import (
@@ -384,6 +385,7 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
             yield f"case {case.id}: {problem}"
     for verdict in record.head.verdicts:
         yield from _verdict_problems(verdict, cases, requirements, ids)
+    yield from hazard_problems(record)
     yield from _question_problems(record)
     yield from _monitor_problems(record, cases)
     yield from search_problems(record)

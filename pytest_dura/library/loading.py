@@ -1,4 +1,4 @@
-"""Library: the scenarios and requirements of files, and the library that a session uses."""
+"""Library: scenarios, requirements and hazards of files, and the library that a session uses."""
 
 from __future__ import annotations
 
@@ -16,6 +16,12 @@ from pytest_dura.library.cases import no_match_error
 from pytest_dura.library.checks import check_scenario
 from pytest_dura.library.documents import Document, read_yaml
 from pytest_dura.library.fault_campaigns import ScenarioFaults
+from pytest_dura.library.hazards import (
+    LocatedHazard,
+    is_hazard_file,
+    mitigation_problems,
+    read_hazards,
+)
 from pytest_dura.library.requirements import (
     LocatedRequirement,
     apply_of_component,
@@ -27,6 +33,7 @@ from pytest_dura.library.requirements import (
     unused_requirements,
 )
 from pytest_dura.library.scenario import SCHEMA_FILE, Scenario
+from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.model import Requirement
 
 _SUFFIXES = (".yaml", ".yml")
@@ -46,6 +53,9 @@ class Library:
         unused: Places ``file:line`` of the user's requirements that no scenario uses, by id.
         defined_in: The file of each requirement, by id.
         faults: The scenarios' faults as they were read for the checks, by the scenario's name.
+        hazards: By id.
+        own_hazards: Ids of those in the user's files.
+        hazards_in: The file of each hazard, by id.
     """
 
     scenarios: dict[str, Scenario]
@@ -54,6 +64,17 @@ class Library:
     unused: Mapping[str, str] = field(default_factory=dict)
     defined_in: Mapping[str, str] = field(default_factory=dict)
     faults: Mapping[str, ScenarioFaults] = field(default_factory=dict, repr=False)
+    hazards: Mapping[str, Hazard] = field(default_factory=dict)
+    own_hazards: frozenset[str] = frozenset()
+    hazards_in: Mapping[str, str] = field(default_factory=dict)
+
+    def hazards_of(self, named: Iterable[str]) -> list[Hazard]:
+        """List the hazards that a session with requirements on the named ones has to answer for.
+
+        These are all of the user's files, and of the built-in ones those that are named.
+        """
+        wanted = self.own_hazards.union(named)
+        return [hazard for name, hazard in self.hazards.items() if name in wanted]
 
 
 def builtin_paths() -> list[Path]:
@@ -93,9 +114,12 @@ def load_library(
     own = [Path(path) for path in paths]
     documents = _documents([*builtin_paths(), *own] if builtin else own)
     scenarios, faults = _scenarios(documents)
+    hazards = _hazards(documents)
     own_requirements = _requirements(documents)
     of_component = _requirements(_documents(brought))
     located = dict(sorted({**of_component, **own_requirements}.items()))
+    if problems := mitigation_problems(located, hazards):
+        raise combine_errors(problems)
     scenarios = apply_requirements(scenarios, own_requirements)
     scenarios = apply_of_component(scenarios, of_component, located)
     _map_collecting_errors(
@@ -114,13 +138,18 @@ def load_library(
         unused=unused_requirements(scenarios, located, user_files),
         defined_in={name: each.document.file for name, each in located.items()},
         faults=faults,
+        hazards={name: each.hazard for name, each in hazards.items()},
+        own_hazards=frozenset(
+            name for name, each in hazards.items() if each.document.file in user_files
+        ),
+        hazards_in={name: each.document.file for name, each in hazards.items()},
     )
 
 
 def load_scenarios(paths: Sequence[Path | str]) -> dict[str, Scenario]:
     """Read the scenarios in files and below folders, by name, sorted.
 
-    Hidden files and folders, and requirement files, are skipped.
+    Hidden files and folders, and files of requirements and hazards, are skipped.
 
     Raises:
         ConfigurationError: One for all errors in all files, two scenarios of the same name, a path
@@ -177,7 +206,11 @@ def _files(path: Path) -> list[Path]:
 def _scenarios(
     documents: Sequence[Document],
 ) -> tuple[dict[str, Scenario], dict[str, ScenarioFaults]]:
-    files = [document for document in documents if not is_requirement_file(document)]
+    files = [
+        document
+        for document in documents
+        if not is_requirement_file(document) and not is_hazard_file(document)
+    ]
     scenarios: dict[str, Scenario] = {}
     read: dict[str, ScenarioFaults] = {}
 
@@ -214,6 +247,22 @@ def _requirements(documents: Sequence[Document]) -> dict[str, LocatedRequirement
         add, [document for document in documents if is_requirement_file(document)]
     )
     return dict(sorted(requirements.items()))
+
+
+def _hazards(documents: Sequence[Document]) -> dict[str, LocatedHazard]:
+    hazards: dict[str, LocatedHazard] = {}
+
+    def add(document: Document) -> None:
+        for located in read_hazards(document):
+            name = located.hazard.id
+            before = hazards.setdefault(name, located)
+            if before is not located:
+                raise _duplicate_error(
+                    "hazard", name, (before.document, before.key), (document, located.key)
+                )
+
+    _map_collecting_errors(add, [document for document in documents if is_hazard_file(document)])
+    return dict(sorted(hazards.items()))
 
 
 def _duplicate_error(

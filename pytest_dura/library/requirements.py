@@ -71,6 +71,8 @@ class RequirementEntry(Entry):
     """Globs of the scenarios to which it applies besides those that name it."""
     paired: PairedEntry | None = None
     """For a requirement on pairs of runs: what the second run of each pair lacks."""
+    mitigates: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(strict=False)] = ()
+    """Ids of the hazards, of hazard files, that meeting it mitigates."""
 
     def requirement(self) -> Requirement:
         """Make the requirement."""

@@ -504,7 +504,7 @@ def _no_such(key: str, known: Any) -> ConfigurationError:
     )
 
 
-_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def scenario_schema() -> dict[str, Any]:
@@ -535,7 +535,7 @@ def scenario_schema() -> dict[str, Any]:
     ]
     for model in faults.values():
         definitions.pop(_name(references[model, "validation"]))
-    return {"$schema": _DIALECT, **scenario, "$defs": definitions}
+    return {"$schema": DIALECT, **scenario, "$defs": definitions}
 
 
 def write_schema(path: Path) -> None:

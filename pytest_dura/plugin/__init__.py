@@ -84,7 +84,10 @@ MARKERS = (
         "falsify(requirement=None, budget=200, faults=(), at_most=1, shrink=150, seed=None): "
         "search the test's campaign for violations before its body runs"
     ),
-    "requirement(id, text=None, kind='safety', source=''): the requirement that the test decides",
+    (
+        "requirement(id, text=None, kind='safety', source='', mitigates=()): "
+        "the requirement that the test decides"
+    ),
 )
 
 

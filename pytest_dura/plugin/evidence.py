@@ -23,9 +23,10 @@ from pytest_dura.plugin.recorder import REPORT_ATTRIBUTE, case_record
 from pytest_dura.plugin.roles import root_conftest_with
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from pytest_dura.evidence.baseline import Baseline
+    from pytest_dura.evidence.case_model import HazardEntry
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.evidence.files import DirectoryLock
     from pytest_dura.evidence.gather import RecordBuilder, Status
@@ -285,6 +286,17 @@ class SessionEvidence:
         expected = _expected_items(self.context, self._roles, items)
         for entry in self.context.redact(expected):  # as the reports of the items will hold it
             self.record.expect(*entry)
+        if expected:
+            self.record.add_hazards(self._expected_hazards(expected))
+
+    def _expected_hazards(self, expected: Sequence[Expected]) -> list[HazardEntry]:
+        """List the hazards of the user, and those that expected requirements mitigate."""
+        from pytest_dura.evidence.case_model import HazardEntry
+
+        named = {name for _, known, _ in expected for name in known.get("mitigates", ())}
+        hazards = self.context.library().hazards_of(named)
+        plain = self.context.redact([hazard.to_json() for hazard in hazards])
+        return [HazardEntry.model_validate(entry) for entry in plain]
 
     def note_tests(self, items: list[str], claiming: Iterable[str] = ()) -> None:
         """Note the tests that will run, and hash their files close to when they were read.

@@ -123,6 +123,11 @@ class SessionInputs:
         if file is not None:
             self.inputs.add("requirements", Path(file))
             definition = library.requirements[name].to_json()
+        for hazard in library.hazards_of(
+            () if definition is None else definition.get("mitigates", ())
+        ):
+            if self._is_new("hazard", hazard.id):
+                self.inputs.add("hazards", Path(library.hazards_in[hazard.id]))
         if definition is not None:
             self._add_module("check", definition["check"])
             self._add_module("check", (definition["paired"] or {}).get("measure", ""))

@@ -66,7 +66,9 @@ def _requirement(context: SessionContext, marker: pytest.Mark) -> Requirement:
             remedy="correct the kind",
         )
     source = "" if given["source"] is None else str(given["source"])
-    requirement = Requirement(name, str(given["text"]), kind, source)
+    mitigates = given["mitigates"] or ()
+    _check_mitigates(context, mitigates)
+    requirement = Requirement(name, str(given["text"]), kind, source, mitigates=tuple(mitigates))
     earlier = context.marked.setdefault(name, requirement)
     if earlier != requirement:
         raise _conflicting_meaning(name, "another marker", earlier.text, requirement.text)
@@ -79,6 +81,36 @@ def _check_same(known: Requirement, given: Mapping[str, Any]) -> None:
         known_value, value = getattr(known, key), given[key]
         if value is not None and str(value).split() != known_value.split():
             raise _conflicting_meaning(known.id, "a requirement file", known_value, value)
+    mitigates = given["mitigates"]
+    if mitigates is not None and list(mitigates) != list(known.mitigates):
+        expected = f"mitigates {', '.join(known.mitigates) or 'no hazard'}"
+        raise _conflicting_meaning(known.id, "a requirement file", expected, mitigates)
+
+
+def _check_mitigates(context: SessionContext, names: Any) -> None:
+    """Refuse what is no list of ids of hazards.
+
+    Raises:
+        ConfigurationError: Also for a hazard that no file has.
+    """
+    from pytest_dura.library.hazards import mitigation_errors
+
+    if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
+        raise ConfigurationError(
+            "`mitigates` is a list of ids of hazards",
+            key="pytest.mark.requirement",
+            found=names,
+            expected='a list such as ["H-1"]',
+            remedy="put the id in brackets",
+        )
+    for _, error in mitigation_errors(names, context.library().hazards):
+        raise ConfigurationError(
+            error.problem,
+            key="pytest.mark.requirement",
+            found=error.found,
+            expected=error.expected,
+            remedy=error.remedy,
+        )
 
 
 def _conflicting_meaning(name: str, where: str, earlier: str, given: Any) -> ConfigurationError:
@@ -96,6 +128,7 @@ def _requirement_marker(
     text: Any = None,
     kind: Any = None,
     source: Any = None,
+    mitigates: Any = None,
 ) -> None:
     """Signature of the marker ``requirement``."""
 

@@ -6,7 +6,7 @@ It also keeps the traces of the item's episodes.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     )
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
-    from pytest_dura.evidence.case_model import CasePlan
+    from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.execution.store import EpisodeKey
     from pytest_dura.library.cases import Case
@@ -102,10 +102,24 @@ def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in spread.items() if value is not None}
 
 
-Reason = Literal["all", "sample", "missing", "violation"]
+Reason = Literal["twin", "all", "sample", "missing", "violation"]
 
-_REASON_RANK: dict[Reason, int] = {"all": 0, "sample": 1, "missing": 2, "violation": 3}
+_REASON_RANK: dict[Reason, int] = {
+    "twin": 0, "all": 1, "sample": 2, "missing": 3, "violation": 4,
+}  # fmt: skip
 """Rank of the reasons to keep a trace; of several the highest is recorded."""
+MAX_TWINS = 24
+"""Traces that a process keeps only as twins."""
+
+
+def twin_cases(case: Case) -> list[Case]:
+    """Cases whose runs are the twins of a case's: without its faults, without recovery."""
+    from pytest_dura.evidence.conclude import RECOVERY_ROLE
+
+    twins = [case.without_faults()] if case.faults else []
+    if RECOVERY_ROLE not in case.without:
+        twins.append(case.switched_off(RECOVERY_ROLE))
+    return twins
 
 
 class TraceKeeper:
@@ -124,6 +138,9 @@ class TraceKeeper:
         self._level, self._directory, self._redact = level, directory, redact
         self._kept: dict[tuple[Any, ...], tuple[Reason, dict[str, Any] | None]] = {}
         self._samples: set[tuple[str, str, str]] = set()
+        self._runs: set[tuple[str, str, int]] = set()
+        self._wanted: set[tuple[str, str, int]] = set()
+        self._twins = 0
         self._problem_reported = False
         self.traces: list[dict[str, Any]] = []
         """``{id, component, digest, trace}`` of what was written and not yet taken."""
@@ -132,10 +149,17 @@ class TraceKeeper:
 
     def episode_used(self, event: EpisodeUsed) -> None:
         """Keep the trace of an episode that an item looks at, if it is a sample of its case."""
-        episode = event.episode
+        episode, case = event.episode, event.case
         if self._level == "all":
             self._keep(episode, "all")
-        if self._level == "violations" and episode.validity != "invalid":
+        if event.planned:
+            run = case.id, episode.spec.component, episode.spec.run
+            self._runs.add(run)
+            if run in self._wanted:
+                self._keep_twin(episode)
+        # What a reference arm shows is shown beside the case that it belongs to.
+        sampled = self._level == "violations" and not case.without
+        if sampled and episode.validity != "invalid":
             reason: Reason = "sample" if episode.validity == "valid" else "missing"
             kind = reason, episode.spec.case, episode.spec.component
             if kind not in self._samples:
@@ -147,13 +171,38 @@ class TraceKeeper:
         if self._level != "summary":
             self._keep(episode, "violation")
 
+    def keep_twins(
+        self, case: Case, episode: Episode, fetch: Callable[[Case, int], Episode]
+    ) -> None:
+        """Keep the traces of an episode's twins, now or once an item looks at them.
+
+        Args:
+            case: The case of the episode.
+            episode: A counterexample.
+            fetch: Returns a run of a case that was simulated before.
+        """
+        if self._level != "violations":
+            return
+        component, number = episode.spec.component, episode.spec.run
+        for twin in twin_cases(case):
+            run = twin.id, component, number
+            if run in self._runs:
+                self._keep_twin(fetch(twin, number))
+            elif len(self._wanted) < MAX_TWINS:
+                self._wanted.add(run)
+
+    def _keep_twin(self, episode: Episode) -> None:
+        if self._twins < MAX_TWINS and episode.validity != "missing":
+            self._twins += self._keep(episode, "twin")
+
     def take(self) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the traces and problems since the last call."""
         taken = self.traces, self.problems
         self.traces, self.problems = [], []
         return taken
 
-    def _keep(self, episode: Episode, reason: Reason) -> None:
+    def _keep(self, episode: Episode, reason: Reason) -> bool:
+        """Keep a trace for a reason; returns whether that wrote it."""
         about = self._redact(
             {
                 "id": episode.id,
@@ -165,12 +214,13 @@ class TraceKeeper:
         key = tuple(about.values())
         earlier = self._kept.get(key)
         if earlier is not None and _REASON_RANK[earlier[0]] >= _REASON_RANK[reason]:
-            return
+            return False
         written = self._write(episode, about) if earlier is None else earlier[1]
         self._kept[key] = reason, written
         if written is not None:
             named = {name: about[name] for name in ("id", "component", "digest")}
             self.traces.append({**named, "trace": {**written, "kept_for": reason}})
+        return earlier is None and written is not None
 
     def _write(self, episode: Episode, about: dict[str, Any]) -> dict[str, Any] | None:
         """Write a trace; returns its file and digest, ``None`` if it cannot be written."""
@@ -237,6 +287,8 @@ class ItemRecorder:
         self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
         self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
+        self._requirements: dict[Requirement, RequirementEntry] = {}
+        self._own_hazards_reported = False
         self._last_episode: JudgedEpisode | None = None
         self._body_passed = False
         """Whether the body of the current test came to its end without a failure."""
@@ -294,8 +346,10 @@ class ItemRecorder:
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
             episode = used and used.episode(self._runner(), counterexample.episode)
-            if episode:
+            if used and episode:
                 self.traces.violated(episode)
+                if counterexample is verdict.counterexamples[0]:  # the worst
+                    self.traces.keep_twins(used.case, episode, self._runner().fetch)
         self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
         question = requirement.to_json()
         check = {"check": question["check"], "paired": question["paired"]}
@@ -504,9 +558,26 @@ class ItemRecorder:
         from pytest_dura.evidence.case_model import RequirementEntry
         from pytest_dura.evidence.entry import plain_data
 
-        entry = RequirementEntry.model_validate(plain_data(requirement.to_json()))
+        if requirement not in self._requirements:
+            self._requirements[requirement] = RequirementEntry.model_validate(
+                plain_data(requirement.to_json())
+            )
+        entry = self._requirements[requirement]
         if entry not in self._report.requirements:
             self._report.requirements.append(entry)
+            self._hazards_named(requirement.mitigates)
+
+    def _hazards_named(self, names: Sequence[str]) -> None:
+        """Record the named hazards, and once in each process all those of the user's files."""
+        from pytest_dura.evidence.case_model import HazardEntry
+
+        library = self.context.library()
+        own = () if self._own_hazards_reported else library.own_hazards
+        self._own_hazards_reported = True
+        for name in sorted({*names, *own}):
+            entry = HazardEntry.model_validate(library.hazards[name].to_json())
+            if entry not in self._report.hazards:
+                self._report.hazards.append(entry)
 
     def _add_claims(self, item: pytest.Item) -> None:
         """Record what a test is to decide: if it ends before it does, that is undecided."""

@@ -22,6 +22,7 @@ from pytest_dura.plugin.roles import (
     overrides_deeper_down,
     root_conftest_with,
 )
+from pytest_dura.plugin.terminal_brief import brief_lines, show_causes
 from pytest_dura.plugin.terminal_tables import (
     MOST_ROWS,
     WHERE_ALL_ARE,
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     import pytest
 
     from pytest_dura.evidence.baseline import Baseline
+    from pytest_dura.evidence.case_model import CaseEntry
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.evidence.session_model import ReuseEntry, SearchReuse
     from pytest_dura.evidence.verdict_model import BaselineEntry, ComparisonEntry
@@ -315,6 +317,7 @@ def summary(
     if not context.active:  # then there was no header
         for line in shared.lines:
             terminal.line(line)
+    show_causes(context, terminal, record)
     if record.head.cases:
         _show_cases(context, terminal, record)
     show_verdicts(context, terminal, record)
@@ -326,6 +329,7 @@ def summary(
     for note in notes:
         terminal.line(note)
     _show_second_engine(terminal, record)
+    _show_hazards(terminal, record)
     _show_objections(terminal, objections)
     terminal.line("")
     if file is not None:
@@ -343,6 +347,13 @@ def _show_second_engine(terminal: Any, record: SessionRecord) -> None:
 
     if text := second_engine_text(record):
         terminal.line(f"formulas: {text}")
+
+
+def _show_hazards(terminal: Any, record: SessionRecord) -> None:
+    from pytest_dura.reports.hazards import hazard_line
+
+    if text := hazard_line(record):
+        terminal.line(text)
 
 
 def _show_objections(terminal: Any, objections: list[str]) -> None:
@@ -396,16 +407,13 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
     shown = [case for case in record.head.cases if not case.without or case.id not in twins]
     most = most_rows(context)
     listed = worst_cases(shown, record.head.verdicts, most=most)
-    overall = record.head.overall
-    for line in case_table(listed, overall, record.head.measures):
+    for line in case_table(listed, record.head.overall, record.head.measures):
         terminal.line(line)
     if len(listed) < len(shown):
         text = "those with the worst verdicts are shown"
         terminal.line(
             f"and {counted(len(shown) - len(listed), 'case')} more: {text}; {WHERE_ALL_ARE}"
         )
-    hidden = {case.id for case in shown}.difference(case.id for case in listed)
-    verdicts = [verdict for verdict in record.head.verdicts if verdict.case not in hidden]
     ended_early = sum(case.metrics.ended_early for case in record.head.cases)
     if ended_early:
         text = "ended early, once all was decided; figures are up to then"
@@ -415,30 +423,36 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
     by_hand = sum(not episode.planned for episode in record.episodes())
     if by_hand:
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
-    for lines in (
-        [
-            *failure_mode_table(shown, by_case=context.config.option.verbose > 0),
+    if context.config.option.verbose <= 0:
+        terminal.line("")
+        for line in [
+            *brief_lines(record, shown),
             *uncovered_mode_lines(record.head),
             *model_lines(record.head.models, record.head.llm_price),
-        ],
-        usage_table(listed, record.head.llm_price),
-        reliance_table(listed, overall),
-        fault_table(listed),
-        attack_table(verdicts, record.head.cases),
+        ]:
+            terminal.line(indent_if_reserved(line))
+        return
+    _show_tables(terminal, record, shown)
+
+
+def _show_tables(terminal: Any, record: SessionRecord, cases: Sequence[CaseEntry]) -> None:
+    """Show all tables beside that of the cases, with their legends."""
+    head = record.head
+    for lines in (
         [
-            *pair_table(verdicts, record.head.cases),
-            *effectiveness_lines(record.head.effectiveness, RECOVERY_ROLE),
+            *failure_mode_table(cases, by_case=True),
+            *uncovered_mode_lines(head),
+            *model_lines(head.models, head.llm_price),
         ],
+        usage_table(cases, head.llm_price),
+        reliance_table(cases, head.overall),
+        fault_table(cases),
+        attack_table(head.verdicts, head.cases),
         [
-            *monitor_table(
-                [
-                    monitor
-                    for monitor in record.head.monitors
-                    if monitor.case.partition("~")[0] not in hidden
-                ]
-            ),
-            *effectiveness_lines(record.head.effectiveness),
+            *pair_table(head.verdicts, head.cases),
+            *effectiveness_lines(head.effectiveness, RECOVERY_ROLE),
         ],
+        [*monitor_table(head.monitors), *effectiveness_lines(head.effectiveness)],
     ):
         for line in lines and ["", *lines]:
             terminal.line(line)

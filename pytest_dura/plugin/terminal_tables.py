@@ -7,12 +7,11 @@ They cover cases, attacks, pairs, monitors, faults and failure modes, with the c
 from __future__ import annotations
 
 import textwrap
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
-from pytest_dura.evidence.text import counted, name
+from pytest_dura.evidence.text import name
 from pytest_dura.plugin.messages import indent_if_reserved
 from pytest_dura.reports.columns import Column, Shown, legend, shown_in
 from pytest_dura.reports.failure_modes import (
@@ -285,15 +284,6 @@ def worst_cases(
             rank[key] = min(rank.get(key, len(VERDICT_RANK)), VERDICT_RANK[verdict.verdict])
     ranks = [rank.get((case.id, case.component), len(VERDICT_RANK)) for case in cases]
     return keep_worst(cases, ranks, most=most)
-
-
-def left_out_lines(statuses: Iterable[str]) -> list[str]:
-    """Count the verdicts that are not shown, by status; no line where all are shown."""
-    counts = Counter(statuses)
-    if not counts:
-        return []
-    parts = ", ".join(f"{counts[status]} {status}" for status in VERDICT_RANK if counts[status])
-    return [f"and {counted(counts.total(), 'verdict')} more: {parts}; {WHERE_ALL_ARE}"]
 
 
 def fault_table(cases: Sequence[CaseEntry]) -> list[str]:

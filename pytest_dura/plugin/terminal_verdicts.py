@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.context import replay_command, rerun_command
 from pytest_dura.plugin.terminal_tables import (
-    VERDICT_RANK,
     WHERE_ALL_ARE,
     WIDTH,
     aligned,
     chain_line,
     keep_worst,
-    left_out_lines,
     most_rows,
 )
 from pytest_dura.reports.columns import Column, Shown, legend, shown_in
@@ -55,16 +53,13 @@ _VERDICT_COLOURS = {
 
 
 def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord) -> None:
-    """Show every verdict with its figures, then each failure with what helps to mend it."""
+    """Show every verdict with its figures, then each failure, with ``-v`` alone."""
     verdicts = record.head.verdicts
-    if not verdicts:
+    if not verdicts or context.config.option.verbose <= 0:
         return
     terminal.line("")
-    most = most_rows(context)
-    shown = keep_worst(verdicts, [VERDICT_RANK[verdict.verdict] for verdict in verdicts], most=most)
-    shown_ids = {id(verdict) for verdict in shown}
     by_heading: dict[tuple[str, ...], list[VerdictEntry]] = {}
-    for verdict in shown:
+    for verdict in verdicts:
         heading = (
             verdict.verdict,
             _where(verdict),
@@ -74,13 +69,9 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
         by_heading.setdefault(heading, []).append(verdict)
     for heading, group in by_heading.items():
         _show_alike(terminal, heading, group)
-    for line in left_out_lines(
-        verdict.verdict for verdict in verdicts if id(verdict) not in shown_ids
-    ):
-        terminal.line(line)
     terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
     failures: dict[tuple[str, ...], list[VerdictEntry]] = {}
-    for verdict in shown:
+    for verdict in verdicts:
         if verdict.verdict != "supported":
             # What is undecided for one reason is shown once for all requirements of a case.
             cause = verdict.reason, verdict.spoilt.detail if verdict.spoilt else ""

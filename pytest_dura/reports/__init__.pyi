@@ -1,3 +1,4 @@
+from .causes import Cause, causes_of
 from .columns import Cell, Column, Shown, shown_in
 from .episode_view import (
     Panel,
@@ -21,11 +22,13 @@ from .gsn.element import root_ids, rule_problems
 from .gsn.user_argument import check_requirements, read_user_argument
 from .html.contents import anchor, case_anchor, verdict_anchor
 from .html.player import pack_data, player_assets, player_data, player_page
+from .scene import frame_svg
 from .searches import outcome_headline
 from .tables import case_columns
 from .wording import shard_text
 
 __all__ = [
+    "Cause",
     "Cell",
     "Column",
     "Panel",
@@ -33,12 +36,14 @@ __all__ = [
     "anchor",
     "case_anchor",
     "case_columns",
+    "causes_of",
     "check_requirements",
     "decision_age_lines",
     "decision_at",
     "decision_time_lines",
     "failure_modes_by_component",
     "formula_of",
+    "frame_svg",
     "generated_argument",
     "judge_agreement_lines",
     "loop_steps",

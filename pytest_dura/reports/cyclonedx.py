@@ -451,5 +451,11 @@ def _requirement(number: int, requirement: RequirementEntry) -> JsonObject:
         "title": visible(requirement.text or requirement.id, 200),
         "text": visible(requirement.text),
         "descriptions": [f"{label}: {visible(text)}" for label, text in texts if text],
-        "properties": [{"name": f"{_PREFIX}kind", "value": visible(requirement.kind or "")}],
+        "properties": [
+            {"name": f"{_PREFIX}kind", "value": visible(requirement.kind or "")},
+            *(
+                {"name": f"{_PREFIX}mitigates", "value": name(hazard, NAME_LIMIT)}
+                for hazard in requirement.mitigates or ()
+            ),
+        ],
     }

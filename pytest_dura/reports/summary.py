@@ -35,6 +35,13 @@ from pytest_dura.reports.failure_modes import (
     unavailability_text,
     uncovered_lines,
 )
+from pytest_dura.reports.hazards import HAZARD_COLUMNS, hazards_by_need
+from pytest_dura.reports.operating_domain import (
+    combination_text,
+    exposure_text,
+    pair_text,
+    weighed_texts,
+)
 from pytest_dura.reports.role_tables import FailureModeRow, failure_mode_columns
 from pytest_dura.reports.searches import ordered_outcomes, outcome_headline
 from pytest_dura.reports.tables import (
@@ -148,7 +155,8 @@ MAX_BYTES = 1024 * 1024
 
 _KIB = 1024
 _SHARES = {"failures": 300 * _KIB, "verdicts": 320 * _KIB, "requirements": 100 * _KIB,
-           "cases": 150 * _KIB, "failure modes": 30 * _KIB, "searches": 40 * _KIB}  # fmt: skip
+           "cases": 150 * _KIB, "failure modes": 30 * _KIB, "searches": 40 * _KIB,
+           "hazards": 40 * _KIB}  # fmt: skip
 """Bytes of the tables; the rest is for what has a small bound: the head, reasons, provenance."""
 _REASONS = 20
 _MAX_CELLS = 10
@@ -171,6 +179,7 @@ def render(record: SessionRecord) -> str:
         ),
         *(_table("Searches", SEARCH_COLUMNS, searched, "searches") if searched else ()),
         *_table("Verdicts", VERDICT_COLUMNS, verdicts, "verdicts"),
+        *_hazard_table(record),
         *_table("Requirements", REQUIREMENT_COLUMNS, _requirement_rows(record), "requirements"),
         *_table("Cases", case_columns(cases, record.head.measures), cases, "cases"),
         *_overall_lines(record),
@@ -306,6 +315,12 @@ def _requirement_rows(record: SessionRecord) -> Iterator[RequirementRow]:
         yield RequirementRow(requirement, own, f"{untested[requirement.id]}{more}")
 
 
+def _hazard_table(record: SessionRecord) -> Iterator[str]:
+    """A row for each hazard, those without evidence first; nothing where there are none."""
+    if rows := hazards_by_need(record):
+        yield from _table("Hazards", HAZARD_COLUMNS, rows, "hazards")
+
+
 def _overall_lines(record: SessionRecord) -> Iterator[str]:
     """All cases of each component together, and what the runs show of recovery and monitors.
 
@@ -376,3 +391,22 @@ def _coverage_lines(record: SessionRecord) -> Iterator[str]:
         yield f"- untested: {_name(cell.requirement)} on {_name(cell.case)}"
     if len(untested) + left_out > _MAX_CELLS:
         yield f"- and {len(untested[_MAX_CELLS:]) + left_out} more"
+    yield from _operating_domain_lines(record)
+
+
+_MAX_PAIRS = 5
+
+
+def _operating_domain_lines(record: SessionRecord) -> Iterator[str]:
+    """Pairs of parameters, those least covered by name, and what the declared exposure comes to."""
+    combinations, exposure = record.head.coverage.combinations, record.head.coverage.exposure
+    if combinations is not None:
+        yield from ["", combination_text(combinations)]
+        for pair in combinations.worst[:_MAX_PAIRS]:
+            names = f"{_name(pair.first)} with {_name(pair.second)} of {_name(pair.scenario)}"
+            if pair.covered < 1:
+                yield f"- {names}: {pair_text(pair)}"
+    for entry in exposure or []:
+        yield from ["", f"With {_name(entry.component)}, {exposure_text(entry)}"]
+        yield from (f"- {text}" for text in weighed_texts(entry))
+        yield "- weighed by what scenario files declare; no probability follows"

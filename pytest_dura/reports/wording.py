@@ -17,6 +17,7 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.reports.hazards import without_evidence_sentences
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
 
 NAME_LIMIT = 400
@@ -181,12 +182,16 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
             f"{_share(violated, verdicts)} violated ({names_text(ids)}): the episodes "
             "are named and can be replayed."
         )
-    supported = [verdict for verdict in verdicts if verdict.verdict == "supported"]
-    if supported:
-        yield f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
-    else:
-        yield f"None of {len(verdicts)} verdicts is supported."
+    yield supported_sentence(verdicts)
     yield from violation_sentences(record)
+
+
+def supported_sentence(verdicts: list[VerdictEntry]) -> str:
+    """How many of a session's verdicts are supported, and their weakest bound; there is one."""
+    supported = [verdict for verdict in verdicts if verdict.verdict == "supported"]
+    if not supported:
+        return f"None of {len(verdicts)} verdicts is supported."
+    return f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
 
 
 def limitation_sentences(record: SessionRecord) -> Iterator[str]:
@@ -198,6 +203,7 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
             f"This is {part}: of what the others hold it says nothing. `python -m pytest_dura "
             "merge` joins them all, and gates on the whole."
         )
+    yield from without_evidence_sentences(record)
     yield from _left_out(record)
     verdicts, totals = record.head.verdicts, record.head.totals
     undecided = [verdict for verdict in verdicts if verdict.verdict == "undecided"]

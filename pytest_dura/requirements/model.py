@@ -53,6 +53,7 @@ class Requirement:
         p0: For ``sprt``, the rate below ``at_most`` up to which a component is rarely rejected.
         applies_to: Globs of the scenarios to which it applies besides those that name it.
         paired: What the second run of each pair lacks, for a requirement on pairs.
+        mitigates: Ids of the hazards that meeting it mitigates.
     """
 
     id: str
@@ -67,10 +68,13 @@ class Requirement:
     p0: float | None = None
     applies_to: tuple[str, ...] = ()
     paired: Paired | None = None
+    mitigates: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data for files and the evidence record."""
-        return {**asdict(self), "applies_to": list(self.applies_to)}
+        """Plain data for files and the evidence record; ``mitigates`` only where there are any."""
+        data = asdict(self) | {"applies_to": list(self.applies_to)}
+        mitigates = data.pop("mitigates")
+        return {**data, "mitigates": list(mitigates)} if mitigates else data
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Requirement:
@@ -81,6 +85,7 @@ class Requirement:
                 **data,
                 "applies_to": tuple(data.get("applies_to", ())),
                 "paired": None if paired is None else Paired(**paired),
+                "mitigates": tuple(data.get("mitigates", ())),
             }
         )
 
@@ -101,4 +106,6 @@ def describe_check(requirement: Requirement) -> list[str]:
         )
     if requirement.applies_to:
         lines.append(f"applies to {', '.join(requirement.applies_to)}")
+    if requirement.mitigates:
+        lines.append(f"mitigates {', '.join(requirement.mitigates)}")
     return lines

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 from hostile_records import HOSTILE, spoilt_record
 from report_pages import VIOLATING, record_with_trace
-from session_records import session_record
+from session_records import episode, session_record, verdict
 
+from pytest_dura.reports import case_anchor, verdict_anchor
 from pytest_dura.reports.html.page import render
 
 PHONE = {"viewport": {"width": 360, "height": 740}}
@@ -29,6 +30,11 @@ def rows(page):
     return [row.inner_text() for row in page.locator("tr.verdict").all() if row.is_visible()]
 
 
+def shown(page):
+    """The names of the views that are in sight."""
+    return [view.get_attribute("id") for view in page.locator(".view:visible").all()]
+
+
 def test_the_gate_is_seen_first_and_stays_in_sight(opened, html):
     page = opened(html)
     word = page.locator("header .gate-word")
@@ -37,6 +43,7 @@ def test_the_gate_is_seen_first_and_stays_in_sight(opened, html):
     page.evaluate("scrollTo(0, document.body.scrollHeight)")
     assert word.bounding_box()["y"] < 50
     assert page.locator("h1").count() == 1
+    assert shown(page) == ["overview"]
 
 
 def test_each_table_has_a_caption_and_headings_with_a_scope(opened, html):
@@ -47,44 +54,137 @@ def test_each_table_has_a_caption_and_headings_with_a_scope(opened, html):
     # What scrolls sideways can be reached with the keyboard, and says what it is.
     assert page.locator(".scroll:not([tabindex='0'])").count() == 0
     assert page.locator(".scroll:not([aria-label]):not([aria-labelledby])").count() == 0
-    assert page.get_by_role("region", name="Verdicts by requirement").count() == 1
 
 
-def test_the_filter_leaves_the_verdicts_that_fit(opened, html):
+def test_a_link_of_the_navigation_shows_its_view_alone_and_back_and_forward_work(opened, html):
     page = opened(html)
-    assert len(rows(page)) == 4
-    page.get_by_label("Filter", exact=True).fill("ghost")
-    assert page.locator("#filter-count").inner_text() == "2 of 4 verdicts"
-    assert all("ghost" in row for row in rows(page))
-    page.get_by_label("Verdict", exact=True).select_option("violated")
+    names = [link.get_attribute("href")[1:] for link in page.locator("nav a").all()]
+    assert {"overview", "requirements", "cases", "episodes", "matrix", "files"} <= set(names)
+    for name in names:
+        page.locator(f"nav a[href='#{name}']").click()
+        assert shown(page) == [name]
+        assert page.locator("nav a[aria-current]").get_attribute("href") == f"#{name}"
+    page.go_back()
+    assert shown(page) == [names[-2]]
+    page.go_forward()
+    assert shown(page) == [names[-1]]
+
+
+def test_one_requirement_is_seen_at_a_time_and_the_way_back_leads_to_it(opened, html):
+    page = opened(html)
+    page.locator("nav a", has_text="Requirements").click()
+    entries = page.locator("#verdicts > tbody.entry:visible")
+    assert entries.count() == 3
+    assert rows(page) == []
+    page.get_by_role("link", name="SAF-1", exact=True).click()
+    assert entries.count() == 1
+    assert len(rows(page)) == 2
+    assert page.evaluate("location.hash") == "#requirement-SAF-1"
+    page.go_back()
+    assert (entries.count(), rows(page)) == (3, [])
+    assert page.evaluate("document.activeElement.hash") == "#requirement-SAF-1"
+
+
+def test_the_filter_leaves_what_fits_in_the_list_and_in_an_entry(opened, html):
+    page = opened(html)
+    page.locator("nav a", has_text="Requirements").click()
+    form = page.get_by_role("search", name="Filter the verdicts")
+    count, entries = form.locator("output"), page.locator("#verdicts > tbody.entry:visible")
+    form.get_by_label("Filter").fill("ghost")
+    assert count.inner_text() == "2 of 4 verdicts"
+    form.get_by_label("Verdict").select_option("violated")
+    assert entries.count() == 1
+    assert "1 of 2 fit" in entries.inner_text()
+    page.get_by_role("link", name="SAF-1", exact=True).click()
     assert [row.split()[0] for row in rows(page)] == ["a/clear+ghost"]
-    page.get_by_label("Filter", exact=True).fill("Never collides")
-    page.get_by_label("Verdict", exact=True).select_option("supported")
+    form.get_by_label("Filter").fill("Never collides")
+    form.get_by_label("Verdict").select_option("supported")
     assert [row.split()[0] for row in rows(page)] == ["a/clear"]
-    page.get_by_label("Filter", exact=True).fill("")
-    page.get_by_label("Verdict", exact=True).select_option("waived")
-    assert "xfail: known" in rows(page)[0]
-    assert page.locator("#verdicts tbody:visible").count() == 1
+    page.keyboard.press("Escape")
+    form.get_by_label("Filter").fill("")
+    form.get_by_label("Verdict").select_option("")
+    form.get_by_label("Kind").select_option("performance")
+    assert [entry.split()[0] for entry in entries.all_inner_texts()] == ["PERF-1"]
+    form.get_by_label("Kind").select_option("")
+    form.get_by_label("Verdict").select_option("waived")
+    assert count.inner_text() == "1 of 4 verdicts"
+
+
+def test_episodes_are_filtered_by_validity_and_by_what_they_violate(opened, html):
+    page = opened(html)
+    page.locator("nav a", has_text="Episodes").click()
+    form = page.get_by_role("search", name="Filter the episodes")
+    entries = page.locator("#episode-list > tbody.entry:visible")
+    form.get_by_label("Validity").select_option("missing")
+    assert entries.count() == 1
+    form.get_by_label("Validity").select_option("")
+    form.get_by_label("Violates").select_option("SAF-1")
+    assert [entry.split()[1] for entry in entries.all_inner_texts()] == [VIOLATING]
+
+
+def many_verdicts(count):
+    """The record of the support module with so many cases that violate SAF-1."""
+    record = session_record()
+    case = record.head.cases[0]
+    names = [f"a/case{number}" for number in range(count)]
+    return session_record(
+        cases=[case.replace(id=name) for name in names],
+        verdicts=[verdict("SAF-1", name, ("violated",)) for name in names],
+        episodes=[episode(name, 0, seed=place) for place, name in enumerate(names)],
+    )
+
+
+def test_of_a_long_list_a_page_is_drawn_and_a_link_finds_its_own(opened):
+    page = opened(render(many_verdicts(120)))
+    page.evaluate("location.hash = 'cases'")
+    entries = page.locator("#outcomes > tbody.entry:visible")
+    pager = page.locator("#cases .pager").first
+    assert entries.count() == 50
+    assert "1 to 50 of 120" in pager.inner_text()
+    pager.get_by_role("button", name="Next").click()
+    pager.get_by_role("button", name="Next").click()
+    assert "101 to 120 of 120" in pager.inner_text()
+    assert entries.count() == 20
+    anchor = verdict_anchor("SAF-1", "a/case77")
+    page.evaluate("anchor => { location.hash = anchor }", anchor)
+    assert page.locator(f"#{anchor}").is_visible()
+    assert len(rows(page)) == 50
+    assert page.evaluate("document.documentElement.scrollHeight") > 900
+    page.evaluate("location.hash = 'overview'")
+    assert page.evaluate("document.documentElement.scrollHeight") <= 6 * 900
 
 
 def test_without_scripts_everything_is_there_but_the_filter(opened, html):
     page = opened(html, java_script_enabled=False)
     assert len(rows(page)) == 4
-    assert not page.locator("form.filter").is_visible()
+    assert not page.locator("form.filter").first.is_visible()
+    assert shown(page)[:3] == ["overview", "requirements", "cases"]
+    assert page.locator("article.card").first.is_visible()
 
 
-def test_a_counterexample_opens_its_player(opened, html):
+def test_from_opening_the_page_to_the_frame_of_the_violation_it_is_one_click(opened, html):
     page = opened(html)
+    assert page.locator(".card .picture svg").first.is_visible()
     assert page.locator(".dura-player").count() == 0
-    page.locator(".counterexamples a", has_text=VIOLATING).click()
+    page.get_by_role("link", name="▶ Play it").first.click()
     page.locator(".dura-player").wait_for()
+    assert shown(page) == ["episodes"]
+    assert page.locator("details.player").get_attribute("open") is not None
+    assert "SAF-1" in page.locator(".dura-player").inner_text()
+    # The episode itself is open above it.
+    assert page.locator("#episode-list > tbody.entry:visible").count() == 1
+
+
+def test_a_counterexample_opens_its_player_again_and_again(opened, html):
+    page = opened(html)
+    page.evaluate("location.hash = 'requirement-SAF-1'")
+    page.locator(".counterexamples a:visible", has_text=VIOLATING).click()
     player = page.locator("details.player")
     assert player.get_attribute("open") is not None
-    assert "SAF-1" in page.locator(".dura-verdicts").inner_text()
-    # Closed by hand, the same link opens it again.
     player.locator("summary").first.click()
     assert player.get_attribute("open") is None
-    page.locator("#forward a", has_text=VIOLATING).click()
+    page.go_back()
+    page.locator(".counterexamples a:visible", has_text=VIOLATING).click()
     assert player.get_attribute("open") is not None
 
 
@@ -96,21 +196,66 @@ def test_an_address_with_a_player_opens_it(opened, html):
 
 
 def test_a_verdict_that_the_filter_hides_is_shown_when_a_link_leads_to_it(opened, html):
-    from playwright.sync_api import expect
-
     page = opened(html)
-    page.get_by_label("Filter", exact=True).fill("nothing like it")
-    assert rows(page) == []
-    page.locator("#forward a", has_text="violated").first.click()
-    # A browser tells the page of its new address after the click has returned.
-    expect(page.locator("tr.verdict:visible")).to_have_count(4)
+    page.evaluate("location.hash = 'requirements'")
+    page.get_by_label("Filter", exact=True).first.fill("nothing like it")
+    assert page.locator("#verdicts > tbody.entry:visible").count() == 0
+    page.evaluate("location.hash = 'matrix'")
+    page.locator("#cells a.plain", has_text="violated").first.click()
+    assert len(rows(page)) == 2
+
+
+def test_everything_is_reached_by_keys_alone(opened, html):
+    page = opened(html)
+    page.locator("nav a", has_text="Requirements").focus()
+    page.keyboard.press("Enter")
+    page.keyboard.press("j")
+    page.keyboard.press("j")
+    focused = "document.activeElement.textContent"
+    assert page.evaluate(focused) == "SAF-1"
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+    page.keyboard.press("k")
+    assert page.evaluate(focused) == "PERF-1"
+    page.keyboard.press("Enter")
+    assert page.evaluate("location.hash") == "#requirement-PERF-1"
+    page.keyboard.press("j")
+    assert page.evaluate("location.hash") == "#requirement-SAF-1"
+    page.keyboard.press("Escape")
+    assert page.evaluate("location.hash") == "#requirements"
+    page.keyboard.press("/")
+    page.keyboard.type("jk/")
+    assert page.get_by_label("Filter", exact=True).first.input_value() == "jk/"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_in_any_view(opened, html, scheme):
+    try:
+        from axe_playwright_python.sync_playwright import Axe
+    except ImportError:
+        pytest.skip("axe-playwright-python is not installed")
+    page = opened(html, color_scheme=scheme)
+    player = page.locator("details.player").get_attribute("id")
+    names = [link.get_attribute("href")[1:] for link in page.locator("nav a").all()]
+    problems = {}
+    for name in [*names, "requirement-SAF-1", case_anchor("a/clear"), player]:
+        page.evaluate("name => { location.hash = name }", name)
+        page.wait_for_timeout(50)
+        for found in Axe().run(page).response["violations"]:
+            # A player has its own tests.
+            nodes = [node["html"][:200] for node in found["nodes"]]
+            problems.setdefault(found["id"], []).append((name, nodes[:3]))
+    assert problems == {}
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_nothing_is_wider_than_a_phone(opened, html, scheme):
     page = opened(html, **PHONE, color_scheme=scheme)
-    assert sideways(page) <= 0
-    page.locator(".counterexamples a", has_text=VIOLATING).click()
+    names = [link.get_attribute("href")[1:] for link in page.locator("nav a").all()]
+    for name in [*names, "requirement-SAF-1", case_anchor("a/clear")]:
+        page.evaluate("name => { location.hash = name }", name)
+        assert sideways(page) <= 0, name
+    page.evaluate("location.hash = 'overview'")
+    page.get_by_role("link", name="▶ Play it").first.click()
     page.locator(".dura-player").wait_for()
     assert sideways(page) <= 0
 
@@ -148,16 +293,19 @@ def test_every_text_can_be_read_in_light_and_dark(opened, html, scheme):
     ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
     red = int(ground.partition("(")[2].partition(",")[0])
     assert (red < 60) == (scheme == "dark")
-    contrast, where = page.evaluate(CONTRAST)
-    assert contrast >= 4.5, where
+    for name in [link.get_attribute("href") for link in page.locator("nav a").all()]:
+        page.evaluate("name => { location.hash = name }", name)
+        contrast, where = page.evaluate(CONTRAST)
+        assert contrast >= 4.5, (name, where)
 
 
 def test_it_prints_without_what_only_a_screen_can_do(opened, html):
     page = opened(html)
     page.emulate_media(media="print")
     assert not page.locator("nav").is_visible()
-    assert not page.locator("form.filter").is_visible()
-    assert page.locator("#verdicts").is_visible()
+    assert not page.locator("form.filter:visible").count()
+    assert shown(page) == ["overview", "requirements", "plots"]
+    assert len(rows(page)) == 4
     # A4 across, 12 mm off on either side: nothing is cut off on paper.
     page.set_viewport_size({"width": 1032, "height": 700})
     for details in page.locator("details:not(.player)").all():

@@ -71,6 +71,11 @@ roles: {generator: "corridor:Careful",
 faults: [{type: bias, target: gap, activation: {at: 0.1}, parameters: {offset: 0.1}}]
 requirements: [GAP-1]
 """
+HAZARDS = """
+hazards:
+  - {id: H-1, text: It touches the wall., loss: "L-1: the wall", severity: S1}
+  - {id: H-2, text: It stands in the way., loss: "L-2: the others' time"}
+"""
 RUN = """
 import json, sys
 import pytest
@@ -91,6 +96,11 @@ def made(tmp_path_factory, forked_workers):
     shutil.copytree(PROJECT, folder, dirs_exist_ok=True)
     (folder / "test_it.py").write_text(TESTS)
     (folder / "scenarios/corridor/drift.yaml").write_text(DRIFT)
+    (folder / "scenarios/hazards.yaml").write_text(HAZARDS)
+    requirements = folder / "scenarios/requirements.yaml"
+    requirements.write_text(
+        requirements.read_text().replace("kind: safety\n", "kind: safety\n    mitigates: [H-1]\n")
+    )
     scenario = (folder / "scenarios/corridor/free.yaml").read_text()
     broken = scenario.replace("corridor:Watch", "corridor:Broken")
     (folder / "scenarios/corridor/broken.yaml").write_text(
@@ -191,6 +201,24 @@ def test_all_shards_come_to_what_the_session_comes_to(made, tmp_path, count):
     assert record["created"] == min(one["created"] for one in shards)
     assert record["finished"] == max(one["finished"] for one in shards)
     assert [one["command"] for one in record["merged_from"]] == [one["command"] for one in shards]
+
+
+def test_hazards_of_all_shards_are_those_of_the_whole_and_may_not_differ(made, two, tmp_path):
+    merge_bundles(two, tmp_path / "merged")
+    record = json.loads((tmp_path / "merged/evidence.json").read_text())
+    assert [hazard["id"] for hazard in record["hazards"]] == ["H-1", "H-2"]
+    listed = {each["id"]: each.get("mitigates") for each in record["requirements"]}
+    assert listed["GAP-1"] == ["H-1"]
+    assert listed["GO-1"] is None
+    needs = json.loads((tmp_path / "merged/needs.json").read_text())["versions"]["1.0"]["needs"]
+    assert needs["HAZARD-H-1"]["status"] == "violated"
+    assert needs["HAZARD-H-2"]["status"] == "no requirement"
+
+    def worse(record):
+        record["hazards"][0]["severity"] = "S3"
+
+    rewritten(two[1], worse)
+    refused(two, tmp_path / "out", "not made alike", "hazards H-1.severity", "S3")
 
 
 def test_what_two_shards_told_of_an_episode_comes_from_one_of_them(two, tmp_path):

@@ -208,7 +208,29 @@ def _of_picture(text):
     return {"gate": session["data-gate"], **stated, **sums}
 
 
+def _of_needs(text):
+    document = json.loads(text)
+    (version,) = document["versions"].values()
+    needs = version["needs"]
+    assert version["needs_amount"] == len(needs)
+    assert all(need["id"] == id_ for id_, need in needs.items())
+    assert all(link in needs for need in needs.values() for link in need["links"])
+    parts = (part.rpartition(" ") for part in needs["SESSION"]["totals"].split(", "))
+    stated = {key: value if key == "gate" else int(value) for key, _, value in parts}
+    types = Counter(need["type"] for need in needs.values())
+    verdicts = [need for need in needs.values() if need["type"] == "verdict"]
+    statuses = Counter(need["status"] for need in verdicts)
+    return {
+        **{key: stated[key] for key in ("gate", *EPISODES)},
+        "requirements": types["requirement"],
+        "cases": types["testcase"],
+        **{status: statuses[status] for status in STATUSES},
+        "waived": sum("waived" in need["tags"] for need in verdicts),
+    }
+
+
 _READERS = {
+    "needs.json": _of_needs,
     "summary.md": _of_summary,
     "report.html": _of_report,
     "cyclonedx.json": _of_declarations,

@@ -18,10 +18,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.session_model import ArgumentEntry
 from pytest_dura.evidence.text import name, one_line, visible
-from pytest_dura.reports.gsn.argument import (
-    COUNTEREXAMPLE_PREFIX,
-    generated_argument,
-)
+from pytest_dura.reports.gsn.argument import generated_argument
 from pytest_dura.reports.gsn.element import (
     FLAG_KEYS,
     LIST_KEYS,
@@ -35,7 +32,8 @@ from pytest_dura.reports.gsn.element import (
     root_ids,
     rule_problems,
 )
-from pytest_dura.reports.wording import is_incomplete, shard_text
+from pytest_dura.reports.gsn.requirements import COUNTEREXAMPLE_PREFIX
+from pytest_dura.reports.wording import is_incomplete, names_text, shard_text
 
 MAX_BYTES = 1024 * 1024
 MAX_DEPTH = 8
@@ -280,10 +278,11 @@ def session_argument(record: SessionRecord) -> Argument:
     Raises:
         ConfigurationError: If the user's argument does not fit.
     """
-    argument = generated_argument(record)
     user = record.head.argument
     if user is None or shard_text(record):
-        return argument
+        return generated_argument(record)
+    # A user's argument may take up any leg.
+    argument = generated_argument(record, over_kinds=True)
     return merge_user_argument(argument, user, whole=not is_incomplete(record))
 
 
@@ -446,6 +445,18 @@ def _unused_contexts(argument: Argument, taken: set[str]) -> Iterator[Element]:
             url=requirement.url,
             alias=f"unused:{named}",
             layers=counts,
+        )
+    hazards = [
+        element.alias.partition(":")[2]
+        for element in argument.values()
+        if element.alias.startswith("hazard:") and element.id not in taken
+    ]
+    if hazards:
+        yield Element(
+            "CUnusedHazards",
+            f"Not used by the argument: the hazards {names_text(hazards)}.",
+            url="evidence.json#/hazards",
+            alias="unused-hazards",
         )
     if "GMonitors" in argument and "GMonitors" not in taken:
         yield Element(

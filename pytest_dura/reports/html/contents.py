@@ -10,7 +10,7 @@ import hashlib
 import heapq
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -41,11 +41,11 @@ def verdict_anchor(requirement: str, case: str) -> str:
 
 
 def case_anchor(case: str) -> str:
-    """Anchor of a case among the scenarios; the report has each case that is not folded."""
+    """Anchor of a case; the report has each case that is not folded."""
     return anchor("case", case)
 
 
-def _episode_anchor(episode: str, component: str) -> str:
+def episode_anchor(episode: str, component: str) -> str:
     """Anchor of an episode in the list, which is bounded: of many episodes not all are there."""
     return anchor("episode", episode, component)
 
@@ -82,6 +82,21 @@ def case_key(case: CaseEntry) -> CaseKey:
 def verdict_key(verdict: VerdictEntry | CellEntry) -> CaseKey:
     """Key of the case that a verdict is on."""
     return verdict.case, verdict.component
+
+
+def faults_by_case(record: SessionRecord) -> Mapping[CaseKey, Sequence[str]]:
+    """Ids of the faults of each case."""
+    return {case_key(case): [fault.id for fault in case.faults] for case in record.head.cases}
+
+
+_MAX_CHOICES = 200
+"""Faults that a filter offers; its text finds others."""
+
+
+def fault_names(record: SessionRecord, folded: Collection[CaseKey]) -> list[str]:
+    """Ids of the first faults by name, to choose from, but those of folded cases alone."""
+    cases = [case for case in record.head.cases if case_key(case) not in folded]
+    return sorted({fault.id for case in cases for fault in case.faults})[:_MAX_CHOICES]
 
 
 MAX_PLAIN_CASES = 1000
@@ -255,11 +270,17 @@ class ReportContents:
     folded: frozenset[CaseKey]
 
     @classmethod
-    def of(cls, record: SessionRecord) -> ReportContents:
-        """Read the record's episodes once."""
+    def of(cls, record: SessionRecord, first: Iterable[CaseKey] = ()) -> ReportContents:
+        """Read the record's episodes once.
+
+        Args:
+            record: The record.
+            first: Episodes that come first among the candidates, by id and component.
+        """
         violating = _violations_by_episode(record)
         notable = {each.name for each in record.head.measures if each.severity != "none"}
-        turns = {key: place for place, key in enumerate(_worst_in_turn(record))}
+        wanted = dict.fromkeys([*first, *_worst_in_turn(record)])
+        turns = {key: place for place, key in enumerate(wanted)}
         cases: dict[CaseKey, CaseTally] = {}
         listed: list[tuple[int, int, ListedEpisode]] = []
         candidates: list[tuple[int, int, ListedEpisode]] = []
@@ -335,23 +356,42 @@ def _in_order(heap: list[tuple[int, int, ListedEpisode]]) -> list[ListedEpisode]
 
 @dataclass(frozen=True)
 class EpisodeLinks:
-    """Anchors of the episodes that are shown.
+    """Anchors of what is shown.
 
     Args:
-        players: Of those with a player, by id and component.
-        listed: Of those in the list, by id and component.
+        players: Of episodes with a player, by id and component.
+        listed: Of episodes in the list, by id and component.
+        rows: Of requirements, cases and verdicts.
     """
 
     players: dict[CaseKey, str]
     listed: dict[CaseKey, str]
+    rows: frozenset[str]
 
     @classmethod
-    def of(cls, contents: ReportContents, players: Collection[CaseKey]) -> EpisodeLinks:
-        """The anchors of the episodes that are listed, and of those with a player."""
+    def of(
+        cls, record: SessionRecord, contents: ReportContents, players: Collection[CaseKey]
+    ) -> EpisodeLinks:
+        """List the anchors of the page."""
+        head = record.head
+        cases = split_folded(head.cases, contents.folded, case_key)[0]
+        verdicts = split_folded(head.verdicts, contents.folded, verdict_key)[0]
         return cls(
             {key: player_anchor(*key) for key in players},
-            {episode.key: _episode_anchor(*episode.key) for episode in contents.listed},
+            {episode.key: episode_anchor(*episode.key) for episode in contents.listed},
+            frozenset(
+                [requirement_anchor(requirement.id) for requirement in head.requirements]
+                + [case_anchor(case.id) for case in cases]
+                + [verdict_anchor(verdict.requirement, verdict.case) for verdict in verdicts]
+            ),
         )
+
+    def known(self, anchor: str) -> str | None:
+        """Return the anchor of a requirement, case or verdict if it is there.
+
+        A record may name some that it does not list.
+        """
+        return anchor if anchor in self.rows else None
 
     def of_episode(self, episode: str, component: str) -> str | None:
         """The anchor of its player or else of its row; ``None`` where it has neither."""

@@ -1,4 +1,4 @@
-"""Sections of the report on runs: scenarios, coverage, faults, episodes, failure modes."""
+"""Sections of the report on runs: cases, episodes, matrix, faults, failure modes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from pytest_dura.reports.failure_modes import (
     uncovered_lines,
 )
 from pytest_dura.reports.html.contents import (
-    UNREMARKABLE,
     CaseKey,
     CaseTally,
     EpisodeLinks,
@@ -34,8 +33,11 @@ from pytest_dura.reports.html.contents import (
     ReportContents,
     case_anchor,
     case_key,
+    fault_names,
+    faults_by_case,
     requirement_anchor,
     split_folded,
+    verdict_anchor,
     verdict_key,
 )
 from pytest_dura.reports.role_tables import (
@@ -84,20 +86,47 @@ def matrix(
     return {"corner": corner, "columns": requirements, "rows": rows}
 
 
-def scenario_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """One row for each case and component.
+_MAX_LINKED = 12
+"""Episodes that a case links to; the list of episodes has more."""
+
+
+def case_section(record: SessionRecord, contents: ReportContents, links: EpisodeLinks) -> Data:
+    """One entry for each case and component, and the episodes by case.
 
     Arms that lack a role come last: they are there to be compared with.
     """
     cases = record.head.cases
-    rows: list[tuple[CaseEntry, str | None]] = []
-    measures = record.head.measures
-    columns = shown_in(case_columns(cases, measures), Shown.PAGE)
-    anchors: set[str] = set()
+    columns = shown_in(case_columns(cases, record.head.measures), Shown.PAGE)
     shown, rest = split_folded(cases, contents.folded, case_key)
+    verdicts: dict[CaseKey, list[VerdictEntry]] = defaultdict(list)
+    for verdict in record.head.verdicts:
+        verdicts[verdict_key(verdict)].append(verdict)
+    episodes: dict[CaseKey, list[Data]] = defaultdict(list)
+    for each in contents.listed:
+        own = episodes[each.episode.case, each.episode.component]
+        if len(own) < _MAX_LINKED:
+            own.append({"id": each.episode.id, "anchor": links.of_episode(*each.key),
+                        "violates": bool(each.violates)})  # fmt: skip
+    anchors: set[str] = set()
+    rows = []
     for case in shown:
         anchor = case_anchor(case.id)
-        rows.append((case, None if anchor in anchors else anchor))
+        key = case_key(case)
+        judged = verdicts.get(key, [])
+        named = {verdict.requirement for verdict in judged}
+        rows.append(
+            {
+                "case": case,
+                "anchor": None if anchor in anchors else anchor,
+                "verdicts": [
+                    (each, verdict_anchor(each.requirement, each.case)) for each in judged
+                ],
+                # An arm without a role is there for pairs: the verdicts stand on the case itself.
+                "unjudged": [] if case.without else sorted(set(case.requirements) - named),
+                "episodes": episodes.get(key, []),
+                "run": contents.cases.get(key, CaseTally()).validities.total(),
+            }
+        )
         anchors.add(anchor)
     return {
         "groups": [
@@ -110,11 +139,14 @@ def scenario_section(record: SessionRecord, contents: ReportContents, _links: Ep
                 },
             }
             for arms in (False, True)
-            if (group := [row for row in rows if bool(row[0].without) is arms])
+            if (group := [row for row in rows if bool(row["case"].without) is arms])
             + (folded := [case for case in rest if bool(case.without) is arms])
         ],
         "overall": [total for total in record.head.overall if total.cases > 1],
         "columns": columns,
+        "several": len({case.component for case in cases}) > 1,
+        "faults": fault_names(record, contents.folded),
+        **_episodes_by_case(record, contents),
     }
 
 
@@ -123,23 +155,34 @@ _MAX_BARS = 20
 """Bars of a parameter; a list of choices may be long."""
 
 
-def coverage_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """The matrix of cells, and the bars of each varied parameter."""
+def matrix_section(record: SessionRecord, contents: ReportContents, links: EpisodeLinks) -> Data:
+    """The matrix of requirements by scenario and faults, orphans, and what of ranges was drawn."""
     coverage = record.head.coverage
+    violations: Counter[tuple[str, str, str]] = Counter()
+    for verdict in record.head.verdicts:
+        violations[_cell_key(verdict)] += verdict.violations
     requirements = [requirement.id for requirement in record.head.requirements]
-    places: dict[tuple[str, str], dict[str, list[str | None]]] = {}
+    listed = set(requirements)
+    places: dict[tuple[str, str], dict[str, list[Data]]] = {}
     shown, rest = _split_folded_cells(coverage.cells, contents.folded)
     for cell in shown:
         row = places.setdefault((cell.scenario, cell.faults), {})
-        row.setdefault(cell.requirement, []).append(cell.verdict)
-        if cell.requirement not in requirements:
+        row.setdefault(cell.requirement, []).append(
+            {
+                "verdict": cell.verdict,
+                "anchor": links.known(verdict_anchor(cell.requirement, cell.case)),
+                "violations": violations[_cell_key(cell)],
+            }
+        )
+        if cell.requirement not in listed:
             requirements.append(cell.requirement)
+            listed.add(cell.requirement)
     columns = sorted(places)
     words = Counter(cell.verdict for cell in coverage.cells)
     judged = {_cell_key(verdict) for verdict in record.head.verdicts if verdict.run}
     return {
-        "matrix": matrix(
-            [heading(name, anchor=requirement_anchor(name)) for name in requirements],
+        "table": matrix(
+            [heading(name, anchor=links.known(requirement_anchor(name))) for name in requirements],
             [
                 heading(scenario, f"+ {faults}" if faults else "no fault")
                 for scenario, faults in columns
@@ -157,7 +200,26 @@ def coverage_section(record: SessionRecord, contents: ReportContents, _links: Ep
         "left_out": coverage.left_out,
         "folded": len(set(map(_scenario_key, rest))),
         "parameters": [_parameter_bars(parameter) for parameter in coverage.parameters],
+        **_orphans(record),
     }
+
+
+def _orphans(record: SessionRecord) -> Data:
+    """Requirements without a case, cases without one, and what verdicts alone name."""
+    tested = {verdict.requirement for verdict in record.head.verdicts}
+    judged = {verdict_key(verdict) for verdict in record.head.verdicts}
+    named = [requirement.id for requirement in record.head.requirements]
+    return {
+        "untested": [
+            (name, requirement_anchor(name)) for name in named if name not in tested
+        ],
+        "unjudged": [
+            (case.id, case_anchor(case.id))
+            for case in record.head.cases
+            if case_key(case) not in judged and not case.without
+        ],
+        "unlisted": sorted(tested.difference(named)),
+    }  # fmt: skip
 
 
 def _split_folded_cells(
@@ -268,7 +330,23 @@ def _heat_cell(verdicts: list[VerdictEntry] | None) -> Data:
 
 
 def episode_section(record: SessionRecord, contents: ReportContents, links: EpisodeLinks) -> Data:
-    """Rows of counts, which together count each episode once, and rows of single episodes."""
+    """Single episodes, those that violated something first."""
+    anchors: set[str] = set()
+    faults = faults_by_case(record)
+    rows = [_episode_row(episode, links, anchors, faults) for episode in contents.listed]
+    return {
+        "several": len({key[1] for key in contents.cases}) > 1,
+        "total": record.head.totals.episodes,
+        "shown": len(rows),
+        "rows": rows,
+        "violated": sorted({name for each in contents.listed for name in each.violates}),
+        "faults": fault_names(record, contents.folded),
+        "left_out": record.head.totals.episodes - len(rows),
+    }
+
+
+def _episodes_by_case(record: SessionRecord, contents: ReportContents) -> Data:
+    """Rows of counts, which together count each episode once."""
     remaining = dict(contents.cases)
     counts = []
     folded: list[tuple[CaseEntry, int]] = []
@@ -281,7 +359,6 @@ def episode_section(record: SessionRecord, contents: ReportContents, links: Epis
             counts.append(_case_counts(key, tally, case))
     # Episodes of a case that the record does not list are counted all the same.
     counts += [_case_counts(key, tally, None) for key, tally in remaining.items()]
-    anchors: set[str] = set()
     return {
         "counts": counts,
         "folded": {
@@ -289,20 +366,7 @@ def episode_section(record: SessionRecord, contents: ReportContents, links: Epis
             "planned": sum(case.planned for case, _ in folded),
             "run": sum(run for _, run in folded),
         },
-        "several": len({key[1] for key in contents.cases}) > 1,
         "total": record.head.totals.episodes,
-        "shown": len(contents.listed),
-        "rows": [
-            _episode_row(episode, links, anchors)
-            for episode in contents.listed
-            if episode.rank < UNREMARKABLE
-        ],
-        "others": [
-            _episode_row(episode, links, anchors)
-            for episode in contents.listed
-            if episode.rank == UNREMARKABLE
-        ],
-        "left_out": record.head.totals.episodes - len(contents.listed),
     }
 
 
@@ -320,15 +384,25 @@ def _case_counts(key: CaseKey, tally: CaseTally, case: CaseEntry | None) -> Data
     }
 
 
-def _episode_row(episode: ListedEpisode, links: EpisodeLinks, anchors: set[str]) -> Data:
+def _episode_row(
+    episode: ListedEpisode,
+    links: EpisodeLinks,
+    anchors: set[str],
+    faults: Mapping[CaseKey, Sequence[str]],
+) -> Data:
     own = links.listed[episode.key]
     anchor = None if own in anchors else own
     anchors.add(own)
     return {
         **vars(episode.episode),
         "anchor": anchor,
-        "violates": [{"id": name, "anchor": requirement_anchor(name)} for name in episode.violates],
+        "violates": [
+            {"id": name, "anchor": links.known(requirement_anchor(name))}
+            for name in episode.violates
+        ],
         "player": links.players.get(episode.key),
+        "case_anchor": links.known(case_anchor(episode.episode.case)),
+        "faults": faults.get((episode.episode.case, episode.episode.component), ()),
         "why": episode.episode.failure
         or episode.episode.invalid_reason
         or episode.episode.critical,
@@ -345,6 +419,9 @@ def failure_mode_section(
     """A table over all cases for each component that gave accounts, and one of single cases."""
     cases, price = record.head.cases, record.head.llm_price
     usage = usage_rows(cases, price)
+    components = failure_modes_by_component(cases)
+    if not components and not usage:
+        return {}
     rows = [
         FailureModeRow(failure_mode, case.component, case)
         for case in cases_with_accounts(cases)
@@ -356,7 +433,7 @@ def failure_mode_section(
                 "component": component,
                 "groups": _failure_mode_groups([FailureModeRow(mode, component) for mode in modes]),
             }
-            for component, modes in failure_modes_by_component(cases).items()
+            for component, modes in components.items()
         ],
         "answers": list(decision_time_lines(cases)),
         "ages": list(decision_age_lines(cases)),

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
-from pytest_dura.core.errors import describe_error
-from pytest_dura.evidence.episode_model import TraceEntry
-from pytest_dura.evidence.files import file_entry
+from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import LINE, name, one_line, visible
-from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.reports.causes import Cause, causes_of
 from pytest_dura.reports.columns import (
     measure_label,
     number_text,
@@ -22,25 +21,28 @@ from pytest_dura.reports.columns import (
     seconds_text,
     share_text,
 )
-from pytest_dura.reports.html import episode_sections, plot_sections, verdict_sections
+from pytest_dura.reports.html import (
+    episode_sections,
+    hazard_section,
+    overview_sections,
+    plot_sections,
+    verdict_sections,
+)
 from pytest_dura.reports.html.contents import (
-    BriefEpisode,
-    CaseKey,
     EpisodeLinks,
-    ListedEpisode,
     ReportContents,
-    player_anchor,
-    verdict_key,
 )
 from pytest_dura.reports.html.player import content_hash
-from pytest_dura.reports.svg import tag
+from pytest_dura.reports.html.players import Traces, embed_players
+from pytest_dura.reports.scene import frame_svg
+from pytest_dura.reports.svg import Svg, tag
 from pytest_dura.reports.wording import model_options, replay_command
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from markupsafe import Markup
 
 
+FILE = "report.html"
 Data = Mapping[str, Any]
 
 
@@ -68,6 +70,24 @@ def _replay_text(episode: str, session: str) -> str:
     return replay_command(episode, "DIR", model_options(session))
 
 
+def _file_address(file: str) -> str:
+    """A file of the bundle as a link's address."""
+    return f"./{quote(file, safe='/')}"
+
+
+def _bundle_reference(url: str) -> str:
+    """Where an element's evidence lies: within this page, or a file of the bundle.
+
+    Empty for any other address, which a user's argument may have: nothing here leads outside.
+    """
+    file, mark, anchor = url.partition("#")
+    if file == FILE and mark:
+        return f"#{quote(anchor, safe='-._')}"
+    if file == RECORD_FILE or re.fullmatch(r"episodes/[^/\\]+\.mcap", file):
+        return _file_address(file)
+    return ""
+
+
 _FILTERS: Mapping[str, Any] = {
     "name": name,
     "line": _line_text,
@@ -80,197 +100,105 @@ _FILTERS: Mapping[str, Any] = {
     "replay": _replay_text,
     "role": role_name,
     "label": measure_label,
+    "address": _file_address,
+    "reference": _bundle_reference,
+    "joined": lambda texts: "\n".join(map(name, texts)),
 }
 """Filters of the templates."""
 
-MAX_PLAYERS = 12
-MAX_CHARACTERS = 6_000_000
-
-
-@dataclass
-class Players:
-    """The players of a report, and the traces that could not be read.
-
-    Args:
-        rows: In the page's order: the episode with ``anchor``, ``packed`` (the player's text, or
-            ``None``) and ``problem``.
-        shown: Id and component of those with a player.
-        script: The player's own.
-        style: The player's own.
-    """
-
-    rows: list[Data] = field(default_factory=list)
-    shown: list[CaseKey] = field(default_factory=list)
-    script: str = ""
-    style: str = ""
-
-
-def embed_players(record: SessionRecord, candidates: Sequence[ListedEpisode]) -> Players:
-    """Players of the first episodes whose traces can be read, up to the bounds.
-
-    Args:
-        record: The record, in whose directory the traces lie.
-        candidates: Episodes with a trace, those that show most first.
-    """
-    players = Players()
-    room = MAX_CHARACTERS
-    for candidate in candidates:
-        if len(players.shown) == MAX_PLAYERS:
-            break
-        trace = candidate.episode.trace
-        if candidate.key in players.shown or trace is None:
-            continue
-        packed, problem = None, ""
-        try:
-            packed = _packed_trace(record, candidate, trace)
-        except Exception as error:  # shown in the trace's place
-            problem = describe_error(error)
-        if packed is not None and len(packed) > room:
-            continue
-        players.rows.append(
-            {
-                **vars(candidate.episode),
-                "violates": candidate.violates,
-                "problem": problem,
-                "packed": None if packed is None else _plain_base64(packed),
-                "anchor": player_anchor(*candidate.key),
-            }
-        )
-        if packed is not None:
-            room -= len(packed)
-            players.shown.append(candidate.key)
-    if players.shown:
-        from pytest_dura.reports.html.player import player_assets
-
-        players.script, players.style = player_assets()
-    return players
-
-
-def _packed_trace(record: SessionRecord, episode: ListedEpisode, trace: TraceEntry) -> str:
-    """The player's text of an episode's trace.
-
-    Raises:
-        ValueError: If the file is not the one that was written, or lies outside the bundle.
-    """
-    from pytest_dura.evidence.mcap import read_trace
-    from pytest_dura.reports.html.player import pack_data, player_data
-
-    file = _file_inside(record.directory, trace.file)
-    digest = file_entry(file)["sha256"]
-    if digest != trace.sha256:
-        raise ValueError(f"its SHA-256 is {digest[:12]}..., and the record says another")
-    verdicts = _verdicts_on_episode(record, episode)
-    measures = [measure.to_json() for measure in record.head.measures]
-    return pack_data(player_data(read_trace(file), verdicts, measures))
-
-
-def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[Data]:
-    """The verdicts on an episode, its violations first."""
-    violated: list[Data] = []
-    others: list[Data] = []
-    for verdict in record.head.verdicts:
-        if verdict_key(verdict) != (episode.episode.case, episode.episode.component):
-            continue
-        row: dict[str, Any] = {"requirement": verdict.requirement, "check": verdict.check}
-        violations = [
-            counterexample
-            for counterexample in verdict.counterexamples
-            if counterexample.episode == episode.episode.id
-        ]
-        if violations and episode.violates:
-            row |= {"time": violations[0].time, "margin": violations[0].margin}
-            note = "" if violations[0].valid else "without effect of the fault"
-            violated.append({**row, "verdict": "violated", "note": note})
-        else:
-            status, note = _satisfied_verdict(verdict, episode.episode)
-            others.append({**row, "verdict": status, "note": note})
-    return violated + others
-
-
-def _satisfied_verdict(verdict: VerdictEntry, episode: BriefEpisode) -> tuple[str, str]:
-    """A verdict's status on an episode that is none of its counterexamples, and a note on it.
-
-    The record names single episodes where they violate; of others it has the sums.
-    """
-    # Another requirement on the case may have needed more runs than this one looked at.
-    beyond = verdict.check and episode.run >= verdict.run
-    if not episode.planned or beyond:
-        return "not judged", "the verdict rests on other runs"
-    if episode.validity != "valid":
-        return episode.validity, ""
-    if episode.id in verdict.open:
-        return "open", "the episode ended before it was decided"
-    if verdict.pairs is not None:
-        return "not violated", "judged on pairs of runs"
-    if verdict.invalid or verdict.missing or verdict.saved:
-        return "not violated", "or not decided: of some of its runs the verdict knows no more"
-    return "satisfied", ""
-
-
-def _plain_base64(text: str) -> Markup:
-    """The player's text for a script element, which is not escaped.
-
-    Raises:
-        ValueError: If it holds anything but letters, digits and ``+/=``.
-    """
-    from markupsafe import Markup
-
-    if not re.fullmatch(r"[A-Za-z0-9+/=]*", text):
-        raise ValueError("the player's text is not base64")
-    return Markup(text)  # noqa: S704 - it was just looked at
-
-
-def _file_inside(directory: Path, name: str) -> Path:
-    file = (directory / name).resolve()
-    if not file.is_relative_to(directory.resolve()):
-        raise ValueError("the file lies outside the evidence")
-    return file
-
-
-FILE = "report.html"
 _DIRECTORY = Path(__file__).parent
 
 Section = Callable[[SessionRecord, ReportContents, EpisodeLinks], Mapping[str, Any]]
-_SECTIONS: Mapping[str, Section] = {
-    "gate": verdict_sections.gate_section,
-    "requirements": verdict_sections.requirement_section,
-    "searches": verdict_sections.search_section,
-    "scenarios": episode_sections.scenario_section,
-    "failure_modes": episode_sections.failure_mode_section,
-    "faults": episode_sections.fault_section,
-    "coverage": episode_sections.coverage_section,
-    "traceability": verdict_sections.traceability_section,
-    "plots": plot_sections.plot_section,
-    "monitors": verdict_sections.monitor_section,
-    "episodes": episode_sections.episode_section,
-    "provenance": verdict_sections.provenance_section,
-}
-"""Sections by the name of their template, in the order of the page."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A part of the page that is shown by itself.
+
+    Args:
+        name: Its anchor, that of its template, and under which the template has its data.
+        title: In the navigation.
+        section: Returns its data; a view whose data are empty is left out.
+        printed: Whether it is on paper, too.
+    """
+
+    name: str
+    title: str
+    section: Section
+    printed: bool = False
+
+
+VIEWS: Sequence[View] = (
+    View("requirements", "Requirements", verdict_sections.requirement_section, printed=True),
+    View("cases", "Cases", episode_sections.case_section),
+    View("hazards", "Hazards", hazard_section.hazard_section, printed=True),
+    View("episodes", "Episodes", episode_sections.episode_section),
+    View("matrix", "Matrix", episode_sections.matrix_section),
+    View("argument", "Assurance case", overview_sections.argument_section),
+    View("plots", "Plots", plot_sections.plot_section, printed=True),
+    View("searches", "Searches", verdict_sections.search_section),
+    View("monitors", "Monitors", verdict_sections.monitor_section),
+    View("faults", "Faults", episode_sections.fault_section),
+    View("failure_modes", "Failure modes", episode_sections.failure_mode_section),
+    View("provenance", "Provenance", verdict_sections.provenance_section),
+    View("files", "Files", overview_sections.files_section),
+)
+"""Views after the overview, in the order of the navigation and, without scripts, of the page."""
 
 
 def render(record: SessionRecord) -> str:
     """The page as a text. It reads the bundle's traces, and names those that it cannot read."""
-    contents = ReportContents.of(record)
-    players = embed_players(record, contents.candidates)
-    links = EpisodeLinks.of(contents, players.shown)
-    scripts = [_asset("report.js")]
+    causes = causes_of(record)
+    worst = [(cause.episode, cause.component) for cause in causes if cause.episode is not None]
+    contents = ReportContents.of(record, first=worst)
+    traces = Traces(record)
+    players = embed_players(record, contents.candidates, traces)
+    links = EpisodeLinks.of(record, contents, players.shown)
+    scripts = [_HEAD_SCRIPT, _asset("report.js")]
     styles = [_asset("report.css")]
     if players.shown:
-        scripts.insert(0, players.script)
+        scripts.insert(1, players.script)
         styles.insert(0, players.style)
-    sections = {name: section(record, contents, links) for name, section in _SECTIONS.items()}
+
+    def picture(cause: Cause) -> Svg:
+        return _cause_picture(cause, contents, traces)
+
+    sections = {view.name: view.section(record, contents, links) for view in VIEWS}
+    overview = overview_sections.overview_section(record, causes, links, picture)
     template = _environment().get_template("report.html")
+    head_script, *scripts_below = _inline(scripts)
     return template.render(
         record=record.head,
         review=record.review,
         links=links,
         players=players,
         contents=contents,
-        scripts=_inline(scripts),
+        views=[view for view in VIEWS if sections[view.name]],
+        overview=overview,
+        head_script=head_script,
+        scripts=scripts_below,
         styles=_inline(styles),
         policy=_content_policy(scripts, styles),
         **sections,
     )
+
+
+_HEAD_SCRIPT = 'document.documentElement.classList.add("js");'
+"""Before anything is drawn: one view at a time, where scripts run."""
+
+
+def _cause_picture(cause: Cause, contents: ReportContents, traces: Traces) -> Svg:
+    """The scene at a cause's violation; empty without a trace that can be read, or a scene."""
+    key = (cause.episode or "", cause.component)
+    listed = next((each for each in contents.candidates if each.key == key), None)
+    if listed is None or cause.time is None:
+        return Svg("")
+    try:
+        trace = traces.read(listed.episode.trace)
+    except Exception:
+        return Svg("")
+    twin = next((each.trace for each in traces.twins_of(listed.episode) if each.trace), None)
+    return frame_svg(trace, cause.time, twin=twin, label=f"At {cause.time:.2f} s: {cause.headline}")
 
 
 @cache

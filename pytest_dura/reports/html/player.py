@@ -3,9 +3,12 @@
 A page takes both texts of :func:`player_assets` and calls, for each episode,
 ``DuraPlayer.mount(element, text, options)`` with the text of ``pack_data(player_data(trace))``, or
 a function that returns it. The element then holds a button, and nothing is unpacked until it is
-pressed, or at once with ``{open: true}``. ``label`` is the button's text; ``page: true`` says that
-the page is this player's alone, whose keys then work wherever the focus is. ``mount`` returns
-``{open(), play(), pause(), seek(tick), state}``; ``open()`` is a promise, ``state`` a copy.
+pressed, or at once with ``{open: true}``. It then stands 3 s before the first violation. ``label``
+is the button's text; ``focus: true`` gives an opened player the focus, so that its keys work;
+``page: true`` says that the page is this player's alone, whose keys then work wherever the focus
+is; ``others()`` lists ``{label, packed}`` of episodes that may be shown beside it. ``mount``
+returns ``{open(), play(), pause(), seek(tick), focus(), state}``; ``open()`` is a promise,
+``state`` a copy.
 """
 
 from __future__ import annotations
@@ -16,105 +19,20 @@ import json
 import math
 import zlib
 from bisect import bisect_left
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.core.simulator import Line, Scene, Tracks
 from pytest_dura.evidence.text import html, name, visible
 from pytest_dura.evidence.traces import Trace, without_exchange
-from pytest_dura.reports.episode_view import margin_over_time
+from pytest_dura.reports.episode_view import formula_of, margin_over_time
 from pytest_dura.reports.html.thoughts import thoughts_data
-
-_FARTHEST = 1e6
-"""Metres; what is reported farther away, as absurd percepts may be, stands here."""
-
-Ints = NDArray[np.int64]
-
-
-def _scene_data(scene: Scene, text: Callable[[object], str]) -> dict[str, Any]:
-    """A scene in cm, mrad and cm/s.
-
-    Args:
-        scene: The scene.
-        text: Makes an id fit to be shown; two ids that differ stay different.
-
-    Returns:
-        ``ego``; ``lines`` of ``[kind, x, y]``; ``truth`` and ``percept``, a list of things
-        ``{id, runs, same}``. A run is ``[tick, length, width, x, y, heading, speed]``, the last
-        four as lists of differences, one per tick; it ends where the thing is absent or its size
-        changes. ``same`` has ``[tick, ticks]`` in which a percept is what the truth is.
-    """
-    truth = {id_: _rounded_poses(scene.truth, column) for column, id_ in enumerate(scene.truth.ids)}
-    return {
-        "ego": text(scene.ego),
-        "lines": [_line_data(line, text) for line in scene.lines],
-        "truth": [_object_data(text(id_), *track, None) for id_, track in truth.items()],
-        "percept": [
-            _object_data(text(id_), *_rounded_poses(scene.percept, column), truth.get(id_))
-            for column, id_ in enumerate(scene.percept.ids)
-        ],
-    }
-
-
-def _line_data(line: Line, text: Callable[[object], str]) -> list[Any]:
-    points = line.points[np.isnan(line.points).sum(axis=1) == 0].astype(np.float64)
-    points = np.rint(np.clip(points, -_FARTHEST, _FARTHEST) * 100.0).astype(np.int64)
-    return [text(line.kind), _differences(points[:, 0]), _differences(points[:, 1])]
-
-
-def _rounded_poses(tracks: Tracks, column: int) -> tuple[NDArray[np.bool_], Ints]:
-    """The ticks at which an object is present, and its poses in cm and mrad."""
-    poses = tracks.poses[:, column].astype(np.float64)
-    present = np.isnan(poses[:, :2]).sum(axis=1) == 0
-    poses = np.clip(np.nan_to_num(poses, nan=0.0), -_FARTHEST, _FARTHEST)
-    poses[:, 2] = np.remainder(poses[:, 2] + np.pi, 2.0 * np.pi) - np.pi
-    scaled = poses * (100.0, 100.0, 1000.0, 100.0, 100.0, 100.0)
-    return present, np.rint(scaled).astype(np.int64)
-
-
-def _object_data(
-    name: str,
-    present: NDArray[np.bool_],
-    poses: Ints,
-    truth: tuple[NDArray[np.bool_], Ints] | None,
-) -> dict[str, Any]:
-    same = np.zeros_like(present)
-    if truth is not None and truth[1].shape == poses.shape:
-        same = present & truth[0] & (truth[1] == poses).all(axis=1)
-    sizes = poses[:, 4:]
-    changes = np.zeros_like(present)
-    changes[1:] = (sizes[1:] != sizes[:-1]).any(axis=1)
-    runs = []
-    for start, stop in _stretches(present & ~same, changes):
-        part = poses[start:stop]
-        columns = [_differences(part[:, index]) for index in range(4)]
-        runs.append([start, int(part[0, 4]), int(part[0, 5]), *columns])
-    equal = [[start, stop - start] for start, stop in _stretches(same, np.zeros_like(same))]
-    return {"id": name, "runs": runs, "same": equal}
-
-
-def _stretches(mask: NDArray[np.bool_], cuts: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Half-open intervals in which the mask holds, split where ``cuts`` holds."""
-    stretches: list[tuple[int, int]] = []
-    start: int | None = None
-    for index, (held, cut) in enumerate(zip(mask.tolist(), cuts.tolist(), strict=True)):
-        if start is not None and (not held or cut):
-            stretches.append((start, index))
-            start = None
-        if held and start is None:
-            start = index
-    return stretches if start is None else [*stretches, (start, len(mask))]
-
-
-def _differences(values: Ints) -> list[int]:
-    """The first value, then by how much each differs from the one before."""
-    return np.diff(values, prepend=0).tolist()  # type: ignore[no-any-return]
-
+from pytest_dura.reports.html.twins import Twin, twin_data
+from pytest_dura.reports.scene import scene_data
+from pytest_dura.requirements.stl.formula import Boolean, Node, Not, Temporal, TemporalPair
 
 _MAX_WHOLE_NUMBER = 1e15
 _TIME_TOLERANCE = 1e-6
@@ -127,6 +45,7 @@ def player_data(
     trace: Trace,
     verdicts: Sequence[Mapping[str, Any]] = (),
     measures: Sequence[Mapping[str, Any]] = (),
+    twins: Sequence[Twin] = (),
 ) -> dict[str, Any]:
     """An episode for the player; the trace keeps what is rounded here.
 
@@ -136,13 +55,19 @@ def player_data(
             ``time`` of the violation in s, ``margin`` and ``check``; with a ``note`` where there is
             more to say.
         measures: As in the record; some name a signal whose rise is marked.
+        twins: Runs of the same seed without something, whose ego is shown as a shadow.
 
     Returns:
         JSON data. Columns of texts are ``{words, at}``, where ``at`` holds an index into
         ``words`` for each decision. Signals have six significant digits; ``None`` is NaN, and
         infinities are texts. ``margins`` are the checks' robustness over time, each with the
-        ``formula`` that it is of and the ``requirements`` that it decides. For the scene see
-        :func:`_scene_data`, for ``thoughts``
+        ``formula`` that it is of, the ``requirements`` that it decides, and ``open``: until which
+        tick it was not lost yet, where something has to come about. ``twins`` have ``without``,
+        ``label``, ``id``, ``problem``, ``ended`` in words, ``last`` (the tick at which it ended
+        within this episode, or ``None``), ``runs`` of its ego at the episode's ticks, and
+        ``difference`` and ``acted``: ``[tick, text]`` of the first difference, and of the first
+        other action, or ``None``. For the scene see
+        :func:`~pytest_dura.reports.scene.scene_data`, for ``thoughts``
         :func:`~pytest_dura.reports.html.thoughts.thoughts_data`.
     """
     recording, decisions = trace.recording, trace.decisions
@@ -169,7 +94,8 @@ def player_data(
         "events": _events(trace, marks),
         "marks": [[_name(signal), _name(event)] for signal, event in marks.items()],
         "faults": _faults(trace.events, len(trace.time)),
-        "scene": None if recording.scene is None else _scene_data(recording.scene, _name),
+        "scene": None if recording.scene is None else scene_data(recording.scene, _name),
+        "twins": [twin_data(trace, twin) for twin in twins],
         "problem": None if recording.problem is None else _text(recording.problem),
     }
 
@@ -246,8 +172,34 @@ def _margins(trace: Trace, verdicts: Sequence[Mapping[str, Any]]) -> list[dict[s
             values = _numbers(column)
             margins[check] = {"formula": _text(formula), "requirements": [], "values": values}
             margins[check]["violated"] = verdict["verdict"] == "violated"
+            margins[check]["open"] = _open_until(check, verdict, trace.time.tolist())
         margins[check]["requirements"].append(_name(verdict["requirement"]))
     return list(margins.values())
+
+
+def _open_until(check: str, verdict: Mapping[str, Any], time: Sequence[float]) -> int | None:
+    """The tick until which the check was not lost yet; ``None`` of one that only has to stay true.
+
+    What has to come about is below zero before it does, and lost only at its end.
+    """
+    formula = formula_of(check)
+    if formula is None or not _awaits(formula.root):
+        return None
+    tick: int | None = _verdict(verdict, time)["tick"]
+    return len(time) - 1 if tick is None else tick
+
+
+def _awaits(node: Node, wanted: bool = True) -> bool:
+    """Whether a formula holds only once something comes about."""
+    if isinstance(node, Not):
+        return _awaits(node.operand, not wanted)
+    if isinstance(node, Boolean):
+        turned = wanted if node.operator != "implies" else not wanted
+        return _awaits(node.left, turned) or _awaits(node.right, wanted)
+    if isinstance(node, Temporal):
+        awaited = node.operator == ("eventually" if wanted else "always")
+        return awaited or _awaits(node.operand, wanted)
+    return isinstance(node, TemporalPair) and wanted
 
 
 def _events(trace: Trace, marks: Mapping[str, str]) -> list[list[Any]]:
@@ -291,7 +243,10 @@ def _faults(events: Sequence[Mapping[str, Any]], ticks: int) -> list[dict[str, A
 
 
 _ASSETS = Path(__file__).parent / "assets"
-_PARTS = ("basics", "episode", "view", "lanes", "plots", "panels", "thoughts", "keys", "player")
+_PARTS = (
+    "basics", "episode", "view", "lanes", "plots", "panels", "thoughts", "twins", "beside", "keys",
+    "player",
+)  # fmt: skip
 _START = """
 DuraPlayer.mount(document.getElementById("player"),
   document.getElementById("episode").textContent, {open: true, page: true});
@@ -342,6 +297,7 @@ def player_page(
     trace: Trace,
     verdicts: Sequence[Mapping[str, Any]] = (),
     measures: Sequence[Mapping[str, Any]] = (),
+    twins: Sequence[Twin] = (),
 ) -> str:
     """A page of its own that plays an episode; it needs no network, and runs no other script.
 
@@ -349,8 +305,9 @@ def player_page(
         trace: The episode.
         verdicts: As for :func:`~pytest_dura.reports.html.player.player_data`.
         measures: As for the same.
+        twins: As for the same.
     """
-    data = player_data(trace, verdicts, measures)
+    data = player_data(trace, verdicts, measures, twins)
     script, style = player_assets()
     script += _START
     policy = (

@@ -72,7 +72,10 @@ MAX_LISTED_PAIRS = 20
 
 
 def plot_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """The plots, each with what it leaves out, and the tables of pairs and exposure."""
+    """The plots, each with what it leaves out, and the tables of pairs and exposure.
+
+    Empty where there is nothing to be drawn.
+    """
     measures = [each for each in record.head.measures if each.shown == "mean"]
     arms = [Arm.of(case) for case in record.head.cases]
     drawn = arms_in_order(arm for arm in arms if arm.key not in contents.folded)[:MAX_ROWS]
@@ -82,7 +85,7 @@ def plot_section(record: SessionRecord, contents: ReportContents, _links: Episod
     for episode in record.episodes():
         data.add(episode)
     shown = [each for each in measures[:MAX_MEASURES] if data.measures[each.name]]
-    return {
+    plots: dict[str, Any] = {
         "measures": [
             _measure_plot(data, each, i, len(arms) - len(drawn)) for i, each in enumerate(shown)
         ],
@@ -101,6 +104,7 @@ def plot_section(record: SessionRecord, contents: ReportContents, _links: Episod
             for entry in record.head.coverage.exposure or []
         ],
     }
+    return plots if any(plots.values()) else {}
 
 
 def _dots(numbers: Sequence[float]) -> Sequence[float]:
@@ -313,7 +317,7 @@ def _flows(data: PlotData) -> Data:
 def _pair_maps(record: SessionRecord) -> Data:
     known = record.head.coverage.combinations
     if known is None:
-        return {"combinations": None, "maps": [], "maps_left_out": 0, "worst": []}
+        return {"combinations": "", "maps": [], "maps_left_out": 0, "worst": []}
     by_scenario: dict[str, list[PairEntry]] = defaultdict(list)
     for pair in known.worst:
         by_scenario[pair.scenario].append(pair)

@@ -1,4 +1,4 @@
-"""Sections of the report on verdicts: from gate and requirements to searches and provenance."""
+"""Sections of the report on verdicts: requirements, searches, monitors and provenance."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
+from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry
 from pytest_dura.evidence.verdict_model import MonitorEntry, PairsEntry, VerdictEntry
 from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.html.contents import (
-    CaseTally,
     EpisodeLinks,
     ReportContents,
     case_anchor,
     case_key,
+    fault_names,
+    faults_by_case,
     requirement_anchor,
     split_folded,
     verdict_anchor,
@@ -56,34 +57,10 @@ from pytest_dura.reports.tables import (
 )
 from pytest_dura.reports.usage import spending_text
 from pytest_dura.reports.verdicts import assertion_sentences
-from pytest_dura.reports.wording import (
-    conclusion_sentences,
-    limitation_sentences,
-    merge_text,
-    selection_text,
-    shard_text,
-)
 from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.model import FAULTS
 
 Data = Mapping[str, Any]
-
-
-def gate_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """Sentences on the session, and the anchor of the verdict behind each reason of the gate."""
-    anchors = {}
-    for verdict in record.head.verdicts:
-        requirement, case = verdict.requirement, verdict.case
-        reason = f"{requirement} on {case} is {verdict.verdict}"
-        anchors[reason] = verdict_anchor(requirement, case)
-    return {
-        "anchors": anchors,
-        "shown": list(conclusion_sentences(record)),
-        "not_shown": list(limitation_sentences(record)),
-        "part": shard_text(record),
-        "merged": merge_text(record),
-        "selected": selection_text(record),
-    }
 
 
 WORST_FIRST = ("violated", "undecided", "supported")
@@ -100,6 +77,7 @@ def requirement_section(
     anchors: set[str] = set()
     methods: dict[tuple[str, str], int] = {}
     shown, rest = split_folded(record.head.verdicts, contents.folded, verdict_key)
+    faults_of = faults_by_case(record)
     folded: dict[str, list[VerdictEntry]] = {}
     for verdict in rest:
         folded.setdefault(verdict.requirement, []).append(verdict)
@@ -109,7 +87,8 @@ def requirement_section(
         own = None if anchor in anchors else anchor
         anchors.add(anchor)
         note = methods.setdefault((verdict.bound.method, verdict.method), len(methods) + 1)
-        row = {**_verdict_row(verdict, links), "anchor": own, "note": note}
+        faults = faults_of.get(verdict_key(verdict), ())
+        row = {**_verdict_row(verdict, links), "anchor": own, "note": note, "faults": faults}
         rows.setdefault(verdict.requirement, []).append(row)
     ranks = {verdict.requirement: _verdict_rank(verdict) for verdict in reversed(shown)}
     groups = [
@@ -134,8 +113,14 @@ def requirement_section(
         }
         for name in dict.fromkeys([*rows, *folded])
     ]
+    for group in groups + others:
+        counts = Counter(row["verdict"] for row in group["rows"])
+        counts["supported"] += group["folded"]["number"]
+        group["counts"] = {status: counts[status] for status in WORST_FIRST if counts[status]}
     return {
         "groups": groups + others,
+        "kinds": sorted({requirement.kind for requirement in record.head.requirements}),
+        "faults": fault_names(record, contents.folded),
         "several": several,
         "methods": list(methods),
         "columns": shown_in(VERDICT_COLUMNS, Shown.PAGE),
@@ -164,6 +149,7 @@ def _verdict_row(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
     return {
         **dict(verdict),
         "verdict_entry": verdict,
+        "case_anchor": links.known(case_anchor(verdict.case)),
         "worst": [
             {
                 **dict(counterexample),
@@ -178,76 +164,6 @@ def _verdict_row(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
         "more": len(verdict.counterexamples) - len(shown),
         "pairs": verdict.pairs if isinstance(verdict.pairs, PairsEntry) else None,
         "fixed_n": has_fixed_n(verdict),
-    }
-
-
-def traceability_section(
-    record: SessionRecord, contents: ReportContents, links: EpisodeLinks
-) -> Data:
-    """The trace from requirements to episodes, and that from cases to requirements."""
-    by_requirement: dict[str, list[Data]] = {}
-    by_case: dict[tuple[str, str], list[Data]] = {}
-    shown, rest = split_folded(record.head.verdicts, contents.folded, verdict_key)
-    folded = Counter(verdict.requirement for verdict in rest)
-    cases, folded_cases = split_folded(record.head.cases, contents.folded, case_key)
-    for verdict in shown:
-        trace_step = _trace_step(verdict, links)
-        by_requirement.setdefault(verdict.requirement, []).append(trace_step)
-        by_case.setdefault(verdict_key(verdict), []).append(trace_step)
-    named = {requirement.id for requirement in record.head.requirements}
-    return {
-        "several": len({case.component for case in record.head.cases}) > 1,
-        "forward": [
-            {
-                "id": requirement.id,
-                "anchor": requirement_anchor(requirement.id),
-                "steps": by_requirement.get(requirement.id, []),
-                "folded": folded[requirement.id],
-            }
-            for requirement in record.head.requirements
-        ],
-        "backward": [_case_trace(case, by_case, contents) for case in cases],
-        "folded": len(folded_cases),
-        "unlisted": sorted({*by_requirement, *folded} - named),
-    }
-
-
-def _trace_step(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
-    shown = verdict.counterexamples[:MAX_COUNTEREXAMPLES]
-    return {
-        "requirement": verdict.requirement,
-        "requirement_anchor": requirement_anchor(verdict.requirement),
-        "case": verdict.case,
-        "component": verdict.component,
-        "case_anchor": case_anchor(verdict.case),
-        "verdict": verdict.verdict,
-        "verdict_anchor": verdict_anchor(verdict.requirement, verdict.case),
-        "item": verdict.item,
-        "waiver": verdict.waiver,
-        "episodes": [
-            {
-                "id": counterexample.episode,
-                "link": links.of_episode(counterexample.episode, verdict.component),
-            }
-            for counterexample in shown
-        ],
-        "more": len(verdict.counterexamples) - len(shown),
-    }
-
-
-def _case_trace(
-    case: CaseEntry, by_case: Mapping[tuple[str, str], list[Data]], contents: ReportContents
-) -> Data:
-    key = case_key(case)
-    steps = by_case.get(key, [])
-    judged = {step["requirement"] for step in steps}
-    return {
-        **dict(case),
-        "anchor": case_anchor(case.id),
-        "steps": steps,
-        # An arm without a role is there for pairs: the verdicts stand on the case it belongs to.
-        "unjudged": [] if case.without else sorted(set(case.requirements) - judged),
-        "run": contents.cases.get(key, CaseTally()).validities.total(),
     }
 
 
@@ -299,6 +215,8 @@ MOST_CHANGES = 50
 
 def search_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
     """The searches, the worst first, with a row for each of their requirements."""
+    if not record.head.searches:
+        return {}
     ordered = sorted(record.head.searches, key=_search_rank)
     return {
         "searches": [

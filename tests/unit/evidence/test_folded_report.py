@@ -72,7 +72,7 @@ def has_rows(html: str, place: int) -> set[bool]:
     """Whether a case stands in the tables of verdicts, cases and coverage."""
     name = f"{CASE}{place}"
     anchors = (verdict_anchor(VERDICT, name), case_anchor(name))
-    told = [f'<tr[^>]* id="{anchor}"' for anchor in anchors] + [rf"ghost{place}<"]
+    told = [f'<(?:tr|tbody)[^>]* id="{anchor}"' for anchor in anchors] + [rf"\+ ghost{place}<"]
     return {bool(re.search(one, html)) for one in told}
 
 

@@ -14,11 +14,14 @@ from report_pages import VIOLATING, Page, record_with_trace
 from session_records import episode, session_record, verdict
 from stated_counts import stated_counts
 
+from pytest_dura.evidence.bundle import FORMATS
 from pytest_dura.evidence.case_model import FaultMetricsEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.text import name
 from pytest_dura.evidence.verdict_model import VerdictEntry
-from pytest_dura.reports import anchor, case_anchor, verdict_anchor
-from pytest_dura.reports.html import contents, page
+from pytest_dura.reports import anchor, case_anchor, generated_argument, verdict_anchor
+from pytest_dura.reports.causes import causes_of
+from pytest_dura.reports.html import contents, overview_sections, players
 from pytest_dura.reports.html.contents import requirement_anchor
 from pytest_dura.reports.html.episode_sections import heading, matrix
 from pytest_dura.reports.html.page import render
@@ -35,14 +38,19 @@ def section(html, name):
     return Page(re.search(f'<section id="{name}".*?</section>', html, re.DOTALL)[0]).words
 
 
+def section_html(html, name):
+    return re.search(f'<section id="{name}".*?</section>', html, re.DOTALL)[0]
+
+
 def row(html, anchor):
-    return Page(re.search(f'<tr[^>]* id="{anchor}">.*?</tr>', html, re.DOTALL)[0]).words
+    pattern = f'<(?:tr|tbody)[^>]* id="{anchor}"[^>]*>.*?</tr>'
+    return Page(re.search(pattern, html, re.DOTALL)[0]).words
 
 
 def test_the_gate_says_why_it_failed_and_that_nobody_reviewed_it(html):
-    gate = section(html, "gate")
+    gate = section(html, "overview")
     assert "failed exit code 1" in gate
-    assert "SAF-1 on a/clear+ghost is violated" in gate
+    assert "✗ violated" in gate
     assert "commit c0ffee" in gate
     assert "base seed 0" in gate
     assert "generated and unreviewed" in gate
@@ -57,21 +65,21 @@ def test_the_gate_says_why_it_failed_and_that_nobody_reviewed_it(html):
     ],
 )
 def test_an_incomplete_session_says_so_before_anything_else(changes):
-    gate = section(render(session_record(**changes)), "gate")
+    gate = section(render(session_record(**changes)), "overview")
     assert "Incomplete:" in gate
-    assert gate.index("Incomplete:") < gate.index("1. Gate result")
+    assert gate.index("Incomplete:") < gate.index("exit code")
 
 
 def test_a_gate_that_passed_says_what_it_let_through():
     gate = {"result": "passed", "exit_code": 0, "reasons": [], "warn_undecided": True}
-    words = section(render(session_record(gate=gate)), "gate")
+    words = section(render(session_record(gate=gate)), "overview")
     assert "is supported, or waived by name; undecided ones are let through" in words
     gate = {"result": "incomplete", "exit_code": 2, "reasons": []}
     assert "Nothing speaks against it" not in render(session_record(gate=gate))
 
 
 def test_a_complete_session_is_not_called_incomplete(html):
-    assert "ncomplete" not in section(html, "gate")
+    assert "ncomplete" not in section(html, "overview")
 
 
 def test_a_verdict_states_its_counts_bound_margin_and_counterexample(html):
@@ -188,7 +196,7 @@ def test_the_chain_of_a_fault_has_its_counts_outcomes_and_latencies():
 
 
 def test_untested_cells_and_drawn_parts_of_ranges_are_shown(html):
-    words = section(html, "coverage")
+    words = section(html, "matrix")
     assert "4 of 5 cells" in words
     assert words.count("○ untested") == 2  # the cell, and the legend
     assert "world.wall 2 to 6 6 2.5 to 5 0 2 1 2 1 0 0 0 0 0 4/10 (40 %)" in words.replace(
@@ -198,10 +206,11 @@ def test_untested_cells_and_drawn_parts_of_ranges_are_shown(html):
 
 def test_requirements_without_a_case_and_cases_without_a_requirement_are_orphans():
     html = render(session_record(verdicts=[verdict("SAF-1", "a/clear", ("satisfied",) * 2)]))
-    words = section(html, "traceability")
-    assert words.count("orphan: no case tests it") == 2
-    assert words.count("orphan: no requirement is judged on it") == 1
-    assert "untested: no case led to a verdict on it" in section(html, "requirements")
+    words = section(html, "matrix")
+    assert "Orphans: no case tests PERF-1, SEC-1." in words
+    assert "Orphans: no requirement is judged on a/clear+ghost." in words
+    assert section(html, "cases").count("orphan: no requirement is judged on it") == 1
+    assert section(html, "requirements").count("untested: no case led to a verdict on it") == 2
 
 
 def test_a_monitor_is_told_with_n_behind_its_rates(html):
@@ -232,7 +241,7 @@ def test_a_choice_is_covered_by_what_was_drawn_of_it():
         choices=[{"value": "left", "count": 6}, {"value": True, "count": 0}],
     )  # fmt: skip
     coverage = {"cells": [], "left_out": 7, "parameters": [one]}
-    words = section(render(session_record(coverage=coverage)), "coverage")
+    words = section(render(session_record(coverage=coverage)), "matrix")
     assert "world.wall 2 choices 6 left, True 6 0 1/2 (50 %)" in words
     assert "0 of 7 cells" in words
     assert "7 untested cells are too many to be listed" in words
@@ -319,10 +328,13 @@ def test_players_are_bounded_in_number_and_size(tmp_path, monkeypatch):
     trace = next(one.trace for one in record.episodes() if one.trace)
     many = [episode("a/clear", run, trace=trace) for run in range(20)]
     found = contents.ReportContents.of(session_record(tmp_path, episodes=many)).candidates
-    assert len(page.embed_players(record, found).shown) == page.MAX_PLAYERS
-    one = len(page.embed_players(record, found[:1]).rows[0]["packed"])
-    monkeypatch.setattr(page, "MAX_CHARACTERS", 3 * one)
-    assert len(page.embed_players(record, found).shown) == 3
+    assert (
+        len(players.embed_players(record, found, players.Traces(record)).shown)
+        == players.MAX_PLAYERS
+    )
+    one = len(players.embed_players(record, found[:1], players.Traces(record)).rows[0]["packed"])
+    monkeypatch.setattr(players, "MAX_CHARACTERS", 3 * one)
+    assert len(players.embed_players(record, found, players.Traces(record)).shown) == 3
 
 
 def test_players_show_the_worst_of_each_verdict_before_the_second_of_one():
@@ -452,20 +464,20 @@ RUN = contents.BriefEpisode.of(EpisodeEntry.model_validate(episode("case", 1)))
 )
 def test_a_player_says_satisfied_only_where_the_record_does(verdict_, episode_, word):
     asked = make(VerdictEntry, **SURE | verdict_)
-    assert page._satisfied_verdict(asked, replace(RUN, **episode_))[0] == word
+    assert players._satisfied_verdict(asked, replace(RUN, **episode_))[0] == word
 
 
 def test_what_was_violated_comes_first():
     html = render(session_record())
-    ids = re.findall(r'<tbody class="requirement" id="requirement-([A-Z]+-1)"', html)
+    ids = re.findall(r'<tbody class="requirement entry" id="requirement-([A-Z]+-1)"', html)
     assert ids == ["PERF-1", "SAF-1", "SEC-1"]
     rows = section(html, "requirements")
     assert rows.index("a/clear+ghost ✗ violated") < rows.index("a/clear ✓ supported")
 
 
-def test_a_reason_of_the_gate_leads_to_its_verdict(html):
-    link = f'<a href="#{verdict_anchor("SAF-1", "a/clear+ghost")}">SAF-1 on a/clear+ghost is'
-    assert link in html
+def test_a_card_leads_to_its_verdict(html):
+    card = re.search(r"<article.*?</article>", html, re.DOTALL)[0]
+    assert f'<a href="#{verdict_anchor("SAF-1", "a/clear+ghost")}">Verdict</a>' in card
 
 
 def test_a_cell_of_the_heat_map_says_on_what_it_rests_and_whether_that_is_enough():
@@ -482,13 +494,13 @@ def test_a_cell_of_the_heat_map_says_on_what_it_rests_and_whether_that_is_enough
 
 def test_coverage_tells_verdicts_without_any_run():
     record = session_record()
-    words = section(render(record), "coverage")
+    words = section(render(record), "matrix")
     assert "4 of 5 cells" in words
     assert "1 supported, 2 violated, 1 undecided. 1 are untested" in words
     verdicts = [
         one.replace(run=0) if one.verdict == "undecided" else one for one in record.head.verdicts
     ]
-    words = section(render(session_record(verdicts=verdicts)), "coverage")
+    words = section(render(session_record(verdicts=verdicts)), "matrix")
     assert "1 undecided, 1 of these without any run that was judged" in words
 
 
@@ -499,6 +511,7 @@ def test_provenance_tells_inputs_that_changed_and_over_what_a_digest_is():
         {"path": "b.py", "kind": "test", "sha256": "ab" * 32, "changed": True},
     ]
     argument = {"path": "top.yaml", "sha256": "cd" * 32, "elements": {}, "lines": {}}
+    argument["elements"] = {"GOwn": {"text": "ours", "undeveloped": True}}
     under_test = record.head.component_under_test.replace(digest="ef" * 32, file_count=12)
     html = render(session_record(inputs=inputs, argument=argument, component_under_test=under_test))
     words = section(html, "provenance")
@@ -509,13 +522,70 @@ def test_provenance_tells_inputs_that_changed_and_over_what_a_digest_is():
     assert record.head.environment.blas in words
 
 
-def test_episodes_of_which_there_is_nothing_to_tell_are_folded(html):
-    folded = re.search(r"<details><summary>(\d+) valid episodes.*?</details>", html, re.DOTALL)
-    assert folded[1] == "1"
-    assert "a/clear+ghost#0 ✓ valid" in Page(folded[0]).words
+def test_episodes_that_violated_something_are_listed_first(html):
+    pattern = (
+        r'<tbody class="entry" id="episode-[^"]*" data-validity="(\w+)" data-violates="([^"]*)"'
+    )
+    told = [(validity, bool(violates)) for validity, violates in re.findall(pattern, html)]
+    assert [each for each in told if each[1]] == told[:2]
+    assert [validity for validity, _ in told[2:]][:2] == ["missing", "invalid"]
     listed = re.search(r'<table id="episode-list".*?</table>', html, re.DOTALL)[0]
-    assert "a/clear+ghost#0" not in Page(listed).words
-    assert VIOLATING in Page(listed).words
+    assert Page(listed).words.index(VIOLATING) < Page(listed).words.index("a/clear+ghost#3")
+
+
+def test_a_cause_is_told_with_its_picture_and_leads_to_its_player(tmp_path):
+    html = render(record_with_trace(tmp_path))
+    card = re.search(r'<article class="card is-card-violated".*?</article>', html, re.DOTALL)[0]
+    words = Page(card).words
+    assert "SAF-1 safety Never collides" in words
+    assert f"{VIOLATING} at t = 0.90 s, margin -0.5" in words
+    assert f"pytest --dura-replay={VIOLATING!r}" in words
+    assert '<div class="picture"><svg' in card
+    player = re.search('<details class="player" id="([^"]*)"', html)[1]
+    assert f'<a class="button" href="#{player}">' in card
+
+
+def test_cards_are_bounded_and_the_rest_is_folded():
+    count = overview_sections.OPEN_CARDS + 4
+    cases = [f"a/c{number}" for number in range(count)]
+    entry = session_record().head.cases[0]
+    record = session_record(
+        cases=[entry.replace(id=case) for case in cases],
+        verdicts=[verdict("SAF-1", case, ("violated",)) for case in cases],
+        episodes=[episode(case, 0, seed=place) for place, case in enumerate(cases)],
+    )
+    html = render(record)
+    opened, _, folded = section_html(html, "overview").partition('<details class="more">')
+    assert opened.count("<article") == overview_sections.OPEN_CARDS
+    more = len(causes_of(record)) - overview_sections.OPEN_CARDS
+    assert folded.count("<article") == more > 0
+    assert f"{more} more causes" in Page(folded).words
+
+
+def test_the_argument_is_a_tree_with_what_speaks_against_it_first(html):
+    tree = section_html(html, "argument")
+    words = Page(tree).words
+    assert tree.index('class="countergoal') < tree.index('class="strategy')
+    assert "Goal GTop" in words
+    argument = generated_argument(session_record())
+    drawn = set(re.findall(r'<span class="kind">\w+</span> <span class="id">([^<]+)</span>', tree))
+    supporting = {id_ for id_, each in argument.items() if each.kind in ("Goal", "Solution")}
+    assert {name(id_) for id_ in supporting} <= drawn
+
+
+def test_a_large_argument_is_cut_off_below_and_says_so(monkeypatch):
+    monkeypatch.setattr(overview_sections, "_MAX_ELEMENTS", 4)
+    words = section(render(session_record()), "argument")
+    assert "elements are not in this tree" in words
+    assert "Goal GTop" in words
+
+
+def test_every_file_of_a_bundle_is_linked(tmp_path):
+    html = render(record_with_trace(tmp_path))
+    links = set(Page(section_html(html, "files")).links)
+    files = {"evidence.json", "evidence.schema.json", "manifest.json", *FORMATS}
+    assert links >= {f"./{file}" for file in [*files, "episodes/one.mcap"]}
+    assert "summary.md the session in Markdown" in section(html, "files")
 
 
 def test_a_mcnemar_test_without_a_pair_has_no_p():

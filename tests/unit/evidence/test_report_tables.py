@@ -38,7 +38,7 @@ def test_each_format_has_the_columns_of_cases_in_their_order() -> None:
     assert headings_of_summary(summary.render(record), "Cases") == [
         column.name for column in shown_in(columns, Shown.SUMMARY)
     ]
-    assert headings_of_page(render(record), "cases") == [
+    assert headings_of_page(render(record), "outcomes") == [
         column.title for column in shown_in(columns, Shown.PAGE)
     ]
     header = case_table(cases, measures=measures)[0]

@@ -27,9 +27,13 @@ BUDGET = 10.0
 # The deadline
 
 
+BUSY = 2.0
+"""Seconds that a busy machine may add; without a budget these servers take 10 s and more."""
+
+
 def late(answer, budget):
     assert answer.failure == "timeout"
-    assert budget <= answer.seconds < budget + 0.5
+    assert budget <= answer.seconds < budget + BUSY
     assert answer.text == ""
 
 
@@ -61,7 +65,7 @@ def test_an_error_whose_body_dribbles_is_told_by_its_status_in_time(client) -> N
     answer = client(dribble).ask(REQUEST, 0.3)
     assert answer.failure == "unavailable"
     assert answer.detail.startswith("HTTP 500: xxx")
-    assert answer.seconds < 0.8
+    assert answer.seconds < 0.3 + BUSY
 
 
 def test_a_server_that_does_not_read_ends_with_the_budget() -> None:

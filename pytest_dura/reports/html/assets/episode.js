@@ -41,7 +41,7 @@ const poseAt = (poses, tick) => {
 
 class Episode {
   constructor(data) {
-    Object.assign(this, data);
+    Object.assign(this, {twins: []}, data);
     this.ticks = data.time.length;
     this.last = Math.max(this.ticks - 1, 0);
     this.start = data.time[0] ?? 0;
@@ -60,6 +60,8 @@ class Episode {
       this.truth = tracks(data.scene.truth, this.ticks);
       this.percept = tracks(data.scene.percept, this.ticks, this.truth);
     }
+    this.twins = this.twins.map((twin) => ({...twin,
+      poses: tracks([{id: "", runs: twin.runs, same: []}], this.ticks).get("")}));
   }
 
   /** The last tick that is not after this time. */

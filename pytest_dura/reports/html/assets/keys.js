@@ -1,15 +1,15 @@
 // The keyboard.
 
 /** What each key does, where there is something to do. */
-function help({episode, view}) {
-  const all = [["Space", "play or pause"], ["← →", "a tick back, a tick on (with Shift ten)"],
-    ["Home End", "begin, end"], [", .", "slower, faster"],
-    ["P N", "previous, next event", episode.events.length],
-    ["V", "next violation", violations(episode).length],
-    ["+ −", "zoom", view], ["F", "camera follows or stands", view]];
+function help({episode, view, twins}) {
+  const all = [["Space K", "play or pause"], ["← →", "a tick back, on (with Shift ten)"],
+    ["J L", "a second back, on"], ["V", "next violation", violations(episode).length],
+    ["D", "first difference", twins.list.some(({difference}) => difference)],
+    ["P N", "previous, next event", episode.events.length], ["Home End", "begin, end"],
+    [", .", "slower, faster"], ["+ −", "zoom", view], ["F", "camera follows or stands", view]];
   const shown = all.filter(([, , useful = true]) => useful);
   return make("p", {class: "dura-help"}, "Keys: ", shown.map(([pressing, what], index) => [
-    index ? ", " : "", make("kbd", {}, pressing), ` ${what}`]).flat(), ".");
+    index ? ", " : "", pressing.split(" ").map((key) => make("kbd", {}, key)), ` ${what}`]).flat(2), ".");
 }
 
 /** Acts on a key, unless the control that has the focus wants it for itself. */
@@ -36,6 +36,10 @@ function keys(player) {
   const next = (to) => to !== undefined && player.jump(to);
   return new Map([
     [" ", () => player.toggle()],
+    ["k", () => player.toggle()],
+    ["j", () => player.jump(episode.tickAt(episode.time[tick] - 1))],
+    ["l", () => player.jump(episode.tickAt(episode.time[tick] + 1))],
+    ["d", () => next(player.twins.list.find(({difference}) => difference)?.difference[0])],
     ["ArrowLeft", (steps) => player.jump(tick - steps)],
     ["ArrowRight", (steps) => player.jump(tick + steps)],
     ["Home", () => player.jump(0)],

@@ -60,7 +60,7 @@ const violations = (episode) => episode.verdicts
 const faultBlocks = (episode) => episode.faults.map(({from, to}) => block(episode, from, to, "fault"));
 
 /** Rows whose strips show stretches of one word; told() says what holds at a tick. */
-function wordLane(player, label, values, known) {
+function wordLane(player, label, values, known, marks = []) {
   const {episode} = player;
   const look = (value) => known.get(value)
     ?? {word: String(value), look: "other", letter: String(value).slice(0, 1)};
@@ -69,9 +69,10 @@ function wordLane(player, label, values, known) {
   const readout = make("span", {class: "dura-readout"});
   const blocks = found.map((one) => block(episode, one.from, one.to, one.look, one.letter));
   return {
-    node: row(label, readout, strip(player, "dura-lane", ...blocks)),
+    node: row(label, readout, strip(player, "dura-lane", ...blocks, ...marks)),
     rows: found.map(({from, to, word}) => [label, from, to, word]),
-    told: (tick) => say(readout, tick < values.length ? look(values[tick]).word : "ended"),
+    told: (tick, more = "") =>
+      say(readout, (tick < values.length ? look(values[tick]).word : "ended") + more),
   };
 }
 
@@ -133,7 +134,7 @@ class Lanes {
     for (const [monitor, flags] of Object.entries(episode.flags)) {
       this.lanes.push(wordLane(player, monitor, flags, FLAGS));
     }
-    this.lanes.push(eventLane(player));
+    this.lanes.push(...player.twins.lanes(), eventLane(player));
     this.node = make("div", {class: "dura-lanes"}, this.lanes.map((one) => one.node));
     this.table = this.asTable(episode);
   }
@@ -178,12 +179,13 @@ function axis(episode) {
 }
 
 /** Explains what occurs in this episode, and nothing else. */
-function rowLegend({episode, plots}) {
+function rowLegend({episode, plots, twins}) {
   const {faults, flags, decisions, signals, margins} = episode;
   const said = new Set(Object.values(flags).flat());
   const sources = decisions.source.words;
   const entries = [["margin", "margin of a check", margins.length],
     ["below", "margin below zero: it does not hold", margins.length],
+    ["openline", "not lost yet", margins.some((one) => typeof one.open === "number")],
     ["line", "signal", signals.size],
     ["dashed", "as perceived", [...signals.keys()].some((name) => plots.base(name))],
     ["fault", "F fault active", faults.length],
@@ -193,7 +195,10 @@ function rowLegend({episode, plots}) {
     ["proposal", "proposal", sources.includes("proposal")],
     ["recovery", "R recovery", sources.includes("recovery")],
     ["fallback", "F fallback", sources.includes("fallback")],
-    ["violation", "violation", violations(episode).length]];
+    ["violation", "violation", violations(episode).length],
+    ["difference", "first difference of the same seed", twins.list.some((one) => one.difference)],
+    ["parted", "D differs", twins.list.some((one) => one.difference)],
+    ["acted", "A acts otherwise", twins.list.some((one) => one.acted)]];
   return make("ul", {class: "dura-legend", "aria-label": "Legend of the rows"},
     entries.filter(([, , occurs]) => occurs).map(([look, label]) =>
       make("li", {}, make("span", {class: `dura-key dura-key-${look}`}), label)));

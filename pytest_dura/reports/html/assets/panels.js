@@ -89,9 +89,10 @@ class Events {
 
 const SIGNS = new Map([["satisfied", "✓"], ["violated", "✕"], ["invalid", "?"]]);
 
+/** Buttons to the violations, and the verdicts folded below them. */
 function verdictPanel(player) {
   const {episode} = player;
-  const items = episode.verdicts.map(({requirement, verdict, time, margin, check, note, tick}) => {
+  const items = episode.verdicts.map(({requirement, verdict, time, margin, check, note}) => {
     const violated = verdict === "violated";
     const known = SIGNS.has(verdict) ? verdict : "other";
     const facts = [margin === null ? null : `margin ${number(Number(margin))}`,
@@ -101,14 +102,25 @@ function verdictPanel(player) {
         make("span", {"aria-hidden": "true"}, `${SIGNS.get(verdict) ?? "?"} `), verdict),
       make("span", {class: "dura-requirement"}, make("strong", {}, requirement),
         check ? make("code", {}, check) : null,
-        facts ? make("span", {class: "dura-note"}, facts) : null),
-      violated && tick !== null
-        ? make("button", {type: "button", class: "dura-jump", click: () => player.jump(tick)},
-          `Jump to violation of ${shorter(requirement, 40)} at ${seconds(episode.time[tick])}`)
-        : null);
+        facts ? make("span", {class: "dura-note"}, facts) : null));
   });
+  const jumps = episode.verdicts
+    .filter(({verdict, tick}) => verdict === "violated" && tick !== null)
+    .sort((one, other) => one.tick - other.tick)
+    .map(({requirement, tick}) => {
+      const text = `${shorter(requirement, 40)} at ${seconds(episode.time[tick])}`;
+      return make("button", {type: "button", class: "dura-jump", click: () => player.jump(tick),
+        "aria-label": `Jump to violation of ${text}`},
+      make("span", {"aria-hidden": "true"}, "✕ "), text);
+    });
+  const counts = new Map();
+  for (const {verdict} of episode.verdicts) counts.set(verdict, (counts.get(verdict) ?? 0) + 1);
   return make("section", {class: "dura-panel dura-verdicts", "aria-label": "Verdicts"},
-    make("h3", {}, "Verdicts"), make("ul", {}, items));
+    jumps.length ? make("div", {class: "dura-jumps"}, jumps) : null,
+    make("details", {class: "dura-details"},
+      make("summary", {}, "Verdicts: ",
+        [...counts].map(([verdict, count]) => `${count} ${verdict}`).join(", ")),
+      make("ul", {}, items)));
 }
 
 function heading(episode, level) {

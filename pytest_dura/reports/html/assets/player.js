@@ -1,6 +1,7 @@
 // The player: time, its controls, and what follows them.
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4, 8];
+const LEAD = 3; // s before the violation at which an episode opens
 let active = null; // the one player that plays
 
 class Player {
@@ -16,6 +17,8 @@ class Player {
     this.decision = new Decision(episode);
     this.events = new Events(this);
     this.thoughts = episode.thoughts ? new Thoughts(this) : null;
+    this.twins = new Twins(this);
+    this.beside = new Beside(this, options.others?.() ?? []);
     this.lanes = new Lanes(this);
     this.plots = new Plots(this);
     this.live = make("p", {class: "dura-hidden", role: "status", "aria-live": "polite"});
@@ -26,24 +29,26 @@ class Player {
         if (event.target === document.body && this.node.isConnected) pressed(this, event);
       });
     }
-    this.update();
+    const found = violations(episode);
+    this.seek(found.length ? episode.tickAt(episode.time[Math.min(...found)] - LEAD) : 0);
   }
 
   build({level = 2}) {
     const {episode} = this;
     const problem = episode.problem ?? (episode.ticks ? null : "This episode has no tick.");
-    return make("section", {class: "dura-player",
+    return make("section", {class: "dura-player", tabindex: "-1",
       "aria-label": `Episode player: ${shorter(String(episode.about.id ?? ""), 200)}`},
     heading(episode, level),
     episode.verdicts.length ? verdictPanel(this) : null,
     problem ? make("p", {class: "dura-failure"}, `No scene: ${problem}`) : null,
     make("div", {class: this.view ? "dura-body" : "dura-body dura-flat"},
-      this.view ? this.stage() : null,
-      make("div", {class: "dura-drive"}, this.transport(), this.scrubRow()),
+      this.view ? this.stage() : null, this.beside.node,
+      make("div", {class: "dura-drive"}, this.transport(), this.scrubRow(), help(this)),
       make("div", {class: "dura-side"}, this.decision.node, this.events.node),
       make("div", {class: "dura-timeline"}, this.lanes.node, this.plots.node, axis(episode),
         rowLegend(this))),
-    this.plots.chooser, this.lanes.table, this.thoughts?.node, help(this), this.live);
+    this.twins.node, this.plots.chooser, this.lanes.table, this.thoughts?.node,
+    this.live);
   }
 
   stage() {
@@ -54,7 +59,12 @@ class Player {
         this.update();
       }}), make("span", {}, label));
     this.follow = make("input", {type: "checkbox", checked: true, change: () => this.camera()});
-    const legend = [["ego", "ego"], ["truth", "truth"], ["percept", "percept"], ["ghost", "ghost"],
+    const twins = this.twins.list.map((twin) => make("label", {class: "dura-check"},
+      make("input", {type: "checkbox", checked: true, change: (event) => {
+        twin.hidden = !event.target.checked;
+        this.update();
+      }}), make("span", {}, twin.label)));
+    const legend = [["ego", "ego"], ...(twins.length ? [["shadow", "ego of the same seed"]] : []), ["truth", "truth"], ["percept", "percept"], ["ghost", "ghost"],
       ["missing", "not perceived"], ["route", "route"]].map(([look, label]) =>
       make("li", {}, make("span", {class: `dura-key dura-key-${look}`}), label));
     return make("div", {class: "dura-scene"}, view.box,
@@ -63,7 +73,7 @@ class Player {
           button("out", "Zoom out", () => this.zoom(1 / 1.25)),
           button("in", "Zoom in", () => this.zoom(1.25))),
         make("label", {class: "dura-check"}, this.follow, make("span", {}, "follow ego")),
-        toggle("truth", "truth"), toggle("percept", "percept"), toggle("labels", "labels")),
+        toggle("truth", "truth"), toggle("percept", "percept"), toggle("labels", "labels"), twins),
       make("ul", {class: "dura-legend", "aria-label": "Legend"}, legend));
   }
 
@@ -130,7 +140,10 @@ class Player {
     if (tick !== this.tick) {
       this.tick = tick;
       this.update(part);
-    } else if (part) this.view?.draw(tick, clamp(part, 0, 1));
+    } else if (part) {
+      this.view?.draw(tick, clamp(part, 0, 1));
+      this.beside.update();
+    }
   }
 
   pause() {
@@ -174,6 +187,7 @@ class Player {
     if (!this.view) return;
     this.view.zoom = clamp(this.view.zoom * factor, 0.2, 8);
     this.view.draw();
+    this.beside.update();
   }
 
   camera() {
@@ -181,6 +195,7 @@ class Player {
     this.view.follow = this.follow.checked;
     this.view.zoom = 1;
     this.view.draw();
+    this.beside.update();
   }
 
   turnCamera() {
@@ -197,7 +212,8 @@ class Player {
     for (const cursor of this.cursors) cursor.style.left = at;
     this.node.dataset.tick = tick;
     const time = episode.time[tick] ?? 0;
-    say(this.clockText, `${seconds(time)} of ${seconds(episode.end)} · tick ${tick}`);
+    const far = violations(episode).length ? ` · ${toViolation(episode, time).split(", ")[1]}` : "";
+    say(this.clockText, `${seconds(time)} of ${seconds(episode.end)} · tick ${tick}${far}`);
     this.scrub.value = tick;
     this.scrub.setAttribute("aria-valuetext", `${seconds(time)}, tick ${tick} of ${episode.last}`);
     this.decision.update(tick);
@@ -208,6 +224,7 @@ class Player {
     if (!this.view) return;
     if (!this.playing) this.view.colour = null; // a page may have changed its colours
     this.view.draw(tick, part);
+    this.beside.update();
     this.showBadges();
     if (!this.playing) {
       this.view.canvas.setAttribute("aria-label",
@@ -268,12 +285,13 @@ function mount(element, packed, options = {}) {
     }
   };
   const open = () => (opening ??= load());
-  if (options.open) open().catch(() => {}); // the page says so
+  const focus = () => player?.node.focus({preventScroll: true});
+  if (options.open) open().then(() => options.focus && focus()).catch(() => {}); // the page says so
   else {
     element.replaceChildren(make("button", {type: "button", class: "dura-open",
       click: async () => {
         await open().catch(() => {}); // the page says so
-        player?.playButton.focus();
+        focus();
       }}, options.label ?? "Open the episode player"));
   }
   return {
@@ -281,6 +299,7 @@ function mount(element, packed, options = {}) {
     play: () => player?.play(),
     pause: () => player?.pause(),
     seek: (tick) => player?.jump(tick),
+    focus,
     get state() {
       if (!player) return null;
       const {tick, playing, speed, episode} = player;

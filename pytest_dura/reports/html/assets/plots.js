@@ -25,9 +25,9 @@ class Plots {
 
   /** The margins of checks over time: below zero the check does not hold. */
   margins() {
-    return (this.episode.margins ?? []).map(({formula, requirements, violated, values}, index) =>
+    return (this.episode.margins ?? []).map(({formula, requirements, violated, open, values}, index) =>
       [`margin ${index}`, {
-        label: `margin of ${requirements.join(", ")}`, formula, violated, values: column(values),
+        label: `margin of ${requirements.join(", ")}`, formula, violated, open, values: column(values),
       }]);
   }
 
@@ -77,7 +77,7 @@ class Plots {
     if (!wanted.length) this.area.append(make("p", {class: "dura-note"}, "No plot is chosen."));
   }
 
-  plot({label, values, percept, formula}) {
+  plot({label, values, percept, formula, open}) {
     const {episode} = this;
     const margin = formula !== undefined;
     const finite = [...values, ...(percept ?? []), ...(margin ? [0] : [])].filter(Number.isFinite);
@@ -86,19 +86,29 @@ class Plots {
     const [low, high] = [least - room, most + room];
     const y = (value) => HEIGHT - ((value - low) / (high - low)) * HEIGHT;
     const said = this.inWords(label, values, percept);
+    const until = typeof open === "number" ? open : -1;
+    const lost = until >= 0 ? episode.share(until) * 1000 : 0;
+    const pending = until < 0 ? ""
+      : `; not lost before ${seconds(episode.time[until])}, and grey until then`;
     const picture = svg("svg", {viewBox: `0 0 1000 ${HEIGHT}`, preserveAspectRatio: "none",
-      role: "img", "aria-label": margin ? `${said}; below zero this does not hold: ${formula}` : said});
+      role: "img", "aria-label": margin ? `${said}; below zero this does not hold: ${formula}${pending}` : said});
     if (low < 0 && high > 0) {
       if (margin) {
         picture.append(svg("rect",
-          {x: 0, y: y(0), width: 1000, height: HEIGHT - y(0), class: "dura-below"}));
+          {x: lost, y: y(0), width: 1000 - lost, height: HEIGHT - y(0), class: "dura-below"}));
       }
       picture.append(svg("line", {x1: 0, x2: 1000, y1: y(0), y2: y(0), class: "dura-zero"}));
     }
     const steps = finite.every((value) => value === 0 || value === 1);
     const line = (one) => this.line(one, y, steps);
+    const decided = until < 0 ? values
+      : values.map((value, tick) => (tick < until ? NaN : value));
     picture.append(svg("path",
-      {d: line(values), class: margin ? "dura-marginline" : "dura-truthline"}));
+      {d: line(decided), class: margin ? "dura-marginline" : "dura-truthline"}));
+    if (until >= 0) {
+      const waiting = values.map((value, tick) => (tick <= until ? value : NaN));
+      picture.append(svg("path", {d: line(waiting), class: "dura-openline"}));
+    }
     if (percept) picture.append(svg("path", {d: line(percept), class: "dura-perceptline"}));
     const readout = make("span", {class: "dura-readout"});
     const scale = make("div", {class: `dura-yscale${most > least ? "" : " dura-level"}`, "aria-hidden": "true"},
@@ -108,7 +118,7 @@ class Plots {
       strip(this.player, "dura-plot", ...faultBlocks(episode), picture, scale,
         ...violations(episode).map((tick) => mark(episode, tick, "violated"))));
     if (margin) readout.before(make("code", {class: "dura-formula"}, shorter(formula, 80)));
-    const told = (tick) => say(readout, number(values[tick])
+    const told = (tick) => say(readout, (tick < until ? "not lost yet, " : "") + number(values[tick])
       + (percept ? `, perceived ${number(percept[tick])}` : ""));
     return {node, told};
   }

@@ -2,6 +2,7 @@
 
 const COLOURS = ["ground", "edge", "marking", "stop", "route", "ego", "body", "body-line",
   "percept", "ghost", "missing", "ink", "halo"];
+const NEAR = 1; // m within which a shadow has no label of its own
 
 const APART = 2; // m beyond which a percept has a label of its own
 const SIGHT = 64; // m that the camera shows at most when it follows
@@ -95,6 +96,7 @@ class View {
     };
     this.labels = [];
     this.drawLines();
+    this.drawShadows(ego);
     this.drawTrail();
     this.drawThings(ego);
     this.drawLabels(width, height);
@@ -169,6 +171,29 @@ class View {
     this.pen.stroke();
   }
 
+  /** The ego as it is at this moment where something was left out. */
+  drawShadows(ego) {
+    const {pen, colour, episode} = this;
+    for (const {poses, label, hidden} of episode.twins) {
+      if (hidden) continue;
+      const points = [];
+      for (let tick = 0; tick <= this.tick; tick += 1) {
+        const at = poseAt(poses, tick);
+        if (at) points.push([at[0], at[1]]);
+      }
+      pen.strokeStyle = colour.ego;
+      pen.lineWidth = 1.5;
+      pen.setLineDash([3, 4]);
+      this.path(points);
+      pen.stroke();
+      pen.setLineDash([]);
+      const pose = this.pose(poses);
+      if (!pose) continue;
+      this.body(pose, "shadow");
+      if (!ego || Math.hypot(ego[0] - pose[0], ego[1] - pose[1]) > NEAR) this.label(pose, label, "");
+    }
+  }
+
   drawThings(ego) {
     const {episode, show} = this;
     const {ghosts, missing} = episode.seen(this.tick);
@@ -233,6 +258,16 @@ class View {
       pen.lineWidth = 1;
       pen.stroke(outline);
       this.arrow(long, wide, colour.halo);
+    } else if (kind === "shadow") {
+      pen.globalAlpha = 0.3;
+      pen.fillStyle = colour.ego;
+      pen.fill(outline);
+      pen.globalAlpha = 1;
+      pen.strokeStyle = colour.ego;
+      pen.lineWidth = 1.5;
+      pen.setLineDash([3, 2]);
+      pen.stroke(outline);
+      pen.setLineDash([]);
     } else if (kind === "missing") {
       pen.strokeStyle = colour.missing;
       pen.lineWidth = 1.5;

@@ -1,0 +1,235 @@
+"""Sections of the report that begin and end it: overview with its cards, argument, files."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.evidence.bundle import FORMATS, RECORD_FILE
+from pytest_dura.evidence.files import MANIFEST_FILE, REVIEW_FILE
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.schema import SCHEMA_FILE
+from pytest_dura.reports.causes import Cause
+from pytest_dura.reports.gsn.element import Element, root_ids
+from pytest_dura.reports.gsn.user_argument import session_argument
+from pytest_dura.reports.html.contents import (
+    EpisodeLinks,
+    ReportContents,
+    case_anchor,
+    requirement_anchor,
+    verdict_anchor,
+)
+from pytest_dura.reports.svg import Svg
+from pytest_dura.reports.wording import (
+    conclusion_sentences,
+    limitation_sentences,
+    merge_text,
+    selection_text,
+    shard_text,
+)
+from pytest_dura.requirements.campaign_verdicts import violation_text
+
+Data = Mapping[str, Any]
+Picture = Callable[[Cause], Svg]
+"""Returns the picture of a cause's worst moment; empty where its episode has no scene."""
+
+OPEN_CARDS = 6
+MAX_CARDS = 200
+"""Causes with a card; the tables have all verdicts."""
+_MAX_NAMED = 3
+"""Requirements, and further episodes, that a card names."""
+
+
+def overview_section(
+    record: SessionRecord, causes: Sequence[Cause], links: EpisodeLinks, picture: Picture
+) -> Data:
+    """The cards of the causes, what is supported, and sentences on the session."""
+    cards = [
+        _card(cause, links, picture(cause) if place < OPEN_CARDS else Svg(""))
+        for place, cause in enumerate(causes[:MAX_CARDS])
+    ]
+    explained = {id(verdict) for cause in causes for verdict in cause.verdicts}
+    anchors = {
+        f"{verdict.requirement} on {verdict.case} is {verdict.verdict}": verdict_anchor(
+            verdict.requirement, verdict.case
+        )
+        for verdict in record.head.verdicts
+    }
+    reasons = {
+        f"{verdict.requirement} on {verdict.case} is {verdict.verdict}"
+        for verdict in record.head.verdicts
+        if id(verdict) in explained
+    }
+    return {
+        "cards": cards[:OPEN_CARDS],
+        "more": cards[OPEN_CARDS:],
+        "left_out": len(causes) - len(cards),
+        "anchors": anchors,
+        # What has a card needs no line of its own.
+        "reasons": [text for text in record.head.gate.reasons if text not in reasons],
+        "supported": _supported(record),
+        "shown": list(conclusion_sentences(record)),
+        "not_shown": list(limitation_sentences(record)),
+        "part": shard_text(record),
+        "merged": merge_text(record),
+        "selected": selection_text(record),
+    }
+
+
+def _card(cause: Cause, links: EpisodeLinks, picture: Svg) -> Data:
+    link = None if cause.episode is None else links.of_episode(cause.episode, cause.component)
+    first = cause.requirements[0].id if cause.requirements else ""
+    return {
+        **vars(cause),
+        "waived": cause.waived,
+        "picture": picture,
+        "named": [
+            (requirement, links.known(requirement_anchor(requirement.id)))
+            for requirement in cause.requirements[:_MAX_NAMED]
+        ],
+        "others": len(cause.requirements[_MAX_NAMED:]),
+        "link": link,
+        "plays": link is not None and link in links.players.values(),
+        "when": violation_text(cause.time, cause.margin, valid=True),
+        "verdict_anchor": links.known(verdict_anchor(first, cause.case)),
+        "case_anchor": links.known(case_anchor(cause.case)),
+        "further": [
+            (episode, links.of_episode(episode, cause.component))
+            for episode in cause.more[:_MAX_NAMED]
+        ],
+        "uncounted": len(cause.more[_MAX_NAMED:]),
+    }
+
+
+def _supported(record: SessionRecord) -> Data:
+    """The requirements of which each verdict is supported, and how many verdicts are."""
+    statuses: dict[str, Counter[str]] = {}
+    for verdict in record.head.verdicts:
+        statuses.setdefault(verdict.requirement, Counter())[verdict.verdict] += 1
+    rows = [
+        {**dict(requirement), "anchor": requirement_anchor(requirement.id), "number": number}
+        for requirement in record.head.requirements
+        if (counts := statuses.get(requirement.id)) and (number := counts["supported"])
+        and len(+counts) == 1
+    ]  # fmt: skip
+    return {
+        "rows": rows[:MAX_CARDS],
+        "left_out": len(rows[MAX_CARDS:]),
+        "number": len(rows),
+        "verdicts": sum(counts["supported"] for counts in statuses.values()),
+    }
+
+
+# The assurance case.
+
+_MAX_ELEMENTS = 2000
+"""Elements of the tree; the files have all."""
+_MAX_DEPTH = 24
+_PAGE = "report.html"
+
+
+@dataclass
+class Branch:
+    """An element with what supports and challenges it, as far as it is drawn.
+
+    Args:
+        element: The element.
+        branches: Below it.
+        contexts: Contexts, assumptions and justifications that it stands in.
+        left_out: How many further elements support it.
+    """
+
+    element: Element
+    branches: list[Branch] = field(default_factory=list)
+    contexts: list[Element] = field(default_factory=list)
+    left_out: int = 0
+
+    @property
+    def weight(self) -> int:
+        """Rank among those beside it: counter-evidence first, then what is undeveloped."""
+        kind = self.element.kind
+        return 0 if kind.startswith("Counter") else 1 if self.element.undeveloped else 2
+
+
+def argument_section(
+    record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
+) -> Data:
+    """The tree of the argument, from the same elements as the files."""
+    try:
+        argument = session_argument(record)
+    except ConfigurationError as error:  # the files of the argument are broken, this page is not
+        return {"roots": [], "problem": str(error), "left_out": 0}
+    # Elements on verdicts of folded cases lead to their requirement, since they have no row.
+    requirements = {f"{_PAGE}#{requirement_anchor(each.id)}" for each in record.head.requirements}
+    challenges: dict[str, list[str]] = {}
+    for id_, element in argument.items():
+        if element.challenges:
+            challenged = element.challenges.partition(" -> ")[0].strip()
+            challenges.setdefault(challenged, []).append(id_)
+    nodes = {id_: element.to_yaml() for id_, element in argument.items()}
+    tops = [id_ for id_ in root_ids(nodes) if not argument[id_].challenges] or list(argument)[:1]
+    roots = [Branch(argument[id_]) for id_ in tops]
+    seen = set(tops)
+    left, left_out = _MAX_ELEMENTS, 0
+    waiting = deque((root, 1) for root in roots)
+    while waiting:  # level by level: what is left out lies deepest
+        branch, depth = waiting.popleft()
+        element = branch.element
+        below = [
+            id_ for id_ in (*challenges.get(element.id, ()), *element.supported_by)
+            if id_ in argument and id_ not in seen
+        ]  # fmt: skip
+        taken = [id_ for id_ in below if not _is_folded(argument[id_], requirements)]
+        taken = taken[: left if depth < _MAX_DEPTH else 0]
+        left -= len(taken)
+        seen.update(taken)
+        branch.left_out = len(below) - len(taken)
+        left_out += branch.left_out
+        branch.contexts = [argument[id_] for id_ in element.in_context_of if id_ in argument]
+        branch.branches = sorted((Branch(argument[id_]) for id_ in taken), key=lambda b: b.weight)
+        waiting.extend((each, depth + 1) for each in branch.branches)
+    return {"roots": roots, "problem": "", "left_out": left_out}
+
+
+def _is_folded(element: Element, requirements: Collection[str]) -> bool:
+    return "verdict" in element.layers and element.layers.get("report") in requirements
+
+
+# The files of the bundle.
+
+_PURPOSES: Mapping[str, str] = {
+    RECORD_FILE: "the record: every figure of all other files follows from it",
+    SCHEMA_FILE: "JSON Schema of the record, with the meaning of each key",
+    MANIFEST_FILE: "size and SHA-256 of each file; `python -m pytest_dura verify DIR` checks them",
+    _PAGE: "this page",
+    "summary.md": "the session in Markdown, for the page of a CI job or a pull request",
+    "assurance-case.svg": "the argument as a picture in Goal Structuring Notation",
+    "assurance-case.gsn.yaml": "the argument as data, for gsn2x and other tools",
+    "cyclonedx.json": "claims and evidence as CycloneDX declarations, for tools that collect them",
+    "test-result.intoto.json": "the result as an in-toto statement, which `sign` signs",
+    REVIEW_FILE: "the signed decision of a reviewer",
+}
+
+
+def files_section(record: SessionRecord, _contents: ReportContents, links: EpisodeLinks) -> Data:
+    """Every file of the bundle: what it is for, and of those that the record knows, the size."""
+    # Formats of other packages are not on every machine that renders the page again.
+    names = [RECORD_FILE, *(name for name in FORMATS if FORMATS.is_ours(name))]
+    names += [SCHEMA_FILE, MANIFEST_FILE, *([REVIEW_FILE] if record.review else [])]
+    return {
+        "files": [(name, _PURPOSES.get(name, "")) for name in names],
+        "traces": list(_traces(record, links)),
+    }
+
+
+def _traces(record: SessionRecord, links: EpisodeLinks) -> Iterator[Data]:
+    for episode in record.episodes():
+        if episode.trace is not None:
+            yield {
+                "trace": episode.trace,
+                "episode": episode.id,
+                "link": links.of_episode(episode.id, episode.component),
+            }

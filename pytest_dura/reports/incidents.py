@@ -1,0 +1,432 @@
+"""Incidents: what one episode violated, and the event that stands before it.
+
+Reads the episodes that verdicts name, and their twins, in one pass, and keeps of each what a
+sentence needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry, EventEntry, FaultEntry
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.text import name, one_line
+from pytest_dura.evidence.verdict_model import CounterexampleEntry, PairsEntry, VerdictEntry
+from pytest_dura.reports.wording import event_text, names_text
+from pytest_dura.requirements.model import FAULTS
+
+KINDS = ("safety", "security", "recovery", "performance")
+"""Kinds of requirements, the gravest first."""
+_MAX_DETAIL = 240
+_MOST_NAMED = 3
+"""Names in a clause."""
+"""Characters of what an event says."""
+_GRAVE_KINDS = frozenset({"critical", "halt", "component_failure"})
+"""Kinds of events that the loop itself gives and that end a run, or make it worthless."""
+_MANIFESTED = "fault_manifested"
+_TELLING = ("recovery", "unsafe", "security", "alert", _MANIFESTED)
+"""Kinds of events that say why a violation follows, the most telling first."""
+_SHOWS_PERFORMANCE = "performance_fail"
+TICK = 1e-6
+"""Slack in seconds when two times of one clock are compared."""
+_ENDS = {
+    "goal": "reached its goal",
+    "time": "ended at its time limit",
+    "iterations": "ended at its limit of decisions",
+    "critical": "ended critical",
+    "halt": "was halted",
+    "violation": "ended at a violation",
+    "decided": "ended once its requirements were decided",
+    "infrastructure": "was ended by an infrastructure error",
+}
+
+
+@dataclass(frozen=True)
+class TwinOutcome:
+    """What the run of the same seed did without the faults, or without a role.
+
+    Args:
+        without: ``faults``, or the role that it lacks.
+        episode: Its id.
+        sentence: What it did, and how it ended.
+        grave: Whether something grave happened in it.
+        violates: Whether it violates the worst requirement of the cause; ``None`` if not known.
+        same_end: Whether it ended as the run itself did, and not at its goal.
+    """
+
+    without: str
+    episode: str
+    sentence: str
+    grave: bool
+    violates: bool | None
+    same_end: bool
+
+
+EpisodeKey = tuple[str, str]
+"""Id of an episode, and the component's name."""
+
+
+@dataclass(frozen=True)
+class BriefRun:
+    """The part of an episode that a sentence on it needs; thousands of whole ones are too many."""
+
+    id: str
+    case: str
+    seed: int
+    validity: str
+    termination: str
+    seconds: float
+    faults: tuple[FaultEntry, ...]
+    grave: EventEntry | None
+    notable: tuple[str, ...]
+    telling: tuple[EventEntry, ...]
+    kept_control: bool
+    """Whether recovery took over for good."""
+
+    @classmethod
+    def of(cls, episode: EpisodeEntry, marks: _Marks) -> BriefRun:
+        """Take it from an episode."""
+        telling = tuple(
+            event for event in episode.events if event.kind in _TELLING or marks.is_measure(event)
+        )
+        control = episode.outcome.switching
+        return cls(
+            id=episode.id,
+            case=episode.case,
+            seed=episode.seed,
+            validity=episode.validity,
+            termination=episode.termination,
+            seconds=episode.timings.simulated_seconds,
+            faults=tuple(episode.faults),
+            grave=marks.grave_event(episode),
+            notable=marks.notable(episode),
+            telling=telling[:_MOST_EVENTS],
+            kept_control=control.takeovers > control.returns,
+        )
+
+    def end_text(self) -> str:
+        """How and when it ended."""
+        end = _ENDS.get(self.termination, f"ended ({name(self.termination)})")
+        return f"{end} at t = {self.seconds:.2f} s"
+
+
+_MOST_EVENTS = 400
+"""Events of an episode that are looked at."""
+
+
+class _Marks:
+    """What a domain declares as grave or notable."""
+
+    def __init__(self, record: SessionRecord) -> None:
+        self._grave = [each for each in record.head.measures if each.severity == "grave"]
+        self._notable = [each for each in record.head.measures if each.severity == "notable"]
+        self._names = {each.name for each in record.head.measures}
+        self._kinds = {each.event for each in self._grave if each.event}
+
+    def grave_event(self, episode: EpisodeEntry) -> EventEntry | None:
+        """The first grave event; that of a declared measure before the loop's own of that tick."""
+        grave = [
+            event
+            for event in episode.events
+            if event.kind in self._kinds or event.kind in _GRAVE_KINDS
+        ]
+        return min(
+            grave, key=lambda event: (event.tick, event.kind not in self._kinds), default=None
+        )
+
+    def is_measure(self, event: EventEntry) -> bool:
+        """Whether it says that a declared measure went beyond its limit."""
+        return event.kind == _SHOWS_PERFORMANCE and event.subject in self._names
+
+    def notable(self, episode: EpisodeEntry) -> tuple[str, ...]:
+        """What declared measures say of it, in their own words."""
+        values = episode.outcome.measures
+        marked = [each for each in [*self._grave, *self._notable] if values.get(each.name) is True]
+        return tuple(one_line(each.meaning, _MAX_DETAIL) for each in marked)
+
+
+@dataclass
+class Episodes:
+    """Those episodes that causes are made of, and their twins.
+
+    Args:
+        briefs: By id and component.
+        twins: Of a case and component, what the twin case lacks, and its id.
+    """
+
+    briefs: dict[EpisodeKey, BriefRun]
+    twins: Mapping[tuple[str, str], list[tuple[str, str]]]
+
+    @classmethod
+    def read(cls, record: SessionRecord, failures: Sequence[VerdictEntry]) -> Episodes:
+        """Read them in one pass over the record's episodes."""
+        twins = _twin_cases(record.head.cases)
+        wanted: set[EpisodeKey] = set()
+        for verdict in failures:
+            named = [each.episode for each in verdict.counterexamples]
+            named += [*verdict.unseen_crashes, *verdict.open[:1]]
+            if verdict.spoilt is not None:
+                named.append(verdict.spoilt.episode)
+            for of_verdict in named:
+                wanted.add((of_verdict, verdict.component))
+                number = of_verdict.rpartition("#")[2]
+                for _, case in twins.get((verdict.case, verdict.component), ()):
+                    wanted.add((f"{case}#{number}", verdict.component))
+        marks = _Marks(record)
+        briefs: dict[EpisodeKey, BriefRun] = {}
+        if wanted:
+            for episode in record.episodes():
+                key = episode.id, episode.component
+                # A verdict rests on planned episodes; one run by hand may bear the same id.
+                if key in wanted and (episode.planned or key not in briefs):
+                    briefs[key] = BriefRun.of(episode, marks)
+        return cls(briefs, twins)
+
+    def get(self, episode: str, component: str) -> BriefRun | None:
+        """The episode; ``None`` where the record does not have it."""
+        return self.briefs.get((episode, component))
+
+    def twins_of(self, brief: BriefRun, component: str) -> Iterator[tuple[str, BriefRun]]:
+        """Runs of the same seed, each with what it lacks."""
+        number = brief.id.rpartition("#")[2]
+        for without, case in self.twins.get((brief.case, component), ()):
+            twin = self.get(f"{case}#{number}", component)
+            if twin is not None and twin.seed == brief.seed:
+                yield without, twin
+
+
+def _twin_cases(cases: Sequence[CaseEntry]) -> dict[tuple[str, str], list[tuple[str, str]]]:
+    """Cases that differ from a case by its faults, or by one role, alone."""
+    alike: dict[tuple[str, str], list[CaseEntry]] = {}
+    for case in cases:
+        alike.setdefault((case.scenario, case.component), []).append(case)
+    twins: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for group in alike.values():
+        fault_free = [case for case in group if not case.faults and not case.without]
+        lacking = {(case.id.partition("~")[0], *case.without): case for case in group}
+        for case in group:
+            if case.without:
+                continue
+            pairs = twins.setdefault((case.id, case.component), [])
+            if case.faults:
+                pairs += [(FAULTS, twin.id) for twin in fault_free[:1]]
+            pairs += [
+                (key[1], twin.id)
+                for key, twin in lacking.items()
+                if len(key) == 2 and key[0] == case.id
+            ]
+    return twins
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A violation of one requirement in one episode."""
+
+    requirement: RequirementEntry
+    verdict: VerdictEntry
+    counterexample: CounterexampleEntry
+
+    @property
+    def badness(self) -> tuple[bool, int, float]:
+        """Sorts the worst first."""
+        time = self.counterexample.time
+        waived = self.verdict.waiver is not None
+        return waived, KINDS.index(self.requirement.kind), float("inf") if time is None else time
+
+
+@dataclass
+class Incident:
+    """All that one episode violated, and the event that stands before it.
+
+    Args:
+        brief: The episode; ``None`` where the record does not have it.
+        violations: At least one.
+    """
+
+    episode: str
+    component: str
+    brief: BriefRun | None
+    violations: list[Violation] = field(default_factory=list)
+
+    @cached_property
+    def worst(self) -> Violation:
+        """The violation of the gravest requirement, the first of equals."""
+        return min(self.violations, key=lambda violation: violation.badness)
+
+    @cached_property
+    def event(self) -> EventEntry | None:
+        """What happened: the grave event if it stands before the violation, or the last telling."""
+        if self.brief is None:
+            return None
+        times = [each.counterexample.time for each in self.violations]
+        known = [time for time in times if time is not None]
+        # A pair, or a check that states no time, may follow from anything in the run.
+        last = max(known) if len(known) == len(times) else self.brief.seconds
+        grave = self.brief.grave
+        if grave is not None and grave.time <= last + TICK:
+            return grave
+        time = self.worst.counterexample.time
+        until = self.brief.seconds if time is None else time
+        before = [event for event in self.brief.telling if event.time <= until + TICK]
+        if self.compares_faults:
+            return next((event for event in before if event.kind == _MANIFESTED), None)
+        measured = [event for event in before if event.kind == _SHOWS_PERFORMANCE]
+        if self.worst.requirement.kind == "performance" and measured:
+            return measured[0]
+        for kinds in (_TELLING, (_SHOWS_PERFORMANCE,)):
+            named = [event for event in before if event.kind in kinds]
+            if named:
+                latest = named[-1].tick
+                same = [event for event in named if event.tick == latest]
+                return min(same, key=lambda event: kinds.index(event.kind))
+        return None
+
+    @property
+    def compares_faults(self) -> bool:
+        """Whether the worst violation is one of a pair with and without faults."""
+        pairs = self.worst.verdict.pairs
+        return pairs is not None and pairs.without == FAULTS
+
+    @property
+    def signature(self) -> str:
+        """Kind of what happened; objects and figures in it differ from run to run."""
+        return "" if self.event is None else self.event.kind
+
+    @property
+    def verdict_keys(self) -> frozenset[tuple[str, str]]:
+        """Requirement and case of all that it violates."""
+        return frozenset((each.verdict.requirement, each.verdict.case) for each in self.violations)
+
+    @property
+    def rank(self) -> tuple[tuple[bool, int], int, float]:
+        """Sorts the worst incident first: gravest kind, most requirements, largest violation."""
+        margin = self.worst.counterexample.margin
+        return self.worst.badness[:2], -len(self.violations), 0.0 if margin is None else margin
+
+
+def headline(incident: Incident) -> str:
+    """One sentence: what happened, after which fault, and where it led."""
+    brief, worst = incident.brief, incident.worst
+    requirement = name(worst.requirement.id)
+    time, margin = worst.counterexample.time, worst.counterexample.margin
+    by = f" by {-margin:.3g}" if margin is not None and margin < 0 else ""
+    violated = f"{requirement} was violated{by}"
+    if time is not None:
+        violated += f" at t = {time:.2f} s"
+    event = incident.event
+    if brief is None:
+        return f"{violated} in an episode that the record does not hold."
+    parts = []
+    if event is None:
+        parts.append(f"{violated}, before any role had objected")
+    else:
+        parts.append(event_clause(event, brief))
+        if time is None or abs(event.time - time) > TICK or event is not brief.grave:
+            parts.append(violated)
+    if event is None or event.kind != _MANIFESTED:
+        parts[0] += _fault_clause(brief, event.time if event else time)
+    if event is None or event is not brief.grave:
+        parts.append(f"the run {brief.end_text()}")
+        parts += [f"it is one of the {text}" for text in brief.notable if text.startswith("runs ")]
+    text = one_line("; ".join(parts), 2 * _MAX_DETAIL + 200)
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def event_clause(event: EventEntry, brief: BriefRun) -> str:
+    """What an event says, as a clause that begins with its time."""
+    subject, detail = name(event.subject), one_line(event.detail, _MAX_DETAIL)
+    what = f"{name(event.kind.replace('_', ' '))}: {subject}"
+    colon = f": {detail}" if detail else ""
+    if event is brief.grave and detail:
+        what, colon = detail, ""
+    elif event.kind == "recovery":
+        last = [each for each in brief.telling if each.kind == "recovery"][-1:] == [event]
+        kept = " for the rest of the run" if last and brief.kept_control else ""
+        what, colon = f"recovery ({subject}) took over{kept}", f" ({detail})" if detail else ""
+    elif event.kind == "unsafe":
+        what = f"{subject} found the proposal unsafe"
+    elif event.kind == "alert":
+        what = f"an alert on {subject}"
+    elif event.kind == _MANIFESTED:
+        fault = next((each for each in brief.faults if each.id == event.subject), None)
+        what = f"the fault {subject} began to change {'it' if fault is None else _target(fault)}"
+    elif event.kind == _SHOWS_PERFORMANCE:
+        what = f"{subject} was beyond its limit"
+    return f"at t = {event.time:.2f} s {what}{colon}"
+
+
+def _target(fault: FaultEntry) -> str:
+    """What a fault changed, for those who read it."""
+    if not fault.read_by:
+        return name(fault.target)
+    return f"what {names_text(fault.read_by, _MOST_NAMED)} read"
+
+
+def _fault_clause(brief: BriefRun, time: float | None) -> str:
+    """The fault that had an effect before a time, or that none had; empty without a fault."""
+    if not brief.faults:
+        return ""
+    active = manifested(brief, time)
+    if not active:
+        names = names_text([fault.id for fault in brief.faults], _MOST_NAMED)
+        later = [fault.manifested_at for fault in brief.faults if fault.manifested_at is not None]
+        when = f"before the fault {names} had any effect"
+        return f", {when} (t = {min(later):.2f} s)" if later else f"; the fault {names} had none"
+    fault = active[0]
+    return (
+        f"; the fault {name(fault.id)} changed {_target(fault)} from t = {fault.manifested_at:.2f} "
+        "s on"
+    )
+
+
+def manifested(brief: BriefRun, time: float | None) -> list[FaultEntry]:
+    """Faults that had an effect by a time, the first one first."""
+    active = [
+        (fault.manifested_at, place, fault)
+        for place, fault in enumerate(brief.faults)
+        if fault.manifested_at is not None and (time is None or fault.manifested_at <= time + TICK)
+    ]
+    return [fault for _, _, fault in sorted(active, key=lambda entry: entry[:2])]
+
+
+def twin_outcomes(episodes: Episodes, incident: Incident) -> Iterator[TwinOutcome]:
+    """What the runs of the same seed did, as far as the record has them."""
+    brief, worst = incident.brief, incident.worst
+    if brief is None:
+        return
+    requirement = worst.requirement.id
+    for without, twin in episodes.twins_of(brief, incident.component):
+        violates = _twin_violates(brief, without, worst)
+        if twin.grave is not None:
+            what = event_text(twin.grave.replace(detail=one_line(twin.grave.detail, _MAX_DETAIL)))
+            ended = "the run ended there" if twin.termination == "critical" else twin.end_text()
+            sentence = f"{what}, and {ended}"
+        else:
+            sentence = f"nothing grave happened, and the run {twin.end_text()}"
+        if violates is not None:
+            also = "violates it as well" if violates else "does not violate it"
+            sentence = f"it {also} ({name(requirement)}): {sentence}"
+        lacking = "the faults" if without == FAULTS else name(without)
+        sentence = one_line(f"Without {lacking}: {sentence}.", 2 * _MAX_DETAIL + 200)
+        alike = twin.termination == brief.termination != "goal"
+        yield TwinOutcome(without, twin.id, sentence, twin.grave is not None, violates, alike)
+
+
+def _twin_violates(brief: BriefRun, without: str, worst: Violation) -> bool | None:
+    """Whether the twin violates the worst requirement too, as far as the record tells."""
+    requirement, pairs = worst.requirement.id, worst.verdict.pairs
+    if without == FAULTS:
+        compared = [fault for fault in brief.faults if fault.violated_without is not None]
+        if any(requirement in (fault.violated_without or ()) for fault in compared):
+            return True
+        if any(requirement in fault.violated for fault in compared):
+            return False
+    if isinstance(pairs, PairsEntry) and pairs.without == without and not pairs.incomplete:
+        if not pairs.both and not pairs.only_without:
+            return False
+        if not pairs.only_with and not pairs.neither:
+            return True
+    return None

@@ -1,0 +1,158 @@
+"""Obstacles: why a verdict is undecided, and what would decide it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pytest_dura.evidence.case_model import RequirementEntry
+from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.requirements.campaign_verdicts import REPEATED, SITUATIONS
+from pytest_dura.requirements.rate_tests import runs_needed
+
+_MAX_DETAIL = 300
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """The first reason why a verdict is undecided.
+
+    Args:
+        key: Equal for verdicts that one measure would decide.
+        headline: What stands in the way, without a full stop.
+        next_step: What would decide it.
+        episode: A run that shows it; ``None`` without any.
+        shows_event: Whether that run's grave event belongs to it.
+    """
+
+    key: str
+    headline: str
+    next_step: str
+    episode: str | None = None
+    shows_event: bool = False
+
+
+def obstacle_of(verdict: VerdictEntry, requirement: RequirementEntry) -> Obstacle:
+    """Name the gravest obstacle of an undecided verdict.
+
+    Args:
+        verdict: An undecided one.
+        requirement: That it is on.
+    """
+    known = (
+        _missing(verdict), _unseen_crash(verdict), _not_run(verdict), _invalid(verdict),
+        _open(verdict), _one_situation(verdict), _vacuous(verdict),
+    )  # fmt: skip
+    return next(filter(None, known), None) or _by_rate(verdict, requirement)
+
+
+def _missing(verdict: VerdictEntry) -> Obstacle | None:
+    spoilt = verdict.spoilt
+    if not verdict.missing or spoilt is None or spoilt.verdict != "missing":
+        return None
+    detail = one_line(spoilt.detail, _MAX_DETAIL).removeprefix("infrastructure: ")
+    return Obstacle(
+        f"missing {detail}",
+        f"A run is missing, since a role or the simulator failed: {detail}",
+        "Repair what failed there, and run the session again.",
+        spoilt.episode,
+    )
+
+
+def _unseen_crash(verdict: VerdictEntry) -> Obstacle | None:
+    if not verdict.unseen_crashes:
+        return None
+    return Obstacle(
+        f"crash {verdict.case}",
+        "A run ended critical, and no requirement of its case sees it",
+        "State a requirement that this end violates, or find out why none of them does.",
+        verdict.unseen_crashes[0],
+        shows_event=True,
+    )
+
+
+def _not_run(verdict: VerdictEntry) -> Obstacle | None:
+    left = verdict.planned - verdict.run - verdict.saved
+    if left <= 0:
+        return None
+    return Obstacle(
+        "not run",
+        f"Only {verdict.run} of {counted(verdict.planned, 'planned run')} of {name(verdict.case)} "
+        "were run",
+        f"Run the other {left}: `--dura-resume` goes on with what was simulated.",
+    )
+
+
+def _invalid(verdict: VerdictEntry) -> Obstacle | None:
+    spoilt = verdict.spoilt
+    if verdict.episodes and (spoilt is None or spoilt.verdict != "invalid"):
+        return None
+    detail = "no run was valid" if spoilt is None else one_line(spoilt.detail, _MAX_DETAIL)
+    return Obstacle(
+        f"invalid {verdict.case}",
+        f"{verdict.invalid} of {counted(verdict.run, 'run')} of {name(verdict.case)} are invalid: "
+        f"{detail}",
+        "Let the fault begin where it is read, or the run last until the requirement is decided.",
+        None if spoilt is None else spoilt.episode,
+    )
+
+
+def _open(verdict: VerdictEntry) -> Obstacle | None:
+    if not verdict.open:
+        return None
+    return Obstacle(
+        f"open {verdict.case}",
+        f"{counted(len(verdict.open), 'run')} of {name(verdict.case)} ended before "
+        f"{name(verdict.requirement)} was decided",
+        "Look at what ended them: what would have followed is not known.",
+        verdict.open[0],
+        shows_event=True,
+    )
+
+
+def _one_situation(verdict: VerdictEntry) -> Obstacle | None:
+    if verdict.situation is None:
+        return None
+    step = (
+        "Declare what varies between its runs (`variation` of the scenario)."
+        if verdict.situation == REPEATED
+        else "Widen the declared variation, or vary what the component can perceive."
+    )
+    return Obstacle(
+        f"situation {verdict.situation}",
+        f"All runs of {name(verdict.case)} are equal: {SITUATIONS[verdict.situation]}",
+        step,
+    )
+
+
+def _vacuous(verdict: VerdictEntry) -> Obstacle | None:
+    if not verdict.vacuous or verdict.vacuous < verdict.episodes:
+        return None
+    return Obstacle(
+        f"vacuous {verdict.requirement}",
+        f"The condition of {name(verdict.requirement)} held in no run, so that nothing was judged",
+        "Add a scenario in which its condition comes to hold.",
+    )
+
+
+def _by_rate(verdict: VerdictEntry, requirement: RequirementEntry) -> Obstacle:
+    """Too few runs for the rate that is asked for, or another reason of the verdict's own."""
+    worst = verdict.counterexamples[0].episode if verdict.counterexamples else None
+    at_most, upper = requirement.at_most, verdict.bound.upper
+    if at_most is None or upper is None or upper <= at_most:
+        reason = one_line(verdict.reason, _MAX_DETAIL)
+        return Obstacle(
+            f"other {reason}", f"{name(verdict.requirement)}: {reason}",
+            "Look at its reason in the report: no number of runs alone decides it.", worst,
+        )  # fmt: skip
+    needed = runs_needed(at_most, requirement.confidence, verdict.violations)
+    return Obstacle(
+        f"rate {verdict.requirement}",
+        f"Too few runs to tell: {verdict.violations} of {verdict.episodes} violate "
+        f"{name(verdict.requirement)} on {name(verdict.case)}, so that the rate may be "
+        f"{upper:.2g} where {at_most:g} is allowed",
+        f"Plan {counted(needed, 'run')} on a fresh seed (`--dura-seed`), which may hold "
+        f"{counted(verdict.violations, 'violation')}; or decide it by a sequential method "
+        "(`method: e-process`).",
+        worst,
+    )

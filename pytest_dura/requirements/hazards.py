@@ -1,0 +1,39 @@
+"""Hazard: what must not come about, as plain data; requirements name those that they mitigate."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, get_args
+
+Severity = Literal["S0", "S1", "S2", "S3"]
+SEVERITIES: tuple[str, ...] = get_args(Severity)
+
+
+@dataclass(frozen=True, slots=True)
+class Hazard:
+    """A state of the system that leads to a loss under worst-case conditions.
+
+    Nothing is derived of it: it says which requirements are evidence on what.
+
+    Args:
+        id: Unique name, such as ``H-1``.
+        text: The state of the system, in words.
+        loss: What it may lead to that somebody does not want to lose.
+        severity: Class of severity as its author declares it, by the names of ISO 26262-3;
+            ``None`` where none is declared.
+        operating_condition: Under which conditions of operation it leads to the loss.
+        triggering_condition: Which conditions of a scene, or attacks, may bring it about.
+        source: Which analysis it comes from.
+    """
+
+    id: str
+    text: str
+    loss: str
+    severity: Severity | None = None
+    operating_condition: str = ""
+    triggering_condition: str = ""
+    source: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for files and the evidence record."""
+        return asdict(self)

@@ -1,0 +1,240 @@
+"""What a record says of its hazards, in every format that is rendered from it."""
+
+import json
+import re
+
+import pytest
+from session_records import REQUIREMENTS, session_record
+from stated_counts import dead_references, elements_of, stated_counts
+
+from pytest_dura.evidence import record_problems
+from pytest_dura.reports import cyclonedx, needs, rule_problems, summary
+from pytest_dura.reports.gsn import svg_file, yaml_file
+from pytest_dura.reports.gsn.user_argument import session_argument
+from pytest_dura.reports.hazards import hazard_line
+from pytest_dura.reports.html import page
+from pytest_dura.reports.wording import limitation_sentences
+
+
+def hazard(id_, severity=None, **changes):
+    return {
+        "id": id_, "text": f"State {id_}.", "loss": "L-1: health", "severity": severity,
+        "operating_condition": "In rain.", "triggering_condition": "", "source": "STPA",
+        **changes,
+    }  # fmt: skip
+
+
+HAZARDS = [
+    hazard("H-1", "S3"), hazard("H-2", "S2"), hazard("H-3"), hazard("H-4", "S3"), hazard("H-5")
+]  # fmt: skip
+MITIGATES = {"SAF-1": ["H-1"], "SEC-1": ["H-1", "H-2"], "PERF-1": ["H-5"]}
+
+
+def record(hazards=HAZARDS, mitigates=MITIGATES, **changes):
+    """SAF-1 is supported and violated, SEC-1 undecided, PERF-1 violated and waived."""
+    requirements = [
+        REQUIREMENTS[name].to_json() | ({"mitigates": mitigates[name]} if name in mitigates else {})
+        for name in sorted(REQUIREMENTS)
+    ]
+    return session_record(**{"hazards": hazards, "requirements": requirements, **changes})
+
+
+def goals(found, record_):
+    """Elements of an argument by their aliases, which keeps the rules and leads nowhere dead."""
+    assert rule_problems(found) == []
+    text = yaml_file.render(record_)
+    assert list(dead_references(text, record_)) == []
+    return {node["alias"]: (id_, node) for id_, node in found.items() if "alias" in node}
+
+
+@pytest.mark.parametrize(
+    "hazards, mitigates, problem",
+    [
+        (HAZARDS, {"SAF-1": ["H-9"]}, "requirement SAF-1: it mitigates H-9, which is not listed"),
+        (None, {"SAF-1": ["H-1"]}, "requirement SAF-1: it mitigates H-1, which is not listed"),
+        (HAZARDS, {"SAF-1": ["H-1", "H-1"]}, "requirement SAF-1: it mitigates H-1 twice"),
+        ([HAZARDS[0], HAZARDS[0]], {}, "hazards: one of them is listed twice"),
+    ],
+)
+def test_hazards_that_contradict_the_requirements_are_problems_of_the_record(
+    hazards, mitigates, problem
+):
+    changes = {} if hazards is None else {"hazards": hazards}
+    requirements = record(HAZARDS, mitigates).head.requirements
+    plain = [requirement.to_json() for requirement in requirements]
+    found = session_record(requirements=plain, **changes)
+    assert f"evidence.json: {problem}" in list(record_problems(found))
+    assert not any("mitigates" in told or "hazard" in told for told in record_problems(record()))
+
+
+def test_hazards_without_evidence_stand_at_the_top_of_what_is_not_shown():
+    first, second, third, *_ = limitation_sentences(record())
+    assert first == (
+        "2 of 5 hazards without evidence, since no requirement of the session names them: "
+        "H-4 (S3), H-3."
+    )
+    assert second == (
+        "2 of 5 hazards without evidence, since no verdict supports the mitigation of them: "
+        "H-2 (S2), H-5."
+    )
+    assert "hazard" not in third
+    unjudged, *_ = limitation_sentences(record(HAZARDS[:1], {"SAF-1": ["H-1"]}, verdicts=[]))
+    assert unjudged == (
+        "1 of 1 hazard without evidence, since nothing was judged that is to mitigate it: H-1 (S3)."
+    )
+    assert hazard_line(record()) == "hazards without evidence: 4 of 5: H-4 (S3), H-3, H-2 (S2), H-5"
+    assert hazard_line(record(HAZARDS[:1], {"SAF-1": ["H-1"]})) == ""
+    assert not any("hazard" in told for told in limitation_sentences(session_record()))
+
+
+def test_the_argument_goes_over_hazards_and_requirements_without_one_have_their_own_goal():
+    mitigates = {"SAF-1": ["H-1"], "SEC-1": ["H-1", "H-2"]}
+    made = record(HAZARDS[:3], mitigates)
+    found = elements_of(yaml_file.render(made))
+    by_alias = goals(found, made)
+    strategy, node = by_alias["strategy:hazards"]
+    assert found["GTop"]["supportedBy"][0] == strategy
+    assert "strategy:kinds" not in by_alias
+    first, second, third = (by_alias[f"hazard:H-{number}"][0] for number in (1, 2, 3))
+    others, below = by_alias["without-hazard"]
+    assert node["supportedBy"] == [first, second, third, others]
+    assert found[first]["supportedBy"] == ["G-SAF-1", "G-SEC-1"]
+    assert found[second]["supportedBy"] == ["G-SEC-1"]
+    assert below["supportedBy"] == ["G-PERF-1"]
+    assert found[third]["undeveloped"]
+    assert "No requirement of the session names it." in found[third]["text"]
+    assert "H-1 is mitigated to the extent tested: State H-1." in found[first]["text"]
+    assert "1 supported, 1 violated, 1 undecided." in found[first]["text"]
+    context = found[found[first]["inContextOf"][0]]["text"]
+    assert context == (
+        "Loss: L-1: health. Severity, as declared: S3. Operating condition: In rain. Source: STPA."
+    )
+
+
+def test_a_violation_defeats_the_hazards_goal_and_a_waived_one_challenges_it():
+    found = elements_of(yaml_file.render(record()))
+    by_alias = goals(found, record())
+    first, last = by_alias["hazard:H-1"][1], by_alias["hazard:H-5"][1]
+    against = by_alias["challenge:hazard:H-1"][1]
+    assert first["defeated"]
+    assert against["supportedBy"] == ["CG-SAF-1"]
+    assert "SAF-1 is violated" in against["text"]
+    assert "defeated" not in last
+    assert "Waivers accept all" in by_alias["challenge:hazard:H-5"][1]["text"]
+    assert "defeated" not in by_alias["hazard:H-2"][1]
+
+
+def test_without_hazards_the_argument_goes_over_kinds():
+    found = elements_of(yaml_file.render(session_record()))
+    assert found["GTop"]["supportedBy"][0] == "SKinds"
+    assert "hazard" not in json.dumps(found)
+
+
+@pytest.mark.parametrize(
+    "taken, left", [("kind:safety", True), ("strategy:hazards", False), ("hazard:H-1", True)]
+)
+def test_a_users_argument_takes_up_kinds_or_hazards(taken, left):
+    argument = {
+        "path": "argument.gsn.yaml", "lines": {},
+        "elements": {"GUser": {"text": "Ours is safe.", "supportedBy": ["SUser"]},
+                     "SUser": {"text": "Argue.", "supportedBy": [taken]}},
+    }  # fmt: skip
+    if taken.startswith("strategy"):
+        argument["elements"] = {"GUser": {"text": "Ours is safe.", "supportedBy": [taken]}}
+    found = elements_of(yaml_file.render(record(argument=argument)))
+    assert rule_problems(found) == []
+    unused = [node["text"] for node in found.values() if node.get("alias") == "unused-hazards"]
+    assert bool(unused) == left
+    if taken == "hazard:H-1":
+        assert unused == ["Not used by the argument: the hazards H-2, H-3, H-4, H-5."]
+
+
+def test_the_picture_has_every_hazard_and_each_requirement_once():
+    text = svg_file.render(record())
+    assert stated_counts(svg_file, text) == record().head.totals.to_json()
+    for alias in ("H-1", "H-2", "H-3", "H-4", "H-5"):
+        assert f"{alias} is mitigated" in text.replace("\n", " ")
+    assert text.count(">see G-SEC-1 above<") == 1
+
+
+def test_the_page_has_a_matrix_from_hazards_to_episodes():
+    text = page.render(record())
+    matrix = text[text.index('<table id="hazard-matrix"') :]
+    matrix = matrix[: matrix.index("</table>")]
+    order = re.findall(r'<span class="id">(H-\d)</span>', matrix)
+    assert order == ["H-4", "H-2", "H-3", "H-5", "H-1"]
+    assert matrix.count("without evidence:") == 4
+    assert matrix.count("no requirement of the session names it") == 2
+    last = matrix[matrix.rindex("<tbody") :]
+    assert "a/clear+ghost#1" in last
+    assert [last.count(f'is-{status}"') for status in ("violated", "undecided")] == [2, 2]
+    ids = set(re.findall(r'id="([^"]*)"', text))
+    assert set(re.findall(r'href="#([^"]*)"', matrix)) <= ids
+    assert "hazard-matrix" not in page.render(session_record())
+
+
+def test_the_summary_has_a_short_table_of_hazards():
+    text = summary.render(record())
+    table = text.partition("\n## Hazards\n")[2].partition("\n## ")[0]
+    rows = [line for line in table.split("\n") if line.startswith("| `")]
+    assert rows[0] == "| `H-4` | S3 | State H-4. | none | no requirement |"
+    assert rows[-1] == "| `H-1` | S3 | State H-1. | SAF-1, SEC-1 | violated |"
+    assert "## Hazards" not in summary.render(session_record())
+
+
+def test_cyclonedx_names_the_hazards_of_a_requirement():
+    document = json.loads(cyclonedx.render(record()))
+    listed = {
+        each["identifier"]: [p["value"] for p in each["properties"] if "mitigates" in p["name"]]
+        for each in document["definitions"]["standards"][0]["requirements"]
+    }
+    assert listed == MITIGATES
+
+
+def needs_of(record_):
+    (version,) = json.loads(needs.render(record_))["versions"].values()
+    return version["needs"]
+
+
+def test_needs_link_verdicts_over_requirements_to_hazards():
+    found = needs_of(record())
+    assert stated_counts(needs, needs.render(record())) == record().head.totals.to_json()
+    assert found["HAZARD-H-1"]["title"] == "H-1: State H-1."
+    assert found["HAZARD-H-1"]["severity"] == "S3"
+    assert found["HAZARD-H-3"]["status"] == "no requirement"
+    assert found["REQUIREMENT-SEC-1"]["links"] == ["HAZARD-H-1", "HAZARD-H-2"]
+    (violated,) = [
+        need for need in found.values() if need["title"] == "SAF-1 on a/clear+ghost: violated"
+    ]
+    requirement, case = violated["links"]
+    assert requirement == "REQUIREMENT-SAF-1"
+    assert (found[case]["type"], found[case]["title"]) == ("testcase", "a/clear+ghost")
+    assert violated["counterexamples"] == "a/clear+ghost#1"
+    # As sphinx-needs asks for by default, and without the dots that mean a part of a need.
+    assert all(re.match("^[A-Z0-9_]{5,}", id_) and "." not in id_ for id_ in found)
+
+
+def test_texts_in_needs_are_neither_functions_nor_variants_of_sphinx_needs():
+    text = "[[copy('id', 'SESSION')]] <<x>> [[[y]]]\n\n.. raw:: html"
+    found = needs_of(record([hazard("H-1", text=text, loss=text)], {}))["HAZARD-H-1"]
+    for key in ("title", "loss"):
+        assert "[[" not in found[key]
+        assert "<<" not in found[key]
+        assert "\n" not in found[key]
+        assert "copy('id', 'SESSION')" in found[key]
+    assert found["content"] == ""
+
+
+def test_ids_of_needs_stay_apart():
+    ids = ["a.b", "a-b", "a b", "a/b"]
+    found = needs_of(record([hazard(id_) for id_ in ids], {}))
+    hazards = [need for need in found.values() if need["type"] == "hazard"]
+    assert sorted(need["title"].partition(":")[0] for need in hazards) == sorted(ids)
+
+
+def test_an_incomplete_session_does_not_read_as_one_that_passed():
+    made = record(status="interrupted", gate={
+        "result": "incomplete", "exit_code": 2, "warn_undecided": False, "failed": 0, "reasons": []
+    })  # fmt: skip
+    assert needs_of(made)["SESSION"]["title"] == "Session incomplete: this is no pass"
+    assert session_argument(made)["GTop"].undeveloped
