@@ -251,6 +251,9 @@ def unpack_report(part: str) -> ItemReport:
 SPOOL_PREFIX = ".session-"
 """Prefix of the file's name, which is seen only where open files cannot be removed."""
 
+_MOST_ENTRIES = 400
+"""Episodes that are kept in memory as well: formats read a session's episodes a dozen times."""
+
 _T = TypeVar("_T")
 
 # Keys are bytes: SQLite knows neither lone surrogates nor large integers.
@@ -288,6 +291,8 @@ class EpisodeSpool:
     def __init__(self, directory: Path | None = None) -> None:
         self._directory = directory
         self._connection = self._guarded(self._open)
+        self._entries: list[EpisodeEntry] | None = None
+        self._changes = 0
 
     def add(self, episode: JsonObject) -> str:
         """Add an episode, and return the digest of the first one that had the same inputs.
@@ -352,6 +357,19 @@ class EpisodeSpool:
 
     def __iter__(self) -> Iterator[EpisodeEntry]:
         """Iterate by case, component, run and seed; each episode has its chains and its trace."""
+        if self._entries is not None:
+            yield from self._entries
+            return
+        entries: list[EpisodeEntry] = []
+        changes = self._changes
+        for entry in self._stored():
+            if len(entries) <= _MOST_ENTRIES:
+                entries.append(entry)
+            yield entry
+        if len(entries) <= _MOST_ENTRIES and changes == self._changes:
+            self._entries = entries
+
+    def _stored(self) -> Iterator[EpisodeEntry]:
         query = """
             SELECT episodes.data, episodes.planned, traces.data, episodes.component, episodes.name
             FROM episodes LEFT JOIN traces USING (component, name, digest)
@@ -394,6 +412,9 @@ class EpisodeSpool:
         return connection
 
     def _execute(self, statement: str, *values: Any) -> list[Any]:
+        if not statement.lstrip().startswith("SELECT"):
+            self._entries = None
+            self._changes += 1
         return self._guarded(lambda: self._connection.execute(statement, values).fetchall())
 
     def _guarded(self, operation: Callable[[], _T]) -> _T:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.plugin.options import Options
     from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.reports.html.twins import Twin
     from pytest_dura.requirements.model import Requirement
 
 
@@ -233,7 +234,7 @@ def replay(session: DuraSession) -> int:
 
     config, options = session.config, session.options
     name = str(options.replay)
-    _, episodes = recorded_episodes(config, options, name, _REPLAY_OPTION)
+    record, episodes = recorded_episodes(config, options, name, _REPLAY_OPTION)
     equal = True
     for recorded in episodes:
         session.models.prepare(recorded.spec)
@@ -244,9 +245,12 @@ def replay(session: DuraSession) -> int:
         is_same, lines = _compared(recorded, episode, trace, options.evidence)
         equal &= is_same
         lines += [] if is_same else session.models.replay_warning()
-        print_lines(
-            [*lines, f"  player: {_write_player(recorded, episode, trace, options.evidence)}"]
-        )
+        twins = _kept_twins(record, episode)
+        lines += [_twin_line(twin) for twin in twins] or [
+            "  no trace of the same seed without its faults or recovery is in the evidence"
+        ]
+        url = _write_player(recorded, episode, trace, twins, options.evidence)
+        print_lines([*lines, f"  player: {url}"])
     return 0 if equal else 1
 
 
@@ -381,7 +385,27 @@ def _read_trace(entry: TraceEntry, evidence: Path) -> Trace:
     return trace
 
 
-def _write_player(recorded: RecordedEpisode, episode: Episode, trace: Trace, evidence: Path) -> str:
+def _kept_twins(record: SessionRecord, episode: Episode) -> list[Twin]:
+    """Read the traces of the same seed without faults or without recovery that were kept."""
+    from pytest_dura.reports.html.players import Traces
+    from pytest_dura.reports.html.twins import TwinTraces
+
+    spec, read = episode.spec, Traces(record).read
+    return TwinTraces.of(record).of_seed(spec.case, spec.component, spec.seed, read)
+
+
+def _twin_line(twin: Twin) -> str:
+    shown = "it is shown beside this one" if twin.trace else f"it is not shown: {twin.problem}"
+    return f"  the same seed {twin.label}: {shown}"
+
+
+def _write_player(
+    recorded: RecordedEpisode,
+    episode: Episode,
+    trace: Trace,
+    twins: Sequence[Twin],
+    evidence: Path,
+) -> str:
     """Write the page that plays the episode, and return its URL.
 
     Raises:
@@ -392,7 +416,8 @@ def _write_player(recorded: RecordedEpisode, episode: Episode, trace: Trace, evi
     from pytest_dura.reports.html.player import player_page
 
     file = sibling_directory(evidence, "replay") / f"{episode_name(trace.about)}.html"
-    write_file(file, [player_page(trace, _verdicts(recorded, episode), episode.described_measures)])
+    page = player_page(trace, _verdicts(recorded, episode), episode.described_measures, twins)
+    write_file(file, [page])
     return file.as_uri()
 
 

@@ -22,6 +22,7 @@ from .gsn.element import root_ids, rule_problems
 from .gsn.user_argument import check_requirements, read_user_argument
 from .html.contents import anchor, case_anchor, verdict_anchor
 from .html.player import pack_data, player_assets, player_data, player_page
+from .html.twins import Twin
 from .scene import frame_svg
 from .searches import outcome_headline
 from .tables import case_columns
@@ -33,6 +34,7 @@ __all__ = [
     "Column",
     "Panel",
     "Shown",
+    "Twin",
     "anchor",
     "case_anchor",
     "case_columns",

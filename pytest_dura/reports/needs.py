@@ -44,14 +44,15 @@ _SESSION_ID = "SESSION"
 def render(record: SessionRecord) -> str:
     """The file's text."""
     needs = {need["id"]: need for need in _needs(record)}
+    created, tool = name(record.head.created), record.head.tool
     version = {
-        "created": record.head.created,
-        "creator": {"program": record.head.tool.name, "version": record.head.tool.version},
+        "created": created,
+        "creator": {"program": name(tool.name), "version": name(tool.version)},
         "needs": needs,
         "needs_amount": len(needs),
     }
     content = {
-        "created": record.head.created,
+        "created": created,
         "current_version": _VERSION,
         "project": _plain(str(record.head.component_under_test.name), _TITLE),
         "versions": {_VERSION: version},

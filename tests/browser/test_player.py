@@ -24,7 +24,7 @@ from pytest_dura.driving import MEASURES
 from pytest_dura.evidence import Trace
 from pytest_dura.execution import run_episode
 from pytest_dura.library import expand_cases, load_library
-from pytest_dura.reports import pack_data, player_assets, player_data, player_page
+from pytest_dura.reports import Twin, pack_data, player_assets, player_data, player_page
 
 LAST = TICKS - 1
 DRAWN = """
@@ -69,6 +69,8 @@ def page(shared):
           const text = document.getElementById("episode").textContent;
           window.player = DuraPlayer.mount(at, text, {open: true, page: true});
           await window.player.open();
+          window.opened = window.player.state.tick;
+          window.player.seek(0);
         }"""
     )
     return shared
@@ -307,6 +309,120 @@ def test_a_real_episode_is_shown_as_it_was(opened):
         assert (set(told[1].split(", ")) if told else set()) == ghost
         ghosts += len(ghost)
     assert ghosts > 0
+
+
+# The violation, and what the same seed comes to without something
+
+
+def test_it_opens_three_seconds_before_the_violation(page):
+    assert page.evaluate("window.opened") == round((VIOLATED_AT - 3) / 0.1)
+    page.keyboard.press("v")
+    assert tick(page) == round(VIOLATED_AT / 0.1)
+    assert "at the first violation" in page.locator(".dura-clock").inner_text()
+
+
+def test_it_opens_at_the_beginning_of_what_violates_nothing(opened):
+    page = ready(opened(player_page(crossing(), VERDICTS[1:])))
+    assert tick(page) == 0
+
+
+def test_verdicts_are_folded_and_the_way_to_a_violation_is_not(page):
+    assert not page.get_by_text("always (gap > 0)").first.is_visible()
+    assert page.get_by_text("Verdicts: 1 violated, 1 satisfied, 1 invalid").is_visible()
+    page.get_by_role("button", name="Jump to violation of SAF-1").click()
+    assert tick(page) == round(VIOLATED_AT / 0.1)
+
+
+def test_letters_play_and_move_by_a_second(page):
+    assert "J" in page.locator(".dura-help kbd").all_inner_texts()
+    page.keyboard.press("l")
+    page.keyboard.press("l")
+    assert tick(page) == 20
+    page.keyboard.press("j")
+    assert tick(page) == 10
+    page.keyboard.press("k")
+    assert page.evaluate("window.player.state.playing")
+    page.keyboard.press("k")
+    assert not page.evaluate("window.player.state.playing")
+
+
+PARTED, ACTED, TWIN_ENDS = 12, 16, 30
+
+
+def twin(without="faults"):
+    """The same until 1.2 s, then another gap; from 1.6 s on another way; ended at 3 s."""
+    trace = crossing()
+    poses = trace.recording.scene.truth.poses.copy()
+    poses[ACTED:, 0, 0] += np.arange(TICKS - ACTED) * 0.5
+    executed = trace.decisions["executed"].copy()
+    executed[ACTED:] = "slow"
+    gap = trace.signals["gap"].copy()
+    gap[PARTED:] += 1.0
+    scene, end = trace.recording.scene, TWIN_ENDS + 1
+    return Twin(without, replace(
+        trace, time=trace.time[:end], about={**trace.about, "id": "a/crossing+none#0"},
+        signals={name: (gap if name == "gap" else column)[:end]
+                 for name, column in trace.signals.items()},
+        decisions={name: (executed if name == "executed" else column)[:end - 1]
+                   for name, column in trace.decisions.items()},
+        recording=replace(trace.recording, scene=replace(
+            scene, truth=Tracks(scene.truth.ids, poses[:end]))),
+    ))  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def with_twin(opened_once):
+    return ready(
+        opened_once(player_page(crossing(), VERDICTS, twins=[twin()]), script=DRAWN, clock=True)
+    )
+
+
+def test_the_ego_of_the_same_seed_is_a_shadow(with_twin):
+    page = with_twin
+    dashes = "3,2"
+    seek(page, ACTED + 8)
+    assert dashes in [one["dash"] for one in page.evaluate("window.drawn.strokes")]
+    assert "without faults" in page.evaluate("window.drawn.texts")
+    seek(page, TWIN_ENDS + 1)
+    assert dashes not in [one["dash"] for one in page.evaluate("window.drawn.strokes")]
+    seek(page, 5)
+    assert dashes in [one["dash"] for one in page.evaluate("window.drawn.strokes")]
+    assert "without faults" not in page.evaluate("window.drawn.texts")  # it is where the ego is
+    page.get_by_role("checkbox", name="without faults").uncheck()
+    assert dashes not in [one["dash"] for one in page.evaluate("window.drawn.strokes")]
+    page.get_by_role("checkbox", name="without faults").check()
+
+
+def test_the_first_difference_is_marked_and_said(with_twin):
+    page = with_twin
+    told = page.get_by_role("region", name="Same seed").inner_text()
+    assert "differs first at 1.20 s: gap: " in told
+    assert "acts otherwise from 1.60 s on: go 16 here, slow there" in told
+    assert "ended by critical at 3.00 s" in told
+    (place,) = page.locator(".dura-mark.dura-difference").evaluate_all(
+        "(marks) => marks.map((one) => parseFloat(one.style.left))"
+    )
+    assert place == pytest.approx(100 * PARTED / LAST, abs=0.01)
+    seek(page, 0)
+    page.locator(".dura-player").focus()
+    page.keyboard.press("d")
+    assert tick(page) == PARTED
+    lane = page.locator(".dura-row", has=page.locator(".dura-difference"))
+    words = {}
+    for at in (PARTED - 1, PARTED, ACTED + 2, TWIN_ENDS + 1):
+        seek(page, at)
+        words[at] = lane.locator(".dura-readout").inner_text()
+    assert list(words.values()) == [
+        "the same", "differs", "acts otherwise, 1 m apart", "has ended",
+    ]  # fmt: skip
+
+
+def test_a_twin_that_cannot_be_read_says_why(opened):
+    page = ready(opened(player_page(crossing(), twins=[Twin("faults", None, "its file is gone")])))
+    assert (
+        "not shown: its file is gone" in page.get_by_role("region", name="Same seed").inner_text()
+    )
+    assert not page.get_by_role("checkbox", name="without faults").count()
 
 
 # Panels and plots
@@ -600,8 +716,42 @@ def test_nothing_is_unpacked_before_it_is_opened(opened):
     page.get_by_role("button", name="Open the episode player").click()
     ready(page)
     assert page.evaluate("window.read") == 1
-    assert page.evaluate("document.activeElement.ariaLabel") == "Play"
+    assert page.evaluate("document.activeElement.ariaLabel") == "Episode player: a/crossing#0"
+    at = tick(page)
+    page.keyboard.press("ArrowRight")
+    assert tick(page) == at + 1
     assert page.locator(".dura-player").count() == 1
+
+
+BESIDE = SHELL.replace("{{label:", "{{others: () => [{{label: 'late', packed: {late}}}], label:")
+
+
+def test_episodes_stand_beside_each_other_at_the_same_time_before_their_violation(opened):
+    script, style = player_assets()
+    verdicts = [dict(VERDICTS[0], time=1.6)]
+    late = player_data(crossing(about={**crossing().about, "id": "late"}), VERDICTS)
+    own = pack_data(player_data(crossing(), verdicts))
+    page = opened(BESIDE.format(style=style, script=script, text=repr(own),
+                                late=repr(pack_data(late))))  # fmt: skip
+    page.evaluate("window.b.open()")
+    page.get_by_role("button", name="Show beside").click()
+    beside = page.get_by_role("region", name="Beside: late")
+    beside.wait_for()
+    times = {}
+    for at in (16, 6, 21, 36):
+        page.evaluate("(at) => window.b.seek(at)", at)
+        times[at] = beside.locator(".dura-clock").inner_text()
+    assert times == {
+        16: "3.60 s, at the first violation",
+        6: "2.60 s, 1.00 s before the first violation",
+        21: "4.00 s, 0.40 s after the first violation, ended",
+        36: "4.00 s, 0.40 s after the first violation, ended",
+    }
+    page.evaluate("window.b.seek(16)")
+    assert "EGO at (2, \N{MINUS SIGN}6) m" in beside.get_by_role("img").get_attribute("aria-label")
+    beside.get_by_role("button", name="Remove late").click()
+    assert not beside.count()
+    assert page.evaluate("document.activeElement.textContent") == "Show beside"
 
 
 def test_only_one_player_plays(opened):

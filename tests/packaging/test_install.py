@@ -95,6 +95,8 @@ def test_the_wheel_holds_what_users_need_and_nothing_else(wheel: Path) -> None:
     needed = {
         "pytest_dura/py.typed",
         "pytest_dura/scenarios/scenario.schema.json",
+        "pytest_dura/scenarios/hazards.schema.json",
+        "pytest_dura/scenarios/hazards.yaml",
         "pytest_dura/scenarios/requirements.yaml",
         *(f"pytest_dura/scenarios/intersection/{name}.yaml" for name in SCENARIOS),
         *(f"pytest_dura/llm/driving/templates/{name}" for name in TEMPLATES),

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import base64
 import errno
 import hashlib
+import json
+import re
+import zlib
 
 import pytest
 from corridors import IDLE, scenario
 from outputs import output
 
+from pytest_dura.__main__ import main
 from pytest_dura.evidence import mcap, trace_path
 
 BY_HAND = """
@@ -127,3 +132,63 @@ def test_traces_of_an_earlier_session_go_and_nothing_else(project):
     project.run("corridor/tight")
     assert kept(project) == {"corridor/tight#0": "sample"}
     assert outside.read_text() == "not ours"
+
+
+HARMED = {
+    "duration": 2.0, "runs": 3, "world": "{wall: 4.0}", "monitor": "oddities:Early",
+    "recovery_planner": "oddities:Push",
+}  # fmt: skip
+PAIRS = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/it")
+def test_alone(campaign):
+    with pytest.raises(pytest.fail.Exception):
+        campaign.require("always (gap > 0)")
+
+@pytest.mark.dura(scenario="corridor/it")
+def test_pairs(campaign):
+    campaign.paired(without="recovery_planner").require("always (gap > 0)")
+"""
+
+
+def players_of(project):
+    """What the players of the report play, by episode."""
+    page = (project.path / "dura-evidence/report.html").read_text()
+    texts = re.findall(r'<script type="application/octet-stream">([^<]+)</script>', page)
+    data = [json.loads(zlib.decompress(base64.b64decode(text))) for text in texts]
+    return {each["about"]["id"]: each for each in data}
+
+
+@pytest.mark.parametrize("order", [("test_alone", "test_pairs"), ("test_pairs", "test_alone")])
+def test_the_worst_counterexample_has_its_twin_beside_it(project, order):
+    scenario(project, **HARMED)
+    project.write("test_it.py", PAIRS)
+    project.run(*(f"test_it.py::{name}" for name in order))
+    worst = project.evidence().verdicts[0].counterexamples[0].episode
+    number = worst.rpartition("#")[2]
+    reasons = kept(project)
+    assert reasons[f"corridor/it~recovery_planner#{number}"] == "twin"
+    assert sorted(reasons.values()) == ["twin", "violation", "violation", "violation"]
+    players = players_of(project)
+    (twin,) = players[worst]["twins"]
+    assert (twin["id"], twin["label"]) == (
+        f"corridor/it~recovery_planner#{number}", "without RecoveryPlanner",
+    )  # fmt: skip
+    tick, text = twin["acted"]
+    trace = mcap.read_trace(project.path / "dura-evidence" / next(
+        one.trace.file for one in project.evidence().episodes if one.id == worst))  # fmt: skip
+    assert text.startswith(f"{trace.decisions['executed'][tick]} here, ")
+    assert trace.decisions["source"][tick] == "recovery"
+    assert not any(each["twins"] for id_, each in players.items() if id_ != worst)
+    assert main(["verify", str(project.path / "dura-evidence")]) == 0
+    replayed = project.run(f"--dura-replay={worst}")
+    replayed.stdout.fnmatch_lines(["  the same seed without RecoveryPlanner: it is shown beside*"])
+
+
+@pytest.mark.parametrize("level", ["summary", "all"])
+def test_other_levels_keep_no_twins(project, level):
+    scenario(project, **HARMED)
+    project.write("test_it.py", PAIRS)
+    project.run("test_it.py", f"--dura-evidence-level={level}")
+    assert "twin" not in kept(project).values()

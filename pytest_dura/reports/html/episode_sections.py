@@ -86,7 +86,91 @@ def matrix(
     return {"corner": corner, "columns": requirements, "rows": rows}
 
 
+<<<<<<< HEAD
 _MAX_LINKED = 12
+=======
+MAX_CHART_ROWS = 200
+"""Cases of a plot."""
+CHART_LEFT, CHART_RIGHT, CHART_TOP = 8.0, 712.0, 8.0
+_CHART_ROW = 46.0
+"""Height of a case: its name, and its runs below."""
+_CHART_JITTER = (0.0, 4.0, -4.0, 2.0, -2.0)
+"""Runs of nearly the same time are shifted up and down in turn, so that each can be seen."""
+
+
+@dataclass(frozen=True)
+class MeasureRow:
+    """A case of the plot.
+
+    Args:
+        case: Id of the case.
+        numbers: Of single runs.
+        runs: How many runs have one, of which ``numbers`` may hold the first only.
+        mean: Over all of them.
+        sd: Standard deviation; ``None`` for a single run.
+    """
+
+    case: str
+    numbers: Sequence[float]
+    runs: int
+    mean: float | None
+    sd: float | None
+
+
+def measure_chart(rows: Sequence[MeasureRow]) -> Mapping[str, Any]:
+    """The plot's lines, dots and labels, in its own coordinates.
+
+    Args:
+        rows: At least one, each with at least one run.
+    """
+    greatest = max(max(row.numbers) for row in rows)
+    greatest = max([greatest, *((row.mean or 0.0) + (row.sd or 0.0) for row in rows)])
+    scale = Scale.from_zero(greatest, CHART_LEFT, CHART_RIGHT)
+    height = CHART_TOP + _CHART_ROW * len(rows)
+    return {
+        "width": CHART_RIGHT + 8.0,
+        "height": height + 40.0,
+        "left": CHART_LEFT,
+        "right": CHART_RIGHT,
+        "top": CHART_TOP,
+        "bottom": height,
+        "ticks": [{"x": _chart_x(value, scale), "value": value} for value in scale.ticks],
+        "rows": [
+            _chart_row(row, CHART_TOP + _CHART_ROW * place, scale) for place, row in enumerate(rows)
+        ],
+    }
+
+
+def _chart_row(row: MeasureRow, top: float, scale: Scale) -> Mapping[str, Any]:
+    y = top + 31.0
+    mean, sd = row.mean, row.sd or 0.0
+    return {
+        "case": row.case,
+        "y": y,
+        "label": top + 14.0,
+        "dots": [
+            {
+                "x": _chart_x(number, scale),
+                "y": y + _CHART_JITTER[place % len(_CHART_JITTER)],
+            }
+            for place, number in enumerate(row.numbers)
+        ],
+        "numbers": sorted(row.numbers),
+        "runs": row.runs,
+        "mean": mean,
+        "sd": row.sd,
+        "x": None if mean is None else _chart_x(mean, scale),
+        "low": None if mean is None else _chart_x(max(mean - sd, 0.0), scale),
+        "high": None if mean is None else _chart_x(mean + sd, scale),
+    }
+
+
+def _chart_x(value: float, scale: Scale) -> float:
+    return round(scale(value), 1)
+
+
+_MAX_LINKED = 6
+>>>>>>> main
 """Episodes that a case links to; the list of episodes has more."""
 
 
@@ -108,7 +192,7 @@ def case_section(record: SessionRecord, contents: ReportContents, links: Episode
             own.append({"id": each.episode.id, "anchor": links.of_episode(*each.key),
                         "violates": bool(each.violates)})  # fmt: skip
     anchors: set[str] = set()
-    rows = []
+    rows: list[dict[str, Any]] = []
     for case in shown:
         anchor = case_anchor(case.id)
         key = case_key(case)

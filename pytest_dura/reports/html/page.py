@@ -191,11 +191,11 @@ def _cause_picture(cause: Cause, contents: ReportContents, traces: Traces) -> Sv
     """The scene at a cause's violation; empty without a trace that can be read, or a scene."""
     key = (cause.episode or "", cause.component)
     listed = next((each for each in contents.candidates if each.key == key), None)
-    if listed is None or cause.time is None:
+    if listed is None or listed.episode.trace is None or cause.time is None:
         return Svg("")
     try:
         trace = traces.read(listed.episode.trace)
-    except Exception:
+    except Exception:  # what is wrong with it stands in its player's place
         return Svg("")
     twin = next((each.trace for each in traces.twins_of(listed.episode) if each.trace), None)
     return frame_svg(trace, cause.time, twin=twin, label=f"At {cause.time:.2f} s: {cause.headline}")
@@ -224,7 +224,8 @@ def _finalized(value: Any) -> Any:
     if value is None:
         return ""
     if type(value) is str:
-        return visible(value)
+        plain = len(value) < LINE and value.isascii() and value.isprintable()
+        return value if plain else visible(value)
     return value
 
 

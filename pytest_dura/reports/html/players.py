@@ -87,7 +87,7 @@ class Traces:
 
     def twins_of(self, episode: BriefEpisode) -> list[Twin]:
         """Read the traces of an episode's twins that were kept."""
-        return self._twins.of_run(episode.case, episode.component, episode.run, self.read)
+        return self._twins.of_seed(episode.case, episode.component, episode.seed, self.read)
 
     @cached_property
     def _twins(self) -> TwinTraces:

@@ -262,7 +262,7 @@
         link.scrollIntoView({ block: "center" });
       } else {
         scrollTo(0, 0);
-        if (moved) view.querySelector("h1, h2").focus({ preventScroll: true });
+        if (moved) view.querySelector("h2").focus({ preventScroll: true });
       }
       return;
     }
@@ -288,7 +288,7 @@
     const view = document.querySelector(".view.current");
     const list = listsOf(view)[0];
     if (event.key === "Escape" && list) {
-      if (inField && inField.value) return;
+      if (inField?.type === "search" && inField.value) return;  // the field is emptied first
       if (list.opened && !event.target.closest?.(".dura-player")) location.hash = view.id;
       return;
     }

@@ -39,6 +39,12 @@ class Twin:
     trace: Trace | None
     problem: str = ""
 
+    @property
+    def label(self) -> str:
+        """What it lacks, in words: ``without faults``."""
+        what = self.without if self.without == FAULTS else role_name(self.without)
+        return f"without {name(what)}"
+
 
 @dataclass
 class TwinTraces:
@@ -46,7 +52,7 @@ class TwinTraces:
 
     Args:
         cases: Of a case and component, the cases of its twins by what they lack.
-        files: Traces of the planned runs of these, by case, component and run.
+        files: Traces of the runs of these, by case, component and seed.
     """
 
     cases: dict[CaseKey, list[tuple[str, str]]]
@@ -61,24 +67,24 @@ class TwinTraces:
         }
         for episode in record.episodes() if wanted else ():
             key = episode.case, episode.component
-            if key in wanted and episode.trace is not None and episode.planned:
-                twins.files[key[0], key[1], episode.spec.run] = episode.trace
+            if key in wanted and episode.trace is not None:
+                twins.files[key[0], key[1], episode.seed] = episode.trace
         return twins
 
-    def of_run(
-        self, case: str, component: str, run: int, read: Callable[[TraceEntry], Trace]
+    def of_seed(
+        self, case: str, component: str, seed: int, read: Callable[[TraceEntry], Trace]
     ) -> list[Twin]:
         """The twins of a run whose traces were kept.
 
         Args:
             case: The case of the run.
             component: Its component.
-            run: Its number.
+            seed: Its seed, which those of its twins are.
             read: Reads a trace of the bundle; what it raises is the problem of that twin.
         """
         twins = []
         for without, other in self.cases.get((case, component), ()):
-            file = self.files.get((other, component, run))
+            file = self.files.get((other, component, seed))
             if file is None:
                 continue
             try:
@@ -117,9 +123,8 @@ def _arm(case: CaseEntry, without: Iterable[str], *, faults: bool = True) -> tup
 
 def twin_data(trace: Trace, twin: Twin) -> dict[str, Any]:
     """A twin at the ticks of an episode: its ego's way, and where the two part."""
-    what = "faults" if twin.without == FAULTS else role_name(twin.without)
     data: dict[str, Any] = {
-        "without": name(twin.without), "label": f"without {name(what)}", "id": "",
+        "without": name(twin.without), "label": twin.label, "id": "",
         "problem": visible(twin.problem), "ended": "", "last": None, "runs": [],
         "difference": None, "acted": None,
     }  # fmt: skip

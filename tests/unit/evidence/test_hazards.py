@@ -2,12 +2,17 @@
 
 import json
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from session_records import REQUIREMENTS, session_record
 from stated_counts import dead_references, elements_of, stated_counts
 
 from pytest_dura.evidence import record_problems
+from pytest_dura.library import parse_yaml
+from pytest_dura.library.hazards import read_hazards
 from pytest_dura.reports import cyclonedx, needs, rule_problems, summary
 from pytest_dura.reports.gsn import svg_file, yaml_file
 from pytest_dura.reports.gsn.user_argument import session_argument
@@ -238,3 +243,40 @@ def test_an_incomplete_session_does_not_read_as_one_that_passed():
     })  # fmt: skip
     assert needs_of(made)["SESSION"]["title"] == "Session incomplete: this is no pass"
     assert session_argument(made)["GTop"].undeveloped
+
+
+PAGE = (Path(__file__).parents[3] / "docs/standards.md").read_text("utf-8")
+BLOCKS = dict(re.findall(r"```(yaml|python)\n(.*?)```", PAGE, re.DOTALL))
+
+
+def test_the_hazards_of_the_documentation_can_be_read():
+    (located,) = read_hazards(parse_yaml(BLOCKS["yaml"], "hazards.yaml"))
+    assert located.hazard.severity == "S3"
+
+
+def test_the_documentation_declares_every_type_and_field_of_needs():
+    configuration = {}
+    exec(BLOCKS["python"], configuration)
+    assert tuple(each["directive"] for each in configuration["needs_types"]) == needs.TYPES
+    assert tuple(configuration["needs_fields"]) == needs.FIELDS
+    known = {"id", "type", "title", "status", "content", "tags", "links", *needs.FIELDS}
+    assert all(set(need) <= known for need in needs_of(record()).values())
+
+
+def test_sphinx_needs_imports_the_file_as_the_documentation_says(tmp_path):
+    pytest.importorskip("sphinx_needs")
+    text = "[[copy('id', 'SESSION')]] <<x>> <b>bold</b> `c` :ndf:`echo('x')`"
+    hazards = [*HAZARDS, hazard("H 6", text=text, loss=text)]
+    (tmp_path / "needs.json").write_text(needs.render(record(hazards)))
+    (tmp_path / "conf.py").write_text(BLOCKS["python"] + "needs_build_json = True\n")
+    (tmp_path / "index.rst").write_text("Evidence\n========\n\n.. needimport:: needs.json\n")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", ".", "out"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    built = json.loads((tmp_path / "out/needs.json").read_text())
+    imported = built["versions"][built["current_version"]]["needs"]
+    assert imported.keys() == needs_of(record(hazards)).keys()
+    assert imported["HAZARD-H-1"]["links_back"] == ["REQUIREMENT-SAF-1", "REQUIREMENT-SEC-1"]
+    (odd,) = [need for need in imported.values() if need["title"].startswith("H 6")]
+    assert "copy('id', 'SESSION')" in odd["loss"]
+    assert "<b>" not in (tmp_path / "out/index.html").read_text()

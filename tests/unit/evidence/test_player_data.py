@@ -5,6 +5,7 @@ import html
 import json
 import re
 import zlib
+from dataclasses import replace
 from itertools import accumulate
 
 import numpy as np
@@ -15,7 +16,7 @@ from traces import traces
 
 from pytest_dura.core import Recording, Scene, Tracks
 from pytest_dura.evidence.text import LIMIT
-from pytest_dura.reports import pack_data, player_assets, player_data, player_page
+from pytest_dura.reports import Twin, pack_data, player_assets, player_data, player_page
 from pytest_dura.reports.html.player import MAX_MARGINS, content_hash
 
 
@@ -197,3 +198,68 @@ def test_what_the_component_told_is_shown_line_by_line():
     told = player_data(crossing(recording=Recording(accounts=accounts)))["accounts"]
     assert told == {"words": ['cited: ["V1"]\nintent: "hold"', ""], "at": [0, 0, 1]}
     assert player_data(crossing())["accounts"] == {"words": [], "at": []}
+
+
+# The same seed without something
+
+
+def shortened(trace, ticks):
+    recording = trace.recording
+    scene = recording.scene
+    truth = Tracks(scene.truth.ids, scene.truth.poses[:ticks])
+    return replace(
+        trace,
+        time=trace.time[:ticks],
+        signals={name: column[:ticks] for name, column in trace.signals.items()},
+        decisions={name: column[: ticks - 1] for name, column in trace.decisions.items()},
+        recording=replace(recording, scene=replace(scene, truth=truth)),
+    )
+
+
+def test_a_twin_is_its_ego_at_the_same_times_until_it_ends():
+    trace = crossing()
+    (twin,) = player_data(trace, twins=[Twin("recovery_planner", shortened(trace, 21))])["twins"]
+    assert (twin["label"], twin["ended"]) == ("without RecoveryPlanner", "critical at 2.00 s")
+    assert twin["last"] == 20
+    assert twin["acted"] is None
+    way = poses([{"id": "", "runs": twin["runs"], "same": []}], TICKS)[""]
+    own = trace.recording.scene.truth.poses[:, 0]
+    np.testing.assert_allclose(way[:21], own[:21], atol=0.005)
+    assert np.isnan(way[21:]).all()
+
+
+def test_the_first_difference_of_a_twin_is_of_what_was_measured():
+    trace = crossing()
+    gap = trace.signals["gap"].copy()
+    gap[7:] += 1.0
+    executed = trace.decisions["executed"].copy()
+    executed[9] = "slow"
+    other = replace(
+        trace,
+        signals=trace.signals | {"gap": gap},
+        decisions=trace.decisions | {"executed": executed},
+    )
+    (twin,) = player_data(trace, twins=[Twin("faults", other)])["twins"]
+    assert twin["difference"] == [7, "gap: 16.15 here, 17.15 there"]
+    assert twin["acted"] == [9, "go 9 here, slow there"]
+    (same,) = player_data(trace, twins=[Twin("faults", crossing())])["twins"]
+    assert (same["difference"], same["acted"], same["last"]) == (None, None, None)
+
+
+@pytest.mark.parametrize(
+    "check, time, until",
+    [
+        ("eventually (speed > 11)", 4.0, 40),
+        ("eventually[0:2] (speed > 11)", 2.0, 20),
+        ("always (gap > 5 implies eventually[0:1] (gap > 50))", 1.0, 10),
+        ("not (always (speed > 5))", 4.0, 40),
+        ("(gap > 0) until (speed > 11)", None, 40),
+        ("always (gap > 0)", 3.6, None),
+        ("not (eventually (gap < 0))", 3.6, None),
+        ("(eventually (gap < 0)) implies (always (speed > 11))", 0.0, None),
+    ],
+)
+def test_what_has_to_come_about_is_open_until_it_is_lost(check, time, until):
+    verdict = {**VERDICTS[0], "check": check, "time": time}
+    (margin,) = player_data(crossing(), [verdict])["margins"]
+    assert margin["open"] == until

@@ -92,3 +92,16 @@ def test_where_nothing_can_be_written_it_says_so(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, match="the episodes of the session cannot be kept"):
         EpisodeSpool(tmp_path / "file" / "folder")
+
+
+def test_what_is_added_after_a_reading_is_in_the_next():
+    spool = EpisodeSpool()
+    spool.add(episode(faults=("f",)))
+    assert [(each.trace, each.faults[0].outcome) for each in spool] == [(None, None)]
+    spool.add_trace({"id": "a/b#0", "component": "C", "digest": DIGEST, "trace": TRACE})
+    assert [each.trace for each in spool] == [TraceEntry(**TRACE)]
+    chain = {**UNTRACED_FAULT, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
+    reading = iter(spool)
+    spool.add_chain({**chain, "id": "f"})
+    list(reading)
+    assert [each.faults[0].outcome for each in spool] == ["tolerated"]
