@@ -33,7 +33,8 @@ from pytest_dura.plugin.outcomes import (
     episode_of,
     target_of,
 )
-from pytest_dura.reports.wording import event_text
+from pytest_dura.reports.incidents import BriefRun, what_happened
+from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream
@@ -88,8 +89,8 @@ def _properties(
         *_episode_properties(context, event.item),
     ]
     for result in event.results:
-        events = ending_events(result, runner, context.redact)
-        properties += _result_properties(context, result, events)
+        sentence = event_sentence(result, runner, context.redact)
+        properties += _result_properties(context, result, sentence)
     return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
 
 
@@ -112,7 +113,7 @@ def _episode_properties(context: SessionContext, item: pytest.Item) -> Iterator[
 
 
 def _result_properties(
-    context: SessionContext, result: ItemResult, events: Sequence[str]
+    context: SessionContext, result: ItemResult, sentence: str
 ) -> Iterator[tuple[str, Any]]:
     requirement = result.requirement
     yield "requirement", requirement.id
@@ -121,10 +122,9 @@ def _result_properties(
     yield "component", result.component
     if result.outcome is not None:
         yield from _outcome_properties(result.outcome)
-        for event in events:
-            yield "event", event
+        yield "event", sentence
     if result.verdict is not None:
-        yield from _verdict_properties(context, result, events)
+        yield from _verdict_properties(context, result, sentence)
 
 
 def _outcome_properties(outcome: EpisodeOutcome) -> Iterator[tuple[str, Any]]:
@@ -142,7 +142,7 @@ def _outcome_properties(outcome: EpisodeOutcome) -> Iterator[tuple[str, Any]]:
 
 
 def _verdict_properties(
-    context: SessionContext, result: ItemResult, events: Sequence[str]
+    context: SessionContext, result: ItemResult, sentence: str
 ) -> Iterator[tuple[str, Any]]:
     verdict = result.verdict
     assert verdict is not None
@@ -162,25 +162,51 @@ def _verdict_properties(
         episode = verdict.counterexamples[0].episode
         yield "counterexample", episode
         yield "counterexample_seed", seed_of(context, result, episode)
-        for event in events:
-            yield "event", event
+        yield "event", sentence
         yield "replay", replay_command(context, episode)
 
 
-def ending_events(
+def event_sentence(
     result: ItemResult, runner: Callable[[], Runner], redact: Callable[[str], str]
-) -> list[str]:
-    """List what ended the violating episode that stands for a result."""
+) -> str:
+    """Say what happened in the violating episode that stands for a result; empty without one.
+
+    Args:
+        result: Of an item.
+        runner: Returns the runner of episodes.
+        redact: Takes secrets out of a text.
+    """
     if result.status != "violated":
-        return []
+        return ""
+    judged = result.outcome and result.outcome.judged
+    examples = result.verdict.counterexamples if result.verdict else ()
     episode: Episode | None = result.episode
-    counterexamples = result.verdict and result.verdict.counterexamples
-    if episode is None and counterexamples and result.case is not None:
-        run = int(counterexamples[0].episode.rpartition("#")[2])
-        episode = runner().fetch(result.case, run)
-    if episode is None:
-        return []
-    return [redact(event_text(event)) for event in episode.events if event.kind == "critical"]
+    if episode is None and examples and result.case is not None:
+        episode = runner().fetch(result.case, int(examples[0].episode.rpartition("#")[2]))
+    shown = judged or (examples[0] if examples else None)
+    if episode is None or shown is None:
+        return ""
+    brief = _brief_run(episode)
+    paired = result.requirement.paired
+    event = brief.event_before(
+        shown.time,
+        kind=result.requirement.kind,
+        last=shown.time,
+        compares_faults=paired is not None and paired.without == FAULTS,
+    )
+    requirement = result.requirement.id
+    return redact(what_happened(brief, event, requirement, time=shown.time, margin=shown.margin))
+
+
+def _brief_run(episode: Episode) -> BriefRun:
+    """Summarise an episode that is not in the record yet."""
+    from pytest_dura.evidence.episode_model import EpisodeEntry
+    from pytest_dura.evidence.episodes import episode_record
+    from pytest_dura.evidence.metrics import with_chains
+    from pytest_dura.evidence.session_model import MeasureEntry
+
+    entry = EpisodeEntry.model_validate(with_chains(episode_record(episode, planned=True), {}))
+    return BriefRun.of(entry, [*map(MeasureEntry.model_validate, episode.described_measures)])
 
 
 def seed_of(context: SessionContext, result: ItemResult, episode: str) -> int | None:
@@ -274,7 +300,7 @@ def _report_item(context: SessionContext, runner: Callable[[], Runner], event: I
         for parameter, value in _parameters(context, result).items():
             # Allure's history tells tests apart by parameters: results must not be among them.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
-    events = [ending_events(result, runner, context.redact) for result in results]
+    events = [event_sentence(result, runner, context.redact) for result in results]
     description = _description(item, results, events)
     if description:
         allure.add_description(test_description=description)
@@ -317,14 +343,12 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
     }
 
 
-def _description(
-    item: pytest.Item, results: Sequence[ItemResult], events: Sequence[Sequence[str]]
-) -> str:
+def _description(item: pytest.Item, results: Sequence[ItemResult], events: Sequence[str]) -> str:
     """Write Markdown: the test's docstring, then each requirement with source and verdict."""
     given = item.get_closest_marker("allure_description")
     own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
     parts = [inspect.cleandoc(own)] if own else []
-    for result, ending in zip(results, events, strict=True):
+    for result, sentence in zip(results, events, strict=True):
         requirement, outcome = result.requirement, result.outcome
         reason = outcome.judged.detail if outcome else result.verdict and result.verdict.reason
         parts.append(f"**{markdown(requirement.id)}** {markdown(requirement.text, 2000)}")
@@ -332,7 +356,7 @@ def _description(
             ("Source", requirement.source),
             ("Why this bound", requirement.reason),
             ("Verdict", f"{result.status or 'none'}. {reason or ''}"),
-            ("Event", "; ".join(ending)),
+            ("What happened", sentence),
             ("By assertion", "" if outcome is None else _looked_at(outcome.assertion)),
         ):
             if text:

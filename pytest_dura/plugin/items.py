@@ -113,7 +113,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
     """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.events import VerdictReached
     from pytest_dura.evidence.verdict_model import AttemptEntry
-    from pytest_dura.plugin.item_reports import ending_events
+    from pytest_dura.plugin.item_reports import event_sentence
     from pytest_dura.requirements.campaign_verdicts import explain_verdict
 
     context, planned = request.node.context, request.node.planned
@@ -129,8 +129,8 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
     lines = explain_verdict(verdict, requirement, str(campaign.failures))
     if verdict.counterexamples:
         item_result = ItemResult(requirement, planned.case, verdict=AttemptEntry.of(verdict))
-        events = ending_events(item_result, lambda: orchestrator, context.redact)
-        lines += [f"event:    {line}" for line in events]
+        sentence = event_sentence(item_result, lambda: orchestrator, context.redact)
+        lines += [f"event:    {sentence}"] if sentence else []
         lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))
     lines.append("rerun:    " + rerun_command(context, f"{planned.case.id}::{requirement.id}"))
     message = "\n".join(lines)

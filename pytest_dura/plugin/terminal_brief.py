@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
-from pytest_dura.evidence.text import counted, one_line
+from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.terminal_tables import WIDTH, effectiveness_lines
 from pytest_dura.reports.causes import Cause, card_entries, card_heading, causes_of
@@ -18,12 +18,14 @@ from pytest_dura.reports.failure_modes import (
     percent_text,
 )
 from pytest_dura.reports.usage import usage_rows
-from pytest_dura.reports.wording import supported_sentence
+from pytest_dura.reports.verdicts import reading_sentences
+from pytest_dura.reports.wording import names_text, supported_sentence
 from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry
     from pytest_dura.evidence.model import SessionRecord
+    from pytest_dura.evidence.verdict_model import VerdictEntry
     from pytest_dura.plugin.context import SessionContext
 
 _MOST_CARDS = 5
@@ -79,32 +81,35 @@ def brief_lines(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator[s
         record: Of the session.
         cases: Those of the table of cases.
     """
-    lines = [
+    head = record.head
+    for line in (
         *_failure_mode_lines(cases),
         *_usage_lines(cases),
         *_reliance_lines(record),
         *_fault_lines(cases),
         *_attack_lines(record),
-        *effectiveness_lines(record.head.effectiveness, RECOVERY_ROLE),
-        *effectiveness_lines(record.head.effectiveness),
-    ]
-    for line in _joined(lines):
-        yield textwrap.shorten(line, WIDTH, placeholder=" ...")
-    if record.head.verdicts:
-        yield from textwrap.wrap(
-            supported_sentence(record.head.verdicts), WIDTH, subsequent_indent="  "
+    ):
+        yield from textwrap.wrap(line, WIDTH, subsequent_indent="  ")
+    yield from effectiveness_lines(head.effectiveness, RECOVERY_ROLE)
+    yield from effectiveness_lines(head.effectiveness)
+    supported = [supported_sentence(head.verdicts)] if head.verdicts else []
+    for line in (*_reading_lines(head.verdicts), *supported):
+        yield from textwrap.wrap(line, WIDTH, subsequent_indent="  ")
+
+
+def _reading_lines(verdicts: Sequence[VerdictEntry]) -> Iterator[str]:
+    """What tests decided by assertions of their own, and checks that were false all the same."""
+    alone = [each for each in verdicts if each.assertion is not None and each.assertion.alone]
+    if alone:
+        names = names_text(list(dict.fromkeys(each.requirement for each in alone)))
+        yield (
+            f"{counted(len(alone), 'verdict')} by assertions of tests alone ({names}): -v says "
+            "what the tests looked at"
         )
-
-
-def _joined(lines: Iterable[str]) -> list[str]:
-    """Lines without their wraps, which begin with blanks."""
-    whole: list[str] = []
-    for line in lines:
-        if whole and line.startswith("  "):
-            whole[-1] += f" {line.strip()}"
-        else:
-            whole.append(line)
-    return whole
+    for verdict in verdicts:
+        for sentence in reading_sentences(verdict):
+            if sentence.startswith("false in "):
+                yield f"{name(verdict.requirement)} on {name(verdict.case)}: {sentence}"
 
 
 def _failure_mode_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:

@@ -131,7 +131,13 @@ def card_entries(cause: Cause) -> Iterator[tuple[str, str]]:
         first, *rest = cause.requirements
         also = f" Also {names_text([each.id for each in rest])}." if rest else ""
         yield "required", f"{name(first.id)}: {as_sentence(first.text)}{also}"
-    if cause.check and cause.requirements and cause.check != cause.requirements[0].id:
+    assertion = cause.verdicts[0].assertion if cause.verdicts else None
+    failed = assertion.failed if assertion is not None else ()
+    for failure in failed[:1]:
+        yield "failed", one_line(f"{failure.message}, in {failure.episode}")
+    # Where the check held, what failed is an assertion of the test.
+    judged = not failed or (assertion is not None and assertion.by_check)
+    if judged and cause.check and cause.check != cause.verdicts[0].requirement:
         yield "check", one_line(cause.check)
     if cause.episode is not None:
         when = "" if cause.status != "violated" else violation_text(cause.time, cause.margin)
@@ -239,7 +245,7 @@ def _violated_cause(record: SessionRecord, episodes: Episodes, group: Sequence[I
         more=tuple(member.episode for member in group[1:]),
         time=worst.counterexample.time,
         margin=worst.counterexample.margin,
-        check=worst.verdict.check,
+        check=worst.verdict.check or worst.requirement.check,
         twins=twins,
         replay=replay_command(incident.episode, evidence_option(command), model_options(command)),
         next_step=next_step(incident, twins),
@@ -310,7 +316,7 @@ def _cause(
         more=(),
         time=None,
         margin=first.margin,
-        check=first.check,
+        check=first.check or requirements[first.requirement].check,
         twins=(),
         replay="" if episode is None else replay_command(episode, *options),
         next_step=next_step,

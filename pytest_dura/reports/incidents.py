@@ -13,6 +13,7 @@ from functools import cached_property
 from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry, EventEntry, FaultEntry
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.evidence.verdict_model import CounterexampleEntry, PairsEntry, VerdictEntry
 from pytest_dura.reports.wording import event_text, names_text
@@ -87,8 +88,14 @@ class BriefRun:
     """Whether recovery took over for good."""
 
     @classmethod
-    def of(cls, episode: EpisodeEntry, marks: _Marks) -> BriefRun:
-        """Take it from an episode."""
+    def of(cls, episode: EpisodeEntry, measures: Sequence[MeasureEntry]) -> BriefRun:
+        """Take it from an episode.
+
+        Args:
+            episode: The episode.
+            measures: What its simulator declares.
+        """
+        marks = _Marks(measures)
         telling = tuple(
             event for event in episode.events if event.kind in _TELLING or marks.is_measure(event)
         )
@@ -107,6 +114,34 @@ class BriefRun:
             kept_control=control.takeovers > control.returns,
         )
 
+    def event_before(
+        self, time: float | None, *, kind: str, last: float | None, compares_faults: bool
+    ) -> EventEntry | None:
+        """The event that stands before a violation; ``None`` without any.
+
+        Args:
+            time: When the requirement was violated first, in s; ``None`` if that is not known.
+            kind: Of the requirement.
+            last: When the last requirement was violated, in s; a grave event counts up to then.
+            compares_faults: Whether a pair with and without faults was judged.
+        """
+        end = self.seconds
+        if self.grave is not None and self.grave.time <= (end if last is None else last) + TICK:
+            return self.grave
+        until = (end if time is None else time) + TICK
+        before = [event for event in self.telling if event.time <= until]
+        if compares_faults:
+            return next((event for event in before if event.kind == _MANIFESTED), None)
+        measured = [event for event in before if event.kind == _SHOWS_PERFORMANCE]
+        if kind == "performance" and measured:
+            return measured[0]
+        for kinds in (_TELLING, (_SHOWS_PERFORMANCE,)):
+            named = [event for event in before if event.kind in kinds]
+            if named:
+                same = [event for event in named if event.tick == named[-1].tick]
+                return min(same, key=lambda event: kinds.index(event.kind))
+        return None
+
     def end_text(self) -> str:
         """How and when it ended."""
         end = _ENDS.get(self.termination, f"ended ({name(self.termination)})")
@@ -120,10 +155,10 @@ _MOST_EVENTS = 400
 class _Marks:
     """What a domain declares as grave or notable."""
 
-    def __init__(self, record: SessionRecord) -> None:
-        self._grave = [each for each in record.head.measures if each.severity == "grave"]
-        self._notable = [each for each in record.head.measures if each.severity == "notable"]
-        self._names = {each.name for each in record.head.measures}
+    def __init__(self, measures: Sequence[MeasureEntry]) -> None:
+        self._grave = [each for each in measures if each.severity == "grave"]
+        self._notable = [each for each in measures if each.severity == "notable"]
+        self._names = {each.name for each in measures}
         self._kinds = {each.event for each in self._grave if each.event}
 
     def grave_event(self, episode: EpisodeEntry) -> EventEntry | None:
@@ -175,14 +210,13 @@ class Episodes:
                 number = of_verdict.rpartition("#")[2]
                 for _, case in twins.get((verdict.case, verdict.component), ()):
                     wanted.add((f"{case}#{number}", verdict.component))
-        marks = _Marks(record)
         briefs: dict[EpisodeKey, BriefRun] = {}
         if wanted:
             for episode in record.episodes():
                 key = episode.id, episode.component
                 # A verdict rests on planned episodes; one run by hand may bear the same id.
                 if key in wanted and (episode.planned or key not in briefs):
-                    briefs[key] = BriefRun.of(episode, marks)
+                    briefs[key] = BriefRun.of(episode, record.head.measures)
         return cls(briefs, twins)
 
     def get(self, episode: str, component: str) -> BriefRun | None:
@@ -200,24 +234,21 @@ class Episodes:
 
 def _twin_cases(cases: Sequence[CaseEntry]) -> dict[tuple[str, str], list[tuple[str, str]]]:
     """Cases that differ from a case by its faults, or by one role, alone."""
-    alike: dict[tuple[str, str], list[CaseEntry]] = {}
+    fault_free: dict[tuple[str, str], str] = {}
+    lacking: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for case in cases:
-        alike.setdefault((case.scenario, case.component), []).append(case)
+        if len(case.without) == 1:
+            base = case.id.partition("~")[0], case.component
+            lacking.setdefault(base, []).append((case.without[0], case.id))
+        elif not case.faults and not case.without:
+            fault_free.setdefault((case.scenario, case.component), case.id)
     twins: dict[tuple[str, str], list[tuple[str, str]]] = {}
-    for group in alike.values():
-        fault_free = [case for case in group if not case.faults and not case.without]
-        lacking = {(case.id.partition("~")[0], *case.without): case for case in group}
-        for case in group:
-            if case.without:
-                continue
-            pairs = twins.setdefault((case.id, case.component), [])
-            if case.faults:
-                pairs += [(FAULTS, twin.id) for twin in fault_free[:1]]
-            pairs += [
-                (key[1], twin.id)
-                for key, twin in lacking.items()
-                if len(key) == 2 and key[0] == case.id
-            ]
+    for case in cases:
+        if not case.without:
+            key = case.id, case.component
+            clean = fault_free.get((case.scenario, case.component))
+            without_faults = [(FAULTS, clean)] if case.faults and clean is not None else []
+            twins[key] = [*without_faults, *lacking.get(key, ())]
     return twins
 
 
@@ -263,26 +294,13 @@ class Incident:
             return None
         times = [each.counterexample.time for each in self.violations]
         known = [time for time in times if time is not None]
-        # A pair, or a check that states no time, may follow from anything in the run.
-        last = max(known) if len(known) == len(times) else self.brief.seconds
-        grave = self.brief.grave
-        if grave is not None and grave.time <= last + TICK:
-            return grave
-        time = self.worst.counterexample.time
-        until = self.brief.seconds if time is None else time
-        before = [event for event in self.brief.telling if event.time <= until + TICK]
-        if self.compares_faults:
-            return next((event for event in before if event.kind == _MANIFESTED), None)
-        measured = [event for event in before if event.kind == _SHOWS_PERFORMANCE]
-        if self.worst.requirement.kind == "performance" and measured:
-            return measured[0]
-        for kinds in (_TELLING, (_SHOWS_PERFORMANCE,)):
-            named = [event for event in before if event.kind in kinds]
-            if named:
-                latest = named[-1].tick
-                same = [event for event in named if event.tick == latest]
-                return min(same, key=lambda event: kinds.index(event.kind))
-        return None
+        return self.brief.event_before(
+            self.worst.counterexample.time,
+            kind=self.worst.requirement.kind,
+            # A pair, or a check that states no time, may follow from anything in the run.
+            last=max(known) if len(known) == len(times) else None,
+            compares_faults=self.compares_faults,
+        )
 
     @property
     def compares_faults(self) -> bool:
@@ -309,25 +327,49 @@ class Incident:
 
 def headline(incident: Incident) -> str:
     """One sentence: what happened, after which fault, and where it led."""
-    brief, worst = incident.brief, incident.worst
-    requirement = name(worst.requirement.id)
-    time, margin = worst.counterexample.time, worst.counterexample.margin
-    by = f" by {-margin:.3g}" if margin is not None and margin < 0 else ""
-    violated = f"{requirement} was violated{by}"
-    if time is not None:
-        violated += f" at t = {time:.2f} s"
-    event = incident.event
-    if brief is None:
+    requirement, example = incident.worst.requirement.id, incident.worst.counterexample
+    if incident.brief is None:
+        violated = _violated_text(requirement, example.time, example.margin)
         return f"{violated} in an episode that the record does not hold."
-    parts = []
+    return what_happened(
+        incident.brief, incident.event, requirement, time=example.time, margin=example.margin
+    )
+
+
+def _violated_text(requirement: str, time: float | None, margin: float | None) -> str:
+    by = f" by {-margin:.3g}" if margin is not None and margin < 0 else ""
+    at = "" if time is None else f" at t = {time:.2f} s"
+    return f"{name(requirement)} was violated{by}{at}"
+
+
+def what_happened(
+    brief: BriefRun,
+    event: EventEntry | None,
+    requirement: str,
+    *,
+    time: float | None,
+    margin: float | None,
+) -> str:
+    """One sentence on a violation.
+
+    Args:
+        brief: The episode.
+        event: Of :meth:`BriefRun.event_before`.
+        requirement: Id of the requirement.
+        time: When it was violated first, in s.
+        margin: By how much, negative, in the unit of its check.
+    """
+    violated = _violated_text(requirement, time, margin)
     if event is None:
-        parts.append(f"{violated}, before any role had objected")
+        parts = [f"{violated}, before any role had objected"]
     else:
-        parts.append(event_clause(event, brief))
-        if time is None or abs(event.time - time) > TICK or event is not brief.grave:
-            parts.append(violated)
+        parts = [event_clause(event, brief)]
     if event is None or event.kind != _MANIFESTED:
         parts[0] += _fault_clause(brief, event.time if event else time)
+    if event is not None and (
+        time is None or abs(event.time - time) > TICK or event is not brief.grave
+    ):
+        parts.append(violated)
     if event is None or event is not brief.grave:
         parts.append(f"the run {brief.end_text()}")
         parts += [f"it is one of the {text}" for text in brief.notable if text.startswith("runs ")]

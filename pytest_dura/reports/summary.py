@@ -25,6 +25,7 @@ from pytest_dura.evidence.session_model import (
 )
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
+from pytest_dura.reports.causes import Cause, card_entries, card_heading, causes_of
 from pytest_dura.reports.columns import Column, Shown, measure_label, shown_in
 from pytest_dura.reports.failure_modes import (
     NULL_NOTE,
@@ -154,9 +155,9 @@ MAX_BYTES = 1024 * 1024
 """Bytes that GitHub takes."""
 
 _KIB = 1024
-_SHARES = {"failures": 300 * _KIB, "verdicts": 320 * _KIB, "requirements": 100 * _KIB,
-           "cases": 150 * _KIB, "failure modes": 30 * _KIB, "searches": 40 * _KIB,
-           "hazards": 40 * _KIB}  # fmt: skip
+_SHARES = {"causes": 60 * _KIB, "failures": 240 * _KIB, "verdicts": 320 * _KIB,
+           "requirements": 100 * _KIB, "cases": 150 * _KIB, "failure modes": 30 * _KIB,
+           "searches": 40 * _KIB, "hazards": 40 * _KIB}  # fmt: skip
 """Bytes of the tables; the rest is for what has a small bound: the head, reasons, provenance."""
 _REASONS = 20
 _MAX_CELLS = 10
@@ -170,6 +171,8 @@ def render(record: SessionRecord) -> str:
     searched, cases = [OutcomeRow(*pair) for pair in ordered_outcomes(record)], record.head.cases
     lines = [
         *_head_lines(record),
+        *_cause_lines(record),
+        *_count_lines(record),
         *_conclusion_lines(record),
         *_section(
             "Not supported",
@@ -197,7 +200,7 @@ def _urgency(verdict: VerdictEntry) -> tuple[bool, int]:
 
 
 def _head_lines(record: SessionRecord) -> Iterator[str]:
-    counts, gate = record.head.totals.to_json(), record.head.gate
+    gate = record.head.gate
     shard = shard_text(record)
     if is_incomplete(record):
         subject = shard.capitalize() or "Session"
@@ -206,6 +209,36 @@ def _head_lines(record: SessionRecord) -> Iterator[str]:
         yield f"# Gate of {shard} {gate.result}: a part of a session, not the whole"
     else:
         yield f"# Gate {', '.join(filter(None, [gate.result, selection_text(record)]))}"
+
+
+def _cause_lines(record: SessionRecord) -> Iterator[str]:
+    """A card for each cause, the worst first, as many as fit; nothing where all is supported."""
+    causes = causes_of(record)
+    room, shown = _SHARES["causes"], 0
+    for number, cause in enumerate(causes, 1):
+        heading = markdown(f"Cause {number}, {card_heading(cause)}", 400)
+        card = ["", f"## {heading}", "", f"**{markdown(cause.headline, 800)}**", ""]
+        for label, text in card_entries(cause):
+            card.append(f"- {label}: {_card_text(record, cause, label, text)}")
+        room -= sum(len(line.encode()) + 1 for line in card)
+        if room < 0:
+            break
+        shown += 1
+        yield from card
+    if shown < len(causes):
+        more = len(causes) - shown
+        yield from ["", f"_{more} more causes are in the report._"]
+
+
+def _card_text(record: SessionRecord, cause: Cause, label: str, text: str) -> str:
+    if label == "replay":
+        command = _replay(record.head.command, cause.episode or "")
+        return command or "by its id in the record"
+    return code(text) if label in ("check", "episode") else markdown(text, 800)
+
+
+def _count_lines(record: SessionRecord) -> Iterator[str]:
+    counts, gate = record.head.totals.to_json(), record.head.gate
     yield from ["", f"| {' | '.join(counts)} |", f"|{' --- |' * len(counts)}"]
     yield f"| {' | '.join(map(str, counts.values()))} |"
     yield ""

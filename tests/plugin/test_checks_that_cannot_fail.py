@@ -91,7 +91,9 @@ def test_a_verdict_by_assertion_says_so_and_what_the_test_looked_at(project, mod
         "failed": [],
     }  # fmt: skip
     told = "by assertion: the test looked at collided, signals.gap"
-    assert told in output(result)
+    brief = "1 verdict by assertions of tests alone (OWN-1): -v says what the tests looked at"
+    assert brief in " ".join(output(result).split())
+    assert told in output(project.run("test_it.py", "-v", *mode))
     assert "1 of 1 verdicts is supported by assertions of tests alone" in rendered(project)[0]
     assert told in rendered(project)[1]
 
@@ -145,9 +147,11 @@ FAILS = ["x = episode.signals['x'].max()", "assert x < 0.5, 'too far'"]
 def test_what_failed_is_shown_and_not_a_check_that_held(project, option):
     project.write("test_it.py", a_test(FAILS, marks=["requirement('GAP-1')"]))
     result = project.run("test_it.py", "--junitxml=junit.xml", *option.split())
-    told = output(result).partition("violated: GAP-1 on corridor/free")[2].splitlines()
-    assert told[2].startswith("  failed: too far; assert ")
-    assert told[2].endswith("< 0.5 (test_it.py:6), in corridor/free#0")
+    told = output(result).partition("violated: safety on corridor/free")[2].splitlines()
+    (failed,) = [number for number, line in enumerate(told) if line.startswith("  failed: ")]
+    message = " ".join(" ".join(told[failed : failed + 2]).split())
+    assert message.startswith("failed: too far; assert ")
+    assert "< 0.5 (test_it.py:6), in corridor/free#0" in message
     assert not [line for line in told if line.startswith("  check:")]
     found = project.verdict("GAP-1", "corridor/free")
     assert found.assertion.by_check == 0
@@ -161,9 +165,9 @@ def test_what_failed_is_shown_and_not_a_check_that_held(project, option):
 def test_a_check_that_is_violated_is_shown_beside_a_failed_assertion(project):
     project.write("test_it.py", a_test(FAILS, marks=["requirement('GAP-1')"]))
     result = project.run("test_it.py", "--dura-generator=corridor:Reckless")
-    told = output(result).partition("violated: GAP-1 on corridor/free")[2]
-    assert "  failed: too far; assert " in told
-    assert "  check:  always (gap > 0)" in told
+    told = output(result).partition("violated: safety on corridor/free")[2]
+    assert "  failed:   too far; assert " in told
+    assert "  check:    always (gap > 0)" in told
     assert project.verdict("GAP-1", "corridor/free").assertion.by_check == 2
 
 
@@ -182,12 +186,12 @@ def test_junit_and_allure_carry_what_ended_the_episode(project):
     project.write("crash.py", CRASH)
     scenario(project, simulator="crash:Crash", requirements="[GAP-1]", generator="Reckless")
     result = project.scenarios("--junitxml=junit.xml", "--alluredir=allure", select="corridor/it")
-    assert "  event:  at t = 0.50 s ran into VICTIM" in output(result)
-    assert "event:    at t = 0.50 s ran into VICTIM" in output(result)
+    assert "  At t = 0.50 s ran into VICTIM." in output(result)
+    assert "event:    At t = 0.50 s ran into VICTIM" in output(result)
     junit = (project.path / "junit.xml").read_text()
-    assert '<property name="event" value="at t = 0.50 s ran into VICTIM"' in junit
+    assert '<property name="event" value="At t = 0.50 s ran into VICTIM.' in junit
     (found,) = (project.path / "allure").glob("*-result.json")
-    assert "Event: at t = 0.50 s ran into VICTIM" in found.read_text().replace("\\\\", "")
+    assert "What happened: At t = 0.50 s ran into VICTIM" in found.read_text().replace("\\\\", "")
 
 
 NOTHING = "undecided: the test ended without a verdict"

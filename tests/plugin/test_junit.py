@@ -97,6 +97,7 @@ def test_a_scenario_item_has_the_figures_of_its_verdict(junit, project):
     verdict = project.verdict("GAP-1", "corridor/tight")
     episode = project.evidence().episodes[0]
     assert told.pop("reason") == verdict.reason
+    assert told.pop("event").startswith("GAP-1 was violated at t = 0.20 s, before any role had")
     assert told == {
         "item": "corridor/tight::GAP-1",
         "base_seed": "7",

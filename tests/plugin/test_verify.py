@@ -290,7 +290,7 @@ FORMATS = {
     "test-result.intoto.json, other evidence": ("test-result.intoto.json", other_digest),
     "assurance-case.gsn.yaml, no support": (
         "assurance-case.gsn.yaml",
-        cut(r"\nSn[^\n]*:\n(  [^\n]*\n)+"),
+        cut(r"\n\"?Sn[^\n]*:\n(  [^\n]*\n)+"),
     ),
     "report.html, no verdicts": ("report.html", cut(r"<tr[^>]*id=\"verdict.*?</tr>")),
     "report.html, empty": ("report.html", lambda _: ""),

@@ -72,11 +72,11 @@ def expect(project, result, word, reason="", *, ret=None, requirement="R-1", cas
     lines = result.outlines
     start = next(i for i, line in enumerate(lines) if re.fullmatch(r"=+ dura =+", line))
     told = "\n".join(lines[start:])
-    assert re.search(rf"^{word} +{re.escape(case)} \(", told, re.MULTILINE)
+    assert re.search(rf"^gate.*: .*\d {word}\b", told, re.MULTILINE)
     if word != "supported":
-        assert re.search(
-            rf"^{word}: .*{re.escape(requirement)}.* on {re.escape(case)} ", told, re.MULTILINE
-        )
+        card = rf"^{word}: \w+ on {re.escape(case)}(?: and \d+ more cases?)? \(.*\)\n(?:  .*\n)*"
+        (_, *required) = re.search(card, told, re.MULTILINE)[0].split("  required: ")
+        assert re.search(rf"\b{re.escape(requirement)}\b", required[0].partition("  next: ")[0])
     assert result.ret == ((0 if word == "supported" else 1) if ret is None else ret)
     text = result.stdout.str() + result.stderr.str()
     assert "Traceback" not in text

@@ -281,7 +281,7 @@
   route(location.hash !== "");
 
   // Keys: those of a player and of fields are their own.
-  document.querySelector(".keys").hidden = false;
+  document.querySelector(".shortcuts").hidden = false;
   document.addEventListener("keydown", (event) => {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
     const inField = event.target.closest?.("input, select, textarea");
