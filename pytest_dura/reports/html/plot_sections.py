@@ -13,7 +13,12 @@ from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.evidence.verdict_model import MarginsEntry, VerdictEntry
 from pytest_dura.reports.columns import measure_label, role_name
-from pytest_dura.reports.html.contents import EpisodeLinks, ReportContents
+from pytest_dura.reports.html.contents import (
+    EpisodeLinks,
+    ReportContents,
+    split_folded,
+    verdict_key,
+)
 from pytest_dura.reports.operating_domain import (
     combination_text,
     exposure_text,
@@ -95,7 +100,7 @@ def plot_section(record: SessionRecord, contents: ReportContents, _links: Episod
             for i, each in enumerate(shown)
             if (plot := _difference_plot(data, each, i)) is not None
         ],
-        **_margin_plots(record),
+        **_margin_plots(record, contents),
         "detection": _detection_plot(data),
         **_flows(data),
         **_pair_maps(record),
@@ -111,8 +116,8 @@ def _dots(numbers: Sequence[float]) -> Sequence[float]:
     return numbers if len(numbers) <= MAX_DOTS else ()
 
 
-def _bounded(rows: Sequence[Strip], most: int = MAX_ROWS) -> tuple[Sequence[Strip], int]:
-    return rows[:most], len(rows[most:])
+def _bounded(rows: Sequence[Strip]) -> tuple[Sequence[Strip], int]:
+    return rows[:MAX_ROWS], len(rows[MAX_ROWS:])
 
 
 def _unit(measure: MeasureEntry) -> str:
@@ -194,7 +199,7 @@ def _difference_strip(each: Differences, group: str) -> Strip:
 _STATUS_ORDER = ("violated", "undecided", "supported")
 
 
-def _margin_plots(record: SessionRecord) -> Data:
+def _margin_plots(record: SessionRecord, contents: ReportContents) -> Data:
     """One plot for each requirement with margins: violated ones first, safety before comfort."""
     by_requirement: dict[str, list[VerdictEntry]] = defaultdict(list)
     bare = 0
@@ -215,7 +220,7 @@ def _margin_plots(record: SessionRecord) -> Data:
 
     order = sorted(by_requirement, key=worst)
     plots = [
-        _margin_plot(requirement, by_requirement[requirement], i)
+        _margin_plot(requirement, by_requirement[requirement], i, contents)
         for i, requirement in enumerate(order[:MAX_MARGIN_PLOTS])
     ]
     return {
@@ -225,12 +230,14 @@ def _margin_plots(record: SessionRecord) -> Data:
     }
 
 
-def _margin_plot(requirement: str, verdicts: Sequence[VerdictEntry], place: int) -> Data:
+def _margin_plot(
+    requirement: str, verdicts: Sequence[VerdictEntry], place: int, contents: ReportContents
+) -> Data:
     several = len({verdict.component for verdict in verdicts}) > 1
-    ordered = sorted(verdicts, key=lambda verdict: (verdict.margin is None, verdict.margin or 0.0))
-    rows, left_out = _bounded(
-        [_margin_strip(verdict, several=several) for verdict in ordered], MAX_MARGIN_ROWS
-    )
+    shown, rest = split_folded(verdicts, contents.folded, verdict_key)
+    ordered = sorted(shown, key=lambda verdict: (verdict.margin is None, verdict.margin or 0.0))
+    drawn = ordered[:MAX_MARGIN_ROWS]
+    rows = [_margin_strip(verdict, several=several) for verdict in drawn]
     violations = sum(verdict.violations for verdict in verdicts)
     frame = Frame(
         f"margin-{place}", f"Margins of {name(requirement)}", "margin, in the unit of the check",
@@ -240,7 +247,7 @@ def _margin_plot(requirement: str, verdicts: Sequence[VerdictEntry], place: int)
         "requirement": requirement,
         "violating": counted(violations, "violating run") if violations else "",
         "svg": strip_plot(rows, frame),
-        "left_out": left_out,
+        "left_out": len(ordered) - len(drawn) + len(rest),
         "open": bool(violations) and place < MAX_OPEN,
     }
 
