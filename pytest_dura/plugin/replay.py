@@ -429,11 +429,12 @@ def _verdicts(recorded: RecordedEpisode, episode: Episode) -> list[dict[str, Any
     for requirement in recorded.requirements:
         if not requirement.check or requirement.paired is not None:
             continue
+        about = {"check": requirement.check, "kind": requirement.kind}
         try:
             verdict = judge_episode(requirement, episode)
         except ConfigurationError as error:  # such as a signal that a failed episode lacks
             missing = {"requirement": requirement.id, "verdict": "missing", "detail": error.problem}
-            verdicts.append({**missing, "check": requirement.check})
+            verdicts.append({**missing, **about})
         else:
-            verdicts.append({**verdict.to_json(), "check": requirement.check})
+            verdicts.append({**verdict.to_json(), **about})
     return verdicts

@@ -318,12 +318,24 @@ def test_it_opens_three_seconds_before_the_violation(page):
     assert page.evaluate("window.opened") == round((VIOLATED_AT - 3) / 0.1)
     page.keyboard.press("v")
     assert tick(page) == round(VIOLATED_AT / 0.1)
-    assert "at the first violation" in page.locator(".dura-clock").inner_text()
+    assert "at the violation of SAF-1" in page.locator(".dura-clock").inner_text()
 
 
 def test_it_opens_at_the_beginning_of_what_violates_nothing(opened):
     page = ready(opened(player_page(crossing(), VERDICTS[1:])))
     assert tick(page) == 0
+
+
+def test_the_worst_violation_is_that_of_safety_and_v_goes_on_from_it(opened):
+    early = {**VERDICTS[0], "requirement": "PERF-9", "time": 1.0, "kind": "performance"}
+    worst = {**VERDICTS[0], "kind": "safety"}
+    page = ready(opened(player_page(crossing(), [early, worst])))
+    assert tick(page) == 6
+    reached = []
+    for _ in range(3):
+        page.keyboard.press("v")
+        reached.append(tick(page))
+    assert reached == [36, 10, 36]
 
 
 def test_verdicts_are_folded_and_the_way_to_a_violation_is_not(page):
@@ -742,10 +754,10 @@ def test_episodes_stand_beside_each_other_at_the_same_time_before_their_violatio
         page.evaluate("(at) => window.b.seek(at)", at)
         times[at] = beside.locator(".dura-clock").inner_text()
     assert times == {
-        16: "3.60 s, at the first violation",
-        6: "2.60 s, 1.00 s before the first violation",
-        21: "4.00 s, 0.40 s after the first violation, ended",
-        36: "4.00 s, 0.40 s after the first violation, ended",
+        16: "3.60 s, at the violation of SAF-1",
+        6: "2.60 s, 1.00 s before the violation of SAF-1",
+        21: "4.00 s, 0.40 s after the violation of SAF-1, ended",
+        36: "4.00 s, 0.40 s after the violation of SAF-1, ended",
     }
     page.evaluate("window.b.seek(16)")
     assert "EGO at (2, \N{MINUS SIGN}6) m" in beside.get_by_role("img").get_attribute("aria-label")

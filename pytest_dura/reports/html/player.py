@@ -31,6 +31,7 @@ from pytest_dura.evidence.traces import Trace, without_exchange
 from pytest_dura.reports.episode_view import formula_of, margin_over_time
 from pytest_dura.reports.html.thoughts import thoughts_data
 from pytest_dura.reports.html.twins import Twin, twin_data
+from pytest_dura.reports.incidents import KINDS
 from pytest_dura.reports.scene import scene_data
 from pytest_dura.requirements.stl.formula import Boolean, Node, Not, Temporal, TemporalPair
 
@@ -52,25 +53,26 @@ def player_data(
     Args:
         trace: The episode.
         verdicts: The verdicts on it, each with ``requirement``, ``verdict``, and if known
-            ``time`` of the violation in s, ``margin`` and ``check``; with a ``note`` where there is
-            more to say.
+            ``time`` of the violation in s, ``margin``, ``check`` and ``kind`` of the requirement;
+            with a ``note`` where there is more to say.
         measures: As in the record; some name a signal whose rise is marked.
         twins: Runs of the same seed without something, whose ego is shown as a shadow.
 
     Returns:
-        JSON data. Columns of texts are ``{words, at}``, where ``at`` holds an index into
-        ``words`` for each decision. Signals have six significant digits; ``None`` is NaN, and
-        infinities are texts. ``margins`` are the checks' robustness over time, each with the
-        ``formula`` that it is of, the ``requirements`` that it decides, and ``open``: until which
-        tick it was not lost yet, where something has to come about. ``twins`` have ``without``,
-        ``label``, ``id``, ``problem``, ``ended`` in words, ``last`` (the tick at which it ended
-        within this episode, or ``None``), ``runs`` of its ego at the episode's ticks, and
-        ``difference`` and ``acted``: ``[tick, text]`` of the first difference, and of the first
-        other action, or ``None``. For the scene see
+        JSON data; ``verdicts`` have violations first, safety before comfort. Columns of texts are
+        ``{words, at}``, where ``at`` holds an index into ``words`` for each decision. Signals have
+        six significant digits; ``None`` is NaN, and infinities are texts. ``margins`` are the
+        checks' robustness over time, each with the ``formula`` that it is of, the ``requirements``
+        that it decides, and ``open``: until which tick it was not lost yet, where something has to
+        come about. ``twins`` have ``without``, ``label``, ``id``, ``problem``, ``ended`` in words,
+        ``last`` (the tick at which it ended within this episode, or ``None``), ``runs`` of its ego
+        at the episode's ticks, and ``difference`` and ``acted``: ``[tick, text]`` of the first
+        difference, and of the first other action, or ``None``. For the scene see
         :func:`~pytest_dura.reports.scene.scene_data`, for ``thoughts``
         :func:`~pytest_dura.reports.html.thoughts.thoughts_data`.
     """
     recording, decisions = trace.recording, trace.decisions
+    verdicts = sorted(verdicts, key=_worst_first)
     marks = {str(each["signal"]): str(each["event"]) for each in measures if each["signal"]}
     return {
         "about": {key: _plain(value) for key, value in trace.about.items()},
@@ -138,6 +140,15 @@ def _account(account: Mapping[str, Any]) -> str:
     return "\n".join(
         f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in account.items()
     )
+
+
+def _worst_first(verdict: Mapping[str, Any]) -> tuple[bool, int, float]:
+    """Order verdicts: violations by kind and time, then the others as they are."""
+    if verdict["verdict"] != "violated":
+        return True, 0, 0.0
+    kind, time = verdict.get("kind"), verdict.get("time")
+    rank = KINDS.index(kind) if kind in KINDS else len(KINDS)
+    return False, rank, math.inf if time is None else float(time)
 
 
 def _verdict(verdict: Mapping[str, Any], time: Sequence[float]) -> dict[str, Any]:

@@ -155,10 +155,12 @@ def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[
     """The verdicts on an episode, its violations first."""
     violated: list[Data] = []
     others: list[Data] = []
+    kinds = {requirement.id: requirement.kind for requirement in record.head.requirements}
     for verdict in record.head.verdicts:
         if verdict_key(verdict) != (episode.episode.case, episode.episode.component):
             continue
         row: dict[str, Any] = {"requirement": verdict.requirement, "check": verdict.check}
+        row["kind"] = kinds.get(verdict.requirement)
         violations = [
             counterexample
             for counterexample in verdict.counterexamples

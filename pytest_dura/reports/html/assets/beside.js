@@ -2,17 +2,18 @@
 
 const MOST_BESIDE = 3;
 
-/** The tick that an episode is about: its first violation, or else its end. */
+/** The tick that an episode is about, and its name: the worst violation, or else the end. */
 function turningPoint(episode) {
-  const found = violations(episode);
-  return found.length ? Math.min(...found) : episode.last;
+  const worst = episode.verdicts.find(({verdict, tick}) => verdict === "violated" && tick !== null);
+  return worst ? {tick: worst.tick, what: `violation of ${shorter(worst.requirement, 40)}`}
+    : {tick: episode.last, what: "end"};
 }
 
 class Companion {
   constructor(player, episode) {
     [this.player, this.episode] = [player, episode];
     this.view = new View(episode);
-    this.anchor = episode.time[turningPoint(episode)];
+    this.anchor = episode.time[turningPoint(episode).tick];
     this.clock = make("span", {class: "dura-clock"});
     this.said = make("p", {class: "dura-note dura-besidesaid"});
     const name = shorter(String(episode.about.id ?? "Episode"), 80);
@@ -50,8 +51,8 @@ class Companion {
 
 /** A time as it stands to the violation, or to the end of what violates nothing. */
 function toViolation(episode, time) {
-  const tick = turningPoint(episode);
-  const [far, what] = [time - episode.time[tick], violations(episode).length ? "first violation" : "end"];
+  const {tick, what} = turningPoint(episode);
+  const far = time - episode.time[tick];
   if (Math.abs(far) < 1e-9) return `${seconds(time)}, at the ${what}`;
   return `${seconds(time)}, ${Math.abs(far).toFixed(2)} s ${far < 0 ? "before" : "after"} the ${what}`;
 }
@@ -60,7 +61,7 @@ class Beside {
   constructor(player, others) {
     this.player = player;
     this.companions = [];
-    this.anchor = player.episode.time[turningPoint(player.episode)] ?? 0;
+    this.anchor = player.episode.time[turningPoint(player.episode).tick] ?? 0;
     this.others = others.filter(({label}) => label !== player.episode.about.id);
     this.area = make("div", {class: "dura-beside"});
     this.node = this.others.length && player.view ? this.build() : null;
@@ -71,9 +72,8 @@ class Beside {
     this.select = make("select", {id}, this.others.map(({label}, index) =>
       make("option", {value: index}, shorter(label, 80))));
     this.add = make("button", {type: "button", click: () => this.show()}, "Show beside");
-    return make("div", {class: "dura-besiderow"},
-      make("div", {class: "dura-tools"}, make("label", {for: id}, "Beside it"), this.select, this.add),
-      this.area);
+    return make("div", {class: "dura-tools"},
+      make("label", {for: id}, "Beside it"), this.select, this.add);
   }
 
   async show() {

@@ -3,7 +3,7 @@
 /** What each key does, where there is something to do. */
 function help({episode, view, twins}) {
   const all = [["Space K", "play or pause"], ["← →", "a tick back, on (with Shift ten)"],
-    ["J L", "a second back, on"], ["V", "next violation", violations(episode).length],
+    ["J L", "a second back, on"], ["V", "the violation, the next", violations(episode).length],
     ["D", "first difference", twins.list.some(({difference}) => difference)],
     ["P N", "previous, next event", episode.events.length], ["Home End", "begin, end"],
     [", .", "slower, faster"], ["+ −", "zoom", view], ["F", "camera follows or stands", view]];
@@ -51,7 +51,8 @@ function keys(player) {
     [".", () => faster(1)],
     ["n", () => next(ticks.find((one) => one > tick))],
     ["p", () => next(ticks.filter((one) => one < tick).pop())],
-    ["v", () => next(found.find((one) => one > tick) ?? found[0])],
+    ["v", () => next(found.includes(tick) ? found.find((one) => one > tick) ?? found[0]
+      : found.length ? turningPoint(episode).tick : undefined)],
     ["f", () => player.turnCamera()],
   ]);
 }

@@ -30,7 +30,8 @@ class Player {
       });
     }
     const found = violations(episode);
-    this.seek(found.length ? episode.tickAt(episode.time[Math.min(...found)] - LEAD) : 0);
+    const {tick} = turningPoint(episode);
+    this.seek(found.length ? episode.tickAt(episode.time[tick] - LEAD) : 0);
   }
 
   build({level = 2}) {
@@ -39,11 +40,11 @@ class Player {
     return make("section", {class: "dura-player", tabindex: "-1",
       "aria-label": `Episode player: ${shorter(String(episode.about.id ?? ""), 200)}`},
     heading(episode, level),
-    episode.verdicts.length ? verdictPanel(this) : null,
     problem ? make("p", {class: "dura-failure"}, `No scene: ${problem}`) : null,
     make("div", {class: this.view ? "dura-body" : "dura-body dura-flat"},
-      this.view ? this.stage() : null, this.beside.node,
-      make("div", {class: "dura-drive"}, this.transport(), this.scrubRow(), help(this)),
+      this.view ? this.stage() : null, this.beside.node ? this.beside.area : null,
+      make("div", {class: "dura-drive"}, this.transport(), this.scrubRow(), help(this),
+        this.beside.node, episode.verdicts.length ? verdictPanel(this) : null),
       make("div", {class: "dura-side"}, this.decision.node, this.events.node),
       make("div", {class: "dura-timeline"}, this.lanes.node, this.plots.node, axis(episode),
         rowLegend(this))),
@@ -285,7 +286,10 @@ function mount(element, packed, options = {}) {
     }
   };
   const open = () => (opening ??= load());
-  const focus = () => player?.node.focus({preventScroll: true});
+  const focus = () => {
+    player?.node.scrollIntoView({block: "start"});
+    player?.node.focus({preventScroll: true});
+  };
   if (options.open) open().then(() => options.focus && focus()).catch(() => {}); // the page says so
   else {
     element.replaceChildren(make("button", {type: "button", class: "dura-open",
