@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator
 
 from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
@@ -43,7 +44,14 @@ _SESSION_ID = "SESSION"
 
 def render(record: SessionRecord) -> str:
     """The file's text."""
-    needs = {need["id"]: need for need in _needs(record)}
+    needs: dict[str, JsonObject] = {}
+    times: Counter[str] = Counter()
+    for need in _needs(record):
+        times[need["id"]] += 1
+        id_ = need["id"] if times[need["id"]] == 1 else f"{need['id']}__{times[need['id']]}"
+        needs[id_] = {**need, "id": id_}
+    for need in needs.values():  # also of a record that names what it does not list
+        need["links"] = [link for link in need["links"] if link in needs]
     created, tool = name(record.head.created), record.head.tool
     version = {
         "created": created,

@@ -231,10 +231,10 @@ def check_summary(bundle):
     assert not kinds & {"html_block", "html_inline", "link_open", "image", "fence", "code_block"}
     prose = "".join(token.content for token in tokens if token.type == "text")
     assert not re.search(r"@|://|www\.|#\d|\$", prose)  # what GitHub links although it is escaped
-    assert sum(token.type == "heading_open" for token in tokens) == 7
+    assert sum(token.type == "heading_open" for token in tokens) == 8
     head = bundle.record.head
-    held = (head.verdicts, head.requirements, head.cases)
-    assert sum(token.type == "tr_open" for token in tokens) == 5 + sum(map(len, held))
+    held = (head.verdicts, head.requirements, head.cases, head.hazards)
+    assert sum(token.type == "tr_open" for token in tokens) == 6 + sum(map(len, held))
 
 
 @cache

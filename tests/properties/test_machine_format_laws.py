@@ -19,7 +19,7 @@ from markdown_it import MarkdownIt
 from stated_counts import dead_references, stated_counts
 
 from pytest_dura.evidence import write_record
-from pytest_dura.reports import cyclonedx, intoto, summary
+from pytest_dura.reports import cyclonedx, intoto, needs, summary
 
 some = settings(derandomize=True, deadline=None, max_examples=25)
 
@@ -128,6 +128,23 @@ def test_the_statement_is_valid_and_states_the_records_counts(record, bundle):
     )
 
 
+@some
+@given(record=hostile_records())
+def test_needs_are_linked_without_markup_and_state_the_records_counts(record):
+    text = needs.render(record)
+    assert stated_counts(needs, text) == record.head.totals.to_json()
+    assert all(map(no_control, strings(json.loads(text))))
+    (version,) = json.loads(text)["versions"].values()
+    found = version["needs"].values()
+    assert {need["content"] for need in found} == {""}
+    assert not any("[[" in told or "<<" in told for told in strings(version["needs"]))
+    hazards = [need["id"] for need in found if need["type"] == "hazard"]
+    assert len(hazards) == len(record.head.hazards)
+    mitigated = [need["links"] for need in found if need["type"] == "requirement"]
+    named = [requirement.mitigates or [] for requirement in record.head.requirements]
+    assert [len(links) for links in mitigated] == [len(ids) for ids in named]
+
+
 def tokens_of(text):
     """All tokens of the page as Markdown; HTML and links are not switched off."""
     for token in MarkdownIt("gfm-like", {"linkify": False, "html": True}).parse(text):
@@ -146,10 +163,11 @@ def test_the_summary_is_harmless_and_states_the_records_counts(record):
     assert not re.search(r"@|://|www\.|#\d|\$", prose)
     headings = sum(token.type == "heading_open" for token in tokens)
     outcomes = [one for search in record.head.searches for one in search.outcomes]
-    assert headings == 7 + bool(outcomes)
+    assert headings == 8 + bool(outcomes)
     rows = [token for token in tokens if token.type == "tr_open"]
-    held = record.head.verdicts, record.head.requirements, record.head.cases, outcomes
-    assert len(rows) == 1 + sum(map(len, held)) + 4 + bool(outcomes)
+    head = record.head
+    held = head.verdicts, head.hazards, head.requirements, head.cases, outcomes
+    assert len(rows) == 1 + sum(map(len, held)) + 5 + bool(outcomes)
     assert no_control(text)
     assert len(text.encode()) <= summary.MAX_BYTES
     assert stated_counts(summary, text) == record.head.totals.to_json()

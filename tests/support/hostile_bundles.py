@@ -106,9 +106,15 @@ class Looks(Reckless):
 REQUIREMENTS = """
 requirements:
   - {id: GAP-1, text: It touches nothing., kind: safety, check: always (gap > 0),
-     source: house rule, reason: walls are hard, applies_to: ["corridor/b*"]}
+     source: house rule, reason: walls are hard, applies_to: ["corridor/b*"], mitigates: [H-1]}
   - {id: PAIR-1, text: Recovery helps., kind: recovery, check: always (gap > 0),
      paired: {without: recovery_planner}}
+"""
+HAZARDS = """
+hazards:
+  - {id: H-1, text: It is too near to the wall., loss: the wall itself, severity: S2,
+     operating_condition: at speed, triggering_condition: dim light, source: brooding}
+  - {id: H-2, text: It never arrives., loss: precious time}
 """
 TESTS = """
 import pytest
@@ -131,7 +137,8 @@ def real_session(folder):
     (folder / "scenarios/corridor/tight.yaml").unlink()
     for file, text in {
         "scenarios/corridor/free.yaml": FREE, "scenarios/corridor/broken.yaml": BROKEN,
-        "scenarios/requirements.yaml": REQUIREMENTS, "test_it.py": TESTS,
+        "scenarios/requirements.yaml": REQUIREMENTS, "scenarios/hazards.yaml": HAZARDS,
+        "test_it.py": TESTS,
         "argument.gsn.yaml": ARGUMENT, "own.py": OWN,
     }.items():  # fmt: skip
         (folder / file).write_text(text)

@@ -5,7 +5,7 @@ from pathlib import Path
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from searches import entry
-from session_records import session_record, totals, verdict
+from session_records import REQUIREMENTS, hazard, session_record, totals, verdict
 
 from pytest_dura.evidence import SessionRecord
 from pytest_dura.evidence.model import WholeRecord
@@ -28,7 +28,7 @@ _FREE = {
     "id", "text", "kind", "source", "check", "reason", "case", "requirement", "component", "name",
     "path", "item", "scenario", "failure", "invalid_reason", "command", "detail", "subject",
     "episode", "version", "python", "platform", "commit", "faults", "reasons", "requirements",
-    "packages", "file",
+    "packages", "file", "mitigates", "loss", "operating_condition", "triggering_condition",
 }  # fmt: skip
 
 
@@ -67,7 +67,13 @@ def hostile_records(draw, directory=Path("nowhere")):
     gate = draw(st.sampled_from(["passed", "failed", "incomplete"]))
     status = draw(st.sampled_from(["complete", "running", "interrupted"]))
     searched = draw(st.sampled_from([(), ("falsified", "nothing found"), ("not repeatable",)]))
+    mitigates = draw(st.sampled_from([["H"], ["H", "I"], []]))
     record = session_record(
+        hazards=[hazard("H", "S2"), hazard("I")],
+        requirements=[
+            REQUIREMENTS[name].to_json() | ({"mitigates": mitigates} if mitigates else {})
+            for name in sorted(REQUIREMENTS)
+        ],
         verdicts=verdicts, status=status, searches=[entry(*searched)] if searched else [],
         gate={"result": gate, "exit_code": int(gate != "passed"), "reasons": ["r"] * (size % 7)},
         finished=draw(st.sampled_from([None, "2026-01-02T03:05:05+00:00"])),

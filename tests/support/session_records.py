@@ -104,6 +104,15 @@ def verdict(requirement, case, words, *, planned=None, waiver=None, **changes):
     return told | changes
 
 
+def hazard(id_, severity=None, **changes):
+    """A hazard of a record."""
+    return {
+        "id": id_, "text": f"State {id_}.", "loss": "L-1: health", "severity": severity,
+        "operating_condition": "In rain.", "triggering_condition": "", "source": "STPA",
+        **changes,
+    }  # fmt: skip
+
+
 def session_record(directory=Path("nowhere"), **changes):
     """The record of :func:`session_data`."""
     return SessionRecord.of(session_data(**changes), directory)

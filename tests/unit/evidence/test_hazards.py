@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from session_records import REQUIREMENTS, session_record
+from session_records import REQUIREMENTS, hazard, session_record
 from stated_counts import dead_references, elements_of, stated_counts
 
 from pytest_dura.evidence import record_problems
@@ -19,15 +19,6 @@ from pytest_dura.reports.gsn.user_argument import session_argument
 from pytest_dura.reports.hazards import hazard_line
 from pytest_dura.reports.html import page
 from pytest_dura.reports.wording import limitation_sentences
-
-
-def hazard(id_, severity=None, **changes):
-    return {
-        "id": id_, "text": f"State {id_}.", "loss": "L-1: health", "severity": severity,
-        "operating_condition": "In rain.", "triggering_condition": "", "source": "STPA",
-        **changes,
-    }  # fmt: skip
-
 
 HAZARDS = [
     hazard("H-1", "S3"), hazard("H-2", "S2"), hazard("H-3"), hazard("H-4", "S3"), hazard("H-5")
