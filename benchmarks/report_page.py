@@ -30,7 +30,7 @@ FLAGS = (
 WINDOW = {"width": 1400, "height": 900}
 REPEATS = 3
 FILTER = """text => {
-  const field = document.getElementById("verdicts-filter") ?? document.getElementById("filter-text");
+  const field = document.querySelector("#verdicts-filter, #filter-text");
   const start = performance.now();
   field.value = text;
   field.dispatchEvent(new Event("input", { bubbles: true }));
@@ -112,9 +112,10 @@ def main() -> None:
         ):
             start = time.perf_counter()
             text = render(each)
-            name += f" (rendered in {time.perf_counter() - start:.1f} s)"
-            files.append((name, Path(folder) / f"{len(files)}.html"))
-            files[-1][1].write_bytes(text.encode(errors="backslashreplace"))
+            seconds = time.perf_counter() - start
+            file = Path(folder) / f"{len(files)}.html"
+            file.write_bytes(text.encode(errors="backslashreplace"))
+            files.append((f"{name} (rendered in {seconds:.1f} s)", file))
         browser = playwright.chromium.launch(executable_path=executable, args=list(FLAGS))
         print(machine())
         rows = []

@@ -1,8 +1,11 @@
-"""Make the pictures of the docs: of a report and its player, and what the cameras show.
+"""Make pictures of reports and their players, and of what the cameras show.
 
-``python docs/screenshots.py`` runs the built-in scenarios with a component that never gives way,
-and needs Debian's Chromium and Playwright; ``--bundle DIR`` takes evidence that is there already.
-``--cameras`` makes the pictures of the two cameras alone, and needs none of these.
+``python docs/screenshots.py`` runs four sessions: one that passes, one with the planner that is
+attacked, one with a planner that never gives way, one with every fault of the catalogue. It
+photographs each report at three widths, light and dark, into ``screenshots/``, and keeps in
+``docs/screenshots`` those that the docs show. It needs Debian's Chromium and Playwright;
+``--bundle NAME=DIR`` takes evidence that is there already. ``--cameras`` makes the pictures of the
+two cameras alone, and needs none of these.
 """  # noqa: INP001 - a script, no package
 
 from __future__ import annotations
@@ -11,17 +14,37 @@ import argparse
 import shutil
 import subprocess
 import sys
+import tempfile
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-EVIDENCE = "dura-evidence"
+SESSIONS = {
+    "green": [],
+    "tactical": ["--dura-generator=tactical"],
+    "aggressive": ["--dura-generator=aggressive"],
+    "catalogue": [
+        "--dura-generator=tactical", "--dura-faults=catalogue",
+        "--dura-select=intersection/nominal", "--dura-runs=3",
+    ],
+}  # fmt: skip
+"""Options of each session, by the name of its report."""
 FLAGS = (
     "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-quic",
     "--disable-component-update", "--disable-sync", "--no-first-run",
 )  # fmt: skip
-WIDE = {"width": 1280, "height": 1360}
-NARROW = {"width": 390, "height": 844}
+WINDOWS = {1400: 900, 900: 900, 390: 844}
+"""Heights of windows by their widths."""
+SCHEMES = ("light", "dark")
+VIEWS = ("overview", "requirements", "plots")
+KEPT = {
+    "report.png": "aggressive-overview-1400-light.png",
+    "report-dark.png": "aggressive-requirements-1400-dark.png",
+    "player.png": "aggressive-player-1400-light.png",
+    "phone.png": "aggressive-player-390-dark.png",
+}
+"""Pictures that the docs show, by their names there."""
 LARGEST = 300_000
 """Bytes of a picture; the README loads all of them."""
 
@@ -66,17 +89,18 @@ def take_cameras(folder: Path) -> None:
         picture.resize(size, Image.Resampling.NEAREST).save(file, optimize=True)
 
 
-def run_scenarios() -> Path:
-    """The evidence of the built-in scenarios, all of them, with the aggressive planner."""
-    command = ["--dura-scenarios", "--dura-generator=aggressive", f"--dura-evidence={EVIDENCE}"]
-    done = subprocess.run([sys.executable, "-m", "pytest", *command], cwd=ROOT, check=False)
-    if done.returncode != 1:
-        sys.exit(f"the gate should have failed with exit code 1, and ended with {done.returncode}")
-    return ROOT / EVIDENCE
+def run_session(name: str, folder: Path) -> Path:
+    """Run a session of the built-in scenarios, and return its evidence."""
+    evidence = folder / name
+    options = ["--dura-scenarios", f"--dura-evidence={evidence}", *SESSIONS[name]]
+    done = subprocess.run([sys.executable, "-m", "pytest", *options], cwd=ROOT, check=False)
+    if done.returncode not in (0, 1):
+        sys.exit(f"the session ended with exit code {done.returncode}")
+    return evidence
 
 
-def take(report: Path, folder: Path) -> None:
-    """All pictures of a report, into a folder."""
+def take_reports(bundles: dict[str, Path], folder: Path) -> None:
+    """Photograph the views of each report, and the first player that a card leads to."""
     from playwright.sync_api import sync_playwright
 
     executable = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -85,54 +109,68 @@ def take(report: Path, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=executable, args=list(FLAGS))
-        page = opened(browser, report, viewport=WIDE)
-        page.screenshot(path=folder / "report.png")
-        page = opened(browser, report, viewport=WIDE, color_scheme="dark")
-        page.evaluate("document.getElementById('scenarios').scrollIntoView()")
-        page.screenshot(path=folder / "report-dark.png")
-        page = opened(browser, report, viewport=WIDE)
-        play(page)
-        page.screenshot(path=folder / "player.png")
-        page = opened(
-            browser, report, viewport=NARROW, color_scheme="dark", device_scale_factor=1.5
-        )
-        play(page)
-        page.screenshot(path=folder / "phone.png")
+        for (name, bundle), (width, height), scheme in product(
+            bundles.items(), WINDOWS.items(), SCHEMES
+        ):
+            window = {"width": width, "height": height}
+            page = browser.new_context(viewport=window, color_scheme=scheme).new_page()
+            page.goto((bundle / "report.html").resolve().as_uri())
+            for view in VIEWS:
+                page.evaluate("view => { location.hash = view }", view)
+                page.wait_for_timeout(100)
+                page.screenshot(path=folder / f"{name}-{view}-{width}-{scheme}.png")
+            if play(page):
+                page.screenshot(path=folder / f"{name}-player-{width}-{scheme}.png")
+            page.context.close()
         browser.close()
-    for picture in sorted(folder.glob("*.png")):
-        if picture.stat().st_size > LARGEST:
-            sys.exit(f"{picture} has {picture.stat().st_size} bytes, more than {LARGEST}")
 
 
-def opened(browser: Any, report: Path, **options: Any) -> Any:
-    """The report in a window of its own."""
-    page = browser.new_context(**options).new_page()
-    page.goto(report.resolve().as_uri())
-    return page
-
-
-def play(page: Any) -> None:
-    """Open a player of an episode with a contact, at the contact, with its scene on top."""
-    page.locator("#requirement-SAF-1 .counterexamples a[href^='#player-']").first.click()
+def play(page: Any) -> bool:
+    """Open the player that the first card leads to; whether there is one."""
+    page.evaluate("location.hash = 'overview'")
+    buttons = page.locator(".card .button")
+    if not buttons.count():
+        return False
+    buttons.first.click()
     player = page.locator(".dura-player")
     player.wait_for()
-    player.get_by_role("button", name="Jump to violation of SAF-1").click()
-    player.locator("canvas").first.evaluate("one => one.scrollIntoView()")
+    player.locator("canvas").first.click()
+    page.keyboard.press("v")  # to the violation
+    page.locator("details.player.current").evaluate("each => each.scrollIntoView()")
     page.wait_for_timeout(300)
+    return True
+
+
+def keep(folder: Path, docs: Path) -> None:
+    """Copy the pictures that the docs show."""
+    docs.mkdir(parents=True, exist_ok=True)
+    for name, picture in KEPT.items():
+        if (folder / picture).exists():
+            shutil.copy(folder / picture, docs / name)
+    for picture in sorted(docs.glob("*.png")):
+        if picture.stat().st_size > LARGEST:
+            sys.exit(f"{picture} has {picture.stat().st_size} bytes, more than {LARGEST}")
 
 
 def main() -> None:
     """Take the pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--bundle", type=Path, help="evidence that is there already")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "screenshots")
+    parser.add_argument(
+        "--bundle", action="append", default=[], metavar="NAME=DIR",
+        help="evidence that is there already; the others are not made then",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, default=ROOT / "screenshots", help="all pictures")
+    parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "screenshots")
     parser.add_argument("--cameras", action="store_true", help="only what the cameras show")
     given = parser.parse_args()
-    take_cameras(given.out)
+    take_cameras(given.docs)
     if given.cameras:
         return
-    bundle = given.bundle or run_scenarios()
-    take(bundle / "report.html", given.out)
+    with tempfile.TemporaryDirectory() as folder:
+        bundles = {name: Path(place) for name, _, place in (b.partition("=") for b in given.bundle)}
+        bundles = bundles or {name: run_session(name, Path(folder)) for name in SESSIONS}
+        take_reports(bundles, given.out)
+    keep(given.out, given.docs)
 
 
 if __name__ == "__main__":

@@ -116,7 +116,7 @@ class View:
     """A part of the page that is shown by itself.
 
     Args:
-        name: Its anchor, that of its template, and under which the template has its data.
+        name: That of its template, and under which the template has its data.
         title: In the navigation.
         section: Returns its data; a view whose data are empty is left out.
         printed: Whether it is on paper, too.
@@ -126,6 +126,11 @@ class View:
     title: str
     section: Section
     printed: bool = False
+
+    @property
+    def anchor(self) -> str:
+        """Its anchor."""
+        return self.name.replace("_", "-")
 
 
 VIEWS: Sequence[View] = (
