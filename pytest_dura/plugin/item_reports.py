@@ -304,16 +304,21 @@ def _report_item(context: SessionContext, runner: Callable[[], Runner], event: I
     description = _description(item, results, events)
     if description:
         allure.add_description(test_description=description)
-    if hasattr(item, "planned") and results:
-        result = results[0]
-        title = f"{item.planned.case.id}: {result.requirement.id} {result.requirement.text}"
-        allure.add_title(test_title=one_line(title, 200))
+    if results and not hasattr(getattr(item, "function", None), "__allure_display_name__"):
+        allure.add_title(test_title=_title(item, results))
     for result in results:
         verdict = result.verdict or result.outcome
         if verdict is not None:
             _attach(_verdict_json(verdict.to_json()), f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
         _show_worst(context, runner, item, results)
+
+
+def _title(item: pytest.Item, results: Sequence[ItemResult]) -> str:
+    """What is asked for, after the case of a scenario item or the name of a test."""
+    subject = item.planned.case.id if hasattr(item, "planned") else item.name
+    asked = "; ".join(f"{each.requirement.id} {each.requirement.text}" for each in results)
+    return one_line(f"{subject}: {asked}", 200)
 
 
 def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
@@ -346,7 +351,9 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
 def _description(item: pytest.Item, results: Sequence[ItemResult], events: Sequence[str]) -> str:
     """Write Markdown: the test's docstring, then each requirement with source and verdict."""
     given = item.get_closest_marker("allure_description")
-    own = given.args[0] if given else getattr(getattr(item, "function", None), "__doc__", None)
+    # The function of a scenario item is ours, and says nothing of the user's.
+    function = None if hasattr(item, "planned") else getattr(item, "function", None)
+    own = given.args[0] if given else getattr(function, "__doc__", None)
     parts = [inspect.cleandoc(own)] if own else []
     for result, sentence in zip(results, events, strict=True):
         requirement, outcome = result.requirement, result.outcome
@@ -388,11 +395,13 @@ def _show_worst(
         return
     judged = None if result is None else _judged_on(result, episode)
     kind, problem = "Sample", None
-    if result is not None and judged is not None and _is_counterexample(result, episode):
-        when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
-        effect = " without effect of the fault" if judged.without_effect else ""
-        problem = f"{judged.requirement} violated{effect}{when}: {judged.detail}"
+    if result is not None and _is_counterexample(result, episode):
         kind = "Counterexample"
+        problem = event_sentence(result, runner, context.redact)
+        if judged is not None:
+            when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
+            effect = " without effect of the fault" if judged.without_effect else ""
+            problem = f"{judged.requirement} violated{effect}{when}: {judged.detail}"
     elif episode.validity != "valid":
         kind = episode.validity.capitalize()
         problem = episode.failure or episode.invalid_reason
@@ -403,8 +412,24 @@ def _show_worst(
     parameters = {"replay": replay, "digest": episode.digest}
     trace = Trace.of(episode).without_secrets(redact)
     with _step(title, parameters, None if problem is None else one_line(redact(problem))):
+        if problem is not None:
+            _attach_picture(episode, trace, judged, one_line(redact(problem)))
         _show_loop(episode, trace, judged, _check_of(result))
         _attach_all(episode, trace, judged, _check_of(result))
+
+
+def _attach_picture(
+    episode: Episode, trace: Trace, judged: EpisodeVerdict | None, problem: str
+) -> None:
+    """Attach the scene at the violation, or else at the end; nothing where there is no scene."""
+    from pytest_dura.reports.scene import frame_svg
+
+    if not episode.ticks:
+        return
+    known = None if judged is None else judged.time
+    picture = frame_svg(trace, float(episode.time[-1]) if known is None else known, label=problem)
+    if picture:
+        _attach(str(picture), "picture", "SVG")
 
 
 def _is_counterexample(result: ItemResult, episode: Episode) -> bool:

@@ -339,7 +339,9 @@ def explain_verdict(
         entries.append(("check", requirement.check))
     paired = requirement.paired
     if paired is not None and paired.measure:
-        text = f"{paired.measure}, which may grow by {paired.change_at_most:g}"
+        own = paired.measure.startswith("pytest_dura.")
+        measure = paired.measure.rpartition(":")[2] if own else paired.measure
+        text = f"{measure}, which may grow by {paired.change_at_most:g}"
         entries.append(("measure", text))
     if paired is not None:
         entries.append(("pairs", f"with {paired.without}, and without"))

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
 from xml.etree import ElementTree as ET
@@ -115,6 +116,8 @@ def test_a_violation_tells_of_itself_in_every_mode(reference, mode):
     assert result.status == "failed"
     assert result.name == "corridor/tight: GAP-1 It touches nothing."
     assert "2 of 2 valid episodes violated it" in result.description
+    assert result.description.startswith("**GAP-1** It touches nothing.")
+    assert "What happened: GAP-1 was violated at t = 0.20 s, before any role" in result.description
     (worst,) = result.steps
     assert worst.name.startswith("Counterexample corridor/tight#0, seed ")
     assert worst.status == "failed"
@@ -200,6 +203,26 @@ def test_attachments_are_what_they_are_said_to_be(reference):
     assert worst.attachments[3].source.endswith(".mcap")
 
 
+def test_a_violation_on_pairs_has_its_event_and_picture_and_names_no_module(allure, project):
+    project.write(
+        "scenarios/requirements_P-1.yaml",
+        "requirements:\n  - {id: P-1, text: An attack costs nothing., kind: security, "
+        "applies_to: [intersection/ghost-obstacle], paired: {without: faults, "
+        "measure: 'pytest_dura.driving.measures:clearance_time', change_at_most: 0.0}}\n",
+    )
+    found = allure("intersection/ghost-obstacle::P-1", "--dura-runs=1", "--dura-generator=tactical")
+    result = found.found["intersection.ghost-obstacle#P-1"]
+    assert result.status == "failed"
+    assert "the fault ghost-obstacle" in result.description.partition("What happened: ")[2]
+    assert "clearance_time, which may grow by 0" in result.statusDetails["message"]
+    assert "pytest_dura" not in result.description + result.statusDetails["message"]
+    (worst,) = result.steps
+    assert worst.name.startswith("Counterexample intersection/ghost-obstacle#0, ")
+    picture = ET.fromstring(found.bodies(worst)["picture"])
+    assert picture.tag == "{http://www.w3.org/2000/svg}svg"
+    assert "P-1 was violated" in picture.get("aria-label")
+
+
 def test_our_functions_are_told_of_and_others_are_left_alone(allure, project):
     project.write("test_it.py", OWN)
     found = allure("test_it.py", RECKLESS)
@@ -207,6 +230,8 @@ def test_our_functions_are_told_of_and_others_are_left_alone(allure, project):
     assert result.status == "failed"
     assert result.description.startswith("What the author says.\n\n**OWN-1** Stays.")
     assert r"a \[link\](x) \& \<b\>" in result.description
+    assert result.name.startswith("test_each[")
+    assert result.name.endswith(": OWN-1 Stays.")
     labels = found.labels("test_it#test_each")
     assert (labels["severity"], labels["epic"]) == ({"trivial"}, {"own"})
     assert labels["feature"] == {"corridor/tight"}
@@ -346,7 +371,9 @@ def test_hostile_texts_come_out_harmless(allure, project, mode):
     result = found.found["test_it#test_it"]
     (link,) = result.links
     assert link.url.startswith("javascript%3Aalert%281%29%2F%2F..%2F")
-    assert "<script>" not in result.description.replace(r"\<script\>", "")
+    # What stands between backticks is shown as it is written.
+    prose = re.sub(r"(`+)(?!`).*?(?<!`)\1(?!`)", "", result.description)
+    assert "<script>" not in prose.replace(r"\<script\>", "")
     files = [one.name for one in found.folder.iterdir()]
     assert all(name.count("-") == 5 and "/" not in name for name in files)
     for one in [result, *result.steps, *result.steps[0].steps]:

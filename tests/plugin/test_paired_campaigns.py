@@ -28,7 +28,7 @@ def run(project, body, scenario_name="corridor/it", *arguments):
         f"@pytest.mark.dura(scenario='{scenario_name}')\n"
         "def test_it(campaign):\n" + "".join(f"    {line}\n" for line in body.splitlines()),
     )
-    return project.run("test_it.py", *arguments)
+    return project.run("test_it.py", "-v", *arguments)
 
 
 def test_a_role_that_makes_a_pair_worse_violates_the_requirement(project):
