@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
+from pytest_dura.evidence.gate import other_objections
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.episodes import show_repeats
 from pytest_dura.plugin.messages import (
@@ -330,7 +331,9 @@ def summary(
         terminal.line(note)
     _show_second_engine(terminal, record)
     _show_hazards(terminal, record)
-    _show_objections(terminal, objections)
+    # Those of the record have cards.
+    carded = set(other_objections(head))
+    _show_objections(terminal, [each for each in objections if each not in carded])
     terminal.line("")
     if file is not None:
         terminal.line(_gate_line(record))

@@ -89,6 +89,15 @@ class Cause:
         return bool(self.verdicts) and all(each.waiver is not None for each in self.verdicts)
 
     @property
+    def valid(self) -> bool:
+        """Whether its episode is valid; false where a planned fault was without effect."""
+        return not any(
+            each.episode == self.episode and not each.valid
+            for verdict in self.verdicts
+            for each in verdict.counterexamples
+        )
+
+    @property
     def cases(self) -> tuple[str, ...]:
         """Ids of all cases that it shows in."""
         return tuple(dict.fromkeys(verdict.case for verdict in self.verdicts))
@@ -140,7 +149,9 @@ def card_entries(cause: Cause) -> Iterator[tuple[str, str]]:
     if judged and cause.check and cause.check != cause.verdicts[0].requirement:
         yield "check", one_line(cause.check)
     if cause.episode is not None:
-        when = "" if cause.status != "violated" else violation_text(cause.time, cause.margin)
+        when = ""
+        if cause.status == "violated":
+            when = violation_text(cause.time, cause.margin, valid=cause.valid)
         runs = [f"#{each.rpartition('#')[2]}" for each in cause.more]
         more = f"; also {names_text(runs)}" if runs else ""
         yield "episode", f"{name(cause.episode)}{when}{more}"
@@ -338,8 +349,7 @@ def _incomplete(record: SessionRecord) -> Iterator[Cause]:
             "Run it again with --dura-resume: the episodes that it has simulated are taken over.",
         )
     for objection in other_objections(head):
-        if not is_incomplete(record):
-            yield _session_cause(f"{one_line(objection)}.", _objection_step(objection))
+        yield _session_cause(f"{one_line(objection)}.", _objection_step(objection))
 
 
 def _objection_step(objection: str) -> str:

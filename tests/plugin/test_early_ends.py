@@ -186,7 +186,7 @@ def test_every_format_agrees_on_runs_without_effect_of_the_fault(project):
         project, world="{wall: 1.0}", generator="Reckless", faults=IDLE, fault_injector="Idle",
         requirements="[R-1]",
     )  # fmt: skip
-    result = project.run("corridor/it", "--junit-xml=junit.xml", "--alluredir=allure")
+    result = project.run("corridor/it", "-v", "--junit-xml=junit.xml", "--alluredir=allure")
     words = "violated, without effect of the fault, in 3 of 3 invalid episodes"
     folder = project.path / "dura-evidence"
     terminal = " ".join(result.stdout.str().split())

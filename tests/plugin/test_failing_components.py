@@ -66,7 +66,7 @@ def test_a_simulator_that_fails_is_infrastructure(project):
     _, text = failing(project, "collapses")
     start = "infrastructure: simulator at tick 2 (t = 0.2 s): RuntimeError: the corridor collapsed"
     assert start in text
-    assert "replay: pytest --dura-replay='corridor/collapses#0'" in text
+    assert "replay:   pytest --dura-replay='corridor/collapses#0'" in text
 
 
 def test_a_violation_before_the_simulator_failed_stays_one(project):

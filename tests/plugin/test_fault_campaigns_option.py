@@ -35,7 +35,7 @@ def test_campaigns_of_a_file_are_cases_of_their_own(project, mode):
     near_the_wall(project)
     grid = f"{{fault: {BIAS}, grid: {{parameters.offset: [0.1, 5.0], activation.at: [0, 1]}}}}"
     campaigns(project, "none", NOISE, grid)
-    result = project.scenarios("--dura-faults=campaigns.yaml", *mode, select="corridor/it")
+    result = project.scenarios("-v", "--dura-faults=campaigns.yaml", *mode, select="corridor/it")
     assert result.ret == 1
     assert words(project) == {
         "corridor/it": "supported",
@@ -47,7 +47,7 @@ def test_campaigns_of_a_file_are_cases_of_their_own(project, mode):
     }
     item = "corridor/it+bias-offset=5-at=1::GAP-1"
     assert f"  rerun:  pytest {item} --dura-faults=campaigns.yaml" in result.outlines
-    again = project.run(item, "--dura-faults=campaigns.yaml")
+    again = project.run("-v", item, "--dura-faults=campaigns.yaml")
     assert (again.ret, list(words(project))) == (1, ["corridor/it+bias-offset=5-at=1"])
 
 
@@ -76,7 +76,7 @@ def test_a_scenario_holds_its_own_campaigns(project):
 def test_faults_that_cannot_be_used_are_one_error(project, arguments, told):
     near_the_wall(project)
     campaigns(project, "{type: noise, target: gap, activation: {at: -1}}")
-    result = project.scenarios(*arguments, select="corridor/it")
+    result = project.scenarios("-v", *arguments, select="corridor/it")
     assert result.ret == 4
     assert told in result.stderr.str()
     assert "Traceback" not in result.stderr.str() + result.stdout.str()
@@ -149,7 +149,7 @@ def test_a_case_among_the_arguments_is_run_under_its_faults(project):
 
 def test_the_causal_chain_is_in_the_record_the_table_and_the_failure(project):
     near_the_wall(project, faults=f"[{BIAS}, {NOISE}]", runs=3)
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     record = project.evidence()
     for episode in record.episodes:
         bias, noise = episode.faults
@@ -200,7 +200,7 @@ def test_no_fault_is_blamed_for_what_happens_without_it(project):
         faults=f"[{NOISE}]",
         runs=3,
     )
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     assert result.ret == 1
     record = project.evidence()
     for episode in record.episodes:
@@ -252,7 +252,7 @@ def test_an_alert_on_what_the_component_has_not_read_yet_has_detected_it(project
         faults=f"[{once}]",
         runs=3,
     )
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     record = project.evidence()
     for episode in record.episodes:
         (bias,) = episode.faults
@@ -269,7 +269,7 @@ def test_an_alert_on_what_the_component_has_not_read_yet_has_detected_it(project
 
 def test_the_table_names_the_whole_case_of_several_faults(project):
     near_the_wall(project, faults=f"[{BIAS}, {NOISE}, {DRIFT}]\ncampaigns: [bias, bias+noise]")
-    result = project.scenarios(select="corridor/it*")
+    result = project.scenarios("-v", select="corridor/it*")
     lines = [line.split()[:3] for line in result.outlines]
     assert ["bias", "on", "corridor/it"] in lines
     assert ["bias", "on", "corridor/it+bias+noise"] in lines
@@ -287,7 +287,7 @@ def test_a_fault_that_changes_no_proposal_is_contained(project):
 
 def test_without_twins_it_is_unknown_what_a_fault_changed(project):
     near_the_wall(project, faults=f"[{NOISE}]")
-    result = project.run("corridor/it", "--dura-no-twins")
+    result = project.run("-v", "corridor/it", "--dura-no-twins")
     (noise,) = project.evidence().episodes[0].faults
     assert (noise.propagation, noise.outcome) == (None, "tolerated")
     row = next(line for line in result.outlines if line.startswith("noise on corridor/it "))
@@ -399,7 +399,7 @@ def test_what_cannot_be_reduced_is_one_error(project, faults, episode, told):
 
 def test_a_fault_whose_time_never_comes_leaves_the_episodes_invalid(project):
     near_the_wall(project, faults=f"[{LATE}]")
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     assert result.ret == 1
     (verdict,) = project.evidence().verdicts
     assert verdict.verdict == "undecided"
@@ -431,7 +431,7 @@ def test_of_several_components_the_one_that_violates_is_reduced(project):
             "    orchestrator.run('corridor/it', seed=0)\n"
             "    campaign.require()\n",
         )
-    result = project.run("a", "b")
+    result = project.run("-v", "a", "b")
     result.assert_outcomes(passed=1, failed=1)
     rows = [line for line in result.outlines if line.startswith("bias on corridor/it ")]
     assert [row.split()[3:6] for row in rows] == [["(OwnA", "(a))", "1"], ["(OwnB", "(b))", "1"]]

@@ -61,7 +61,7 @@ def test_random_traffic_differs_without_a_declared_variation(project):
 def test_one_situation_is_run_twice_and_no_rate_is_bound(project, plan):
     rate(project)
     scenario(project, **STILL, runs=plan)
-    result = project.scenarios(select="corridor/it")
+    result = project.scenarios("-v", select="corridor/it")
     found = expect(project, result, "undecided", f"{REPEATED}: no rate can be bound")
     assert (found.run, found.saved, found.planned) == (2, 57, 59)
     assert (found.bound.upper, found.situation) == (None, "repeated")
