@@ -536,9 +536,7 @@ class PairEntry(Entry):
     """Draws of both: seeds of valid planned episodes."""
     met: Count
     """Cells with any draw."""
-    counts: Annotated[
-        list[Annotated[list[Count], Field(min_length=1)]], Field(min_length=1)
-    ]
+    counts: Annotated[list[Annotated[list[Count], Field(min_length=1)]], Field(min_length=1)]
     """Draws by cell: a row for each part of the first parameter, in it a number for each part of
     the second. Parts are fifths of a range, or single choices."""
     covered: Share

@@ -1,5 +1,6 @@
 from .causes import Cause, causes_of
 from .columns import Cell, Column, Shown, shown_in
+from .contents import anchor, case_anchor, verdict_anchor
 from .episode_view import (
     Panel,
     decision_at,
@@ -20,7 +21,6 @@ from .failure_modes import (
 from .gsn.argument import generated_argument
 from .gsn.element import root_ids, rule_problems
 from .gsn.user_argument import check_requirements, read_user_argument
-from .html.contents import anchor, case_anchor, verdict_anchor
 from .html.player import pack_data, player_assets, player_data, player_page
 from .html.twins import Twin
 from .scene import frame_svg

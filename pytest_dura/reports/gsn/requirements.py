@@ -14,9 +14,9 @@ from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
 from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.reports.contents import requirement_anchor
 from pytest_dura.reports.gsn.element import Element, derived_id
 from pytest_dura.reports.gsn.verdicts import VerdictElements
-from pytest_dura.reports.html.contents import requirement_anchor
 from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
     baseline_note,

@@ -20,8 +20,8 @@ from pytest_dura.evidence.verdict_model import (
     VerdictEntry,
     WaiverEntry,
 )
+from pytest_dura.reports.contents import folded_cases, requirement_anchor, verdict_anchor
 from pytest_dura.reports.gsn.element import Element, derived_id
-from pytest_dura.reports.html.contents import folded_cases, requirement_anchor, verdict_anchor
 from pytest_dura.reports.verdicts import (
     as_sentence,
     challenge_brief,

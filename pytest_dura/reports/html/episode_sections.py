@@ -14,18 +14,7 @@ from pytest_dura.evidence.case_model import (
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.columns import Shown, shown_in
-from pytest_dura.reports.failure_modes import (
-    FAILURE_MODE_HEADINGS,
-    NULL_NOTE,
-    cases_with_accounts,
-    decision_age_lines,
-    decision_time_lines,
-    failure_modes_by_component,
-    judge_agreement_lines,
-    measured_failure_modes,
-    uncovered_lines,
-)
-from pytest_dura.reports.html.contents import (
+from pytest_dura.reports.contents import (
     CaseKey,
     CaseTally,
     EpisodeLinks,
@@ -39,6 +28,17 @@ from pytest_dura.reports.html.contents import (
     split_folded,
     verdict_anchor,
     verdict_key,
+)
+from pytest_dura.reports.failure_modes import (
+    FAILURE_MODE_HEADINGS,
+    NULL_NOTE,
+    cases_with_accounts,
+    decision_age_lines,
+    decision_time_lines,
+    failure_modes_by_component,
+    judge_agreement_lines,
+    measured_failure_modes,
+    uncovered_lines,
 )
 from pytest_dura.reports.role_tables import (
     FAULT_COLUMNS,

@@ -10,8 +10,7 @@ from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.hazards import HazardEvidence
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.verdict_model import VerdictEntry
-from pytest_dura.reports.hazards import condition_lines, hazards_by_need, status_sentence
-from pytest_dura.reports.html.contents import (
+from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
     anchor,
@@ -21,6 +20,7 @@ from pytest_dura.reports.html.contents import (
     verdict_anchor,
     verdict_key,
 )
+from pytest_dura.reports.hazards import condition_lines, hazards_by_need, status_sentence
 
 _MAX_STEPS = 12
 """Verdicts of a requirement that are shown under a hazard; the table of requirements has more."""

@@ -13,15 +13,15 @@ from pytest_dura.evidence.files import MANIFEST_FILE, REVIEW_FILE
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.schema import SCHEMA_FILE
 from pytest_dura.reports.causes import Cause
-from pytest_dura.reports.gsn.element import Element, root_ids
-from pytest_dura.reports.gsn.user_argument import session_argument
-from pytest_dura.reports.html.contents import (
+from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
     case_anchor,
     requirement_anchor,
     verdict_anchor,
 )
+from pytest_dura.reports.gsn.element import Element, root_ids
+from pytest_dura.reports.gsn.user_argument import session_argument
 from pytest_dura.reports.svg import Svg
 from pytest_dura.reports.wording import (
     conclusion_sentences,

@@ -21,16 +21,16 @@ from pytest_dura.reports.columns import (
     seconds_text,
     share_text,
 )
+from pytest_dura.reports.contents import (
+    EpisodeLinks,
+    ReportContents,
+)
 from pytest_dura.reports.html import (
     episode_sections,
     hazard_section,
     overview_sections,
     plot_sections,
     verdict_sections,
-)
-from pytest_dura.reports.html.contents import (
-    EpisodeLinks,
-    ReportContents,
 )
 from pytest_dura.reports.html.player import content_hash
 from pytest_dura.reports.html.players import Traces, embed_players

@@ -14,7 +14,7 @@ from pytest_dura.evidence.episode_model import TraceEntry
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.verdict_model import VerdictEntry
-from pytest_dura.reports.html.contents import (
+from pytest_dura.reports.contents import (
     BriefEpisode,
     CaseKey,
     ListedEpisode,

@@ -13,7 +13,7 @@ from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.evidence.verdict_model import MarginsEntry, VerdictEntry
 from pytest_dura.reports.columns import measure_label, role_name
-from pytest_dura.reports.html.contents import (
+from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
     split_folded,

@@ -12,7 +12,7 @@ from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry
 from pytest_dura.evidence.verdict_model import MonitorEntry, PairsEntry, VerdictEntry
 from pytest_dura.reports.columns import Shown, shown_in
-from pytest_dura.reports.html.contents import (
+from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
     case_anchor,

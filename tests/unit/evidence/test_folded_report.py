@@ -17,9 +17,8 @@ from stated_counts import stated_counts
 from pytest_dura.evidence import SessionRecord
 from pytest_dura.evidence.case_model import ShareEntry
 from pytest_dura.evidence.model import RecordHead
-from pytest_dura.reports import case_anchor, verdict_anchor
+from pytest_dura.reports import case_anchor, contents, verdict_anchor
 from pytest_dura.reports.gsn import yaml_file
-from pytest_dura.reports.html import contents
 from pytest_dura.reports.html.page import render
 
 MOST = 3

@@ -19,10 +19,10 @@ from pytest_dura.evidence.case_model import FaultMetricsEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.text import name
 from pytest_dura.evidence.verdict_model import VerdictEntry
-from pytest_dura.reports import anchor, case_anchor, generated_argument, verdict_anchor
+from pytest_dura.reports import anchor, case_anchor, contents, generated_argument, verdict_anchor
 from pytest_dura.reports.causes import causes_of
-from pytest_dura.reports.html import contents, overview_sections, players
-from pytest_dura.reports.html.contents import requirement_anchor
+from pytest_dura.reports.contents import requirement_anchor
+from pytest_dura.reports.html import overview_sections, players
 from pytest_dura.reports.html.episode_sections import heading, matrix
 from pytest_dura.reports.html.page import render
 from pytest_dura.reports.summary import render as summarised
