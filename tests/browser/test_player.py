@@ -440,6 +440,27 @@ def test_a_twin_that_cannot_be_read_says_why(opened):
 # Panels and plots
 
 
+def test_the_margin_of_what_has_to_come_about_is_grey_until_it_is_lost(opened):
+    late = {**VERDICTS[0], "check": "eventually[0:2] (speed > 11)", "time": 2.0, "margin": -1.0}
+    page = ready(opened(player_page(crossing(), [late])))
+    plot = page.locator(".dura-row", has=page.locator(".dura-openline"))
+
+    def ends(look):
+        path = plot.locator(f"path.{look}").get_attribute("d")
+        across = [float(x) for x in re.findall("[ML]([0-9.]+) ", path)]
+        return across[0], across[-1]
+
+    assert ends("dura-openline") == (0.0, 500.0)
+    assert ends("dura-marginline") == (500.0, 1000.0)
+    assert plot.locator("rect.dura-below").get_attribute("x") == "500"
+    told = plot.get_by_role("img").get_attribute("aria-label")
+    assert "not lost before 2.00 s" in told
+    seek(page, 19)
+    assert plot.locator(".dura-readout").inner_text().startswith("not lost yet, ")
+    seek(page, 20)
+    assert not plot.locator(".dura-readout").inner_text().startswith("not lost yet")
+
+
 def test_the_decision_changes_with_the_tick(page):
     seek(page, 4)
     assert [said(page, one) for one in ("proposed", "executed", "source")] == [

@@ -173,6 +173,9 @@ def test_from_opening_the_page_to_the_frame_of_the_violation_it_is_one_click(ope
     assert shown(page) == ["episodes"]
     assert page.locator("details.player").get_attribute("open") is not None
     assert "SAF-1" in page.locator(".dura-player").inner_text()
+    page.wait_for_function("document.activeElement.className === 'dura-player'")
+    page.keyboard.press("v")  # the second step on the way to the frame of the violation
+    assert "at the violation of SAF-1" in page.locator(".dura-clock").inner_text()
     # The episode itself is open above it.
     assert page.locator("#episode-list > tbody.entry:visible").count() == 1
 

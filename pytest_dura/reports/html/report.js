@@ -218,7 +218,11 @@
   // A player is made when its episode is opened for the first time.
   const mount = (details) => {
     const slot = details.querySelector(".slot");
-    if (!slot || slot.childElementCount || typeof DuraPlayer === "undefined") return;
+    if (!slot || typeof DuraPlayer === "undefined") return;
+    if (slot.childElementCount) {
+      slot.querySelector(".dura-player")?.focus();
+      return;
+    }
     const packed = slot.nextElementSibling;
     const others = () => [...document.querySelectorAll(".slot[data-label]")].map((other) => (
       { label: other.dataset.label, packed: () => other.nextElementSibling.textContent }));
