@@ -195,6 +195,13 @@ def test_pairs_of_equal_seeds_differ_by_the_fault_and_by_the_role():
     assert (list(role.numbers), role.lost, role.gained) == ([1.0], 0, 2)
 
 
+def test_numbers_are_those_of_valid_planned_runs():
+    known = gathered(arms_record()).measures["clearance_time"]
+    assert known["a/clear", "C"].of_seed == {1000: 1.0, 1001: 2.0}
+    assert known["a/clear", "C"].seeds == {1002}
+    assert known["a/clear+ghost", "C"].of_seed == {1000: 3.0, 1001: 2.0, 1002: 4.0}
+
+
 def test_faults_are_followed_where_no_role_lacks():
     data = gathered(arms_record())
     assert dict(data.chains["ghost"]) == {
@@ -218,6 +225,8 @@ def test_the_page_draws_the_arms_of_a_scenario_side_by_side():
     assert "0 less, 1 equal, 1 more" in html
     assert "From faults to outcomes" in html
     assert "Detection latency" in html
+    anchors = re.findall(r' id="([^"]+)"', html)
+    assert len(anchors) == len(set(anchors))
 
 
 def test_margins_have_a_cross_for_each_violating_run_and_the_violated_ones_come_first():
