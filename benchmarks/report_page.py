@@ -1,14 +1,15 @@
 """Measure the report in a browser: its height when opened, the first paint, and a filter.
 
-``python benchmarks/report_page.py DIR`` renders a page of the bundle in DIR, and a page of as many
+``python benchmarks/report_page.py [DIR]`` renders a page of the bundle in DIR, and one of as many
 copies of its cases as have the number of verdicts that ``--verdicts`` asks for; ``--page FILE``
-measures a page as it is, such as one of an earlier version. Needs Debian's Chromium and Playwright.
+measures a page as it is, such as one of an earlier version. Needs Chromium and Playwright.
 """
 
 from __future__ import annotations
 
 import argparse
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -37,6 +38,15 @@ FILTER = """text => {
   document.body.offsetHeight;  // until it is laid out
   return performance.now() - start;
 }"""
+
+
+def small_session(folder: Path) -> Path:
+    """Run the simplest built-in scenario once, with a planner that never gives way."""
+    options = ["--dura-select=intersection/nominal", "--dura-runs=1"]
+    options += ["--dura-generator=aggressive", f"--dura-evidence={folder / 'bundle'}"]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--dura-scenarios"]
+    subprocess.run([*command, *options], cwd=folder, capture_output=True, check=False)
+    return folder / "bundle"
 
 
 def enlarged(record: SessionRecord, verdicts: int) -> SessionRecord:
@@ -96,15 +106,18 @@ def main() -> None:
     from playwright.sync_api import sync_playwright
 
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bundle", type=Path, help="directory of evidence")
+    parser.add_argument(
+        "bundle", type=Path, nargs="?", help="directory of evidence; a small session without it"
+    )
     parser.add_argument("--verdicts", type=int, default=20_000)
     parser.add_argument("--page", type=Path, action="append", default=[])
     given = parser.parse_args()
     executable = shutil.which("chromium") or shutil.which("chromium-browser")
     if executable is None:
         sys.exit("there is no chromium on the path")
-    record = open_record(given.bundle / "evidence.json")
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        bundle = given.bundle or small_session(Path(folder))
+        record = open_record(bundle / "evidence.json")
         files = [(str(file), file) for file in given.page]
         for name, each in (
             (f"{len(record.head.verdicts)} verdicts", record),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -60,6 +61,7 @@ SMALLEST = {
     "paper_table.py": ["--runs", "1", "--jobs", "1", "--generator", "reactive"],
     "plugin_cost.py": ["--repeats", "1"],
     "recoveries.py": ["--runs", "1", "--jobs", "1", "--select", "*/nominal"],
+    "report_page.py": ["--verdicts", "40"],
     "residual_limits.py": ["--runs", "1", "--draws", "1", "--select", "*/nominal"],
     "session_scale.py": ["--runs", "1", "--requirement-runs", "1", "--select", "*/nominal"],
     "shrinking.py": [
@@ -114,6 +116,7 @@ HEADERS = {
     ],
     "plugin_cost.py": ["cost of the unused plugin"],
     "recoveries.py": ["unnecessary", "us/call"],
+    "report_page.py": ["height, px"],
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
     "shrinking.py": ["need a fault"],
@@ -151,6 +154,10 @@ def test_each_script_is_tried_here() -> None:
 def test_the_script_prints_its_tables(script, tmp_path, forked_workers) -> None:
     if script in ("llm_replay.py", "tiny_driver.py"):
         require_null_model()
+    if script == "report_page.py":
+        pytest.importorskip("playwright")
+        if shutil.which("chromium") is None:
+            pytest.skip("there is no chromium on the path")
     if script == "two_simulators.py":
         pytest.importorskip("libsumo")
     if script == "stl_speed.py":
