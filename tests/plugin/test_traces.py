@@ -117,7 +117,8 @@ def test_a_trace_that_cannot_be_written_is_told_once_and_fails_the_session(proje
         "infrastructure: the trace of corridor/tight#0 cannot be written: No space left on device"
     )
     assert told in output(result)
-    assert output(result).count("infrastructure: the trace of") == 1
+    reasons = [line for line in output(result).splitlines() if line.startswith("infrastructure: ")]
+    assert reasons == [told]  # of two traces that could not be written
     assert kept(project) == {}
     assert project.evidence().gate.result == "failed"
 
@@ -192,3 +193,13 @@ def test_other_levels_keep_no_twins(project, level):
     project.write("test_it.py", PAIRS)
     project.run("test_it.py", f"--dura-evidence-level={level}")
     assert "twin" not in kept(project).values()
+
+
+def test_the_run_without_faults_is_a_twin_as_well(project):
+    scenario(project, faults=IDLE, fault_injector="oddities:Nudge", **HARMED)
+    project.write("test_it.py", PAIRS.replace('"recovery_planner"', '"faults"'))
+    project.run("test_it.py")
+    worst = project.evidence().verdicts[0].counterexamples[0].episode
+    twin = worst.replace("#", "+none#")
+    assert kept(project)[twin] in ("sample", "twin")  # the worst may be the first run
+    assert [each["label"] for each in players_of(project)[worst]["twins"]] == ["without faults"]
