@@ -1,78 +1,145 @@
 """What it costs to have the plugin installed but unused.
 
-Run: python benchmarks/plugin_cost.py [--repeats 15]
+Run: python benchmarks/plugin_cost.py [--pairs 30] [--kind NAME] [--list]
 
-Time: `python -X importtime -c "import pytest, pytest_dura.plugin"`, the cumulative time of the
-plugin's module, which is what loading it adds to a pytest run; bytecode is cached, as it is for
-everybody after the first run. Weight: which modules `pytest --collect-only` in an empty directory
-imports with the plugin and not with `-p no:dura`.
+Time: whole processes of `pytest` on one plain test, in pairs of one without the plugin
+(`-p no:dura`) and one with it, in alternating order. The package is installed as a wheel would be,
+into a folder of its own, in three kinds:
+
+- cached: Python's bytecode and pytest's, as for everybody after the first run;
+- read-only: Python's bytecode alone, as in a container whose packages belong to root;
+- source: no bytecode of the package at all, as in its very first run.
+
+The interval of the median is that of order statistics, of at least 95 %. Plugins of others that
+come with the package are switched off on both sides. Weight: which modules the run imports with
+the plugin alone.
 """
 
 from __future__ import annotations
 
 import argparse
+import compileall
+import math
 import os
 import re
+import shutil
 import statistics
 import subprocess
 import sys
 import tempfile
+import time
+from pathlib import Path
 
 from machine import machine, table
 
 HEAVY = (
     "numpy", "highway_env", "rtamt", "pydantic", "gymnasium", "scipy", "yaml", "pandas",
-    "jinja2", "jsonschema", "mcap", "sqlite3",
+    "jinja2", "jsonschema", "mcap", "sqlite3", "hypothesis",
 )  # fmt: skip
-NO_TESTS = 5
-"""pytest's exit code where nothing was collected."""
+KINDS = ("cached", "read-only", "source")
+OTHERS = ("no:hypothesispytest", "no:allure_pytest", "no:xdist", "no:rerunfailures")
+PACKAGE = Path(__file__).parents[1] / "pytest_dura"
 _LINE = re.compile(r"import time:\s+(\d+) \|\s+(\d+) \| (\s*)(\S+)")
 
 
-def run(arguments: list[str]) -> str:
-    """What `python -X importtime` says of a run in an empty directory."""
+def install(folder: Path, kind: str) -> None:
+    """Lay the package out as an installed wheel, with the bytecode of this kind."""
+    own = folder / "pytest_dura"
+    shutil.copytree(PACKAGE, own, ignore=shutil.ignore_patterns("__pycache__"))
+    info = folder / "pytest_dura-0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pytest-dura\nVersion: 0\n")
+    (info / "entry_points.txt").write_text("[pytest11]\ndura = pytest_dura.plugin\n")
+    files = sorted(path.relative_to(folder).as_posix() for path in own.rglob("*") if path.is_file())
+    (info / "RECORD").write_text("".join(f"{file},,\n" for file in files))
+    if kind != "source":
+        compileall.compile_dir(own, quiet=2)
+
+
+def run(
+    folder: Path, kind: str, *arguments: str, python: tuple[str, ...] = ()
+) -> tuple[float, str]:
+    """Run pytest on a plain test; returns milliseconds and what it wrote to its error stream."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-    with tempfile.TemporaryDirectory() as empty:
-        done = subprocess.run(
-            [sys.executable, "-X", "importtime", *arguments],
-            cwd=empty, env=kept, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-    if done.returncode not in (0, NO_TESTS):
-        raise RuntimeError(done.stderr)
-    return done.stderr
+    kept |= {"PYTHONPATH": str(folder)}
+    if kind != "cached":
+        kept["PYTHONDONTWRITEBYTECODE"] = "1"
+    others = [argument for name in OTHERS for argument in ("-p", name)]
+    command = [
+        sys.executable, *python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *others, *arguments
+    ]  # fmt: skip
+    begin = time.perf_counter()
+    done = subprocess.run(
+        command, cwd=folder / "project", env=kept, capture_output=True, text=True, check=False
+    )
+    elapsed = (time.perf_counter() - begin) * 1000
+    if done.returncode != 0 or "1 passed" not in done.stdout:
+        raise RuntimeError(done.stdout + done.stderr)
+    return elapsed, done.stderr
 
 
-def imported(arguments: list[str]) -> set[str]:
-    """The modules that a pytest run imports."""
-    return {m[4] for m in _LINE.finditer(run(["-m", "pytest", "--collect-only", *arguments]))}
+WITHOUT = ("-p", "no:dura")
 
 
-def loading_time() -> float:
-    """Milliseconds to import the plugin after pytest."""
-    output = run(["-c", "import pytest, pytest_dura.plugin"])
-    (match,) = (m for m in _LINE.finditer(output) if m[4] == "pytest_dura.plugin")
-    return int(match[2]) / 1000
+def differences(folder: Path, kind: str, pairs: int) -> tuple[list[float], list[float]]:
+    """Milliseconds without the plugin, and what the plugin adds, of each pair."""
+    for warm in ((), WITHOUT):
+        run(folder, kind, *warm)
+    plain, added = [], []
+    for number in range(pairs):
+        order = ((), WITHOUT) if number % 2 else (WITHOUT, ())
+        times = {arguments: run(folder, kind, *arguments)[0] for arguments in order}
+        plain.append(times[WITHOUT])
+        added.append(times[()] - times[WITHOUT])
+    return plain, added
+
+
+def interval(values: list[float]) -> str:
+    """Interval of the median by order statistics; empty where there are too few values."""
+    n, ordered = len(values), sorted(values)
+    outside, rank = 0.0, 0
+    while outside + math.comb(n, rank) / 2**n <= 0.025:
+        outside += math.comb(n, rank) / 2**n
+        rank += 1
+    return f"{ordered[rank - 1]:.1f} to {ordered[n - rank]:.1f}" if rank else ""
+
+
+def imported(folder: Path, *arguments: str) -> set[str]:
+    """The modules that a run imports."""
+    text = run(folder, "cached", *arguments, python=("-X", "importtime"))[1]
+    return {match[4] for match in _LINE.finditer(text)}
 
 
 def main() -> None:
     """Measure and print."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--repeats", type=int, default=15)
-    repeats = options.parse_args().repeats
-    loading_time()  # fills the bytecode cache
-    times = [loading_time() for _ in range(repeats)]
-    # Another plugin may import NumPy itself; what counts is what this one adds.
-    others = ["-p", "no:hypothesispytest", "-p", "no:allure_pytest"]
-    extra = imported(others) - imported([*others, "-p", "no:dura"])
-    if not any(name.startswith("pytest_dura.") for name in extra):
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--pairs", type=int, default=30)
+    parser.add_argument("--kind", choices=KINDS, action="append")
+    parser.add_argument("--list", action="store_true", help="name the modules")
+    options = parser.parse_args()
+    rows = []
+    print(machine(), "\n")
+    for kind in options.kind or KINDS:
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            install(folder, kind)
+            (folder / "project").mkdir()
+            (folder / "project" / "test_plain.py").write_text("def test_plain():\n    pass\n")
+            plain, added = differences(folder, kind, options.pairs)
+            rows.append([
+                kind, f"{statistics.median(plain):.0f}", f"**{statistics.median(added):.1f}**",
+                interval(added),
+            ])  # fmt: skip
+            extra = imported(folder) - imported(folder, *WITHOUT)
+    print(table(["unused plugin", "pytest without it, ms", "it adds, ms", "interval"], rows))
+    own = sorted(module for module in extra if module.startswith("pytest_dura"))
+    if not own:
         raise RuntimeError("the plugin is not installed, or could not be switched off")
     heavy = sorted(extra & set(HEAVY))
-    print(machine(), "\n")
-    print(table(["cost of the unused plugin", f"median of {repeats}"], [
-        ["loading it, ms", f"**{statistics.median(times):.1f}**"],
-        ["modules that only it imports", str(len(extra))],
-        ["of " + ", ".join(HEAVY), ", ".join(heavy) or "none"],
-    ]))  # fmt: skip
+    print(f"\nModules that only it imports: {len(extra)}, of them {len(own)} of its own;")
+    print("of " + ", ".join(HEAVY) + ": " + (", ".join(heavy) or "none") + ".")
+    if options.list:
+        print(*sorted(extra), sep="\n")
 
 
 if __name__ == "__main__":

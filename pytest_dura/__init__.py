@@ -1,7 +1,9 @@
 """Dependability testing of AI-enabled cyber-physical systems, as a pytest plugin.
 
-The public names are those of ``__init__.pyi``. They are imported when they are first used, so that
-loading the plugin stays cheap.
+The public names are those of ``__init__.pyi``. They are read and imported when they are first used,
+so that loading the plugin stays cheap.
+
+PYTEST_DONT_REWRITE
 """
 
 from __future__ import annotations
@@ -9,12 +11,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-import lazy_loader
-
 __version__ = "0.1.0"
-_public_name, _, _names = lazy_loader.attach_stub(__name__, __file__)
-__all__ = [*_names, "__version__"]  # noqa: PLE0604 - all are texts
-
 RENAMED = {"Bench": "Runner"}
 """Public names of version 0.1 and what they are now; they go with version 0.3."""
 
@@ -24,10 +21,20 @@ def __getattr__(name: str) -> Any:
     if new != name:
         text = f"pytest_dura.{name} has been renamed to pytest_dura.{new}"
         warnings.warn(text, DeprecationWarning, stacklevel=2)
-    elif name not in _names:
+    # Python asks for many names that no module has, such as those of its parts.
+    if name.startswith("__") and name != "__all__":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return _public_name(new)
+    import lazy_loader
+
+    public_name, _, names = lazy_loader.attach_stub(__name__, __file__)
+    if name == "__all__":
+        globals()["__all__"] = [*names, "__version__"]
+        return globals()["__all__"]
+    if new not in names:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return public_name(new)
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    names: list[str] = __getattr__("__all__")
+    return sorted(names)

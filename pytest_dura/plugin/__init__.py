@@ -1,78 +1,52 @@
-"""The pytest plugin: hooks of a few lines, each of which delegates to a part of the session.
+"""The pytest plugin's entrance: options, markers and fixtures, until a session uses the package.
 
-Every pytest run loads this module, whether it uses the package or not, so it imports nothing
-heavy: what a session needs is imported when it is first used.
+Every pytest run of whoever installed the package loads this module, so it is small and imports
+little. What a session needs is imported once an option, a setting or an argument asks for it, or a
+test that is collected: see :class:`Waiting`.
+
+PYTEST_DONT_REWRITE
 """
 
 from __future__ import annotations
 
-import os
 import sys
-from collections.abc import Generator
-from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from importlib.abc import MetaPathFinder
+from importlib.machinery import PathFinder
+from typing import TYPE_CHECKING
 
 import pytest
 
-from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
-from pytest_dura.core.errors import DuraError
-from pytest_dura.plugin import event_hook
-from pytest_dura.plugin.fixtures import (
-    _dura_roles,
-    campaign,
-    dura_metrics,
-    episode,
-    fault_injector,
-    generator,
-    orchestrator,
-    performance_oracle,
-    recovery_planner,
-    run_episode,
-    safety_monitor,
-    security_assessor,
-    simulator,
-)
-from pytest_dura.plugin.items import scenario_items
-from pytest_dura.plugin.markers import (
-    check_markers,
-    check_spelling,
-    names_no_scenario,
-    parametrize,
-    run_marked_search,
-)
-from pytest_dura.plugin.messages import (
-    apply_code_places,
-    escape_error,
-    escape_reason,
-    print_lines,
-    usage_errors,
-)
-from pytest_dura.plugin.options import add_options, send_options
-from pytest_dura.plugin.property_tests import register_profile
-from pytest_dura.plugin.session import session_of
-
 if TYPE_CHECKING:
-    from xdist.remote import Producer
-    from xdist.scheduler import LoadScopeScheduling
-    from xdist.workermanage import WorkerController
+    from collections.abc import Sequence
+    from importlib.machinery import ModuleSpec
+    from types import ModuleType
 
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.hooks import SessionHooks
 
-__all__ = [
-    "_dura_roles",
-    "campaign",
-    "dura_metrics",
-    "episode",
-    "fault_injector",
-    "generator",
-    "orchestrator",
-    "performance_oracle",
-    "recovery_planner",
-    "run_episode",
-    "safety_monitor",
-    "security_assessor",
-    "simulator",
-]
+
+class OrdinaryLoading(MetaPathFinder):
+    """Finder that lets Python load the package's other modules as it loads any package.
+
+    pytest rewrites the asserts of all modules of a plugin, also where it then leaves them as they
+    are, and cannot keep the result where packages are read-only: there each session would compile
+    the package anew, whose ordinary bytecode lies beside it.
+    """
+
+    @staticmethod
+    def find_spec(
+        name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Find a module of the package, and no other."""
+        if not name.startswith("pytest_dura."):
+            return None
+        return PathFinder.find_spec(name, path, target)
+
+
+if not any(isinstance(finder, OrdinaryLoading) for finder in sys.meta_path):
+    sys.meta_path.insert(0, OrdinaryLoading())
+
+from pytest_dura.plugin import event_hook, fixtures, short_fixtures  # noqa: E402
+from pytest_dura.plugin.options import WAITING, add_options, asks_for_session, short_names  # noqa: E402
 
 MARKERS = (
     (
@@ -89,6 +63,8 @@ MARKERS = (
         "the requirement that the test decides"
     ),
 )
+_IMPORTED_BY_ALL = "pytest_dura.core.errors"
+"""Module that every part of the package imports, and nothing that waits for a session does."""
 
 
 def pytest_addhooks(pluginmanager: pytest.PytestPluginManager) -> None:
@@ -105,338 +81,71 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_cmdline_main(config: pytest.Config) -> int | None:
     """Answer the options that run no tests, such as ``--dura-list``."""
     # Hypothesis looks for its profile in `pytest_configure`, which comes later.
-    register_profile(config)
-    apply_code_places(config)
-    session = session_of(config)
-    if not session.options.is_command:
+    if not asks_for_session(config):
         return None
-    from pytest_dura.plugin.commands import run_command
+    from pytest_dura.plugin.hooks import run_command
 
-    return run_command(session)
+    return run_command(config)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Register the markers, and the hooks of this session."""
+    """Register markers and fixtures, and what waits for a session that uses the package."""
     for marker in MARKERS:
         config.addinivalue_line("markers", marker)
-    session = session_of(config)
-    config.add_cleanup(session.properties.begin())
-    config.pluginmanager.register(SessionHooks(session), "dura-session")
+    register = config.pluginmanager.register
+    register(fixtures, "dura-fixtures")
+    if short_names(config):
+        register(short_fixtures, "dura-short-fixtures")
+    if asks_for_session(config):
+        from pytest_dura.plugin.hooks import begin
+
+        begin(config)
+    else:
+        register(Waiting(config), WAITING)
 
 
-def uses_runner(item: pytest.Item | pytest.Metafunc | pytest.FixtureRequest) -> bool:
-    """Whether the item runs episodes: our ``orchestrator`` alone asks for ``dura_metrics``.
+class Waiting:
+    """Hooks that wait for the first use of the package in a session of somebody else.
 
-    Names such as ``episode`` or ``generator`` may be fixtures of other people's own.
+    Beginning is safe at any time: without anything of the package, a session that has begun does
+    nothing.
     """
-    return "dura_metrics" in getattr(item, "fixturenames", ())
 
-
-def lacks_case(item: pytest.Item) -> bool:
-    """Whether the item asks for an episode of no scenario, which it cannot get.
-
-    Somebody may have forgotten a fixture of his own that is named like one of ours.
-    """
-    given = getattr(getattr(item, "callspec", None), "params", {})
-    names = getattr(item, "fixturenames", ())
-    return any(name in names and name not in given for name in ("episode", "campaign"))
-
-
-class SessionHooks:
-    """Hooks of one session, registered in the controller and in every worker alike."""
-
-    def __init__(self, session: DuraSession) -> None:
-        self.session = session
-        self._pytest_session: pytest.Session | None = None
-        self._pid = os.getpid()
-        self._guard: ExitStack | None = None
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionstart(self, session: pytest.Session) -> None:
-        """Check the options before anything runs."""
-        self._pytest_session = session
-        self.session.start()
-        if self.session.active:
-            self._begin_guard()
-        if session.config.pluginmanager.hasplugin("dsession"):
-            self.session.begin_progress()
-        if self.session.shard is not None:
-            session.config.pluginmanager.register(self.session.shard, "dura-shard")
-
-    def pytest_report_header(self) -> list[str]:
-        """Name the component under test."""
-        from pytest_dura.plugin.terminal import header
-
-        session = self.session
-        if not session.active:
-            return []
-        return header(
-            session,
-            roles=session.roles,
-            models=session.models,
-            executor=session.executor,
-            shared=session.shared,
-            baseline=session.evidence.given.baseline,
-        )
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_collection(self) -> None:
-        """Take scenario items out of the arguments, which pytest would look up as files."""
-        self.session.take_arguments()
+        """Begin where workers collect: what they need is sent before they have collected."""
+        if self._config.pluginmanager.hasplugin("dsession"):
+            self.begin(session)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
-        """Make one test per case and run."""
-        marker = metafunc.definition.get_closest_marker("dura")
-        if uses_runner(metafunc):
-            check_spelling(metafunc.definition)
-        if marker is not None:
-            parametrize(self.session, metafunc, marker)
-        elif uses_runner(metafunc) or metafunc.definition.get_closest_marker("falsify"):
-            check_markers(self.session, metafunc.definition)
+        """Begin with the first test that uses the package."""
+        definition = metafunc.definition
+        names = ("dura", "falsify")
+        if _is_imported(metafunc) or any(definition.get_closest_marker(name) for name in names):
+            self.begin(definition.session).pytest_generate_tests(metafunc)
 
     def pytest_itemcollected(self, item: pytest.Item) -> None:
-        """Let the runner follow the role fixtures that the item sees, before any other fixture."""
-        is_ours = uses_runner(item)
-        # One pass, and no iterator of pytest's own: there may be tens of thousands of items.
-        node: pytest.Item | pytest.Collector | None = item
-        while node is not None:
-            for marker in node.own_markers:
-                if marker.name == "requirement":
-                    self.session.named_requirements.update(map(str, marker.args[:1]))
-                    self.session.named_requirements.add(str(marker.kwargs.get("id", "")))
-                elif is_ours and marker.name == "xfail":
-                    escape_reason(marker)
-            node = node.parent
-        if is_ours:
-            names: list[str] = item.fixturenames  # type: ignore[attr-defined]
-            if names[0] != "_dura_roles":
-                names.insert(0, "_dura_roles")
+        """Begin with the first item that uses the package, and that no function became."""
+        if _is_imported(item) or any(marker.name == "dura" for marker in item.own_markers):
+            self.begin(item.session).pytest_itemcollected(item)
 
-    @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_collection_modifyitems(
-        self, session: pytest.Session, items: list[pytest.Item]
-    ) -> Generator[None, Any, Any]:
-        """Add the scenario items, and note which items others leave."""
-        if self.session.plan:
-            items += scenario_items(self.session, session)
-        self._label(items)
-        self.session.selection.plan(list(filter(uses_runner, items)))
-        result = yield
-        self.session.selection.select(list(filter(uses_runner, items)))
-        return result
-
-    def _label(self, items: list[pytest.Item]) -> None:
-        own_items = list(filter(uses_runner, items))
-        if not own_items:
-            return
-        from pytest_dura.plugin.item_reports import is_used, mark_item
-
-        if is_used(self.session.config):
-            for item in own_items:
-                mark_item(self.session, item)
-
+    @pytest.hookimpl(tryfirst=True)
     def pytest_collection_finish(self, session: pytest.Session) -> None:
-        """Note what will run, in a record that replaces an earlier session's."""
-        own_items = list(filter(uses_runner, session.items))
-        if self.session.shard is None:  # a shard deselects what other shards run
-            self.session.selection.select(own_items)
-        node_ids = [item.nodeid for item in own_items]
-        if node_ids:
-            self._begin_guard()
-        # The record of an earlier session must not be taken for that of this one, whatever it runs.
-        earlier = bool(node_ids) and (self.session.options.evidence / "evidence.json").exists()
-        if earlier or not all(map(lacks_case, own_items)):
-            self.session.begin_evidence()
-            if self.session.is_worker:
-                self.session.begin_progress()
-        if self.session.evidence.record is not None:
-            marked = [item.nodeid for item in own_items if item.get_closest_marker("dura")]
-            self.session.evidence.note_tests(node_ids, marked)
-        with usage_errors():
-            self.session.evidence.given.check_argument()
-        self.session.evidence.expect([item.nodeid for item in session.items])
+        """Begin where a conftest has marked items after they were collected."""
+        marked = (any(mark.name == "dura" for mark in item.own_markers) for item in session.items)
+        if any(marked):
+            self.begin(session).pytest_collection_finish(session)
 
-    def pytest_report_collectionfinish(self) -> list[str]:
-        """Name the requirements that nothing uses."""
-        if not self.session.unused:
-            return []
-        from pytest_dura.plugin.terminal import unused_requirements
+    def begin(self, session: pytest.Session) -> SessionHooks:
+        """Begin the session, in the middle of a hook that its own hooks have missed."""
+        from pytest_dura.plugin.hooks import begin
 
-        return unused_requirements(self.session)
+        return begin(self._config, session)
 
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        """Refuse a marker that pytest hides from us, and which would run nothing and pass."""
-        names_scenario = any(
-            marker.name == "dura" and not names_no_scenario(marker) for marker in item.own_markers
-        )
-        if names_scenario and not hasattr(item, "callspec"):
-            pytest.fail(
-                "the marker dura runs nothing here: a test of unittest.TestCase takes no fixtures; "
-                "write a function, or a class of its own",
-                pytrace=False,
-            )
 
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_teardown(self, item: pytest.Item, nextitem: pytest.Item | None) -> None:
-        """Repeat an episode of a case after the last item on it, while its roles are there."""
-        if uses_runner(item):
-            for repeat in self.session.repeats.item_ends(item, nextitem):
-                self.session.recorder.case_repeated(repeat)
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(
-        self, item: pytest.Item, nextitem: pytest.Item | None
-    ) -> Generator[None, Any, Any]:
-        """Let a worker that has no item left simulate episodes for the others."""
-        result = yield
-        if nextitem is None and self.session.is_worker and self.session.plan:
-            from pytest_dura.plugin.xdist import steal_work
-
-            steal_work(self.session.runner, item)
-        return result
-
-    @pytest.hookimpl(wrapper=True, trylast=True)
-    def pytest_fixture_setup(self, request: pytest.FixtureRequest) -> Generator[None, Any, Any]:
-        """Escape the error of a fixture of our tests before it is passed on."""
-        try:
-            return (yield)
-        except BaseException as error:  # also of `pytest.skip`; it is raised again
-            if uses_runner(request):
-                escape_error(error)
-            raise
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
-        """Turn errors of this package into failures, and check what a pass rests on."""
-        __tracebackhide__ = True
-        try:
-            run_marked_search(pyfuncitem)
-            with self.session.properties.watching(pyfuncitem):
-                result = yield
-        except DuraError as error:
-            outcome = self.session.recorder.outcome_of(error)
-            raise outcome.with_traceback(error.__traceback__) from None
-        finally:
-            self.session.recorder.body_ended(pyfuncitem)
-        if uses_runner(pyfuncitem):
-            self.session.recorder.body_passed(pyfuncitem)
-        return result
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_makereport(
-        self, item: pytest.Item, call: pytest.CallInfo[None]
-    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-        """Attach what the item recorded to its report, which crosses processes."""
-        if call.excinfo is not None and uses_runner(item):
-            escape_error(call.excinfo.value)
-        report = yield
-        self.session.properties.add_section(report)
-        item_report = self.session.recorder.attach(item, call, report)
-        # A test that could not be set up is not called.
-        if uses_runner(item) and (call.when == "call" or (call.when == "setup" and call.excinfo)):
-            self.session.judge_item(item, report, item_report)
-        reached = self.session.models.limit_reached
-        if reached and not item.session.shouldstop:
-            item.session.shouldstop = (
-                f"the limit of {reached} is reached (--dura-llm-limit); --dura-resume goes on"
-            )
-        return report
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Gather what items recorded."""
-        self._end_forked_copy()
-        self.session.evidence.gather(report)
-
-    def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Write the evidence."""
-        self._end_forked_copy()
-        # What is still under way must not arrive once the episodes are removed.
-        self.session.models.stop()
-        self.session.executor.close()
-        if self.session.is_worker:
-            workeroutput = vars(session.config)["workeroutput"]
-            for part in self.session.parts_of_workers:
-                part.send_to_controller(workeroutput)
-        self.session.evidence.finish(session)
-
-    def pytest_keyboard_interrupt(self) -> None:
-        """Note the interruption, also where ``pytest.exit`` reports a success."""
-        self.session.evidence.interrupted = True
-
-    @pytest.hookimpl(trylast=True)
-    def pytest_unconfigure(self) -> None:
-        """Enforce the exit code that the evidence supports, and release what is held."""
-        self._end_forked_copy()
-        if self._guard is not None:
-            self._guard.close()
-        simulators = sys.modules.get("pytest_dura.core.simulator_process")
-        if simulators is not None:
-            print_lines(simulators.close_classes())
-        if self._pytest_session is not None:
-            self.session.evidence.enforce_exit_code(self._pytest_session)
-        self.session.executor.close()
-        self.session.models.end()
-
-    def _begin_guard(self) -> None:
-        """Keep any code from ending this process with a success; a second call does nothing."""
-        if self._guard is None:
-            self._guard = ExitStack()
-            self._guard.enter_context(lasting_guard())
-
-    def _end_forked_copy(self) -> None:
-        """End a copy of this process that some code forked and that returned to pytest."""
-        if os.getpid() != self._pid:
-            end_process(EXIT_CODE)
-
-    def pytest_terminal_summary(self, terminalreporter: Any) -> None:
-        """Show cases, verdicts and failures."""
-        evidence = self.session.evidence
-        if evidence.final is not None:
-            from pytest_dura.plugin.terminal import summary
-
-            summary(
-                self.session,
-                terminalreporter,
-                evidence.final,
-                file=evidence.file,
-                objections=evidence.objections,
-                notes=self.session.executor.notes(),
-                shared=self.session.shared,
-            )
-
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_configure_node(self, node: WorkerController) -> None:
-        """Send a worker what it needs: it writes the traces of its episodes itself."""
-        send_options(self.session.options, node.workerinput)
-        self.session.shared.send_to_worker(node.workerinput)
-        self.session.models.send_to_worker(node.workerinput)
-
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_testnodedown(self, node: WorkerController, error: object) -> None:
-        """Receive what a worker sends at its end, or note that it ended early."""
-        workeroutput = getattr(node, "workeroutput", {})
-        for part in self.session.parts_of_workers:
-            part.receive_from_worker(workeroutput)
-        self.session.shared.worker_ended(error)
-
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_xdist_make_scheduler(
-        self, config: pytest.Config, log: Producer
-    ) -> LoadScopeScheduling | None:
-        """Schedule by cases, so that workers share episodes."""
-        if not self.session.active or config.getoption("dist") != "load":
-            return None
-        from pytest_dura.plugin.xdist import CaseScheduling
-
-        return CaseScheduling(config, log)
-
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_xdist_node_collection_finished(
-        self,
-        node: WorkerController,  # noqa: ARG002 - pluggy passes arguments by name
-        ids: list[str],
-    ) -> None:
-        """Note what will run: under xdist the controller does not collect."""
-        self.session.evidence.expect(ids)
+def _is_imported(test: pytest.Item | pytest.Metafunc) -> bool:
+    """Whether the test uses one of our fixtures, or something has imported the package."""
+    return "dura_metrics" in getattr(test, "fixturenames", ()) or _IMPORTED_BY_ALL in sys.modules

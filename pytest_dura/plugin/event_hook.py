@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, get_args
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError, describe_error
-
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pytest_dura.campaign.events import EventStream, SessionEvent
+    from pytest_dura.core.errors import ConfigurationError
 
 
 @pytest.hookspec
@@ -59,6 +58,7 @@ class EventHook:
 
     def _failure(self, event: SessionEvent, error: BaseException) -> ConfigurationError:
         """Make the error that names the implementation which raised, and its line."""
+        from pytest_dura.core.errors import ConfigurationError, describe_error
         from pytest_dura.provenance import recorded_path
 
         entries = pytest.ExceptionInfo.from_exception(error).traceback

@@ -1,4 +1,7 @@
-"""The fixtures. Those named after a role are the extension point: override one to swap the role."""
+"""The fixtures. Those named after a role are the extension point: override one to swap the role.
+
+All begin with ``dura_``; :mod:`pytest_dura.plugin.short_fixtures` has their short names.
+"""
 
 from __future__ import annotations
 
@@ -7,59 +10,68 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.session import session_of
-
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.markers import Target
+    from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
     from pytest_dura.runner import Runner
 
 
+def _session_of(request: pytest.FixtureRequest) -> DuraSession:
+    """Return the session, which begins here where a test asks for a fixture while it runs."""
+    from pytest_dura.plugin.hooks import begin
+
+    return begin(request.config, request.session).session
+
+
+def _default_role(request: pytest.FixtureRequest, role: str) -> RoleSpec:
+    return _session_of(request).roles.default(role)
+
+
 @pytest.fixture(scope="session")
-def simulator(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_simulator(request: pytest.FixtureRequest) -> RoleSpec:
     """The simulator. Override it to run the scenarios in another one."""
-    return session_of(request.config).roles.default("simulator")
+    return _default_role(request, "simulator")
 
 
 @pytest.fixture(scope="session")
-def generator(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_generator(request: pytest.FixtureRequest) -> RoleSpec:
     """The component under test. Override it: return your class, a factory or a RoleSpec."""
-    return session_of(request.config).roles.default("generator")
+    return _default_role(request, "generator")
 
 
 @pytest.fixture(scope="session")
-def safety_monitor(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_safety_monitor(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that judges proposals. Override it; ``None`` switches it off."""
-    return session_of(request.config).roles.default("safety_monitor")
+    return _default_role(request, "safety_monitor")
 
 
 @pytest.fixture(scope="session")
-def security_assessor(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_security_assessor(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that watches for attacks. Override it; ``None`` switches it off."""
-    return session_of(request.config).roles.default("security_assessor")
+    return _default_role(request, "security_assessor")
 
 
 @pytest.fixture(scope="session")
-def performance_oracle(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_performance_oracle(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that measures performance. Override it; ``None`` switches it off."""
-    return session_of(request.config).roles.default("performance_oracle")
+    return _default_role(request, "performance_oracle")
 
 
 @pytest.fixture(scope="session")
-def fault_injector(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_fault_injector(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that injects faults. Override it; ``None`` switches it off."""
-    return session_of(request.config).roles.default("fault_injector")
+    return _default_role(request, "fault_injector")
 
 
 @pytest.fixture(scope="session")
-def recovery_planner(request: pytest.FixtureRequest) -> RoleSpec:
+def dura_recovery_planner(request: pytest.FixtureRequest) -> RoleSpec:
     """The role that replaces refused proposals. Override it; ``None`` switches it off."""
-    return session_of(request.config).roles.default("recovery_planner")
+    return _default_role(request, "recovery_planner")
 
 
 @pytest.fixture(scope="session")
@@ -71,13 +83,13 @@ def dura_metrics() -> Mapping[str, Callable[[Episode], float]]:
 @pytest.fixture
 def _dura_roles(  # noqa: PLR0917 - pytest passes them by name
     request: pytest.FixtureRequest,
-    simulator: Any,
-    generator: Any,
-    safety_monitor: Any,
-    security_assessor: Any,
-    performance_oracle: Any,
-    fault_injector: Any,
-    recovery_planner: Any,
+    dura_simulator: Any,
+    dura_generator: Any,
+    dura_safety_monitor: Any,
+    dura_security_assessor: Any,
+    dura_performance_oracle: Any,
+    dura_fault_injector: Any,
+    dura_recovery_planner: Any,
 ) -> None:
     """Let the runner run the roles that this item sees.
 
@@ -85,34 +97,47 @@ def _dura_roles(  # noqa: PLR0917 - pytest passes them by name
     override a role for its own tests all the same.
     """
     given = {
-        "simulator": simulator,
-        "generator": generator,
-        "safety_monitor": safety_monitor,
-        "security_assessor": security_assessor,
-        "performance_oracle": performance_oracle,
-        "fault_injector": fault_injector,
-        "recovery_planner": recovery_planner,
+        "simulator": dura_simulator,
+        "generator": dura_generator,
+        "safety_monitor": dura_safety_monitor,
+        "security_assessor": dura_security_assessor,
+        "performance_oracle": dura_performance_oracle,
+        "fault_injector": dura_fault_injector,
+        "recovery_planner": dura_recovery_planner,
     }
-    session = session_of(request.config)
+    use_roles(request, given)
+
+
+def use_roles(request: pytest.FixtureRequest, given: dict[str, Any]) -> None:
+    """Let the runner run what the role fixtures of an item returned, by role."""
+    from pytest_dura.core.errors import ConfigurationError
+
+    session = _session_of(request)
     try:
+        session.roles.check_names(request)
         session.roles.use(given, session.runner)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
 
 
 @pytest.fixture(scope="session")
-def orchestrator(
+def dura_orchestrator(
     request: pytest.FixtureRequest, dura_metrics: Mapping[str, Callable[[Episode], float]]
 ) -> Runner:
     """Runs episodes and campaigns by name: ``orchestrator.run("intersection/nominal", seed=7)``."""
-    runner = session_of(request.config).runner
+    runner = _session_of(request).runner
     runner.metrics = dura_metrics
     return runner
 
 
 @pytest.fixture(scope="session")
-def run_episode(orchestrator: Runner) -> Callable[..., JudgedEpisode]:
+def dura_run_episode(dura_orchestrator: Runner) -> Callable[..., JudgedEpisode]:
     """A function that runs a case, given as such or by its name; session-scoped for Hypothesis."""
+    return episode_runner(dura_orchestrator)
+
+
+def episode_runner(orchestrator: Runner) -> Callable[..., JudgedEpisode]:
+    """Make the function that runs a case."""
 
     def run(case: Case | str, seed: int | None = None) -> JudgedEpisode:
         __tracebackhide__ = True
@@ -124,10 +149,16 @@ def run_episode(orchestrator: Runner) -> Callable[..., JudgedEpisode]:
 
 
 @pytest.fixture
-def episode(
-    request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner
+def dura_episode(
+    request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator: Runner
 ) -> JudgedEpisode:
     """One run of a case, for tests with the marker ``dura``."""
+    return marked_episode(request, dura_orchestrator)
+
+
+def marked_episode(request: pytest.FixtureRequest, orchestrator: Runner) -> JudgedEpisode:
+    """Run the episode that the marker of a test names."""
+    from pytest_dura.core.errors import ConfigurationError
     from pytest_dura.plugin.observed_episode import ObservedEpisode
 
     target = _target(request)
@@ -139,6 +170,8 @@ def episode(
 
 
 def _target(request: pytest.FixtureRequest) -> Target:
+    from pytest_dura.core.errors import ConfigurationError
+
     target: Target | None = getattr(request, "param", None)
     if target is None:
         error = ConfigurationError(
@@ -152,8 +185,15 @@ def _target(request: pytest.FixtureRequest) -> Target:
 
 
 @pytest.fixture
-def campaign(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> Campaign:
+def dura_campaign(
+    request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator: Runner
+) -> Campaign:
     """All runs of a case, for tests with the marker ``dura``; simulated when they are looked at."""
+    return marked_campaign(request, dura_orchestrator)
+
+
+def marked_campaign(request: pytest.FixtureRequest, orchestrator: Runner) -> Campaign:
+    """Return the campaign that the marker of a test names."""
     target = _target(request)
     return orchestrator.campaign(
         target.case,

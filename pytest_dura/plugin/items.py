@@ -109,7 +109,7 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
     return list(root.genitems(cases))
 
 
-def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> None:
+def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator: Runner) -> None:
     """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.events import VerdictReached
     from pytest_dura.evidence.verdict_model import AttemptEntry
@@ -118,10 +118,10 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
 
     context, planned = request.node.context, request.node.planned
     requirement = context.library().requirements[request.node.name]
-    campaign = orchestrator.campaign(planned.case, requirement=requirement)
+    campaign = dura_orchestrator.campaign(planned.case, requirement=requirement)
     try:
         verdict = campaign.judge(requirement)
-        orchestrator.events.emit(VerdictReached(verdict, requirement))
+        dura_orchestrator.events.emit(VerdictReached(verdict, requirement))
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
     if verdict.verdict == "supported":
@@ -129,7 +129,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runn
     lines = explain_verdict(verdict, requirement, str(campaign.failures))
     if verdict.counterexamples:
         item_result = ItemResult(requirement, planned.case, verdict=AttemptEntry.of(verdict))
-        sentence = event_sentence(item_result, lambda: orchestrator, context.redact)
+        sentence = event_sentence(item_result, lambda: dura_orchestrator, context.redact)
         lines += [f"event:    {sentence}"] if sentence else []
         lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))
     lines.append("rerun:    " + rerun_command(context, f"{planned.case.id}::{requirement.id}"))

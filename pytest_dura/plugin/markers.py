@@ -14,6 +14,7 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean, error_at
 from pytest_dura.plugin.messages import error_text, failure_text
+from pytest_dura.plugin.options import LONG_NAMES
 
 if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
@@ -166,7 +167,8 @@ def _check_falsify(context: SessionContext, definition: pytest.Item) -> None:
     if not markers:
         return
     fixtures = getattr(definition, "fixturenames", ())
-    if definition.get_closest_marker("dura") is None or "campaign" not in fixtures:
+    campaigns = [name for name in ("campaign", f"{LONG_NAMES}campaign") if name in fixtures]
+    if definition.get_closest_marker("dura") is None or not campaigns:
         raise ConfigurationError(
             f"the marker {_FALSIFY} searches nothing, since the test looks at no campaign",
             key=f"pytest.mark.{_FALSIFY}",
@@ -203,7 +205,7 @@ def run_marked_search(item: pytest.Function) -> None:
     if marker is None:
         return
     given = _marker_arguments(marker, _falsify_marker)
-    campaign: Any = item.funcargs["campaign"]
+    campaign: Any = item.funcargs.get(f"{LONG_NAMES}campaign") or item.funcargs["campaign"]
     requirement = given.pop("requirement")
     try:
         campaign.falsify(
@@ -247,22 +249,28 @@ class Target:
         return f"{self.case.id}#{self.run}"
 
 
+_LOOKED_AT = ("episode", "campaign", f"{LONG_NAMES}episode", f"{LONG_NAMES}campaign")
+"""Fixtures that give a test what its marker names."""
+
+
 def parametrize(context: SessionContext, metafunc: pytest.Metafunc, marker: pytest.Mark) -> None:
     """Parametrize a test with the marker ``dura``.
 
     Raises:
-        pytest.Collector.CollectError: For a marker that cannot be used, at the test's place.
+        RefusedMarkerError: For a marker that cannot be used, at the test's place.
+        pytest.Collector.CollectError: For files that cannot be used, which are not the test's.
     """
-    looked_at = [name for name in ("episode", "campaign") if name in metafunc.fixturenames]
+    looked_at = [name for name in _LOOKED_AT if name in metafunc.fixturenames]
+    each_run = any(name.endswith("episode") for name in looked_at)
     definition = metafunc.definition
     with _errors_at(definition):
         _check_use(definition, looked_at)
         _check_falsify(context, definition)
         requirements = marked_requirements(context, definition)
-        _check_decidable(requirements, each_run="episode" in looked_at)
+        _check_decidable(requirements, each_run=each_run)
         if not looked_at and names_no_scenario(marker):
             return
-        targets = _targets(context, marker, requirements, each_run="episode" in looked_at)
+        targets = _targets(context, marker, requirements, each_run=each_run)
     if looked_at:
         metafunc.parametrize(
             ",".join(looked_at),
@@ -276,7 +284,8 @@ def check_markers(context: SessionContext, definition: pytest.Item) -> None:
     """Check the markers of a test that chooses its episodes itself.
 
     Raises:
-        pytest.Collector.CollectError: For one that does not exist, at the test's place.
+        RefusedMarkerError: For one that names what does not exist, at the test's place.
+        pytest.Collector.CollectError: For files that cannot be used, which are not the test's.
     """
     with _errors_at(definition):
         _check_falsify(context, definition)
@@ -287,7 +296,7 @@ def check_spelling(definition: pytest.Item) -> None:
     """Refuse a marker that nearly has the name of ours, and would have no effect.
 
     Raises:
-        pytest.Collector.CollectError: For one that no ini file registers, at the test's place.
+        RefusedMarkerError: For one that no ini file registers, at the test's place.
     """
     registered = {
         re.split(r"[(:]", line)[0].strip() for line in definition.config.getini("markers")
@@ -307,17 +316,21 @@ def check_spelling(definition: pytest.Item) -> None:
             )
 
 
+class RefusedMarkerError(Exception):
+    """Marker that cannot be used; its test alone fails by it, with ``str(error)`` as message."""
+
+
 @contextmanager
 def _errors_at(definition: pytest.Item) -> Iterator[None]:
     """Context that reports errors at a test's place, unless another file is at fault."""
     try:
         yield
     except ConfigurationError as error:
+        if error.file is not None:
+            raise pytest.Collector.CollectError(error_text(error)) from None
         file, line, _ = definition.location
-        located = error
-        if error.file is None:
-            located = error_at(error, file=file, line=None if line is None else line + 1)
-        raise pytest.Collector.CollectError(error_text(located)) from None
+        located = error_at(error, file=file, line=None if line is None else line + 1)
+        raise RefusedMarkerError(error_text(located)) from None
 
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:

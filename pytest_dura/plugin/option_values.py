@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from pytest_dura.core.errors import ConfigurationError
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     import pytest
 
+    from pytest_dura.core.errors import ConfigurationError
     from pytest_dura.execution.executors import ExecutorChoice
     from pytest_dura.llm.spending import Limits, Price
 
@@ -24,8 +23,7 @@ BUILTIN_DOMAIN = "driving"
 """Domain of the built-in scenarios, and of a project that names none."""
 
 
-@dataclass(frozen=True)
-class Setting:
+class Setting(NamedTuple):
     """An option in a session, before it is read.
 
     Args:
@@ -57,6 +55,13 @@ class Setting:
         return self.config.getoption(option, None)
 
 
+def _unusable(problem: str, **places: Any) -> ConfigurationError:
+    """Make the error of a value; every pytest run loads this module, and few raise one."""
+    from pytest_dura.core.errors import ConfigurationError
+
+    return ConfigurationError(problem, **places)
+
+
 def as_given(setting: Setting) -> Any:
     """Return the value as it is."""
     return setting.value
@@ -79,7 +84,7 @@ def second_engine(setting: Setting) -> bool:
         ConfigurationError: For another engine.
     """
     if setting.value not in ("own", "both"):
-        raise ConfigurationError(
+        raise _unusable(
             "the ini setting dura_stl_engine names no engine for formulas",
             key="dura_stl_engine",
             found=str(setting.value),
@@ -102,11 +107,21 @@ def builtin_files(setting: Setting) -> bool:
     """
     if setting.given is None:
         return str(setting.config.getini("dura_domain")) in ("", BUILTIN_DOMAIN)
-    value = str(setting.given).lower()
+    return true_or_false(setting)
+
+
+def true_or_false(setting: Setting) -> bool:
+    """Read a setting that is true unless it says otherwise.
+
+    Raises:
+        ConfigurationError: For anything but true and false.
+    """
+    name = setting.key.removeprefix("ini ")
+    value = str(setting.value).lower()
     if value not in ("true", "false"):
-        raise ConfigurationError(
-            "the ini setting dura_builtin_scenarios is true or false",
-            key="dura_builtin_scenarios",
+        raise _unusable(
+            f"the ini setting {name} is true or false",
+            key=name,
             found=setting.given,
             expected="true or false",
             remedy="correct it, or leave it out",
@@ -129,7 +144,7 @@ def whole_number(at_least: int) -> Callable[[Setting], int]:
         except ValueError:
             number = at_least - 1
         if number < at_least:
-            raise ConfigurationError(
+            raise _unusable(
                 f"{option} takes a whole number",
                 key=option,
                 found=setting.value,
@@ -149,7 +164,7 @@ def seconds(setting: Setting) -> float:
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise ConfigurationError(
+        raise _unusable(
             f"{option} takes a number of seconds",
             key=option,
             found=setting.value,
@@ -176,7 +191,7 @@ def directories(setting: Setting) -> tuple[Path, ...]:
         paths.append(setting.path)
     for path in paths:
         if not path.exists():
-            raise ConfigurationError(
+            raise _unusable(
                 "there is no such directory",
                 key=setting.key,
                 found=str(path),
@@ -196,7 +211,7 @@ def folder(use: str) -> Callable[[Setting], Path]:
     def read(setting: Setting) -> Path:
         path = setting.path
         if path.exists() and not path.is_dir():
-            raise ConfigurationError(
+            raise _unusable(
                 f"{use}, and this is a file",
                 key=setting.key,
                 found=str(path),
@@ -213,7 +228,7 @@ def reuse_folder(setting: Setting) -> Path | None:
     if not setting.given:
         return None
     if setting.other("--dura-resume"):
-        raise ConfigurationError(
+        raise _unusable(
             "an interrupted session is resumed from its own evidence directory",
             key="--dura-resume",
             found=f"--dura-resume and {setting.key}={setting.given}",
@@ -227,7 +242,7 @@ def reuse_folder(setting: Setting) -> Path | None:
 def select_globs(setting: Setting) -> tuple[str, ...]:
     """Read globs of case names, which need scenario cases."""
     if setting.given and not (setting.other("--dura-scenarios") or setting.other("--dura-list")):
-        raise ConfigurationError(
+        raise _unusable(
             "--dura-select chooses among scenario cases, and there are none without "
             "--dura-scenarios",
             key=setting.key,
@@ -244,7 +259,7 @@ def fault_campaigns(setting: Setting) -> tuple[Any, ...] | None:
     config = setting.config
     arguments = config.args_source is config.ArgsSource.ARGS
     if not (arguments or setting.other("--dura-scenarios") or setting.other("--dura-list")):
-        raise ConfigurationError(
+        raise _unusable(
             "--dura-faults is about scenario cases, and there are none without --dura-scenarios",
             key=setting.key,
             found=setting.given[0],
@@ -259,7 +274,7 @@ def fault_campaigns(setting: Setting) -> tuple[Any, ...] | None:
         else:
             campaigns += [part.strip() for part in text.split(",")]
     if not all(campaigns):
-        raise ConfigurationError(
+        raise _unusable(
             "a fault campaign of --dura-faults has no name",
             key=setting.key,
             found=", ".join(setting.given),
@@ -271,7 +286,7 @@ def fault_campaigns(setting: Setting) -> tuple[Any, ...] | None:
 def fails_if_worse(setting: Setting) -> bool:
     """Read whether a rate that got worse fails the session, which needs a baseline."""
     if setting.given is not None and setting.other("--dura-baseline") is None:
-        raise ConfigurationError(
+        raise _unusable(
             f"{setting.key} is about a baseline, and there is none",
             key=setting.key,
             found=setting.given,
@@ -285,7 +300,7 @@ def cassette_file(setting: Setting) -> Path | None:
     if (setting.other("--dura-llm") or "live") != "live":
         return setting.path
     if setting.given is not None:
-        raise ConfigurationError(
+        raise _unusable(
             f"{setting.key} is about recorded exchanges, and a live session has none",
             key=setting.key,
             found=setting.given,
@@ -325,7 +340,7 @@ def llm_retries(setting: Setting) -> int:
         problem = "reaches this process alone, and the episodes are simulated in others"
         remedy = f"leave it out, and set DURA_LLM_RETRIES={number} where they run"
     if problem:
-        raise ConfigurationError(
+        raise _unusable(
             f"{setting.key} {problem}",
             key=setting.key,
             found=setting.given,
@@ -342,7 +357,7 @@ def executor_limit(setting: Setting) -> float:
     """Read the limit of an episode in another process, which needs one."""
     limit = seconds(setting)
     if setting.other("--dura-executor") in (None, "in-process"):
-        raise ConfigurationError(
+        raise _unusable(
             f"{setting.key} is held by ending the process that simulates, and that is pytest's own",
             key=setting.key,
             found=f"{limit:g} without another executor",
@@ -362,6 +377,8 @@ def executor_choice(setting: Setting) -> ExecutorChoice | None:
     text, option = setting.value, setting.key
     if text == "in-process":
         return None
+    from dataclasses import replace
+
     from pytest_dura.execution.executors import ExecutorChoice
 
     choice = ExecutorChoice.parse(text)
@@ -370,7 +387,7 @@ def executor_choice(setting: Setting) -> ExecutorChoice | None:
         limit = Setting(_TIMEOUT_OPTION, timeout, None, setting.config)
         choice = replace(choice, seconds=seconds(limit))
     if choice.processes is not None and setting.other("numprocesses"):
-        raise ConfigurationError(
+        raise _unusable(
             "the workers of pytest-xdist would each start processes of their own",
             key=option,
             found=f"{text} beside -n {setting.other('numprocesses')}",
@@ -379,7 +396,7 @@ def executor_choice(setting: Setting) -> ExecutorChoice | None:
         )
     mode = setting.other("--dura-llm")
     if mode in ("record", "replay"):
-        raise ConfigurationError(
+        raise _unusable(
             "a cassette is of this process, and the episodes would be simulated in others",
             key=option,
             found=f"{text} beside --dura-llm={mode}",
@@ -393,7 +410,7 @@ _MOST_SHARDS = 10_000
 _LONGEST = len(f"{_MOST_SHARDS}/{_MOST_SHARDS}")
 
 
-@dataclass(frozen=True)
+@dataclass(repr=False)  # each generated method costs every pytest run time
 class Shard:
     """Part of a session.
 
@@ -419,7 +436,7 @@ class Shard:
             shard = cls(int(first), int(last))
             if 1 <= shard.index <= shard.count <= _MOST_SHARDS:
                 return shard
-        raise ConfigurationError(
+        raise _unusable(
             f"{option} takes the number of a shard and how many there are",
             key=option,
             found=text,

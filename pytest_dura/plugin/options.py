@@ -8,14 +8,14 @@ shards have to have in common are made from the rows.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast, overload
 
 import pytest
 
-from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.option_values import (
     BUILTIN_DOMAIN,
     Setting,
@@ -42,6 +42,7 @@ from pytest_dura.plugin.option_values import (
     select_globs,
     switch,
     texts,
+    true_or_false,
     whole_number,
 )
 
@@ -56,11 +57,13 @@ Level = Literal["summary", "violations", "all"]
 Command = Literal["rerun", "replay"]
 """A printed command that runs an item, or an episode, again."""
 _WORKER_KEY = "dura_options"
+PROFILE = "dura"
+"""Profile of Hypothesis for tests that simulate."""
 _ONE_EPISODE = "it runs an episode of the evidence"
 _EMPTY_SETTINGS: Mapping[str, Any] = {"string": "", "bool": False, "args": [], "paths": []}
 
 
-@dataclass(frozen=True)
+@dataclass(repr=False, eq=False)  # each generated method costs every pytest run time
 class Option(Generic[T]):
     """Row of the table; as an attribute of :class:`Options`, the checked value of the session.
 
@@ -113,7 +116,7 @@ class Option(Generic[T]):
     """Attribute of :class:`Options`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
-        object.__setattr__(self, "name", name)
+        self.name = name
 
     @overload
     def __get__(self, options: None, owner: type) -> Option[T]: ...
@@ -232,6 +235,17 @@ class Options:
         ini="dura_builtin_scenarios",
         default="true",
         default_note=", and false where dura_domain names another domain",
+    )
+    short_fixtures: Option[bool] = Option(
+        None,
+        "whether fixtures have short names such as orchestrator and generator, beside those that "
+        "begin with dura_",
+        true_or_false,
+        ini="dura_short_fixtures",
+        default="true",
+        example="false",
+        details="See [a good guest](guest.md#names-of-fixtures).",
+        same_in_shards=False,
     )
     more_paths: Option[tuple[Path, ...]] = Option(
         "--dura-path",
@@ -665,6 +679,8 @@ class Options:
         ours = Options.shard.key
         for row in option_rows():
             if row.excludes_shard(self.config):
+                from pytest_dura.core.errors import ConfigurationError
+
                 raise ConfigurationError(
                     f"{ours} and {row.key} exclude each other: {row.no_shard}",
                     key=ours,
@@ -677,6 +693,39 @@ class Options:
 def option_rows() -> tuple[Option[Any], ...]:
     """List the rows of the table."""
     return tuple(row for row in vars(Options).values() if isinstance(row, Option))
+
+
+WAITING = "dura-waiting"
+"""Name of the plugin that waits for the first use of the package."""
+LONG_NAMES = "dura_"
+"""What the long names of fixtures begin with; the rest of them is the short name."""
+
+
+def short_names(config: pytest.Config) -> bool:
+    """Whether fixtures have short names as well; what is no truth value is refused elsewhere."""
+    return str(Options.short_fixtures.given(config)).lower() != "false"
+
+
+def possible_items(config: pytest.Config) -> Iterator[tuple[str, str]]:
+    """Yield the arguments that name no file, each with what stands before its ``::``.
+
+    They may name scenario items.
+    """
+    if config.args_source is not config.ArgsSource.ARGS:
+        return
+    for argument in config.args:
+        path = argument.partition("::")[0]
+        if not path.endswith(".py") and not os.path.lexists(config.invocation_params.dir / path):
+            yield argument, path
+
+
+def asks_for_session(config: pytest.Config) -> bool:
+    """Whether an option, a setting or an argument asks for something of this package."""
+    return (
+        any(row.given(config) is not None for row in option_rows())
+        or config.getoption("--hypothesis-profile", None) == PROFILE
+        or any(possible_items(config))
+    )
 
 
 def add_options(parser: pytest.Parser) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.markers import Target, decides_nothing, marked_requirements
+from pytest_dura.plugin.options import LONG_NAMES
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
@@ -240,9 +241,15 @@ def item_results(
 
 
 def parameters_of(item: pytest.Item) -> Mapping[str, Any]:
-    """Return the parameters of an item, by their names."""
+    """Return the parameters of an item, those of our fixtures by their short names."""
     parameters: Mapping[str, Any] = getattr(getattr(item, "callspec", None), "params", {})
-    return parameters
+    return {name.removeprefix(LONG_NAMES): value for name, value in parameters.items()}
+
+
+def given_to(item: pytest.Item, name: str) -> Any:
+    """Return what our fixture of this short name gave to an item; ``None`` if nothing."""
+    arguments = getattr(item, "funcargs", {})
+    return arguments.get(LONG_NAMES + name, arguments.get(name))
 
 
 def target_of(item: pytest.Item) -> Any:
@@ -262,7 +269,7 @@ def episode_of(item: pytest.Item) -> JudgedEpisode | None:
     """Return the episode that the item looks at, if there is one."""
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
-    episode = getattr(item, "funcargs", {}).get("episode")
+    episode = given_to(item, "episode")
     return episode if isinstance(episode, JudgedEpisode) else None
 
 
@@ -319,7 +326,7 @@ def _undecided_result(
     from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.requirements.campaign_judge import judge_campaign
 
-    campaign = getattr(item, "funcargs", {}).get("campaign")
+    campaign = given_to(item, "campaign")
     verdict = judge_campaign(
         requirement,
         case.id,
@@ -456,7 +463,7 @@ def status_of_test(
     return "missing", f"infrastructure: the test raised {type(error).__name__}: {message}"
 
 
-_OUR_FIXTURES = "pytest_dura.plugin.fixtures"
+_OUR_FIXTURES = ("pytest_dura.plugin.fixtures", "pytest_dura.plugin.short_fixtures")
 
 
 def check_passed(
@@ -479,7 +486,7 @@ def check_passed(
     for episodes in used.values():
         if episodes.failure:
             pytest.fail(episodes.failure, pytrace=False)
-    looked_at = item.funcargs.get("episode")
+    looked_at = given_to(item, "episode")
     if isinstance(looked_at, JudgedEpisode):
         _check_violations(context, item, looked_at)
     for episodes in used.values():
@@ -494,7 +501,7 @@ def check_passed(
         _check_decided_by_own(context, item, looked_at)
         _check_looked(context, item, looked_at)
     _check_searched(context, used.values())
-    campaign = item.funcargs.get("campaign")
+    campaign = given_to(item, "campaign")
     if isinstance(campaign, Campaign):
         _check_decided(context, item, campaign, used, decided)
     if without_verdict(context, item, decided):
@@ -524,14 +531,14 @@ def _episode_fixtures_of(item: pytest.Item) -> list[str]:
     return [
         name
         for name in ("episode", "campaign", "run_episode")
-        if name in known and _is_ours(name, known[name])
+        if any(full in known and _is_ours(full, known[full]) for full in (LONG_NAMES + name, name))
     ]
 
 
 def _is_ours(name: str, definitions: Sequence[Any]) -> bool:
     """Whether a fixture is ours, or overrides ours and requests it."""
     for definition in reversed(definitions):
-        if definition.func.__module__ == _OUR_FIXTURES:
+        if definition.func.__module__ in _OUR_FIXTURES:
             return True
         if name not in definition.argnames:
             return False
@@ -618,7 +625,7 @@ def _check_decided(
     used_episodes = used.get(campaign.case.id)
     if used_episodes is not None and used_episodes.undecided_reason is not None:
         _fail_undecided(context, used_episodes.undecided_reason)
-    if "episode" in item.funcargs:
+    if given_to(item, "episode") is not None:
         return  # it decides them
     claimed = [requirement.id for requirement in marked_requirements(context, item)]
     undecided = [name for name in claimed if (name, campaign.case.id) not in decided]

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.options import Options
+from pytest_dura.plugin.options import PROFILE, Options
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import SearchedEpisodeUsed
@@ -73,7 +73,6 @@ def counterexample_store(context: SessionContext) -> CounterexampleStore:
     return store
 
 
-PROFILE = "dura"
 _PROFILE_KEY = "dura_hypothesis"
 """Key in the output of a worker of pytest-xdist."""
 _FAILURES = (Exception, pytest.fail.Exception)

@@ -20,6 +20,7 @@ from pytest_dura.plugin.outcomes import (
     check_passed,
     episode_of,
     failed_assertion,
+    given_to,
     marked_target,
     outcome_of_test,
     status_of_test,
@@ -261,6 +262,11 @@ class ItemRecorder:
         if problem not in self._report.problems:
             self._report.problems.append(problem)
 
+    def add_objection(self, objection: str) -> None:
+        """Record that a test decides nothing, which fails the gate."""
+        if objection not in self._report.objections:
+            self._report.objections.append(objection)
+
     def _flush_if_full(self) -> None:
         """Split off part of a report that holds a great many episodes."""
         if self._report.full:
@@ -435,7 +441,7 @@ class ItemRecorder:
         run, target = marked_target(item, ["episode"]), marked_target(item)
         if target is None:
             return
-        campaign = getattr(item, "funcargs", {}).get("campaign")
+        campaign = given_to(item, "campaign")
         from pytest_dura.evidence.episodes import ClaimReport
         from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
 
@@ -454,7 +460,7 @@ class ItemRecorder:
         """Record the outcome of a test on one episode for the requirements in its markers."""
         target, episode = (
             marked_target(item, ["episode"]),
-            getattr(item, "funcargs", {}).get("episode"),
+            given_to(item, "episode"),
         )
         if target is None or episode is None:
             return

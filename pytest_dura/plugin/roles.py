@@ -17,6 +17,7 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.option_values import BUILTIN_DOMAIN
+from pytest_dura.plugin.options import LONG_NAMES, short_names
 
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
@@ -59,7 +60,11 @@ def none_in_root_conftest(config: pytest.Config) -> list[tuple[str, str]]:
         return []
     tree = ast.parse(root.read_bytes())
     functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
-    return [(root.name, role) for role in roles if _returns_none(functions.get(role))]
+    return [
+        (root.name, role)
+        for role in roles
+        if any(_returns_none(functions.get(name)) for name in _names(config, role))
+    ]
 
 
 def _returns_none(function: ast.FunctionDef | None) -> bool:
@@ -105,8 +110,13 @@ def _overrides(config: pytest.Config) -> list[tuple[Path, str]]:
         (file, role)
         for file, module in _conftests(config)
         for role in _OVERRIDABLE
-        if _is_fixture(module, role)
+        if any(_is_fixture(module, name) for name in _names(config, role))
     ]
+
+
+def _names(config: pytest.Config, role: str) -> tuple[str, ...]:
+    """Names of the fixture of a role."""
+    return (role, LONG_NAMES + role) if short_names(config) else (LONG_NAMES + role,)
 
 
 def _conftests(config: pytest.Config) -> list[tuple[Path, ModuleType]]:
@@ -220,6 +230,25 @@ class SessionRoles:
             if conftest is not None:
                 raise _given_twice(f"the fixture `{role}` in {conftest}", role)
 
+    def check_names(self, request: pytest.FixtureRequest) -> None:
+        """Check that no role is overridden under both of its names.
+
+        Args:
+            request: Of a fixture of the item that uses the roles.
+
+        Raises:
+            ConfigurationError: For a role of which nobody could say whose fixture counts.
+        """
+        known = request.session._fixturemanager  # noqa: SLF001 - pytest asks it in no public way
+        for role in _OVERRIDABLE:
+            names = _names(self._config, role)
+            given = [known.getfixturedefs(name, request.node) for name in names]
+            if len(names) > 1 and all(
+                definitions and len(definitions) > 1 for definitions in given
+            ):
+                where = " and ".join(f"the fixture `{name}`" for name in names)
+                raise _given_twice(where, role, option=False)
+
     def check_plan(self, plan: Iterable[Planned]) -> None:
         """Check that the simulator of the option can simulate what is planned.
 
@@ -250,12 +279,12 @@ class SessionRoles:
             raise DOMAINS.unknown(self._domain, key="ini dura_domain")
 
 
-def _given_twice(where: str, role: str = "generator") -> ConfigurationError:
-    what = "the component under test" if role == "generator" else "the simulator"
+def _given_twice(where: str, role: str = "generator", *, option: bool = True) -> ConfigurationError:
+    names = {"generator": "the component under test", "simulator": "the simulator"}
     return ConfigurationError(
-        f"{what} is given twice",
-        key=f"--dura-{role}",
-        found=f"--dura-{role} and {where}",
+        f"{names.get(role, f'the role {role}')} is given twice",
+        key=f"--dura-{role}" if option else role,
+        found=f"--dura-{role} and {where}" if option else where,
         expected="one of them",
-        remedy="drop the option, or the fixture",
+        remedy="drop the option, or the fixture" if option else "override one of the two names",
     )

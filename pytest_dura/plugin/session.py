@@ -23,7 +23,7 @@ from pytest_dura.plugin.evidence import SessionEvidence
 from pytest_dura.plugin.items import Selection, ShardHooks
 from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import usage_errors
-from pytest_dura.plugin.options import Options
+from pytest_dura.plugin.options import Options, possible_items
 from pytest_dura.plugin.outcomes import ItemJudged, item_results
 from pytest_dura.plugin.property_tests import PropertyTests
 from pytest_dura.plugin.recorder import ItemRecorder
@@ -46,14 +46,9 @@ def _scenario_arguments(context: DuraSession) -> dict[str, Chosen]:
     Raises:
         ConfigurationError: For an unknown requirement of a case, and scenarios that cannot be read.
     """
-    config = context.config
-    if config.args_source is not config.ArgsSource.ARGS:
-        return {}
     chosen = {}
-    for argument in config.args:
-        path, _, requirement = argument.partition("::")
-        if path.endswith(".py") or os.path.lexists(config.invocation_params.dir / path):
-            continue
+    for argument, path in possible_items(context.config):
+        requirement = argument.partition("::")[2]
         name = _case_name(context, path)
         if name is not None:
             chosen[argument] = (name, _requirement_name(context, name, requirement))

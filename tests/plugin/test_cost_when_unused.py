@@ -1,3 +1,5 @@
+"""What a session of somebody else pays for the plugin that he installed and does not use."""
+
 from __future__ import annotations
 
 import subprocess
@@ -5,34 +7,103 @@ import sys
 
 HEAVY = [
     "numpy", "highway_env", "rtamt", "pydantic", "yaml", "scipy", "gymnasium", "hypothesis",
-    "jinja2", "jsonschema", "mcap", "sqlite3",
+    "jinja2", "jsonschema", "mcap", "sqlite3", "lazy_loader",
 ]  # fmt: skip
+LIGHT = {
+    "pytest_dura", "pytest_dura.plugin", "pytest_dura.plugin.event_hook",
+    "pytest_dura.plugin.fixtures", "pytest_dura.plugin.option_values",
+    "pytest_dura.plugin.options", "pytest_dura.plugin.short_fixtures",
+}  # fmt: skip
+OTHERS = ["-p", "no:hypothesispytest", "-p", "no:allure_pytest", "-p", "no:xdist"]
+PLAIN = """
+import pytest
+
+@pytest.fixture
+def episode():
+    return 1
+
+@pytest.mark.requirement("of somebody else", 3)
+@pytest.mark.parametrize("generator", [1])
+def test_one(episode, generator):
+    pass
+"""
 
 
-def loaded(code):
-    script = f"import sys\n{code}\nprint(' '.join(m for m in {HEAVY!r} if m in sys.modules))"
-    found = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+def run(code, *arguments):
+    """Exit code of pytest in a process of its own, and the modules that it has imported."""
+    script = f"import sys\nstatus = 0\n{code}\nprint()\nprint(int(status), *sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=True
     )
-    return found.stdout.split()
+    status, *modules = done.stdout.splitlines()[-1].split()
+    return int(status), set(modules)
+
+
+def session(*arguments):
+    code = "import pytest\nstatus = pytest.main(sys.argv[1:])"
+    return run(code, "-q", "-p", "no:cacheprovider", *OTHERS, *map(str, arguments))
+
+
+def ours(modules):
+    return {name for name in modules if name.partition(".")[0] == "pytest_dura"}
 
 
 def test_loading_the_plugin_imports_nothing_heavy():
-    assert loaded("import pytest_dura.plugin") == []
+    _, modules = run("import pytest_dura.plugin")
+    assert not modules & set(HEAVY)
+    assert ours(modules) == LIGHT
 
 
-def test_a_session_of_somebody_else_imports_nothing_heavy(project):
+def test_a_session_of_somebody_else_loads_the_entrance_alone(tmp_path):
+    (tmp_path / "test_plain.py").write_text(PLAIN)
+    status, modules = session(tmp_path / "test_plain.py")
+    assert status == 0
+    assert not modules & set(HEAVY)
+    assert ours(modules) == LIGHT
+
+
+def test_help_loads_the_entrance_alone():
+    status, modules = session("--help")
+    assert status == 0
+    assert ours(modules) == LIGHT
+
+
+def test_whoever_runs_episodes_does_not_load_hypothesis(project):
+    """It is loaded by its own plugin, and by whoever uses strategies."""
     project.write(
-        "test_plain.py",
+        "test_driven.py",
         "import pytest\n"
-        "@pytest.fixture\n"
-        "def episode(): return 1\n"
-        "@pytest.mark.parametrize('generator', [1])\n"
-        "def test_one(episode, generator): pass\n",
+        "@pytest.mark.dura(scenario='corridor/free', runs=1)\n"
+        "@pytest.mark.requirement('X-1', text='it runs')\n"
+        "def test_one(episode): assert not episode.collided\n",
     )
+    status, modules = session("--rootdir", project.path, project.path / "test_driven.py")
+    assert status == 0
+    assert "pytest_dura.runner" in modules
+    assert "hypothesis" not in modules
+
+
+def test_a_fixture_that_is_asked_for_while_a_test_runs_begins_the_session(project):
+    project.write(
+        "test_late.py",
+        "def test_late(request):\n"
+        "    import sys\n"
+        "    assert 'pytest_dura.runner' not in sys.modules\n"
+        "    runner = request.getfixturevalue('orchestrator')\n"
+        "    assert runner.run('corridor/free', seed=1).digest\n",
+    )
+    result = project.pytester.runpytest_subprocess("test_late.py")
+    result.assert_outcomes(passed=1)
+
+
+def test_the_package_is_loaded_from_ordinary_bytecode(tmp_path):
+    """pytest's own would be made anew in each session where packages are read-only."""
     code = (
         "import pytest\n"
-        f"pytest.main([{str(project.path / 'test_plain.py')!r}, '-q', '-p', 'no:hypothesispytest', "
-        "'-p', 'no:allure_pytest', '-p', 'no:xdist', '-p', 'no:terminal'])"
+        "status = pytest.main(sys.argv[1:])\n"
+        "from pytest_dura.plugin import options\n"
+        "assert type(options.__loader__).__name__ == 'SourceFileLoader', options.__loader__"
     )
-    assert loaded(code) == []
+    (tmp_path / "test_plain.py").write_text(PLAIN)
+    status, _ = run(code, "-q", *OTHERS, str(tmp_path / "test_plain.py"))
+    assert status == 0

@@ -107,7 +107,7 @@ def test_all_that_is_wrong_with_a_file_is_one_error_before_anything_runs(crossin
 def test_a_marker_s_faults_are_refused_at_the_test(crossing, faults, key, problem, remedy):
     crossing.write("test_marked.py", MARKED.replace("FAULTS", faults))
     result = crossing.run("test_marked.py")
-    assert result.ret == pytest.ExitCode.INTERRUPTED
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
     text = told(result)
     assert "test_marked.py:3: " in text
     assert problem in text

@@ -200,7 +200,7 @@ def test_a_marker_that_cannot_be_used_is_one_error(project, marks, signature, li
     decorators = "".join(f"@pytest.mark.{mark}\n" for mark in marks)
     project.write("test_it.py", f"import pytest\n{decorators}def test_it({signature}): pass\n")
     result = project.run("test_it.py")
-    assert result.ret == 2
+    assert result.ret == 1
     result.assert_outcomes(errors=1)
     result.stdout.fnmatch_lines(lines)
     assert "Traceback" not in result.stdout.str()
