@@ -36,6 +36,16 @@ def browser():
         started.close()
 
 
+@pytest.fixture(scope="session")
+def axe():
+    """What looks for barriers in a page."""
+    try:
+        from axe_playwright_python.sync_playwright import Axe
+    except ImportError:
+        _absent("axe-playwright-python is not installed")
+    return Axe()
+
+
 class Opened:
     """Opens texts of pages, and remembers what went wrong in them.
 

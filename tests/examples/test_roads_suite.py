@@ -59,7 +59,7 @@ def test_a_component_that_never_gives_way_collides_on_them(
     chosen = ["--dura-scenarios", "--dura-select=roads/t-junction"]
     done = run_suite(suite, *chosen, python=forked_workers.command())
     assert done.returncode == 1, done.stdout + done.stderr
-    assert re.search(r"violated +roads/t-junction", done.stdout), done.stdout
+    assert re.search(r"violated: safety on roads/t-junction ", done.stdout), done.stdout
 
 
 WRONG = {

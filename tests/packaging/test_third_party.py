@@ -141,7 +141,7 @@ def test_measures_of_the_package_are_shown_everywhere_and_verified(python, sessi
     assert "over: runs half a metre too far" in session.stdout
     assert "| arrival time | overrun |" in (bundle / "summary.md").read_text()
     page = (bundle / "report.html").read_text()
-    assert "Arrival time by case" in page
+    assert "Arrival time by scenario" in page
     assert '<span class="chip">overrun</span>' in page
     assert "coll" not in " ".join(head)
     (episode,) = [one for one in record["episodes"] if one["case"].endswith("slip")]

@@ -81,7 +81,7 @@ def test_a_rate_that_got_worse_fails_the_gate_or_is_told(rates, choice, code):
         ]
     )
     told = "the gate fails: OWN-1 on corridor/free is worse than in the baseline"
-    assert (told in result.outlines) is (code == 1)
+    assert (f"  {told}." in result.outlines) is (code == 1)
 
 
 def test_a_rate_that_got_better(rates):
@@ -137,7 +137,7 @@ def test_a_gate_that_can_compare_nothing_does_not_pass(project):
     result = project.run(*arguments, "--dura-baseline-worse=fail")
     assert result.ret == 1
     told = "the gate fails: nothing in this session can be compared with the baseline"
-    assert told in result.outlines
+    assert f"  {told}." in result.outlines
 
 
 def test_nor_does_one_that_ran_no_episode(project):
@@ -145,7 +145,7 @@ def test_nor_does_one_that_ran_no_episode(project):
     project.write("test_plain.py", "def test_plain(): pass\n")
     result = project.run("test_plain.py", "--dura-baseline=old", "--dura-baseline-worse=fail")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["gone: GAP-1 on corridor/tight", "the gate fails: nothing*"])
+    result.stdout.fnmatch_lines(["  the gate fails: nothing*", "gone: GAP-1 on corridor/tight"])
 
 
 def test_without_a_baseline_there_is_none_in_the_record(project):

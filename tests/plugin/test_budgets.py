@@ -30,7 +30,7 @@ def saved(project, result, verdict):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_hopeless_component_is_rejected_after_few_runs(project, method):
     write(project, method=method, generator="Reckless")
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     found = expect(project, result, "violated", "0.95 confidence rejects a rate of at most 0.3")
     assert found.violations == found.run == found.episodes
     assert found.run <= 5
@@ -41,7 +41,7 @@ def test_a_hopeless_component_is_rejected_after_few_runs(project, method):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_perfect_component_is_accepted_early(project, method):
     write(project, method=method)
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     found = expect(project, result, "supported", "supports a rate of at most 0.3")
     assert found.violations == 0
     # No method may accept 0 of n while n such runs are likely at the limit.
@@ -53,7 +53,7 @@ def test_a_perfect_component_is_accepted_early(project, method):
 def test_a_budget_that_is_used_up_is_undecided(project):
     runs = "{until: decided, at_most: 6}"
     write(project, runs, world="{wall: 4.0}")
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     found = expect(project, result, "undecided", "has not decided on at most 0.3 within 6 runs")
     assert (found.planned, found.run, found.saved) == (6, 6, 0)
     assert "saved" not in result.stdout.str().partition("= dura =")[2]
@@ -62,7 +62,7 @@ def test_a_budget_that_is_used_up_is_undecided(project):
 def test_a_component_that_fails_too_often_but_not_always_is_rejected(project):
     variation = "{world.wall: {choice: [1.0, 90.0]}}"
     write(project, world="{wall: 90.0}", variation=variation, generator="Reckless")
-    found = expect(project, project.run("corridor/it"), "violated")
+    found = expect(project, project.run("-v", "corridor/it"), "violated")
     assert 0 < found.violations < found.episodes < 40
 
 
@@ -70,7 +70,7 @@ def test_a_fixed_number_of_runs_ends_where_the_rest_cannot_change_it(project):
     """18 of 40 are too many for 0.3 though all others be clean, and 17 are not."""
     requirement(project, "always (gap > 0)", at_most=0.3, method="fixed")
     scenario(project, runs=BUDGET, generator="Reckless", world="{wall: 1.0}", requirements="[R-1]")
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     found = expect(project, result, "violated", "at 0.95 confidence the rate is above 0.31")
     assert (found.run, saved(project, result, found)) == (18, 22)
 
@@ -78,14 +78,14 @@ def test_a_fixed_number_of_runs_ends_where_the_rest_cannot_change_it(project):
 def test_without_a_rate_runs_end_at_the_first_violation(project):
     world = "{wall: 1.0}"
     scenario(project, runs=BUDGET, requirements="[GAP-1]", generator="Reckless", world=world)
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     found = expect(project, result, "violated", "1 of 1 valid", requirement="GAP-1")
     assert saved(project, result, found) == 39
 
 
 def test_a_missing_episode_ends_the_runs_and_is_undecided(project):
     write(project, world="{breaks_at: 2}")
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     found = expect(project, result, "undecided", "1 of 1 episodes are missing (infrastructure)")
     assert (found.run, found.saved) == (1, 0)
 
@@ -113,7 +113,7 @@ def test_a_marker_may_set_the_budget_and_a_test_the_method(project, runs, rate, 
     project.write("test_it.py", TEST.format(runs=runs, rate=rate))
     for generator, word in (("Careful", "supported"), ("Reckless", "violated")):
         scenario(project, world="{wall: 4.0}", generator=generator)
-        result = project.run("test_it.py")
+        result = project.run("-v", "test_it.py")
         found = expect(project, result, word, requirement="always (gap > 0)")
         assert (found.planned, found.method) == (40, method)
         assert saved(project, result, found) > 0

@@ -139,7 +139,7 @@ def test_a_worker_that_dies_leaves_its_campaign_undecided(project):
     assert words["corridor/deadly", "GAP-1"] == "undecided"
     assert words["corridor/free", "GAP-1"] == "supported"
     assert words["corridor/tight", "GAP-1"] == "supported"
-    assert "undecided: GAP-1 on corridor/deadly" in result.stdout.str()
+    assert "undecided: safety on corridor/deadly (Careful)" in result.stdout.str()
 
 
 def test_a_skipped_item_is_undecided_and_waived(project):

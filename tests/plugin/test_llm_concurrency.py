@@ -27,7 +27,7 @@ INCOMPLETE = "evidence.json: the session is interrupted: its evidence is incompl
 
 
 def run_brief(project, *arguments):
-    options = ["--dura-no-twins", "--dura-evidence-level=all", *arguments]
+    options = ["-v", "--dura-no-twins", "--dura-evidence-level=all", *arguments]
     return project.scenarios(*options, select="brief/*")
 
 
@@ -86,7 +86,7 @@ def test_requests_beside_a_decision_are_made_at_once_and_read_as_ever(
     together = Together(2, answers)
     brief(project)
     named(scripted_server(otherwise=together))
-    options = ["--dura-no-twins"]
+    options = ["-v", "--dura-no-twins"]
     recorded = project.scenarios(
         *options, "--dura-llm=record", "--dura-llm-concurrency=4", select="brief/*"
     )

@@ -46,7 +46,7 @@ def brief(project, *, params=PLANNER, faults="[]", requirements="SAF-1"):
 
 
 def run(project, *arguments):
-    return project.scenarios("--dura-no-twins", *arguments, select="brief/*")
+    return project.scenarios("-v", "--dura-no-twins", *arguments, select="brief/*")
 
 
 def accounts(episode):

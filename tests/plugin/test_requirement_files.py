@@ -121,7 +121,8 @@ def test_a_check_that_fails_is_infrastructure(project, check, cause):
     expect(project, result, "supported", requirement="GAP-1", ret=1)
     message = result.stdout.str().partition("corridor/it::R-1 _")[2].splitlines()[1]
     assert message.startswith(f"infrastructure: check checks:{check}: {cause}")
-    assert f"  infrastructure: check checks:{check}: {cause}" in result.stdout.str()
+    card = " ".join(result.stdout.str().partition("= dura =")[2].split())
+    assert f"a role or the simulator failed: check checks:{check}: {cause}" in card
 
 
 ENTRY = "requirements:\n  - id: R-1\n    text: t\n    kind: safety\n    {}\n"

@@ -273,7 +273,9 @@ def test_the_planner_of_the_readme_is_judged_as_printed(pytester, fast_sessions)
     few = ["--dura-select=intersection/nominal", "--dura-runs=1"]
     result = pytester.runpytest_inprocess(*arguments, *few)
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["component under test: MyPlanner, *", "violated: *(MyPlanner)"])
+    result.stdout.fnmatch_lines(
+        ["violated: *(MyPlanner) (1 of * causes)", "component under test: MyPlanner, *"]
+    )
     replay, rerun = printed(result, "replay"), printed(result, "rerun")
     assert pytester.runpytest_inprocess(*replay).ret == 0
     again = pytester.runpytest_inprocess(*rerun)

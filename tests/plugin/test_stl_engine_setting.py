@@ -93,8 +93,9 @@ def test_a_difference_fails_the_gate_and_names_the_requirement(project, until_en
     assert result.ret == 1
     result.stdout.fnmatch_lines(
         [
-            "*undecided*2 of 2 episodes are missing (infrastructure)*",
-            "*infrastructure: the STL engines disagree on NEAR-1, episode corridor/it#0: *ours is*",
+            "infrastructure: the STL engines disagree on NEAR-1, episode corridor/it#0: *ours is*",
+            "undecided: safety on corridor/it (Careful) *",
+            "  A run is missing, since a role or the simulator failed: the STL engines disagree *",
         ]
     )
     assert project.verdict("NEAR-1").verdict == "undecided"

@@ -40,7 +40,7 @@ def test_failures_count_and_name_their_replay(project):
     result.assert_outcomes(failed=5)
     text = result.stdout.str()
     assert "corridor/tight#1, replay: pytest --dura-replay='corridor/tight#1' test_it.py" in text
-    assert "violated: GAP-1 on corridor/free" in text
+    assert "violated: safety on corridor/free (Reckless) (1 of 2 causes)" in text
     verdict = project.evidence().verdicts[0]
     assert (verdict.verdict, verdict.violations) == ("violated", 3)
     assert verdict.counterexamples[0].time == pytest.approx(0.5)

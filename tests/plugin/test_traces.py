@@ -117,8 +117,8 @@ def test_a_trace_that_cannot_be_written_is_told_once_and_fails_the_session(proje
         "infrastructure: the trace of corridor/tight#0 cannot be written: No space left on device"
     )
     assert told in output(result)
-    reasons = [line for line in output(result).splitlines() if line.startswith("infrastructure: ")]
-    assert reasons == [told]  # of two traces that could not be written
+    reasons = [line for line in output(result).splitlines() if "infrastructure: " in line]
+    assert reasons == [f"  {told}."]  # of two traces that could not be written
     assert kept(project) == {}
     assert project.evidence().gate.result == "failed"
 

@@ -195,7 +195,7 @@ def test_a_violation_was_observed_and_counts_whatever_else_happens(project, chec
 
 def test_a_planned_fault_that_never_manifested_is_invalid(project):
     scenario(project, faults=IDLE, fault_injector="Idle", requirements="[GAP-1]")
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     reason = "3 of 3 episodes are invalid, more than 20%; none of the episodes was valid"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
     assert found.spoilt.to_json() == {
@@ -276,7 +276,7 @@ def test_unbounded_operators_range_over_the_episode(project, check, word):
 def test_vacuous_passes_alone_are_undecided(project):
     requirement(project, "always (gap < 3.5 -> gap > 1)")
     scenario(project, requirements="[R-1]")
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     reason = "its condition held in none of the 2 valid episodes (vacuous)"
     found = expect(project, result, "undecided", reason)
     assert (found.episodes, found.vacuous) == (2, 2)
@@ -287,7 +287,7 @@ def test_vacuous_passes_beside_others_are_counted(project):
     requirement(project, "always (gap < 3.5 -> gap > 1)")
     variation = "{world.wall: {choice: [3.2, 10.0]}}"
     scenario(project, world="{wall: 10.0}", variation=variation, runs=6, requirements="[R-1]")
-    result = project.run("corridor/it")
+    result = project.run("-v", "corridor/it")
     found = expect(project, result, "supported")
     assert found.episodes == 6
     assert 0 < found.vacuous < 6
