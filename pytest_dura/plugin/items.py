@@ -8,9 +8,11 @@ into units: items that share episodes, and so run in one shard.
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -22,8 +24,7 @@ from pytest_dura.plugin.options import option_rows
 from pytest_dura.plugin.outcomes import ItemResult, marked_target, target_of
 
 if TYPE_CHECKING:
-    import os
-
+    import pluggy
     from xdist.workermanage import WorkerController
 
     from pytest_dura.evidence.sessions import ShardUnit
@@ -48,10 +49,12 @@ class ScenarioCases(pytest.Collector):
     def collect(self) -> Iterator[pytest.Item]:
         """Yield the items of each case in the order of the plan."""
         for planned in self.context.plan:
-            name = planned.case.id
-            # The root's path lets the root conftest apply, wherever the scenario file lies.
+            name, file = planned.case.id, planned.case.scenario.file
             case: ScenarioCase = ScenarioCase.from_parent(
-                self.session, name=name, nodeid=name, path=self.config.rootpath
+                self.session,
+                name=name,
+                nodeid=name,
+                path=Path(os.path.abspath(file)) if file else self.config.rootpath,
             )
             case.planned, case.cases = planned, self
             yield from case.collect()
@@ -70,8 +73,20 @@ class ScenarioCases(pytest.Collector):
         return {name: pytest.mark.requirement(name, text=known[name].text) for name in names}
 
 
-class ScenarioCase(pytest.Collector):
-    """Collector of the items of one case."""
+class _AtScenario:
+    """Node at a scenario file, to which the root conftest applies wherever that file lies."""
+
+    config: pytest.Config
+    session: pytest.Session
+
+    @property
+    def ihook(self) -> pluggy.HookRelay:
+        """Hooks of plugins and the root conftest."""
+        return self.session.gethookproxy(self.config.rootpath)
+
+
+class ScenarioCase(_AtScenario, pytest.Collector):
+    """Collector of the items of one case, at the path of its scenario file."""
 
     planned: Planned
     cases: ScenarioCases
@@ -87,17 +102,18 @@ class ScenarioCase(pytest.Collector):
             yield item
 
 
-class ScenarioItem(pytest.Function):
+class ScenarioItem(_AtScenario, pytest.Function):
     """Item that judges one requirement on all episodes of a case."""
 
     context: SessionContext
     planned: Planned
 
     def reportinfo(self) -> tuple[os.PathLike[str] | str, int | None, str]:
-        """Return the place of the scenario."""
+        """Return the place where the scenario names the requirement, in lines from 0."""
         scenario = self.planned.case.scenario
-        line = scenario.line_of("requirements") or 1
-        return scenario.file, line - 1, self.nodeid
+        names = list(scenario.requirements)
+        key = f"requirements.{names.index(self.name)}" if self.name in names else "requirements"
+        return self.path, (scenario.line_of(key) or 1) - 1, self.nodeid
 
 
 def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest.Item]:

@@ -707,15 +707,17 @@ def short_names(config: pytest.Config) -> bool:
 
 
 def possible_items(config: pytest.Config) -> Iterator[tuple[str, str]]:
-    """Yield the arguments that name no file, each with what stands before its ``::``.
+    """Yield the arguments that may name scenario items, each with what stands before its ``::``.
 
-    They may name scenario items.
+    They name no file, or a YAML file, by which test explorers of editors name what it declares.
     """
     if config.args_source is not config.ArgsSource.ARGS:
         return
     for argument in config.args:
         path = argument.partition("::")[0]
-        if not path.endswith(".py") and not os.path.lexists(config.invocation_params.dir / path):
+        is_scenario = path.endswith((".yaml", ".yml"))
+        missing = not os.path.lexists(config.invocation_params.dir / path)
+        if is_scenario or (missing and not path.endswith(".py")):
             yield argument, path
 
 

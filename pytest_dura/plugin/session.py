@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Mapping
 from functools import cached_property
+from pathlib import Path
 from math import isinf
 from typing import TYPE_CHECKING
 
@@ -41,7 +42,7 @@ Chosen = tuple[str, str]
 
 
 def _scenario_arguments(context: DuraSession) -> dict[str, Chosen]:
-    """Return the arguments that name a case and no file, with their case and requirement.
+    """Return the arguments that name a case, or its file, with their case and requirement.
 
     Raises:
         ConfigurationError: For an unknown requirement of a case, and scenarios that cannot be read.
@@ -57,10 +58,11 @@ def _scenario_arguments(context: DuraSession) -> dict[str, Chosen]:
 
 def _case_name(context: DuraSession, path: str) -> str | None:
     """Return the case that an argument names, if there is such a case."""
+    file = context.config.invocation_params.dir / path
     try:
         library = context.library()
     except ConfigurationError as error:
-        if context.options.activated:
+        if context.options.activated or file.exists():
             raise
         # The argument may be a misspelt path or a scenario: the message names both.
         raise ConfigurationError(
@@ -68,11 +70,15 @@ def _case_name(context: DuraSession, path: str) -> str | None:
             f"and it names no scenario as long as these cannot be read:\n{error}"
         ) from None
     # Terminal lines are relative to where pytest was started.
-    absolute = os.path.normpath(context.config.invocation_params.dir / path)
-    relative = os.path.relpath(absolute, context.config.rootpath).replace(os.sep, "/")
+    relative = os.path.relpath(os.path.normpath(file), context.config.rootpath)
+    relative = relative.replace(os.sep, "/")
     for name in (path, relative):
         if re.split(r"[+~]", name, maxsplit=1)[0] in library.scenarios:
             return context.runner.case(name).id
+    if file.is_file():
+        for name, scenario in library.scenarios.items():
+            if scenario.file and Path(scenario.file).resolve() == file.resolve():
+                return context.runner.case(name).id
     return None
 
 
