@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.registry import Registry
@@ -48,6 +49,8 @@ class Signal:
     unit: str = ""
     meaning: str = ""
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         _check_quantity("signal", self.name, self.unit)
 
@@ -76,6 +79,8 @@ class Action:
     meaning: str = ""
     least: float | None = None
     greatest: float | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         _check_quantity("action", self.name, self.unit)
@@ -187,6 +192,8 @@ class Domain:
     fault_targets: Mapping[str, str] = field(default_factory=dict)
     concrete: Callable[[Mapping[str, Any], float, int], dict[str, Any]] | None = None
     importers: Mapping[str, Importer] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         for key in ("signals", "percept_signals", "proposal_signals"):

@@ -20,6 +20,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ActionError, ConfigurationError, did_you_mean
 from pytest_dura.core.roles import Generator
 from pytest_dura.core.simulator import Simulator
@@ -62,6 +63,8 @@ class Input:
     interpolation: Literal["constant", "linear"] = "constant"
     unit: str = ""
     nominal: float | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         nominal = self.value_by_default
@@ -150,6 +153,8 @@ class InputCurve:
     values: tuple[float, ...]
     duration: float
     interpolation: str
+
+    __repr__ = short_repr
 
     def __call__(self, time: ArrayLike) -> Any:
         """Return the values at these times; a new piece counts from its beginning on."""

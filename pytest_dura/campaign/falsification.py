@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from pytest_dura.core.deprecated import renamed
+from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.errors import ConfigurationError
 
 BUDGET = 200
@@ -199,7 +200,7 @@ class SpaceCoverage:
 
 
 @dataclass(frozen=True)
-class Falsification:
+class Falsification(Shown):
     """Result of a search for violations of some requirements on a case.
 
     Its episodes were chosen where violations were expected: it holds no rate, and none can be made
@@ -242,6 +243,17 @@ class Falsification:
 
     idle = renamed("idle", "not_manifested")
     found = renamed("found", "violations")
+    __repr__ = short_repr
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows."""
+        yield "searched", self.case
+        yield "component", self.component
+        yield "simulations", f"{self.simulations} of {self.budget}"
+        for outcome in self.outcomes:
+            counterexample = outcome.counterexample
+            detail = "" if counterexample is None else f": {counterexample.detail}"
+            yield outcome.requirement, outcome.status + detail
 
     @property
     def violations(self) -> tuple[SearchOutcome, ...]:

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.events import MonitorsMeasured
 from pytest_dura.campaign.runs import CampaignRuns, finite_number
+from pytest_dura.core.display import Shown
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.text import one_line
 from pytest_dura.library.cases import Case
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
@@ -83,7 +85,7 @@ def _monitor_qualities(
 _RECOVERY = "recovery_planner"
 
 
-class PairedCampaign:
+class PairedCampaign(Shown):
     """Pairs of episodes: one of a campaign, and its twin of the same seed without something.
 
     Args:
@@ -101,7 +103,15 @@ class PairedCampaign:
         self.case.roles(campaign.runner.roles)
 
     def __repr__(self) -> str:
-        return f"PairedCampaign({self.campaign.case.id!r}, without={self.without!r})"
+        name = one_line(repr(self.campaign.case.id), 64)
+        return f"PairedCampaign({name}, without={self.without!r})"
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows; nothing is simulated for it."""
+        yield "case", self.campaign.case.id
+        yield "twins without", self.without
+        yield "component", self.campaign.component
+        yield "pairs planned", str(self.campaign.planned)
 
     def __iter__(self) -> Iterator[tuple[JudgedEpisode, JudgedEpisode]]:
         """The pairs of all planned runs."""

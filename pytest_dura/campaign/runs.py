@@ -11,8 +11,10 @@ from pytest_dura.campaign.events import VerdictReached
 from pytest_dura.campaign.fault_tracing import FaultTracer
 from pytest_dura.campaign.runner import EpisodeRunner
 from pytest_dura.core.deprecated import renamed
+from pytest_dura.core.display import Shown
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.text import one_line
 from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
@@ -129,7 +131,7 @@ class RequirementViolated(DuraError):  # noqa: N818 - it is an outcome, not an e
 
 
 @dataclass(repr=False)
-class CampaignRuns:
+class CampaignRuns(Shown):
     """The episodes of a campaign in order; base of :class:`Campaign`.
 
     Args:
@@ -157,7 +159,14 @@ class CampaignRuns:
     bench = renamed("bench", "runner")
 
     def __repr__(self) -> str:
-        return f"Campaign({self.case.id!r}, {self.planned} runs planned)"
+        return f"Campaign({one_line(repr(self.case.id), 80)}, {self.planned} runs planned)"
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows; nothing is simulated for it."""
+        yield "case", self.case.id
+        yield "component", self.component
+        yield "runs planned", str(self.planned)
+        yield "requirement", None if self.requirement is None else self.requirement.id
 
     @property
     def component(self) -> str:

@@ -11,7 +11,7 @@ import json
 import math
 import re
 import warnings
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Literal
@@ -19,12 +19,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.display import LONGEST_REPR, Shown, short_repr
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.measures import Measure, Value
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Recording
 from pytest_dura.core.state import Event
+from pytest_dura.core.text import one_line
 
 Validity = Literal["valid", "invalid", "missing"]
 
@@ -56,6 +58,8 @@ class Policy:
 
     name: str = "recover"
     attempts: int = 0
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if self.name not in POLICIES or (self.name == "refine") != (self.attempts > 0):
@@ -97,6 +101,8 @@ class Termination:
     violation: bool = False
     iterations: int | None = None
     decided: bool = False
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         _require_positive("time_limit", self.time_limit, "seconds")
@@ -155,6 +161,8 @@ class EpisodeSpec:
     time_step: float = 0.1
     time_budget: float | None = 5.0
     timeouts: tuple[int, ...] | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         _require_positive("time_step", self.time_step, "seconds")
@@ -226,8 +234,8 @@ class EpisodeSpec:
         return hashlib.sha256(canonical(data)).hexdigest()
 
 
-@dataclass
-class Episode:
+@dataclass(repr=False)
+class Episode(Shown):
     """One closed-loop run.
 
     Args:
@@ -271,6 +279,24 @@ class Episode:
     def id(self) -> str:
         """``case#run``."""
         return self.spec.id
+
+    def __repr__(self) -> str:
+        """Describe the episode in a line: pytest shows the arguments of a test that fails."""
+        attributes = vars(self)
+        end = f", {attributes['termination']} after {len(attributes['time'])} ticks>"
+        return f"<episode {one_line(self.id, LONGEST_REPR - len(end) - 9)}{end}"
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows."""
+        yield "episode", self.id
+        yield "component", self.spec.component
+        yield "seed", str(self.spec.seed)
+        yield "end", f"{self.termination} after {self.time[-1]:g} s, {self.ticks} ticks"
+        yield "validity", self.validity
+        yield "reason", self.failure or self.invalid_reason
+        yield "faults", [fault.id for fault in self.faults] or None
+        yield "events", [f"{event.time:g} s: {event.kind}" for event in self.events] or None
+        yield "digest", self.digest
 
     @property
     def ticks(self) -> int:

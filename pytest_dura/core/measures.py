@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, describe_error
 
 Value = bool | float | None
@@ -44,6 +45,8 @@ class Measure:
     severity: Literal["none", "notable", "grave"] = "none"
     signal: str | None = None
     event: str = ""
+
+    __repr__ = short_repr
 
     @property
     def path(self) -> str:

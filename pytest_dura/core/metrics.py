@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.display import short_repr
+
 REACTIONS = ("unaffected", "erratic", "frozen", "follows the fake")
 """Classes of a component's reaction to a suspected attack; an assessor may have others."""
 DISCOMFORT = "discomfort"
@@ -66,6 +68,8 @@ class FaultRecord:
     flagged_ticks: int = 0
     by_chance: bool = False
     read_by: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     @property
     def success(self) -> bool:
@@ -189,6 +193,8 @@ class DependabilityMetrics:
     answer_ages: list[float] = field(default_factory=list)
     answer_usage: dict[str, int] = field(default_factory=dict)
     user: dict[str, float] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def log_time(self, role: str, tick: int, nanoseconds: int) -> None:
         """Log the processing time of a role at a tick."""

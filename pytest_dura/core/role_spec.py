@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_dura.core.boundary import CallEnded, let_pass
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, describe_error, import_error
 from pytest_dura.core.roles import Role
 from pytest_dura.core.simulator import Simulator
@@ -27,6 +28,8 @@ class RoleSpec:
     path: str
     params: Mapping[str, Any] = field(default_factory=dict)
     instance: Any = field(default=None, compare=False, repr=False)
+
+    __repr__ = short_repr
 
     @classmethod
     def of(cls, value: object, params: Mapping[str, Any] | None = None) -> RoleSpec:

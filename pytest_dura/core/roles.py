@@ -11,6 +11,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any, ClassVar
 
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.state import NOTHING, Alert, GeneratorView, Proposal, RoleView
 
@@ -32,6 +33,8 @@ class Assessment:
     reasons: tuple[str, ...] = ()
     critical: bool = False
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, slots=True)
 class SecurityAssessment(Assessment):
@@ -44,6 +47,8 @@ class SecurityAssessment(Assessment):
     alerts: tuple[Alert, ...] = ()
     directives: tuple[str, ...] = ()
     reaction: str | None = None
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +63,8 @@ class PerformanceAssessment:
     wall_clock: Mapping[str, float] = NOTHING
     performance_fail: tuple[str, ...] = ()
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, slots=True)
 class Injection:
@@ -65,6 +72,8 @@ class Injection:
 
     activated: tuple[str, ...] = ()
     deactivated: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +83,8 @@ class Recovery:
     action: Any
     name: str
     explanation: str = ""
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +102,8 @@ class RoleContext:
     scenario: Mapping[str, Any] = NOTHING
     faults: tuple[Mapping[str, Any], ...] = ()
     time_budget: float | None = None
+
+    __repr__ = short_repr
 
 
 class Role(ABC):

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ActionError, ConfigurationError, shorten, type_name
 from pytest_dura.core.measures import Measure
 from pytest_dura.core.registry import Registry
@@ -39,6 +40,8 @@ class Line:
     kind: str
     points: NDArray[np.float32]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class Tracks:
@@ -51,6 +54,8 @@ class Tracks:
 
     ids: tuple[str, ...]
     poses: NDArray[np.float32]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,8 @@ class Scene:
     truth: Tracks
     percept: Tracks
     ego: str
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -94,6 +101,8 @@ class Recording:
     scene: Scene | None = None
     problem: str | None = None
     accounts: tuple[Mapping[str, Any], ...] = ()
+
+    __repr__ = short_repr
 
 
 def scene_problems(scene: Any, ticks: int) -> Iterator[tuple[str, str]]:

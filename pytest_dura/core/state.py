@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import LONGEST_TEXT, cut
 
 T = TypeVar("T")
@@ -318,6 +319,8 @@ class Event:
     data: Mapping[str, Any] = NOTHING
     wall_clock: bool = False
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         """Cut long texts: an episode has many events."""
         for name in ("kind", "subject", "detail"):
@@ -353,6 +356,8 @@ class Proposal:
     failure: str = ""
     account: Mapping[str, Any] = NOTHING
 
+    __repr__ = short_repr
+
     def with_action(self, action: Any) -> Proposal:
         """Copy with another action; quicker than ``replace``, since it happens at each tick."""
         return Proposal(action, self.explanation, self.latency, self.failure, self.account)
@@ -365,6 +370,8 @@ class Alert:
     pattern: str
     subject: str
     detail: str = ""
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -388,6 +395,8 @@ class Tick:
     goal: bool = False
     critical: str | None = None
     events: tuple[tuple[str, str, str], ...] = ()
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -435,6 +444,8 @@ class GeneratorView:
     past: Sequence[PastDecision] = ()
     transmit: Transmit = _undisturbed
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, slots=True)
 class RoleView:
@@ -461,6 +472,8 @@ class RoleView:
     command: Any = None
     alerts: Sequence[tuple[float, Alert]] = ()
     history: Mapping[str, Sequence[tuple[float, Any]]] = NOTHING
+
+    __repr__ = short_repr
 
 
 @dataclass(slots=True)
@@ -494,6 +507,8 @@ class StateManager:
     _windows: tuple[History, History, History] = field(init=False)
     _past_outputs: dict[str, list[tuple[float, Any]]] = field(default_factory=dict)
     _histories: dict[str, History] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         """Make the views of growing lists, which serve all ticks."""

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from pytest_dura.core.display import Shown
 from pytest_dura.evidence.case_model import (
     CaseEntry,
     CoverageEntry,
@@ -175,7 +176,7 @@ class WholeRecord(RecordHead):
 
 
 @dataclass(frozen=True)
-class SessionRecord:
+class SessionRecord(Shown):
     """Content of ``evidence.json``. Its episodes may be many, and are never all in memory.
 
     Args:
@@ -187,6 +188,27 @@ class SessionRecord:
     head: RecordHead
     directory: Path
     read_episodes: Callable[[], Iterator[EpisodeEntry]]
+
+    def __repr__(self) -> str:
+        totals = self.head.totals
+        return (
+            f"<record, {self.head.status}, gate {totals.gate}, {totals.episodes} episodes, "
+            f"{totals.supported} supported, {totals.violated} violated, "
+            f"{totals.undecided} undecided>"
+        )
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows."""
+        head, totals = self.head, self.head.totals
+        yield "session", f"{head.created}, {head.status}"
+        yield "gate", [head.gate.result, *head.gate.reasons]
+        yield "component", [component.name for component in components_under_test(self)]
+        yield "episodes", f"{totals.episodes}, {totals.valid} valid"
+        yield (
+            "verdicts",
+            [f"{entry.requirement} on {entry.case}: {entry.verdict}" for entry in head.verdicts]
+            or None,
+        )
 
     def episodes(self) -> Iterator[EpisodeEntry]:
         """Iterate over the episodes, in the order of the record."""

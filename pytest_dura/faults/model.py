@@ -11,8 +11,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from pytest_dura.core.display import LONGEST_REPR, short_repr
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.metrics import COMMAND
+from pytest_dura.core.text import one_line
 from pytest_dura.faults.activation import Activation, Duration
 from pytest_dura.faults.parts import MESSAGES, PROPOSAL, FaultPart, Target
 
@@ -45,6 +47,8 @@ class Moment:
     history: Sequence[tuple[float, Any]]
     random: Callable[[], np.random.Generator]
 
+    __repr__ = short_repr
+
     @cached_property
     def rng(self) -> np.random.Generator:
         """Random numbers of this fault at this tick."""
@@ -72,6 +76,11 @@ class Fault(FaultPart, ABC):
     acts_on: ClassVar[Kind]
     default_target: ClassVar[str | None] = None
     reference: ClassVar[str] = ""
+
+    def __repr__(self) -> str:
+        return one_line(
+            f"{type(self).__name__}(id={self.id!r}, target={self.target!r})", LONGEST_REPR
+        )
 
     @classmethod
     @abstractmethod
@@ -145,6 +154,8 @@ class Channel:
     units: tuple[str, ...] = ()
     frame: str = ""
     meaning: str = ""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         numbers = len(self.fields) or self.columns or len(self.units)

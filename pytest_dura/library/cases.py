@@ -8,11 +8,12 @@ from __future__ import annotations
 import copy
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any
 
+from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination, canonical
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, list_names
 from pytest_dura.core.role_spec import RoleSpec
@@ -86,7 +87,7 @@ SWITCHED_OFF_MARK = "~"
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class Case(Shown):
     """A scenario with the faults that are applied to it.
 
     Args:
@@ -102,6 +103,17 @@ class Case:
     faults: tuple[dict[str, Any], ...]
     requirements: tuple[str, ...]
     without: tuple[str, ...] = ()
+
+    __repr__ = short_repr
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows."""
+        yield "case", self.id
+        yield "description", self.scenario.description
+        yield "file", self.scenario.file
+        yield "faults", [str(fault.get("id") or fault["type"]) for fault in self.faults] or None
+        yield "without", self.without
+        yield "requirements", self.requirements
 
     def switched_off(self, role: str) -> Case:
         """Return the case without a role, such as ``intersection/nominal~recovery_planner``.

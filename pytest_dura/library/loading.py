@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, combine_errors
 from pytest_dura.library.cases import no_match_error
 from pytest_dura.library.checks import check_scenario
@@ -67,6 +68,8 @@ class Library:
     hazards: Mapping[str, Hazard] = field(default_factory=dict)
     own_hazards: frozenset[str] = frozenset()
     hazards_in: Mapping[str, str] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def hazards_of(self, named: Iterable[str]) -> list[Hazard]:
         """List the hazards that a session with requirements on the named ones has to answer for.

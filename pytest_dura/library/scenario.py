@@ -32,6 +32,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.trust import check_registered
+from pytest_dura.core.text import one_line
 from pytest_dura.domains import DOMAINS, Domain, domain_of, simulator_spec
 from pytest_dura.faults.catalogue import FAULT_TYPES
 from pytest_dura.library.documents import Document, translate, validate
@@ -321,6 +322,9 @@ class Scenario(Entry):
     def source(self) -> Document:
         """The document it was read from; an empty one if it was made otherwise."""
         return self._source
+
+    def __repr__(self) -> str:
+        return f"Scenario({one_line(repr(self.name), 100)})"
 
     @property
     def file(self) -> str:

@@ -54,7 +54,7 @@ class ScenarioCases(pytest.Collector):
                 self.session,
                 name=name,
                 nodeid=name,
-                path=Path(os.path.abspath(file)) if file else self.config.rootpath,
+                path=Path(file).absolute() if file else self.config.rootpath,
             )
             case.planned, case.cases = planned, self
             yield from case.collect()

@@ -130,10 +130,14 @@ class ObservedEpisode(JudgedEpisode):
             return super().__getattr__(name)
 
     def __repr__(self) -> str:
-        """Describe the episode in a line: pytest shows the arguments of a test that fails."""
-        attributes = vars(self)
-        ticks = len(attributes["time"])
-        return f"<episode {self.id}, {attributes['termination']} after {ticks} ticks>"
+        """See :meth:`Episode.__repr__`; it notes nothing."""
+        with self._observations.pause():
+            return super().__repr__()
+
+    def _repr_html_(self) -> str:
+        """See :meth:`Shown._repr_html_`; it notes nothing."""
+        with self._observations.pause():
+            return super()._repr_html_()
 
     def robustness(self, formula: str) -> float:
         """See :meth:`JudgedEpisode.robustness`."""

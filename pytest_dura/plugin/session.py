@@ -10,8 +10,8 @@ import os
 import re
 from collections.abc import Mapping
 from functools import cached_property
-from pathlib import Path
 from math import isinf
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest

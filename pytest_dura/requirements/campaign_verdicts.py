@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 import numpy as np
 
+from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.episode import Episode
 from pytest_dura.requirements.rate_tests import EXACT_METHOD
 
@@ -174,7 +175,7 @@ class UncountedEpisode:
 
 
 @dataclass(frozen=True, slots=True)
-class CampaignVerdict:
+class CampaignVerdict(Shown):
     """Verdict and all counts that it rests on.
 
     Args:
@@ -234,6 +235,30 @@ class CampaignVerdict:
     pairs: Mapping[str, Any] | None = None
     spoilt: UncountedEpisode | None = None
     situation: Situation | None = None
+
+    __repr__ = short_repr
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows."""
+        yield "requirement", self.requirement
+        yield "case", self.case
+        yield "component", self.component
+        yield "verdict", self.verdict
+        yield "reason", self.reason
+        yield "runs", f"{self.run} of {self.planned}, {self.episodes} valid"
+        yield "violations", str(self.violations)
+        bound = self.bound
+        if bound.upper is not None:
+            yield f"rate at most, at {bound.confidence:g} confidence", bound.upper
+        yield "worst margin", self.margin
+        yield (
+            "counterexamples",
+            [
+                example.episode + violation_text(example.time, example.margin, valid=example.valid)
+                for example in self.counterexamples
+            ]
+            or None,
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for the evidence record."""

@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Simulator
@@ -49,6 +50,8 @@ class CheckResult:
     time: float | None = None
     detail: str = ""
     vacuous: bool = False
+
+    __repr__ = short_repr
 
 
 def is_function_path(check: str) -> bool:

@@ -7,7 +7,7 @@ have types of their own, which neither :func:`judge_episode` nor a campaign take
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, get_args
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.deprecated import renamed
+from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_signals
@@ -110,7 +111,7 @@ _WHOLE = (
 
 
 @dataclass(frozen=True, slots=True)
-class EpisodeVerdict:
+class EpisodeVerdict(Shown):
     """Verdict of one requirement on one episode; plain data that crosses processes.
 
     Args:
@@ -150,6 +151,17 @@ class EpisodeVerdict:
     unseen_crash: bool = False
 
     idle = renamed("idle", "not_manifested")
+    __repr__ = short_repr
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows."""
+        yield "requirement", self.requirement
+        yield "episode", self.episode
+        yield "component", self.component
+        yield "verdict", self.verdict + (", vacuous" if self.vacuous else "")
+        yield "margin", self.margin
+        yield "violated at, s", self.time
+        yield "detail", self.detail
 
     @property
     def valid(self) -> bool:
@@ -429,7 +441,7 @@ def _columns(formula: Formula, episode: Episode) -> Mapping[str, NDArray[np.floa
     return episode.signals
 
 
-@dataclass
+@dataclass(repr=False)
 class JudgedEpisode(Episode):
     """An episode with methods that evaluate formulas; what test functions get."""
 

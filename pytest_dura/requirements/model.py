@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
+
+from pytest_dura.core.display import Shown, short_repr
 
 Kind = Literal["safety", "security", "performance", "recovery"]
 KINDS: tuple[str, ...] = get_args(Kind)
@@ -33,9 +35,11 @@ class Paired:
     measure: str = ""
     change_at_most: float | None = None
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, slots=True)
-class Requirement:
+class Requirement(Shown):
     """One requirement.
 
     Args:
@@ -69,6 +73,17 @@ class Requirement:
     applies_to: tuple[str, ...] = ()
     paired: Paired | None = None
     mitigates: tuple[str, ...] = ()
+
+    __repr__ = short_repr
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows."""
+        yield "requirement", self.id
+        yield "text", self.text
+        yield "kind", self.kind
+        yield "check", describe_check(self)
+        yield "reason", self.reason
+        yield "source", self.source
 
     def to_json(self) -> dict[str, Any]:
         """Plain data for files and the evidence record; ``mitigates`` only where there are any."""
