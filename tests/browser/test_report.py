@@ -235,6 +235,16 @@ def test_everything_is_reached_by_keys_alone(opened, html):
     assert page.get_by_label("Filter", exact=True).first.input_value() == "jk/"
 
 
+def test_a_slash_leads_from_an_entry_to_the_filter(opened, html):
+    page = opened(html)
+    page.evaluate("location.hash = 'requirement-SAF-1'")
+    page.locator("#verdicts:not(.opened)").wait_for(state="hidden")
+    page.keyboard.press("/")
+    page.locator("#verdicts:not(.opened)").wait_for()
+    page.keyboard.type("PERF")
+    assert page.get_by_label("Filter", exact=True).first.input_value() == "PERF"
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing_in_any_view(opened, axe, html, scheme):
     page = opened(html, color_scheme=scheme)

@@ -260,6 +260,8 @@
       if (each.tagName === "DETAILS") each.open = true;
     }
     if (target === view) {
+      // "/" put the focus on the filter before this address was acted on.
+      if (document.activeElement.matches("input") && view.contains(document.activeElement)) return;
       const link = before && !entry ? before.querySelector("a") : null;
       if (link && link.checkVisibility()) {
         link.focus({ preventScroll: true });

@@ -6,12 +6,7 @@ from entries import make
 
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.verdict_model import VerdictEntry
-from pytest_dura.plugin.terminal_tables import (
-    WHERE_ALL_ARE,
-    keep_worst,
-    left_out_lines,
-    worst_cases,
-)
+from pytest_dura.plugin.terminal_tables import keep_worst, worst_cases
 
 
 def verdict(case, word, pairs=None):
@@ -33,10 +28,3 @@ def test_no_case_with_a_violation_gives_way_to_one_without():
     shown = [one.id for one in worst_cases(cases, verdicts, most=4)]
     assert shown == ["a/1", "a/4", "a/6", "a/7"]
     assert [one.id for one in worst_cases(cases, verdicts, most=5)] == ["a/0", *shown]
-
-
-def test_what_is_left_out_is_counted_by_its_word():
-    assert left_out_lines([]) == []
-    assert left_out_lines(["supported", "undecided", "supported"]) == [
-        f"and 3 verdicts more: 1 undecided, 2 supported; {WHERE_ALL_ARE}"
-    ]
