@@ -2,9 +2,9 @@
 
 Run: python benchmarks/plugin_cost.py [--pairs 30] [--kind NAME] [--list]
 
-Time: whole processes of `pytest` on one plain test, in pairs of one without the plugin
-(`-p no:dura`) and one with it, in alternating order. The package is installed as a wheel would be,
-into a folder of its own, in three kinds:
+Time: on the clock and of the processor, of whole processes of `pytest` on one plain test, in pairs
+of one without the plugin (`-p no:dura`) and one with it, in alternating order. The package is
+installed as a wheel would be, into a folder of its own, in three kinds:
 
 - cached: Python's bytecode and pytest's, as for everybody after the first run;
 - read-only: Python's bytecode alone, as in a container whose packages belong to root;
@@ -22,6 +22,7 @@ import compileall
 import math
 import os
 import re
+import resource
 import shutil
 import statistics
 import subprocess
@@ -29,6 +30,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 from machine import machine, table
 
@@ -56,10 +58,16 @@ def install(folder: Path, kind: str) -> None:
         compileall.compile_dir(own, quiet=2)
 
 
-def run(
-    folder: Path, kind: str, *arguments: str, python: tuple[str, ...] = ()
-) -> tuple[float, str]:
-    """Run pytest on a plain test; returns milliseconds and what it wrote to its error stream."""
+class Run(NamedTuple):
+    """A run of pytest: milliseconds on the clock and of the processor, and its error stream."""
+
+    clock: float
+    processor: float
+    errors: str
+
+
+def run(folder: Path, kind: str, *arguments: str, python: tuple[str, ...] = ()) -> Run:
+    """Run pytest on a plain test."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     kept |= {"PYTHONPATH": str(folder)}
     if kind != "cached":
@@ -68,30 +76,43 @@ def run(
     command = [
         sys.executable, *python, "-m", "pytest", "-q", "-p", "no:cacheprovider", *others, *arguments
     ]  # fmt: skip
-    begin = time.perf_counter()
+    begin, spent = time.perf_counter(), processor_time()
     done = subprocess.run(
         command, cwd=folder / "project", env=kept, capture_output=True, text=True, check=False
     )
     elapsed = (time.perf_counter() - begin) * 1000
     if done.returncode != 0 or "1 passed" not in done.stdout:
         raise RuntimeError(done.stdout + done.stderr)
-    return elapsed, done.stderr
+    return Run(elapsed, processor_time() - spent, done.stderr)
+
+
+def processor_time() -> float:
+    """Milliseconds that the processes of this one have taken so far."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return (usage.ru_utime + usage.ru_stime) * 1000
 
 
 WITHOUT = ("-p", "no:dura")
 
 
-def differences(folder: Path, kind: str, pairs: int) -> tuple[list[float], list[float]]:
-    """Milliseconds without the plugin, and what the plugin adds, of each pair."""
+def pairs_of(folder: Path, kind: str, pairs: int) -> list[tuple[Run, Run]]:
+    """Run pytest so many times without the plugin and with it."""
     for warm in ((), WITHOUT):
         run(folder, kind, *warm)
-    plain, added = [], []
+    done = []
     for number in range(pairs):
         order = ((), WITHOUT) if number % 2 else (WITHOUT, ())
-        times = {arguments: run(folder, kind, *arguments)[0] for arguments in order}
-        plain.append(times[WITHOUT])
-        added.append(times[()] - times[WITHOUT])
-    return plain, added
+        runs = {arguments: run(folder, kind, *arguments) for arguments in order}
+        done.append((runs[WITHOUT], runs[()]))
+    return done
+
+
+def cells(done: list[tuple[Run, Run]], name: str) -> list[str]:
+    """Median without the plugin, and of what it adds with the interval of that."""
+    plain = [getattr(without, name) for without, _ in done]
+    added = [getattr(loaded, name) - getattr(without, name) for without, loaded in done]
+    median = f"**{statistics.median(added):.1f}**"
+    return [f"{statistics.median(plain):.0f}", f"{median} ({interval(added)})"]
 
 
 def interval(values: list[float]) -> str:
@@ -106,7 +127,7 @@ def interval(values: list[float]) -> str:
 
 def imported(folder: Path, *arguments: str) -> set[str]:
     """The modules that a run imports."""
-    text = run(folder, "cached", *arguments, python=("-X", "importtime"))[1]
+    text = run(folder, "cached", *arguments, python=("-X", "importtime")).errors
     return {match[4] for match in _LINE.finditer(text)}
 
 
@@ -125,13 +146,11 @@ def main() -> None:
             install(folder, kind)
             (folder / "project").mkdir()
             (folder / "project" / "test_plain.py").write_text("def test_plain():\n    pass\n")
-            plain, added = differences(folder, kind, options.pairs)
-            rows.append([
-                kind, f"{statistics.median(plain):.0f}", f"**{statistics.median(added):.1f}**",
-                interval(added),
-            ])  # fmt: skip
+            done = pairs_of(folder, kind, options.pairs)
+            rows.append([kind, *cells(done, "clock"), *cells(done, "processor")])
             extra = imported(folder) - imported(folder, *WITHOUT)
-    print(table(["unused plugin", "pytest without it, ms", "it adds, ms", "interval"], rows))
+    headers = ["pytest without it, ms", "it adds, ms (interval)"]
+    print(table(["unused plugin", *headers, "of the processor, ms", "it adds, ms"], rows))
     own = sorted(module for module in extra if module.startswith("pytest_dura"))
     if not own:
         raise RuntimeError("the plugin is not installed, or could not be switched off")

@@ -31,8 +31,8 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.trust import check_registered
 from pytest_dura.core.text import one_line
+from pytest_dura.core.trust import check_registered
 from pytest_dura.domains import DOMAINS, Domain, domain_of, simulator_spec
 from pytest_dura.faults.catalogue import FAULT_TYPES
 from pytest_dura.library.documents import Document, translate, validate

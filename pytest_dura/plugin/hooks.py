@@ -1,7 +1,6 @@
 """SessionHooks: hooks of a few lines, each of which delegates to a part of the session.
 
-They are registered once a session uses the package; until then :mod:`pytest_dura.plugin` alone is
-loaded.
+They are registered once a session uses the package; see :mod:`pytest_dura.plugin.waiting`.
 """
 
 from __future__ import annotations
@@ -324,19 +323,11 @@ class SessionHooks:
         if call.excinfo is not None and uses_runner(item):
             escape_error(call.excinfo.value)
         report = yield
-        refused = self._refusal_of(item) is not None
-        if refused and call.when == "setup":
-            # Nobody has expected that, whatever the test is marked with beside it.
-            report.outcome = "failed"
-            vars(report).pop("wasxfail", None)
         self.session.properties.add_section(report)
         item_report = self.session.recorder.attach(item, call, report)
-        # A test that could not be set up is not called.
-        if (
-            not refused
-            and uses_runner(item)
-            and (call.when == "call" or (call.when == "setup" and call.excinfo))
-        ):
+        # A test that could not be set up is not called; wrong markers name nothing to judge.
+        ended = call.when == "call" or (call.when == "setup" and call.excinfo is not None)
+        if ended and uses_runner(item) and self._refusal_of(item) is None:
             self.session.judge_item(item, report, item_report)
         reached = self.session.models.limit_reached
         if reached and not item.session.shouldstop:

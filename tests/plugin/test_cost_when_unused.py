@@ -13,6 +13,7 @@ LIGHT = {
     "pytest_dura", "pytest_dura.plugin", "pytest_dura.plugin.event_hook",
     "pytest_dura.plugin.fixtures", "pytest_dura.plugin.option_values",
     "pytest_dura.plugin.options", "pytest_dura.plugin.short_fixtures",
+    "pytest_dura.plugin.waiting",
 }  # fmt: skip
 OTHERS = ["-p", "no:hypothesispytest", "-p", "no:allure_pytest", "-p", "no:xdist"]
 PLAIN = """

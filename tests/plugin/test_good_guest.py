@@ -32,24 +32,29 @@ WRONG = {
         "@pytest.mark.falsify('x', 'y')\ndef test_wrong(): pass",
         "*the marker falsify searches nothing*",
     ),
+    "unknown requirement": (
+        "@pytest.mark.requirement('GAPP-1')\ndef test_wrong(run_episode): pass",
+        "*the requirement 'GAPP-1' has no text",
+    ),
     "misspelt": (
         "@pytest.mark.requirment('X-1')\ndef test_wrong(run_episode): pass",
         "*there is no marker 'requirment', so that it would do nothing",
     ),
     "unittest": (
-        "class TestCase(unittest.TestCase):\n    @pytest.mark.dura(scenario='corridor/free')\n"
-         "    def test_wrong(self): pass",
+        """class TestCase(unittest.TestCase):
+    @pytest.mark.dura(scenario='corridor/free')
+    def test_wrong(self): pass
+""",
         "the marker dura runs nothing here: a test of unittest.TestCase*",
     ),
 }
-MODES = {"plain": [], "n2": ["-n", "2"]}
 
 
-@pytest.mark.parametrize("mode", MODES.values(), ids=MODES)
-@pytest.mark.parametrize("wrong, message", WRONG.values(), ids=WRONG)
-def test_a_wrong_marker_fails_its_test_alone(project, wrong, message, mode):
-    if mode and not wrong.startswith("@pytest.mark.dura(scenario='corridor/fre')"):
-        pytest.skip("one test with workers is enough")
+@pytest.mark.parametrize(
+    "name, mode", [*((name, []) for name in WRONG), ("unknown scenario", ["-n", "2"])]
+)
+def test_a_wrong_marker_fails_its_test_alone(project, name, mode):
+    wrong, message = WRONG[name]
     project.write("test_it.py", f"{PLAIN}\n{wrong}\n")
     result = project.run("test_it.py", "-W", "ignore::pytest.PytestUnknownMarkWarning", *mode)
     result.assert_outcomes(passed=2, errors=1)

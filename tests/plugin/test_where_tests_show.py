@@ -168,6 +168,6 @@ def test_pycharm_gets_a_relative_file_a_line_from_0_and_a_name(project):
         file, line, name = location
         assert isinstance(location, tuple)
         assert (type(file), type(line), type(name)) == (str, int, str)
-        assert not os.path.isabs(file)
+        assert not Path(file).is_absolute()
         assert 0 <= line < len(path.read_text().splitlines())
         assert name == nodeid
