@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean, error_at
-from pytest_dura.plugin.messages import error_text, failure_text
+from pytest_dura.plugin.messages import error_text, failure_text, indent_if_reserved
 from pytest_dura.plugin.options import LONG_NAMES
 
 if TYPE_CHECKING:
@@ -330,7 +330,8 @@ def _errors_at(definition: pytest.Item) -> Iterator[None]:
             raise pytest.Collector.CollectError(error_text(error)) from None
         file, line, _ = definition.location
         located = error_at(error, file=file, line=None if line is None else line + 1)
-        raise RefusedMarkerError(error_text(located)) from None
+        lines = error_text(located).split("\n")
+        raise RefusedMarkerError("\n".join(map(indent_if_reserved, lines))) from None
 
 
 def _check_use(definition: pytest.Item, looked_at: Sequence[str]) -> None:
