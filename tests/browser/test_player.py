@@ -405,6 +405,16 @@ def test_the_ego_of_the_same_seed_is_a_shadow(with_twin):
     page.get_by_role("checkbox", name="without faults").check()
 
 
+def test_without_a_time_of_a_violation_it_opens_before_the_first_difference(opened):
+    trace = crossing()
+    page = ready(opened(player_page(trace, VERDICTS[1:], twins=[twin()])))
+    assert tick(page) == 0  # it is less than 3 s from the beginning
+    gap = trace.signals["gap"] + (np.arange(TICKS) >= 34)
+    late = replace(trace, signals={**trace.signals, "gap": gap})
+    page = ready(opened(player_page(trace, VERDICTS[1:], twins=[Twin("faults", late)])))
+    assert tick(page) == 4
+
+
 def test_the_first_difference_is_marked_and_said(with_twin):
     page = with_twin
     told = page.get_by_role("region", name="Same seed").inner_text()

@@ -219,15 +219,15 @@ def test_everything_is_reached_by_keys_alone(opened, html):
     page.keyboard.press("j")
     page.keyboard.press("j")
     focused = "document.activeElement.textContent"
-    assert page.evaluate(focused) == "SAF-1"
+    assert page.evaluate(focused) == "PERF-1"
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
     page.keyboard.press("k")
-    assert page.evaluate(focused) == "PERF-1"
+    assert page.evaluate(focused) == "SAF-1"
     page.keyboard.press("Enter")
-    page.wait_for_url("**#requirement-PERF-1")
+    page.wait_for_url("**#requirement-SAF-1")
     page.locator("#verdicts:not(.opened)").wait_for(state="hidden")
     page.keyboard.press("j")
-    page.wait_for_url("**#requirement-SAF-1")
+    page.wait_for_url("**#requirement-PERF-1")
     page.keyboard.press("Escape")
     page.wait_for_url("**#requirements")
     page.keyboard.press("/")

@@ -24,6 +24,7 @@ from pytest_dura.reports.contents import (
     verdict_anchor,
     verdict_key,
 )
+from pytest_dura.reports.incidents import KINDS
 from pytest_dura.reports.role_tables import (
     ATTACK_COLUMNS,
     MONITOR_COLUMNS,
@@ -100,7 +101,8 @@ def requirement_section(
             "folded": _folded_verdicts(folded.pop(requirement.id, [])),
         }
         for requirement in sorted(
-            record.head.requirements, key=lambda own: ranks.get(own.id, len(WORST_FIRST))
+            record.head.requirements,
+            key=lambda own: (ranks.get(own.id, len(WORST_FIRST)), KINDS.index(own.kind)),
         )
     ]
     others = [

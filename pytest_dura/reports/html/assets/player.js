@@ -29,9 +29,10 @@ class Player {
         if (event.target === document.body && this.node.isConnected) pressed(this, event);
       });
     }
-    const found = violations(episode);
-    const {tick} = turningPoint(episode);
-    this.seek(found.length ? episode.tickAt(episode.time[tick] - LEAD) : 0);
+    // A violation of a comparison has no time: what counts there is where the twins part.
+    const tick = violations(episode).length ? turningPoint(episode).tick
+      : Math.min(...this.twins.list.map(({difference}) => difference?.[0] ?? Infinity));
+    this.seek(Number.isFinite(tick) ? episode.tickAt(episode.time[tick] - LEAD) : 0);
   }
 
   build({level = 2}) {
