@@ -1,21 +1,29 @@
 """The same episodes by this process, by a pool of two processes, and by two workers of Dask.
 
 Run: python benchmarks/executors.py [--runs 10] [--repeats 3] [--select GLOB]
+     python benchmarks/executors.py --sessions PAIRS [--runs 15] [--select GLOB]
 
 The built-in scenarios with so many runs each, one after the other through an episode store, as a
 session asks for them. The executors take turns, the quickest time of each counts, and what it takes
 to start them is told apart: processes import once what they need. Digests are compared.
+
+With ``--sessions``, whole sessions of pytest in pairs, in turns first: in one process, and as
+``--dura-executor=auto`` chooses. Seconds and digests are those of the whole process.
 """
 
 from __future__ import annotations
 
 import argparse
 import fnmatch
+import json
 import logging
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median
 
 from machine import machine, table
 
@@ -70,12 +78,56 @@ def compare(executions: dict[str, Execution], wanted: Sequence[EpisodeTask], rep
     print(table(headers, rows))
 
 
+def session(executor: str, folder: Path, options: argparse.Namespace) -> tuple[float, list[str]]:
+    """Seconds of a session as a process, and the digests of its episodes."""
+    command = [
+        sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--dura-scenarios",
+        f"--dura-select={options.select}", f"--dura-runs={options.runs}",
+        f"--dura-executor={executor}", f"--dura-evidence={folder / executor}",
+    ]  # fmt: skip
+    start = time.perf_counter()
+    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    seconds = time.perf_counter() - start
+    record = json.loads((folder / executor / "evidence.json").read_text())
+    chosen = record["execution"]["executor"]
+    if ended.returncode > 1 or chosen != {"auto": "processes"}.get(executor, executor):
+        raise SystemExit(f"{executor}: {chosen}\n{ended.stdout}{ended.stderr}")
+    return seconds, [f"{each['id']} {each['digest']}" for each in record["episodes"]]
+
+
+def compare_sessions(options: argparse.Namespace) -> None:
+    """Run pairs of sessions, and print the times and their ratio."""
+    names = ("in-process", "auto")
+    times: dict[str, list[float]] = {name: [] for name in names}
+    with tempfile.TemporaryDirectory() as folder:
+        for pair in range(options.sessions):
+            digests = {}
+            for name in names if pair % 2 == 0 else reversed(names):
+                seconds, digests[name] = session(name, Path(folder), options)
+                times[name].append(seconds)
+            if digests["auto"] != digests["in-process"]:
+                raise SystemExit("auto: other episodes")
+    ratios = [alone / auto for alone, auto in zip(*times.values(), strict=True)]
+    rows = [
+        [f"{number}", *(f"{times[name][number - 1]:.2f}" for name in names), f"{ratio:.2f}"]
+        for number, ratio in enumerate(ratios, 1)
+    ]
+    medians = [f"{median(times[name]):.2f}" for name in names]
+    rows.append(["median", *medians, f"**{median(ratios):.2f}**"])
+    print(table(["pair", "in-process, s", "auto, s", "times faster"], rows))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--select", default="*")
+    parser.add_argument("--sessions", type=int, metavar="PAIRS")
     options = parser.parse_args()
+    if options.sessions:
+        print(f"Measured on: {machine()}\n")
+        compare_sessions(options)
+        return
 
     import distributed
 

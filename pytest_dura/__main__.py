@@ -1,4 +1,4 @@
-"""``python -m pytest_dura``: what is done with evidence, cassettes, episodes and detectors."""
+"""``python -m pytest_dura``: new projects; evidence, cassettes, episodes, detectors."""
 
 from __future__ import annotations
 
@@ -34,6 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="python -m pytest_dura", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
+    init = commands.add_parser(
+        "init", help="make a project: a planner, a scenario, a requirement, a CI file"
+    )
+    init.add_argument("directory", metavar="DIR", type=Path, help="a new or an empty directory")
     verify = commands.add_parser(
         "verify", help="check that a bundle is whole and agrees with itself"
     )
@@ -152,6 +156,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ConfigurationError as error:
         print(visible(str(error), _MAX_LENGTH), file=sys.stderr)
         return _USAGE_ERROR
+
+
+def _init(options: argparse.Namespace) -> int:
+    from pytest_dura.new_project import write_project
+
+    files = write_project(options.directory)
+    _print_any_file_name()
+    for file in files:
+        print(f"written: {one_line(str(options.directory / file), _MAX_LENGTH)}")
+    print("run `pytest` there")
+    return 0
 
 
 def _add_training(parser: argparse.ArgumentParser) -> None:
@@ -445,6 +460,7 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
+    "init": _init,
     "verify": _verify,
     "sign": _sign,
     "cassette": _use_cassette,

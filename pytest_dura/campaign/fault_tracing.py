@@ -107,7 +107,9 @@ class FaultTracer:
         runner = self.runner
         tasks = {run: runner.task(case, run) for run in runs}
         due = [run for run in runs if key_of(tasks[run]) not in self._reported]
-        upcoming = UpcomingTasks(len(due), lambda step: [runner.twin(case, tasks[due[step]].spec)])
+        if not runner.store.execution.inside:
+            self._fetch_twins(case, [tasks[run] for run in due])
+        upcoming = UpcomingTasks(len(due), lambda step: self._twins(case, tasks[due[step]]))
         with runner.progress(case, TWINS_SUBJECT, len(due)) as reach:
             for step, run in enumerate(due):
                 upcoming.reach(step)
@@ -117,13 +119,34 @@ class FaultTracer:
                 chains = self.chains(case, episode, upcoming)
                 runner.events.emit(FaultsTraced(case, episode, chains))
 
+    def _fetch_twins(self, case: Case, tasks: Sequence[EpisodeTask]) -> None:
+        """Let other processes simulate all twins first: then it is known which are repeated."""
+        store = self.runner.store
+        compared = [task for task in tasks if self._has_twin(store.get(task))]
+        twins = [self.runner.twin(case, task.spec) for task in compared]
+        for number, twin in enumerate(twins, 1):
+            store.get(twin, twins[number:])
+
+    def _has_twin(self, episode: JudgedEpisode) -> bool:
+        """Whether an episode is compared with its twin."""
+        return self.runner.twins and any(
+            fault.manifested_at is not None for fault in episode.faults
+        )
+
+    def _twins(self, case: Case, task: EpisodeTask) -> list[EpisodeTask]:
+        """The twin of an episode, and its repetition where it is known to be needed."""
+        twin = self.runner.twin(case, task.spec)
+        first, second = (self.runner.store.memory.find(each) for each in (task, twin))
+        if first is None or second is None or Divergence.of(first, second).at is None:
+            return [twin]
+        return [twin, twin.repeated()]
+
     def chains(
         self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()
     ) -> list[CausalChain]:
         """See :meth:`pytest_dura.runner.Runner.chains`; ``ahead`` are tasks that come next."""
         runner, requirements = self.runner, self.runner.requirements_of(case)
-        reached = any(fault.manifested_at is not None for fault in episode.faults)
-        if not (runner.twins and reached):
+        if not self._has_twin(episode):
             return causal_chains(episode, requirements)
         task = runner.twin(case, episode.spec)
 

@@ -80,9 +80,12 @@ class ExecutionEntry(Entry):
 
     executor: str
     """Its registered name. `in-process`: the processes of pytest, or of pytest-xdist. `processes`:
-    processes of the same machine. `dask`: the workers of a Dask cluster."""
+    processes of the same machine. `dask`: the workers of a Dask cluster. `auto` in a session that
+    did not come to its end: one of the first two."""
     processes: Positive | None
     """How many processes of the same machine; null for another executor."""
+    chosen: Absent[str] = None
+    """Why `--dura-executor=auto` chose it; absent where an executor was named."""
     llm_concurrency: Absent[Positive] = None
     """Requests to language models that each process of the session made at the same time, at most,
     for episodes that it simulated at once in threads; absent where it was one after the other."""

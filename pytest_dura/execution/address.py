@@ -12,6 +12,7 @@ import json
 import platform
 import sys
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from pathlib import Path
@@ -244,6 +245,20 @@ def describe_machine() -> dict[str, str]:
 def machine_json() -> bytes:
     """JSON of :func:`describe_machine`, as another process calls for it."""
     return json.dumps(describe_machine()).encode()
+
+
+def preload(paths: Sequence[str]) -> bytes:
+    """Import what episodes will need in the process in which this is called.
+
+    Args:
+        paths: Import paths of simulators and roles; what cannot be imported is passed over, since
+            the first episode that needs it says so.
+    """
+    describe_machine()
+    for path in paths:
+        with suppress(Exception):  # importing runs the code of users
+            RoleSpec(path).resolve()
+    return b""
 
 
 @cache

@@ -107,7 +107,7 @@ class ExecutorChoice:
         if text in (None, "in-process"):
             return cls()
         name, colon, argument = str(text).partition(":")
-        form, remedy = ", ".join(EXECUTORS), did_you_mean(name, EXECUTORS)
+        form, remedy = ", ".join(["auto", *EXECUTORS]), did_you_mean(name, EXECUTORS)
         if name in EXECUTORS:
             kind = EXECUTORS[name]
             form, remedy = kind.form, f"for example {KEY}=processes:4"
@@ -170,6 +170,19 @@ class InProcess(ExecutorKind):
         return InProcessExecutor()
 
 
+@dataclass
+class Retreat:
+    """Retreat of an execution into this process, where its executor fails.
+
+    Args:
+        reason: Why; ``None`` as long as the executor simulates.
+        was_needless: Whether the executor has not been given an episode.
+    """
+
+    reason: str | None = None
+    was_needless: bool = True
+
+
 @dataclass(frozen=True)
 class Execution:
     """Executor of episodes.
@@ -185,6 +198,8 @@ class Execution:
     name: str = "in-process"
     executor: Executor = field(default_factory=InProcessExecutor)
     seconds: float = MAX_SECONDS
+    retreat: Retreat | None = None
+    """What lets this process take over from an executor that no user named."""
     here: Counter[tuple[str, str]] = field(default_factory=Counter, compare=False)
     threads: Executor | None = None
     """Takes the episodes whose component asks a language model, if there is such an executor."""
@@ -192,7 +207,7 @@ class Execution:
     @property
     def width(self) -> int:
         """How many episodes the executor works on at the same time, by now."""
-        return int(getattr(self.executor, "width", 1))
+        return 1 if self.inside else int(getattr(self.executor, "width", 1))
 
     def width_of(self, task: EpisodeTask) -> int:
         """How many episodes like this it works on at the same time, by now.
@@ -210,7 +225,8 @@ class Execution:
     @property
     def inside(self) -> bool:
         """Whether this process simulates, apart from its threads one episode at a time."""
-        return isinstance(self.executor, InProcessExecutor)
+        gave_way = self.retreat is not None and self.retreat.reason is not None
+        return gave_way or isinstance(self.executor, InProcessExecutor)
 
     def _executor_of(self, task: EpisodeTask) -> Executor | None:
         """Who simulates an episode; ``None`` for this thread."""
@@ -234,6 +250,8 @@ class Execution:
         if executor is None or executor is self.threads:
             return (executor or InProcessExecutor()).submit(self.run_here, task)
         conditions = None if address is None else asdict(address)
+        if self.retreat is not None:
+            self.retreat.was_needless = False
         return executor.submit(
             simulate,
             json.dumps(task.to_json()),

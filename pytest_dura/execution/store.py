@@ -8,7 +8,7 @@ import time
 import weakref
 import zlib
 from collections import OrderedDict, defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field, fields, replace
 from threading import Event
@@ -98,6 +98,11 @@ class EpisodeMemory:
         episode = self._read(key, task.spec)
         self._put(key, episode, elsewhere=False)
         return episode
+
+    def holds(self, task: EpisodeTask) -> bool:
+        """Whether :meth:`find` returns an episode, which is not read for that."""
+        key = key_of(task)
+        return key in self._pinned or key in self._recent or key in self._spilled
 
     def put(self, task: EpisodeTask, episode: JudgedEpisode, *, elsewhere: bool) -> None:
         """Take in an episode.
@@ -224,6 +229,8 @@ MAX_WAIT = IN_FLIGHT * MAX_SECONDS
 is simulated here. The other process may have begun another one before it."""
 _SECONDS_TO_PUT = 60.0
 """Seconds to wait until the cache has an episode; then it is this process's alone."""
+_MAX_CERTAIN = 256
+"""Episodes of later items that are under way, or wait to be taken, at most."""
 _FIRST_WAIT, _LONGEST_WAIT = 0.001, 0.05
 
 
@@ -243,6 +250,8 @@ class _Flight:
     claim: Claim | None
     future: Future[Any]
     changed: tuple[str, ...] | None = None
+    is_certain: bool = False
+    """Whether a later item needs it, whatever becomes of the present campaign."""
     cached: bool = False
     broken: DescriptorsClosedError | None = None
     put: Event = field(default_factory=Event)
@@ -284,6 +293,22 @@ class EpisodeStore:
         """Whether an episode closed files of this process; see :class:`DescriptorsClosedError`."""
         self._addresses = Addresses()
         self._flights: dict[str, _Flight] = {}
+        self._certain: Iterator[EpisodeTask] = iter(())
+        self._has_plan = False
+        self._repetitions: dict[EpisodeKey, Future[Any]] = {}
+
+    def plan(self, tasks: Iterable[EpisodeTask]) -> None:
+        """Begin these as well where the tasks ahead of an episode leave an executor idle.
+
+        Args:
+            tasks: Tasks that later items need in any case, in their order; iterated once.
+        """
+        self._certain, self._has_plan = iter(tasks), True
+
+    @property
+    def lacks_plan(self) -> bool:
+        """Whether it would begin what later items need, if it knew that."""
+        return not (self._has_plan or self.execution.inside)
 
     def get(self, task: EpisodeTask, ahead: Iterable[EpisodeTask] = ()) -> JudgedEpisode:
         """An episode, simulated unless it is in memory or in the cache.
@@ -299,6 +324,8 @@ class EpisodeStore:
         episode = self.memory.find(task)
         if episode is None:
             episode = self._new(task, ahead)
+        else:
+            self._begin_certain()
         episode.evaluate_also_by(self.second_engine)
         return episode
 
@@ -313,6 +340,16 @@ class EpisodeStore:
         self.memory.put(task, episode, elsewhere=cached)
         return episode
 
+    def begin_repeats(self, tasks: Iterable[EpisodeTask]) -> None:
+        """Begin what :meth:`repeat` will be called for, as far as other processes simulate it."""
+        for task in map(_repetition, tasks):
+            if task.portable and not (self.execution.inside or task.asks_model):
+                self._repetitions[key_of(task)] = self._submit_repetition(task)
+
+    def _submit_repetition(self, task: EpisodeTask) -> Future[Any]:
+        address = self._address(task) if self.execution.width_of(task) else None
+        return self.execution.submit(task, address)
+
     def repeat(self, task: EpisodeTask) -> JudgedEpisode:
         """An episode simulated once more, to be compared with itself; it is kept nowhere.
 
@@ -322,12 +359,17 @@ class EpisodeStore:
         Raises:
             ConfigurationError: If a part of it cannot be built.
         """
-        task = replace(task.repeated(), recorded=False)
-        address = self._address(task) if self.execution.width_of(task) else None
+        task = _repetition(task)
+        future = self._repetitions.pop(key_of(task), None) or self._submit_repetition(task)
+        self._begin_certain()
         try:
-            result = self.execution.submit(task, address).result()
+            result = future.result()
         except ProcessLostError as error:
             result = missing_episode(task.spec, str(error))
+        except (CallFailedError, ConfigurationError) as error:
+            if not self._retreats(error):
+                raise
+            result = self.execution.submit(task).result()
         return JudgedEpisode.of(unpack(result, task.spec) if isinstance(result, bytes) else result)
 
     def holds(self, task: EpisodeTask) -> bool:
@@ -340,14 +382,15 @@ class EpisodeStore:
         return address is not None and self.cache.has(address)
 
     def cancel(self) -> None:
-        """Give up the episodes that were begun ahead."""
-        for flight in list(self._flights.values()):
-            flight.future.cancel()  # one that runs already ends by itself, and is kept
-        self._flights.clear()
+        """Give up the episodes that were begun ahead, apart from what later items need."""
+        for name, flight in list(self._flights.items()):
+            if not flight.is_certain:
+                flight.future.cancel()  # one that runs already ends by itself, and is kept
+                del self._flights[name]
 
     def close(self) -> None:
         """Give up the episodes that were begun ahead, and end the executor."""
-        self.cancel()
+        self._give_up()
         self.execution.close()
 
     def _shared(
@@ -364,7 +407,13 @@ class EpisodeStore:
                 flight = self._begin(task, address, wait=time.monotonic() < end)
             if flight is not None:
                 self._begin_ahead(ahead)
-                return self._land(flight)
+                self._begin_certain()
+                try:
+                    return self._land(flight)
+                except (CallFailedError, ConfigurationError) as error:
+                    if not self._retreats(error):
+                        raise
+                    continue
             # Another process has claimed it.
             if not self._begin_ahead(ahead, most=1):
                 time.sleep(wait)
@@ -417,6 +466,42 @@ class EpisodeStore:
         )
         return future
 
+    def _begin_certain(self) -> None:
+        """Begin what later items need, as long as an executor has room for it."""
+        if self.execution.inside:
+            return
+        flights = self._flights.values()
+        room = IN_FLIGHT * self.execution.width - sum(not each.future.done() for each in flights)
+        room = min(room, _MAX_CERTAIN - sum(each.is_certain for each in flights))
+        while room > 0 and (task := next(self._certain, None)) is not None:
+            # A language model is asked where its answers are counted, and when they are needed.
+            address = self._address(task) if task.portable and not task.asks_model else None
+            if address is None or self.memory.holds(task):
+                continue
+            flight = self._flights.get(address.name)
+            if flight is None and not (self.cache is not None and self.cache.has(address)):
+                flight = self._begin(task, address)
+                room -= 1
+            if flight is not None:
+                flight.is_certain = True
+
+    def _retreats(self, error: DuraError) -> bool:
+        """Whether this process simulates from now on, since an executor that nobody named fails."""
+        retreat = self.execution.retreat
+        if retreat is None or retreat.reason is not None:
+            return False
+        retreat.reason = str(error).partition("\n")[0]
+        self._give_up()
+        self.lost = False
+        return True
+
+    def _give_up(self) -> None:
+        """Give up all episodes that were begun ahead."""
+        for flight in self._flights.values():
+            flight.is_certain = False
+        self._certain = iter(())
+        self.cancel()
+
     def _begin_ahead(self, ahead: Iterable[EpisodeTask], most: int | None = None) -> bool:
         """Begin the next episodes, as far as there is room for them; returns whether any began.
 
@@ -429,7 +514,7 @@ class EpisodeStore:
             width = self.execution.width_of(task)
             if not width and not self.execution.inside:
                 continue
-            room = IN_FLIGHT * width - len(self._flights) if width else (most or 0) - here
+            room = IN_FLIGHT * width - self._begun_ahead() if width else (most or 0) - here
             if room <= 0:
                 break
             address = self._address(task)
@@ -451,6 +536,10 @@ class EpisodeStore:
                 here += 1
             begun += 1
         return begun > 0
+
+    def _begun_ahead(self) -> int:
+        """How many episodes are under way that only the present campaign may need."""
+        return sum(not each.is_certain for each in self._flights.values())
 
     def _put(self, flight: _Flight) -> None:
         """Put an episode into the cache, if there is one, and release the claim."""
@@ -506,6 +595,10 @@ class EpisodeStore:
         text = f"episodes cannot be shared with other processes, nor with a later session: {reason}"
         if text not in self.problems:
             self.problems.append(text)
+
+
+def _repetition(task: EpisodeTask) -> EpisodeTask:
+    return replace(task.repeated(), recorded=False)
 
 
 def _descriptors_closed(task: EpisodeTask) -> DescriptorsClosedError:

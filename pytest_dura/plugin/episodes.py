@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.evidence.text import counted
@@ -24,7 +24,7 @@ from pytest_dura.plugin.messages import safe_lines, typed_path
 from pytest_dura.plugin.outcomes import target_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping
+    from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping, Sequence
 
     import numpy as np
     import pytest
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.execution.cache import EpisodeCache
     from pytest_dura.execution.executors import Execution, ExecutorChoice
+    from pytest_dura.execution.processes import ProcessPool
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.plugin.context import SessionContext
@@ -50,7 +51,8 @@ class SessionExecutor:
     """Simulates the episodes of this process, itself or through an executor.
 
     Args:
-        choice: Who simulates, if it is not this process itself.
+        choice: Who simulates, if it is not this process itself; ``auto`` leaves it to
+            :meth:`choose`.
         threads: How many requests to language models are made at once, for episodes in threads.
         is_worker: Whether this is a worker of pytest-xdist.
         collect_only: Whether nothing is run.
@@ -58,16 +60,24 @@ class SessionExecutor:
 
     def __init__(
         self,
-        choice: ExecutorChoice | None,
+        choice: ExecutorChoice | Literal["auto"] | None,
         *,
         threads: int = 1,
         is_worker: bool,
         collect_only: bool,
     ) -> None:
-        self._choice, self._threads = choice, threads
+        self._automatic = choice == "auto"
+        self._choice = None if choice == "auto" else choice
+        self._chosen: str | None = None
+        """Why this executor simulates, where no option names it, once it is known."""
+        self._is_notable = False
+        self._begun: ProcessPool | None = None
+        """Processes that were started before it was known whether they are needed."""
+        self._threads = threads
         self._is_worker, self._collect_only = is_worker, collect_only
         self._execution: Execution | ConfigurationError | None = None
         self._simulated_here: Counter[tuple[str, str]] = Counter()
+        self._warnings: list[str] = []
 
     def execution(self) -> Execution:
         """Return what simulates, made at the first call.
@@ -76,11 +86,17 @@ class SessionExecutor:
             ConfigurationError: If it cannot be used; the same one at every call.
         """
         if self._execution is None:
-            from pytest_dura.execution.executors import Execution
+            from pytest_dura.execution.executors import Execution, Retreat
 
             try:
                 chosen = self._choice
-                self._execution = Execution() if chosen is None else chosen.execution()
+                begun, self._begun = self._begun, None
+                if begun is not None and chosen is not None:
+                    self._execution = Execution(chosen.name, begun, chosen.seconds)
+                else:
+                    self._execution = Execution() if chosen is None else chosen.execution()
+                if self._automatic:
+                    self._execution = replace(self._execution, retreat=Retreat())
                 if self._threads > 1:
                     from pytest_dura.execution.threads import EpisodeThreads
 
@@ -100,6 +116,60 @@ class SessionExecutor:
         """
         if self._choice is not None and not self._is_worker:
             self._choice.connect()
+
+    def choose(self, context: SessionContext, items: Sequence[pytest.Item]) -> None:
+        """Choose an executor, where no option names it, once all is collected.
+
+        Args:
+            context: The session's context.
+            items: Those that will ask for episodes.
+        """
+        if not self._automatic or self._chosen is not None:
+            return
+        from pytest_dura.plugin.automatic_executor import choose_for_items
+
+        choice = choose_for_items(context, items)
+        self._chosen, self._is_notable = choice.reason, choice.is_notable
+        if choice.processes is not None:
+            from pytest_dura.execution.executors import ExecutorChoice
+
+            self._choice = ExecutorChoice.parse(f"processes:{choice.processes}")
+            self._execution = None
+        if self._choice is None or self._choice.processes != self._begun_processes:
+            self._end_begun()
+
+    def begin_early(self, context: SessionContext) -> None:
+        """Let processes import what they need while this one collects, if it will choose them.
+
+        Args:
+            context: The session's context, with its plan.
+        """
+        if not (self._automatic and context.plan) or self._is_worker or self._collect_only:
+            return
+        from pytest_dura.plugin.automatic_executor import expected_executor
+
+        choice = expected_executor(context)
+        if choice is None or choice.processes is None:
+            return
+        from pytest_dura.execution.address import preload
+        from pytest_dura.execution.processes import ProcessPool
+
+        cases = [planned.case for planned in context.plan]
+        roles = [role for case in cases for role in case.roles({}).values()]
+        simulators = [case.scenario.simulator_spec() for case in cases]
+        paths = sorted({each.path for each in [*roles, *simulators] if each is not None})
+        pool = self._begun = ProcessPool(choice.processes)
+        for _ in range(choice.processes):
+            pool.submit(preload, paths)
+
+    @property
+    def _begun_processes(self) -> int | None:
+        return None if self._begun is None else self._begun.width
+
+    def _end_begun(self) -> None:
+        begun, self._begun = self._begun, None
+        if begun is not None:
+            begun.shutdown(wait=False, cancel_futures=True)
 
     def start(self) -> None:
         """Start the executor once all is collected: processes inherit what is imported by then.
@@ -121,15 +191,38 @@ class SessionExecutor:
 
     def close(self) -> None:
         """Cancel what is under way, and end the processes that simulate."""
+        self._end_begun()
         execution, self._execution = self._execution, None
         if execution is not None and not isinstance(execution, ConfigurationError):
             self._simulated_here += execution.here
             execution.close()
+            self._note_retreat(execution)
+
+    def _note_retreat(self, execution: Execution) -> None:
+        """Note that this process simulated though processes had been chosen, and why."""
+        if not self._automatic or self._choice is None:
+            return
+        if execution.retreat is not None and execution.retreat.reason is not None:
+            self._chosen = f"auto: processes failed: {execution.retreat.reason}"
+            self._warnings.append(
+                "warning: episodes were simulated in pytest's own process, since another one "
+                f"failed: {execution.retreat.reason}"
+            )
+        elif execution.here and execution.retreat is not None and execution.retreat.was_needless:
+            _, reason = execution.here.most_common(1)[0][0]
+            self._chosen = f"auto: {reason}"
+        else:
+            return
+        self._choice = None
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``execution``."""
         choice = self._choice
-        many = {} if self._threads == 1 else {"llm_concurrency": self._threads}
+        many: dict[str, Any] = {} if self._threads == 1 else {"llm_concurrency": self._threads}
+        if self._automatic:
+            if self._chosen is None:  # nothing is collected yet
+                return {"executor": "auto", "processes": None, **many}
+            many["chosen"] = self._chosen
         if choice is None:
             return {"executor": "in-process", "processes": None, **many}
         return {"executor": choice.name, "processes": choice.processes, **many}
@@ -137,15 +230,28 @@ class SessionExecutor:
     def header(self) -> list[str]:
         """Header lines, if another process or several threads simulate."""
         choice, lines = self._choice, []
-        if choice is not None and choice.kind is not None:
+        if choice is not None and choice.kind is not None and not self._automatic:
             lines.append(f"dura: episodes are simulated {choice.kind.where}")
         if self._threads > 1:
             lines.append(f"dura: at most {self._threads} requests to language models at once")
         return lines
 
+    def chosen(self, *, verbose: bool) -> list[str]:
+        """Line on what was chosen where no option names it, if it is of interest.
+
+        Args:
+            verbose: Whether it is in any case.
+        """
+        if not self._automatic or self._chosen is None:
+            return []
+        kind = None if self._choice is None else self._choice.kind
+        where = "in pytest's own process" if kind is None else kind.where
+        text = f"dura: episodes are simulated {where} ({self._chosen})"
+        return [text] if verbose or self._is_notable else []
+
     def notes(self) -> list[str]:
-        """Lines on episodes that were simulated here although an executor was given."""
-        return [
+        """Lines on episodes that were simulated here although an executor was chosen."""
+        return self._warnings + [
             f"{counted(number, 'episode')} of {component} simulated in pytest's own process: {why}"
             for (component, why), number in sorted(self._counts().items())
         ]
@@ -290,6 +396,15 @@ class SharedEpisodes:
             self.cache, self._executor.execution(), second_engine=self._formulas.second_engine
         )
         return self._store
+
+    def executor_chosen(self) -> None:
+        """Let a store that was made before the executor was chosen use it.
+
+        Raises:
+            ConfigurationError: If it cannot be used.
+        """
+        if self._store is not None:
+            self._store.execution = self._executor.execution()
 
     @property
     def is_broken(self) -> bool:
@@ -518,6 +633,9 @@ class Repeats:
             nextitem is not None and _case_id_of(nextitem) == _case_id_of(item) != ""
         ):
             return
+        if not self._shared.context.is_worker:  # there another process may repeat it
+            due_tasks = [due.task for due in self._due.values() if due.skip_reason is None]
+            self._runner().store.begin_repeats(due_tasks)
         for (case, component), due in list(self._due.items()):
             repeated = self._repeated(due)
             self._done.add((case, component))

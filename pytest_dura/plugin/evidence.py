@@ -408,6 +408,7 @@ class SessionEvidence:
         warn_undecided = self.context.options.warn_undecided
         header = {
             **self.record.header,
+            "execution": self._executor.to_json(),
             "selection": self._selection.to_json(),
             "shard": self._shard_json(),
             **self._formulas.to_json(),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
@@ -229,7 +229,7 @@ class SessionHooks:
         earlier = bool(node_ids) and (self.session.options.evidence / "evidence.json").exists()
         foreign = (lacks_case(item) and self._refusal_of(item) is None for item in own_items)
         if earlier or not all(foreign):
-            self.session.begin_evidence()
+            self.session.begin_evidence(own_items)
             if self.session.is_worker:
                 self.session.begin_progress()
         if self.session.evidence.record is not None:
@@ -239,13 +239,19 @@ class SessionHooks:
             self.session.evidence.given.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
 
-    def pytest_report_collectionfinish(self) -> list[str]:
-        """Name the requirements that nothing uses."""
+    def pytest_report_collectionfinish(self, items: Sequence[pytest.Item]) -> list[str]:
+        """Name the requirements that nothing uses, and who simulates."""
+        lines = []
+        if self.session.plan and (own_items := list(filter(uses_runner, items))):
+            # The terminal may get here before `pytest_collection_finish` of this class.
+            self.session.executor.choose(self.session, own_items)
+            verbose = self.session.config.get_verbosity() > 0
+            lines = self.session.executor.chosen(verbose=verbose)
         if not self.session.unused:
-            return []
+            return lines
         from pytest_dura.plugin.terminal import unused_requirements
 
-        return unused_requirements(self.session)
+        return lines + unused_requirements(self.session)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:

@@ -11,6 +11,7 @@ import json
 import os
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterable, Iterator, Mapping, MutableMapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
     from pytest_dura.evidence.sessions import ShardUnit
+    from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import Planned, SessionContext
     from pytest_dura.plugin.option_values import Shard
@@ -134,6 +136,8 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
 
     context, planned = request.node.context, request.node.planned
     requirement = context.library().requirements[request.node.name]
+    if dura_orchestrator.store.lacks_plan:
+        dura_orchestrator.store.plan(_later_tasks(dura_orchestrator, request.node))
     campaign = dura_orchestrator.campaign(planned.case, requirement=requirement)
     try:
         verdict = campaign.judge(requirement)
@@ -153,6 +157,38 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
     if verdict.verdict == "undecided" and context.options.warn_undecided:
         pytest.skip(message)
     pytest.fail(message, pytrace=False)
+
+
+def _later_tasks(runner: Runner, item: ScenarioItem) -> Iterator[EpisodeTask]:
+    """Yield the tasks that scenario items need in any case, from one of them on.
+
+    All of them see the same roles, those of the root conftest. Where runs end early, nobody knows
+    which will be needed.
+    """
+    from pytest_dura.campaign.events import EventStream
+
+    items = item.session.items
+    known = runner.library().requirements
+    # It keeps these roles while a test function has others.
+    runner = replace(runner, events=EventStream(), counterexamples=None)
+    seen: set[tuple[str, int]] = set()
+    for later in items[items.index(item) :]:
+        if not isinstance(later, ScenarioItem):
+            continue
+        requirement = known[later.name]
+        campaign = runner.campaign(later.planned.case, requirement=requirement)
+        try:
+            cases = [campaign.case]
+            if campaign.judge_of(requirement, None).sequential:
+                continue
+            if requirement.paired is not None:
+                cases.append(campaign.paired(requirement.paired.without).case)
+            cases = [case for case in cases if (case.id, campaign.planned) not in seen]
+            seen |= {(case.id, campaign.planned) for case in cases}
+            tasks = [runner.task(case, run) for run in range(campaign.planned) for case in cases]
+        except ConfigurationError:  # the item itself reports it
+            continue
+        yield from tasks
 
 
 _MOST_LISTED = 20

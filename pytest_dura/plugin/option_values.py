@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 if TYPE_CHECKING:
     import pytest
@@ -336,7 +336,7 @@ def llm_retries(setting: Setting) -> int:
     problem, remedy = "", f"for example {setting.key}=3"
     if number > _MOST_RETRIES:
         problem = "repeats a request too often"
-    elif setting.other("--dura-executor") not in (None, "in-process"):
+    elif setting.other("--dura-executor") not in (None, AUTO, "in-process"):
         problem = "reaches this process alone, and the episodes are simulated in others"
         remedy = f"leave it out, and set DURA_LLM_RETRIES={number} where they run"
     if problem:
@@ -353,10 +353,14 @@ def llm_retries(setting: Setting) -> int:
 _TIMEOUT_OPTION = "--dura-episode-timeout"
 
 
+AUTO: Final = "auto"
+"""Value of ``--dura-executor`` that chooses among the others once all is collected."""
+
+
 def executor_limit(setting: Setting) -> float:
     """Read the limit of an episode in another process, which needs one."""
     limit = seconds(setting)
-    if setting.other("--dura-executor") in (None, "in-process"):
+    if setting.other("--dura-executor") in (None, AUTO, "in-process"):
         raise _unusable(
             f"{setting.key} is held by ending the process that simulates, and that is pytest's own",
             key=setting.key,
@@ -368,7 +372,7 @@ def executor_limit(setting: Setting) -> float:
     return limit
 
 
-def executor_choice(setting: Setting) -> ExecutorChoice | None:
+def executor_choice(setting: Setting) -> ExecutorChoice | Literal["auto"] | None:
     """Read who simulates; ``None`` for this process.
 
     Raises:
@@ -377,6 +381,8 @@ def executor_choice(setting: Setting) -> ExecutorChoice | None:
     text, option = setting.value, setting.key
     if text == "in-process":
         return None
+    if text == AUTO:
+        return AUTO
     from dataclasses import replace
 
     from pytest_dura.execution.executors import ExecutorChoice

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast, overload
 import pytest
 
 from pytest_dura.plugin.option_values import (
+    AUTO,
     BUILTIN_DOMAIN,
     Setting,
     Shard,
@@ -343,12 +344,13 @@ class Options:
         repeated_in=("rerun",),
         changes_episodes=True,
     )
-    executor: Option[ExecutorChoice | None] = Option(
+    executor: Option[ExecutorChoice | Literal["auto"] | None] = Option(
         "--dura-executor",
-        "who simulates: in-process, processes or processes:N on this machine, the workers of a "
-        "Dask cluster, dask://HOST:PORT, or another executor that is registered",
+        "who simulates: auto, which takes processes where they pay; in-process; processes or "
+        "processes:N on this machine; the workers of a Dask cluster, dask://HOST:PORT; or another "
+        "executor that is registered",
         executor_choice,
-        default="in-process",
+        default=AUTO,
         metavar="EXECUTOR",
         example="processes:4",
         details="See [who simulates](executors.md).",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from math import isinf
 from pathlib import Path
@@ -207,20 +207,26 @@ class DuraSession(SessionContext):
             self.roles.check()
             self.make_plan()
             self.models.resolve_parameters()
+            self.executor.begin_early(self)
             self.evidence.given.read()
             self.formulas.check()
             if self.active:
                 self.executor.connect()
                 self.evidence.start()
 
-    def begin_evidence(self) -> None:
+    def begin_evidence(self, items: Sequence[pytest.Item]) -> None:
         """Begin the record of a session that runs episodes.
+
+        Args:
+            items: Those that will ask for episodes.
 
         Raises:
             pytest.UsageError: If it cannot be written.
         """
         self.extend_import_path()
         with usage_errors():
+            self.executor.choose(self, items)
+            self.shared.executor_chosen()
             self.evidence.start()
             self.executor.start()
 

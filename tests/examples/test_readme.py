@@ -1,6 +1,7 @@
 """The README runs as printed: its files are written, its commands run, their output is compared.
 
-The two commands that begin with a virtual environment are what `.ci/run` runs.
+The two commands that begin with a virtual environment are what `.ci/run` runs
+(`tests/packaging/test_habits.py`).
 """
 
 from __future__ import annotations

@@ -19,6 +19,10 @@ PROMPTS = REPOSITORY / "pytest_dura" / "llm" / "driving" / "templates"
 TEMPLATES = sorted(
     file.relative_to(PROMPTS).as_posix() for file in PROMPTS.rglob("*") if file.is_file()
 )
+NEW_PROJECT = REPOSITORY / "pytest_dura" / "project_template"
+PROJECT_FILES = sorted(
+    file.relative_to(NEW_PROJECT).as_posix() for file in NEW_PROJECT.rglob("*") if file.is_file()
+)
 TEST = """
 def test_by_hand(orchestrator):
     assert orchestrator.run("intersection/nominal", seed=1).ever("cleared")
@@ -100,10 +104,12 @@ def test_the_wheel_holds_what_users_need_and_nothing_else(wheel: Path) -> None:
         "pytest_dura/scenarios/requirements.yaml",
         *(f"pytest_dura/scenarios/intersection/{name}.yaml" for name in SCENARIOS),
         *(f"pytest_dura/llm/driving/templates/{name}" for name in TEMPLATES),
+        *(f"pytest_dura/project_template/{name}" for name in PROJECT_FILES),
         f"{metadata}/licenses/LICENSE",
         f"{metadata}/entry_points.txt",
     }
     assert len(SCENARIOS) >= 6
+    assert {"dot_github/workflows/dura.yml.in", "planner.py.in"} <= set(PROJECT_FILES)
     assert {"system.j2", "few_shot.yaml", "paraphrased/system.j2"} <= set(TEMPLATES)
     assert needed <= names
     assert {name.split("/")[0] for name in names} == {"pytest_dura", metadata}

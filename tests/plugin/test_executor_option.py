@@ -22,7 +22,7 @@ def told(project):
 def test_a_pool_of_processes_leaves_the_same_record(project):
     project.scenarios()
     plain = told(project)
-    assert project.evidence().execution.to_json() == {"executor": "in-process", "processes": None}
+    assert project.evidence().execution.executor == "in-process"
     before = psutil.Process(os.getpid()).children()
     result = project.scenarios("--dura-executor=processes:2")
     result.stdout.fnmatch_lines(["dura: episodes are simulated in 2 processes"])

@@ -287,3 +287,16 @@ def test_other_names_are_refused(text):
     with pytest.raises(ConfigurationError, match="no such executor") as refused:
         ExecutorChoice.parse(text)
     assert refused.value.found == text
+
+
+def test_what_later_items_need_is_begun_and_survives_the_end_of_a_campaign(bench, store):
+    tasks = [bench.task(bench.case("room/shaky"), run) for run in range(10)]
+    assert store.lacks_plan
+    store.plan(tasks)
+    assert not store.lacks_plan
+    store.get(tasks[0])
+    log = Path(bench.simulator.params["log"])
+    until(lambda: len(begun(log)) >= 2 * IN_FLIGHT)  # nobody has asked for them yet
+    store.cancel()
+    seeds = [store.get(task).spec.seed for task in tasks]
+    assert begun(log) == sorted(seeds) == sorted(task.spec.seed for task in tasks)  # each once

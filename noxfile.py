@@ -1,0 +1,102 @@
+"""What is checked, by `nox` or by `nox --session NAME`; `.ci/run` and the workflows call the same.
+
+Each session makes an environment of its own; `nox --no-venv --no-install` takes the one that nox
+runs in, which then has the extra `dev`.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import nox
+
+nox.needs_version = ">=2024.4.15"
+nox.options.sessions = ["lint", "types", "tests"]
+nox.options.error_on_missing_interpreters = False
+
+PYTHONS = ["3.10", "3.11", "3.12", "3.13", "3.14"]
+EVIDENCE = "dura-evidence"
+
+
+@nox.session(python=PYTHONS)
+def tests(session: nox.Session) -> None:
+    """Run the tests on every core; what follows `--` is handed on to pytest."""
+    session.install("-e", ".[dev]")
+    session.run("pytest", "-n", "auto", "--dist", "worksteal", *session.posargs)
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Look at style, form and the directions of imports."""
+    session.install("-e", ".[dev]")
+    session.run("ruff", "check", ".")
+    session.run("ruff", "format", "--check", ".")
+    session.run("lint-imports")
+
+
+@nox.session
+def types(session: nox.Session) -> None:
+    """Check the types."""
+    session.install("-e", ".[dev]")
+    session.run("mypy")
+
+
+@nox.session
+def gate(session: nox.Session) -> None:
+    """Run the built-in scenarios with two engines for formulas, and verify their evidence."""
+    session.install("-e", ".[dev]")
+    session.run("pytest", "--dura-scenarios", "-o", "dura_stl_engine=both", *session.posargs)
+    session.run("python", "-m", "pytest_dura", "verify", EVIDENCE)
+
+
+@nox.session
+def docs(session: nox.Session) -> None:
+    """Build the site; a broken link or reference is an error."""
+    session.install("-e", ".[docs]")
+    session.run("mkdocs", "build", "--strict", *session.posargs)
+
+
+@nox.session
+def package(session: nox.Session) -> None:
+    """Build into `dist`, and use the wheel in an environment that has nothing else."""
+    session.install("build", "twine")
+    shutil.rmtree("dist", ignore_errors=True)
+    session.run("python", "-m", "build")
+    built = sorted(Path("dist").resolve().iterdir())
+    session.run("twine", "check", "--strict", *map(str, built))
+    (wheel,) = (file for file in built if file.suffix == ".whl")
+
+    # Elsewhere, since pytest finds the settings of any folder above.
+    with tempfile.TemporaryDirectory() as folder:
+        _use(session, wheel, Path(folder).resolve())
+
+
+def _use(session: nox.Session, wheel: Path, folder: Path) -> None:
+    """Install a wheel where nothing else is, run the built-in scenarios, and begin a project."""
+    session.run("python", "-m", "venv", str(folder / "venv"))
+    scripts = "Scripts" if (folder / "venv" / "Scripts").is_dir() else "bin"
+    python = str(folder / "venv" / scripts / "python")
+
+    def run(*arguments: str) -> None:
+        session.run(python, "-m", *arguments, external=True)
+
+    run("pip", "install", "--quiet", str(wheel))
+    with session.chdir(folder):
+        run("pytest", "--dura-scenarios")
+        run("pytest_dura", "verify", EVIDENCE)
+        run("pytest_dura", "init", "project")
+    with session.chdir(folder / "project"):
+        run("pytest")
+
+
+@nox.session
+def benchmarks(session: nox.Session) -> None:
+    """Run each benchmark in its smallest setting, or the one named, such as `-- loop_cost.py`."""
+    session.install("-e", ".[dev]")
+    if session.posargs:
+        script, *options = session.posargs
+        session.run("python", f"benchmarks/{script}", *options)
+    else:
+        session.run("pytest", "-n", "auto", "tests/benchmarks")

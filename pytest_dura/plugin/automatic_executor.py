@@ -1,0 +1,127 @@
+"""What ``--dura-executor=auto`` chooses: processes where they pay, or pytest's own process."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pytest_dura.evidence.text import counted
+from pytest_dura.plugin.items import ScenarioItem
+from pytest_dura.plugin.roles import conftest_files
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pytest
+
+    from pytest_dura.plugin.context import Planned, SessionContext
+
+MIN_EPISODES = 40
+"""Planned episodes from which on processes pay: a process takes about as long to start as eight
+episodes of ten seconds in traffic take."""
+_EPISODES_PER_PROCESS = 20
+_MOST_PROCESSES = 8
+"""pytest's own process judges about so many episodes in the time in which each simulates one."""
+
+
+def expected_executor(context: SessionContext) -> AutomaticChoice | None:
+    """Choose who will simulate before anything is collected, where that is known by then.
+
+    A file of tests or a ``conftest.py`` may change the import path, the roles, and what is run.
+    """
+    arguments = context.config.args_source is context.config.ArgsSource.ARGS
+    others = set(context.config.args) - set(context.own_arguments) if arguments else set()
+    if not context.plan or others or conftest_files(context.config):
+        return None
+    return choose_executor(context, context.plan)
+
+
+def choose_for_items(context: SessionContext, items: Sequence[pytest.Item]) -> AutomaticChoice:
+    """Choose who simulates once all is collected.
+
+    Args:
+        context: The session's context.
+        items: Those that will ask for episodes.
+    """
+    scenario_items = [item for item in items if isinstance(item, ScenarioItem)]
+    cases = {item.planned.case.id: item.planned for item in scenario_items}
+    return choose_executor(context, list(cases.values()), others=len(scenario_items) < len(items))
+
+
+@dataclass(frozen=True)
+class AutomaticChoice:
+    """Who simulates a session that names no executor.
+
+    Args:
+        processes: How many processes; ``None`` for pytest's own.
+        reason: Why.
+        is_notable: Whether somebody who waits for the session wants to know.
+    """
+
+    processes: int | None
+    reason: str
+    is_notable: bool = True
+
+
+def choose_executor(
+    context: SessionContext, plan: Sequence[Planned], *, others: bool = False
+) -> AutomaticChoice:
+    """Choose who simulates.
+
+    Args:
+        context: The session's context.
+        plan: The cases that scenario items look at.
+        others: Whether other items ask for episodes, too.
+    """
+    if context.is_worker or getattr(context.config.option, "numprocesses", None):
+        return AutomaticChoice(None, "auto: pytest-xdist's workers simulate", is_notable=False)
+    from pytest_dura.execution.processes import usable_cores
+
+    runs = context.options.runs
+    episodes = sum(runs or planned.case.scenario.planned for planned in plan)
+    cores = usable_cores()
+    size = f"auto: {counted(episodes, 'episode')} on {counted(cores, 'core')}"
+    if episodes < MIN_EPISODES:
+        less = f"auto: {counted(episodes, 'episode')}, processes pay from {MIN_EPISODES} on"
+        return AutomaticChoice(None, less, is_notable=False)
+    if cores < 2:
+        return AutomaticChoice(None, size, is_notable=False)
+    obstacle = _obstacle(context, others=others)
+    if obstacle is not None:
+        return AutomaticChoice(None, f"auto: {obstacle}")
+    return AutomaticChoice(min(cores, _MOST_PROCESSES, episodes // _EPISODES_PER_PROCESS), size)
+
+
+def _obstacle(context: SessionContext, *, others: bool) -> str | None:
+    """Return what of the session keeps its episodes in pytest's own process."""
+    config = context.config
+    option = config.option
+    obstacles = {
+        "--pdb or --trace is on": option.usepdb or getattr(option, "trace", False),
+        "-s shows what components print": option.capture == "no",
+        "a debugger, profiler or coverage measurement is on": _is_traced(),
+        "a filter turns warnings into errors": _warnings_fail(config),
+        "a cassette of a language model is of this process": context.options.llm != "live",
+        "test functions ask for episodes, and may change what is simulated": others,
+    }
+    return next((obstacle for obstacle, is_there in obstacles.items() if is_there), None)
+
+
+def _is_traced() -> bool:
+    """Whether something looks at what this process executes, and would miss what others do."""
+    if sys.gettrace() is not None or sys.getprofile() is not None:
+        return True
+    tools = getattr(sys, "monitoring", None)  # from Python 3.12 on
+    return tools is not None and any(tools.get_tool(number) for number in range(6))
+
+
+def _warnings_fail(config: pytest.Config) -> bool:
+    """Whether a warning is an error, which a component in another process would not meet."""
+    filters = [
+        *config.getini("filterwarnings"),
+        *(config.option.pythonwarnings or []),
+        *sys.warnoptions,
+    ]
+    actions = (text.partition(":")[0].strip() for text in filters)
+    return any(action and "error".startswith(action) for action in actions)
