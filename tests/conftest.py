@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from forked_workers import ForkedWorkers
 
-pytest_plugins = ["pytester"]
+pytest_plugins = ["pytester", "chromium"]
 
 # Dozens of tests start a Python: with this set, each would compile the package anew.
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):

@@ -1,7 +1,7 @@
 """Entry: base of the models of the evidence record, and the types of their fields.
 
 The models are the single description of ``evidence.json``: its JSON Schema and the tables of
-``docs/evidence.md`` are generated from them, with the docstrings of fields as descriptions.
+``docs/record.md`` are generated from them, with the docstrings of fields as descriptions.
 """
 
 from __future__ import annotations

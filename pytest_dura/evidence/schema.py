@@ -1,7 +1,7 @@
 """Checks of a record by its models, and the JSON Schema and tables generated from them.
 
 ``python -m pytest_dura.evidence.schema`` writes ``evidence.schema.json``, which lies beside this
-module and in every bundle, and the tables of ``docs/evidence.md``.
+module and in every bundle, and the tables of ``docs/record.md``.
 """
 
 from __future__ import annotations
@@ -321,7 +321,7 @@ def _tidy(part: Any) -> Any:
     return tidy
 
 
-PAGE = "evidence.md"
+PAGE = "record.md"
 TABLES_BEGIN = "<!-- Written by `python -m pytest_dura.evidence.schema`; do not edit. -->"
 TABLES_END = "<!-- Here the written part ends. -->"
 _HIDDEN_DEFINITIONS = ("attempt",)

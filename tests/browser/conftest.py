@@ -2,38 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-
 import pytest
-
-FLAGS = (
-    "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-quic",
-    "--disable-component-update", "--disable-sync", "--no-first-run",
-)  # fmt: skip
-
-
-def _absent(what):
-    """Skips, or fails where a browser is required, as in CI."""
-    if os.environ.get("DURA_REQUIRE_BROWSER") == "1":
-        pytest.fail(f"DURA_REQUIRE_BROWSER=1, but {what}")
-    pytest.skip(what)
-
-
-@pytest.fixture(scope="session")
-def browser():
-    """Debian's Chromium, headless."""
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        _absent("playwright is not installed")
-    executable = shutil.which("chromium") or shutil.which("chromium-browser")
-    if executable is None:
-        _absent("there is no chromium on the path")
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=executable, args=list(FLAGS))
-        yield started
-        started.close()
+from chromium import absent
 
 
 @pytest.fixture(scope="session")
@@ -42,7 +12,7 @@ def axe():
     try:
         from axe_playwright_python.sync_playwright import Axe
     except ImportError:
-        _absent("axe-playwright-python is not installed")
+        absent("axe-playwright-python is not installed")
     return Axe()
 
 

@@ -6,53 +6,16 @@ The two commands that begin with a virtual environment are what `.ci/run` runs
 
 from __future__ import annotations
 
-import itertools
-import re
 import shlex
 import subprocess
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
+from printed import blocks_of, is_shown
 
 README = Path(__file__).parents[2] / "README.md"
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SMALL = ["--dura-select=intersection/nominal", "--dura-runs=1"]
 """A command of the README whose output is not shown runs on this much."""
-
-
-class Block(NamedTuple):
-    language: str
-    text: str
-
-    @property
-    def file(self) -> str:
-        """Name of the file that it is, by its first line; empty where it is none."""
-        first = self.text.partition("\n")[0]
-        return first.removeprefix("# ") if self.language == "python" else ""
-
-
-def readme_blocks() -> list[Block]:
-    return [Block(*match.groups()) for match in FENCE.finditer(README.read_text("utf-8"))]
-
-
-def is_shown(expected: list[str], lines: list[str]) -> bool:
-    """Whether lines are as expected, where a line ``...`` stands for any lines, or for the rest."""
-    at = 0
-    for cut, group in itertools.groupby(expected, "...".__eq__):
-        if cut:
-            continue
-        block = list(group)
-        starts = range(at, len(lines) - len(block) + 1)
-        found = [i for i in starts if all(map(is_line, block, lines[i : i + len(block)]))]
-        if not found:
-            return False
-        at = found[0] + len(block)
-    return expected[-1] == "..." or at == len(lines)
-
-
-def is_line(expected: str, line: str) -> bool:
-    return line.startswith(expected[:-3]) if expected.endswith("...") else line == expected
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +42,7 @@ def run(folder, forked_workers):
 
 
 def test_every_file_and_command_of_the_readme_does_what_it_shows(folder, run):
-    blocks = readme_blocks()
+    blocks = blocks_of(README)
     ran = 0
     for block in blocks:
         if block.file:

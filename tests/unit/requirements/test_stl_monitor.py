@@ -266,7 +266,7 @@ def test_it_flags_a_ghost_and_the_requirement_of_the_same_words_is_satisfied() -
 
 
 def test_the_documented_example_runs_in_the_driving_domain() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "requirements.md").read_text("utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "formulas.md").read_text("utf-8")
     (example,) = re.findall(r"`(stl_monitor: {path: stl, .*}})`", page)
     given = yaml.safe_load(example)
     scenario = {
