@@ -114,7 +114,7 @@ def fixtures_page() -> str:
         "",
         "Override one that is named after a role in a `conftest.py` to swap that role. What",
         "`episode` and `campaign` give stands in the [Python API](api.md#episodes). Each has a",
-        "long and a short name; [a setting](../guest.md#names-of-fixtures) leaves the short ones out.",
+        "long and a short name; [a setting](../guest.md#names-of-fixtures) leaves short ones out.",
         "",
         "| fixture | scope | what it is |",
         "|---|---|---|",
