@@ -142,7 +142,7 @@ def test_a_marker_with_a_budget_that_cannot_be_used_is_one_error(project, runs):
     scenario(project)
     project.write("test_it.py", TEST.format(runs=runs, rate="at_most=0.3"))
     result = project.run("test_it.py")
-    assert result.ret == 2
+    assert result.ret == 1
     result.stdout.fnmatch_lines(["*test_it.py:*: the marker dura cannot be used: wrong `runs`"])
 
 
