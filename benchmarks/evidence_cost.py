@@ -2,7 +2,8 @@
 
 Each level of evidence is a session of its own, in which the clock runs in whatever makes evidence
 and is held elsewhere, so that each share is a ratio within one run. Counted are what items tell,
-recording what a viewer shows, traces, the record, every format and the manifest.
+recording what a viewer shows, traces, the record, every format and the manifest. Episodes are
+simulated in the session's own process, where the clock sees what recording them takes.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ def session(level: str, directory: Path, options: list[str]) -> None:
     with contextlib.redirect_stdout(io.StringIO()):
         code = pytest.main(
             ["--dura-scenarios", f"--dura-evidence={directory}", f"--dura-evidence-level={level}",
-             "-p", "no:cacheprovider", "-q", *options],
+             "--dura-executor=in-process", "-p", "no:cacheprovider", "-q", *options],
             plugins=[Watch()],
         )  # fmt: skip
     seconds = perf_counter() - begun
