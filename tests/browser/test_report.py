@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+
 import pytest
 from hostile_records import HOSTILE, spoilt_record
 from report_pages import VIOLATING, record_with_trace
@@ -35,6 +37,35 @@ def shown(page):
     return [view.get_attribute("id") for view in page.locator(".view:visible").all()]
 
 
+@contextmanager
+def moves(page):
+    """Waits until the page has acted on the new address: the browser tells it later."""
+    page.evaluate("""() => {
+        const { dataset } = document.documentElement;
+        delete dataset.moved;
+        addEventListener("hashchange", () => { dataset.moved = "" }, { once: true });
+    }""")
+    yield
+    page.locator("html[data-moved]").wait_for()
+
+
+def go(page, anchor):
+    """Leads the page to another address than its present one."""
+    with moves(page):
+        page.evaluate("anchor => { location.hash = anchor }", anchor)
+
+
+def follow(page, link):
+    """Clicks a link to another address than the present one."""
+    with moves(page):
+        link.click()
+
+
+def go_back(page):
+    with moves(page):
+        page.go_back()
+
+
 def test_the_gate_is_seen_first_and_stays_in_sight(opened, html):
     page = opened(html)
     word = page.locator("header .gate-word")
@@ -61,33 +92,34 @@ def test_a_link_of_the_navigation_shows_its_view_alone_and_back_and_forward_work
     names = [link.get_attribute("href")[1:] for link in page.locator("nav a").all()]
     assert {"overview", "requirements", "cases", "episodes", "matrix", "files"} <= set(names)
     for name in names:
-        page.locator(f"nav a[href='#{name}']").click()
+        follow(page, page.locator(f"nav a[href='#{name}']"))
         assert shown(page) == [name]
         assert page.locator("nav a[aria-current]").get_attribute("href") == f"#{name}"
-    page.go_back()
+    go_back(page)
     assert shown(page) == [names[-2]]
-    page.go_forward()
+    with moves(page):
+        page.go_forward()
     assert shown(page) == [names[-1]]
 
 
 def test_one_requirement_is_seen_at_a_time_and_the_way_back_leads_to_it(opened, html):
     page = opened(html)
-    page.locator("nav a", has_text="Requirements").click()
+    follow(page, page.locator("nav a", has_text="Requirements"))
     entries = page.locator("#verdicts > tbody.entry:visible")
     assert entries.count() == 3
     assert rows(page) == []
-    page.get_by_role("link", name="SAF-1", exact=True).click()
+    follow(page, page.get_by_role("link", name="SAF-1", exact=True))
     assert entries.count() == 1
     assert len(rows(page)) == 2
     assert page.evaluate("location.hash") == "#requirement-SAF-1"
-    page.go_back()
+    go_back(page)
     assert (entries.count(), rows(page)) == (3, [])
     assert page.evaluate("document.activeElement.hash") == "#requirement-SAF-1"
 
 
 def test_the_filter_leaves_what_fits_in_the_list_and_in_an_entry(opened, html):
     page = opened(html)
-    page.locator("nav a", has_text="Requirements").click()
+    follow(page, page.locator("nav a", has_text="Requirements"))
     form = page.get_by_role("search", name="Filter the verdicts")
     count, entries = form.locator("output"), page.locator("#verdicts > tbody.entry:visible")
     form.get_by_label("Filter").fill("ghost")
@@ -95,7 +127,7 @@ def test_the_filter_leaves_what_fits_in_the_list_and_in_an_entry(opened, html):
     form.get_by_label("Verdict").select_option("violated")
     assert entries.count() == 1
     assert "1 of 2 fit" in entries.inner_text()
-    page.get_by_role("link", name="SAF-1", exact=True).click()
+    follow(page, page.get_by_role("link", name="SAF-1", exact=True))
     assert [row.split()[0] for row in rows(page)] == ["a/clear+ghost"]
     form.get_by_label("Filter").fill("Never collides")
     form.get_by_label("Verdict").select_option("supported")
@@ -114,7 +146,7 @@ def test_the_filter_leaves_what_fits_in_the_list_and_in_an_entry(opened, html):
 
 def test_episodes_are_filtered_by_validity_and_by_what_they_violate(opened, html):
     page = opened(html)
-    page.locator("nav a", has_text="Episodes").click()
+    follow(page, page.locator("nav a", has_text="Episodes"))
     form = page.get_by_role("search", name="Filter the episodes")
     entries = page.locator("#episode-list > tbody.entry:visible")
     form.get_by_label("Validity").select_option("missing")
@@ -138,7 +170,7 @@ def many_verdicts(count):
 
 def test_of_a_long_list_a_page_is_drawn_and_a_link_finds_its_own(opened):
     page = opened(render(many_verdicts(120)))
-    page.evaluate("location.hash = 'cases'")
+    go(page, "cases")
     entries = page.locator("#outcomes > tbody.entry:visible")
     pager = page.locator("#cases .pager").first
     assert entries.count() == 50
@@ -148,11 +180,11 @@ def test_of_a_long_list_a_page_is_drawn_and_a_link_finds_its_own(opened):
     assert "101 to 120 of 120" in pager.inner_text()
     assert entries.count() == 20
     anchor = verdict_anchor("SAF-1", "a/case77")
-    page.evaluate("anchor => { location.hash = anchor }", anchor)
+    go(page, anchor)
     assert page.locator(f"#{anchor}").is_visible()
     assert len(rows(page)) == 50
     assert page.evaluate("document.documentElement.scrollHeight") > 900
-    page.evaluate("location.hash = 'overview'")
+    go(page, "overview")
     assert page.evaluate("document.documentElement.scrollHeight") <= 6 * 900
 
 
@@ -168,12 +200,12 @@ def test_from_opening_the_page_to_the_frame_of_the_violation_it_is_one_click(ope
     page = opened(html)
     assert page.locator(".card .picture svg").first.is_visible()
     assert page.locator(".dura-player").count() == 0
-    page.get_by_role("link", name="▶ Play it").first.click()
+    follow(page, page.get_by_role("link", name="▶ Play it").first)
     page.locator(".dura-player").wait_for()
     assert shown(page) == ["episodes"]
     assert page.locator("details.player").get_attribute("open") is not None
     assert "SAF-1" in page.locator(".dura-player").inner_text()
-    page.wait_for_function("document.activeElement.className === 'dura-player'")
+    page.locator(".dura-player:focus").wait_for()
     page.keyboard.press("v")  # the second step on the way to the frame of the violation
     assert "at the violation of SAF-1" in page.locator(".dura-clock").inner_text()
     # The episode itself is open above it.
@@ -182,31 +214,31 @@ def test_from_opening_the_page_to_the_frame_of_the_violation_it_is_one_click(ope
 
 def test_a_counterexample_opens_its_player_again_and_again(opened, html):
     page = opened(html)
-    page.evaluate("location.hash = 'requirement-SAF-1'")
-    page.locator(".counterexamples a:visible", has_text=VIOLATING).click()
+    go(page, "requirement-SAF-1")
+    follow(page, page.locator(".counterexamples a:visible", has_text=VIOLATING))
     player = page.locator("details.player")
     assert player.get_attribute("open") is not None
     player.locator("summary").first.click()
     assert player.get_attribute("open") is None
-    page.go_back()
-    page.locator(".counterexamples a:visible", has_text=VIOLATING).click()
+    go_back(page)
+    follow(page, page.locator(".counterexamples a:visible", has_text=VIOLATING))
     assert player.get_attribute("open") is not None
 
 
 def test_an_address_with_a_player_opens_it(opened, html):
     page = opened(html)
     anchor = page.locator("details.player").get_attribute("id")
-    page.evaluate("anchor => { location.hash = anchor }", anchor)
+    go(page, anchor)
     page.locator(".dura-player").wait_for()
 
 
 def test_a_verdict_that_the_filter_hides_is_shown_when_a_link_leads_to_it(opened, html):
     page = opened(html)
-    page.evaluate("location.hash = 'requirements'")
+    go(page, "requirements")
     page.get_by_label("Filter", exact=True).first.fill("nothing like it")
     assert page.locator("#verdicts > tbody.entry:visible").count() == 0
-    page.evaluate("location.hash = 'matrix'")
-    page.locator("#cells a.plain", has_text="violated").first.click()
+    go(page, "matrix")
+    follow(page, page.locator("#cells a.plain", has_text="violated").first)
     assert len(rows(page)) == 1
     assert page.get_by_label("Filter", exact=True).first.input_value() == ""
 
@@ -237,7 +269,7 @@ def test_everything_is_reached_by_keys_alone(opened, html):
 
 def test_a_slash_leads_from_an_entry_to_the_filter(opened, html):
     page = opened(html)
-    page.evaluate("location.hash = 'requirement-SAF-1'")
+    go(page, "requirement-SAF-1")
     page.locator("#verdicts:not(.opened)").wait_for(state="hidden")
     page.keyboard.press("/")
     page.locator("#verdicts:not(.opened)").wait_for()
@@ -252,8 +284,7 @@ def test_axe_finds_nothing_in_any_view(opened, axe, html, scheme):
     names = [link.get_attribute("href")[1:] for link in page.locator("nav a").all()]
     problems = {}
     for name in [*names, "requirement-SAF-1", case_anchor("a/clear"), player]:
-        page.evaluate("name => { location.hash = name }", name)
-        page.wait_for_timeout(50)
+        go(page, name)
         for found in axe.run(page).response["violations"]:
             # A player has its own tests.
             nodes = [node["html"][:200] for node in found["nodes"]]
@@ -266,10 +297,10 @@ def test_nothing_is_wider_than_a_phone(opened, html, scheme):
     page = opened(html, **PHONE, color_scheme=scheme)
     names = [link.get_attribute("href")[1:] for link in page.locator("nav a").all()]
     for name in [*names, "requirement-SAF-1", case_anchor("a/clear")]:
-        page.evaluate("name => { location.hash = name }", name)
+        go(page, name)
         assert sideways(page) <= 0, name
-    page.evaluate("location.hash = 'overview'")
-    page.get_by_role("link", name="▶ Play it").first.click()
+    go(page, "overview")
+    follow(page, page.get_by_role("link", name="▶ Play it").first)
     page.locator(".dura-player").wait_for()
     assert sideways(page) <= 0
 
@@ -308,7 +339,7 @@ def test_every_text_can_be_read_in_light_and_dark(opened, html, scheme):
     red = int(ground.partition("(")[2].partition(",")[0])
     assert (red < 60) == (scheme == "dark")
     for name in [link.get_attribute("href") for link in page.locator("nav a").all()]:
-        page.evaluate("name => { location.hash = name }", name)
+        go(page, name)
         contrast, where = page.evaluate(CONTRAST)
         assert contrast >= 4.5, (name, where)
 
