@@ -11,7 +11,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 RENAMED = {"Bench": "Runner"}
 """Public names of version 0.1 and what they are now; they go with version 0.3."""
 

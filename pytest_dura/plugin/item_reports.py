@@ -351,9 +351,12 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
 def _description(item: pytest.Item, results: Sequence[ItemResult], events: Sequence[str]) -> str:
     """Write Markdown: the test's docstring, then each requirement with source and verdict."""
     given = item.get_closest_marker("allure_description")
-    # The function of a scenario item is ours, and says nothing of the user's.
-    function = None if hasattr(item, "planned") else getattr(item, "function", None)
-    own = given.args[0] if given else getattr(function, "__doc__", None)
+    if given:
+        own = given.args[0]
+    elif hasattr(item, "planned"):  # its function is ours, and says nothing of the user's
+        own = None
+    else:
+        own = item.function.__doc__ if hasattr(item, "function") else None
     parts = [inspect.cleandoc(own)] if own else []
     for result, sentence in zip(results, events, strict=True):
         requirement, outcome = result.requirement, result.outcome

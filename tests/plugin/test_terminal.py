@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from importlib.metadata import version
 
 import pytest
 from entries import make
@@ -176,4 +177,4 @@ def test_a_domain_without_measures_has_no_columns_of_them():
 
 def test_nothing_of_ours_without_anything_of_ours(project):
     project.write("test_plain.py", "def test_one(): pass\n")
-    assert "dura" not in project.run().stdout.str().replace("dura-0.1.0", "")
+    assert "dura" not in project.run().stdout.str().replace(f"dura-{version('pytest-dura')}", "")
