@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import signal
 import sys
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from forked_workers import ForkedWorkers
+from garbage import freeze
 
 pytest_plugins = ["pytester", "chromium"]
 
@@ -21,15 +21,13 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
     """What was imported and collected stays to the end: it is not searched for garbage again."""
-    gc.collect()
-    gc.freeze()
+    freeze()
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _few_objects_to_search():
     """What earlier modules left is not searched again by pytest, which collects often."""
-    gc.collect()
-    gc.freeze()
+    freeze()
 
 
 @pytest.fixture

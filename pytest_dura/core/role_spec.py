@@ -7,7 +7,7 @@ import inspect
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeGuard
 
 from pytest_dura.core.boundary import CallEnded, let_pass
 from pytest_dura.core.display import short_repr
@@ -15,6 +15,11 @@ from pytest_dura.core.errors import ConfigurationError, describe_error, import_e
 from pytest_dura.core.roles import Role
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.trust import check_buildable, check_function, check_import
+
+
+def is_routine(value: object) -> TypeGuard[Callable[..., Any]]:
+    """Whether it is a function or method; ``inspect`` counts partials, too, from Python 3.14 on."""
+    return inspect.isroutine(value) and hasattr(value, "__qualname__")
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class RoleSpec:
             return value
         if isinstance(value, str):
             return cls(value, dict(params or {}))
-        if inspect.isclass(value) or inspect.isroutine(value):
+        if inspect.isclass(value) or is_routine(value):
             path = f"{value.__module__}:{value.__qualname__}"
             home = sys.modules.get(value.__module__)
             if "<" in path or getattr(home, value.__qualname__, value) is not value:

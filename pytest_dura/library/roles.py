@@ -9,7 +9,7 @@ from typing import Any
 from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean, error_at
-from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.core.role_spec import RoleSpec, is_routine
 from pytest_dura.core.roles import STANDARD_ROLES, Generator, Role
 from pytest_dura.core.simulator import SIMULATORS, Simulator
 from pytest_dura.core.state import NOTHING
@@ -80,7 +80,7 @@ def role_of_fixture(role: str, value: Any, file: str | None = None) -> RoleSpec 
     if inspect.isclass(value):
         fits = issubclass(value, base)
     else:
-        fits = inspect.isroutine(value) or isinstance(value, base)
+        fits = is_routine(value) or isinstance(value, base)
     if not fits:
         raise ConfigurationError(
             f"what the fixture `{role}` returned is not a {base.__name__}",
@@ -93,7 +93,7 @@ def role_of_fixture(role: str, value: Any, file: str | None = None) -> RoleSpec 
         spec: RoleSpec = LocalRole(f"{file}:{value.__name__}", value)
     else:
         spec = RoleSpec.of(value)
-    if inspect.isroutine(value):
+    if is_routine(value):
         spec.factory(base)  # refused now, rather than by the first episode
     return spec
 

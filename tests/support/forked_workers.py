@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import gc
 import importlib
 import os
 import pickle
@@ -27,6 +26,7 @@ import sys
 import tempfile
 import threading
 from pathlib import Path
+from types import ModuleType
 from typing import NoReturn
 
 AVAILABLE = sys.platform == "linux"
@@ -187,6 +187,14 @@ def _leave(code: int) -> NoReturn:
     os._exit(code)
 
 
+def _run_script(path: str) -> None:
+    """As ``runpy.run_path``, but its module is also the one that its own processes call main."""
+    module = ModuleType("__main__")
+    module.__file__ = path
+    sys.modules["__main__"] = sys.modules["__mp_main__"] = module
+    exec(compile(Path(path).read_bytes(), path, "exec"), module.__dict__)
+
+
 def _run(client: int, arguments: list[str], address: str) -> None:
     """As Python runs a module or a script, and tell the client the exit code.
 
@@ -206,7 +214,7 @@ def _run(client: int, arguments: list[str], address: str) -> None:
             runpy.run_module(arguments[1], run_name="__main__", alter_sys=True)
         else:
             sys.path.insert(0, str(Path(arguments[0]).parent))
-            runpy.run_path(arguments[0], run_name="__main__")
+            _run_script(arguments[0])
         code = 0
     except SystemExit as end:
         if isinstance(end.code, str):
@@ -223,8 +231,9 @@ if __name__ == "__main__":
     before = list(sys.path)
     _run_a_session(sys.argv[2])
     signal.signal(signal.SIGCHLD, _reap)
-    gc.collect()
-    gc.freeze()  # a copy that searches what was there before for garbage copies all of it
+    from garbage import freeze  # it imports Hypothesis, which that session does itself
+
+    freeze()  # a copy that searches what was there before for garbage copies all of it
     address = sys.argv[1]
     client, arguments = _serve(address)
     if arguments:

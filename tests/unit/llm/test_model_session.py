@@ -372,7 +372,8 @@ def test_a_miss_is_counted_even_if_the_component_hides_it(recorded):
 def test_replay_opens_no_socket_and_needs_no_sdk(recorded):
     code = (
         "import socket, sys\n"
-        "socket.socket = None\n"
+        "def refuse(*_, **__): raise SystemExit('a socket was made')\n"
+        "socket.socket.__init__ = refuse\n"
         "from pathlib import Path\n"
         "from pytest_dura.llm.session import ModelSession\n"
         f"session = ModelSession('replay', Path({str(recorded)!r}))\n"
