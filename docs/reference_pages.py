@@ -1,12 +1,14 @@
 """Reference pages that the code declares; ``python docs/reference_pages.py`` writes them.
 
-Fixtures and markers as pytest shows them, the keys of files by the models that read them, and the
-names of the Python API, which mkdocstrings fills in when the site is built.
+Fixtures and markers as pytest shows them, built-in roles by their docstrings, the keys of files by
+the models that read them, and the names of the Python API, which mkdocstrings fills in when the
+site is built.
 """  # noqa: INP001 - a script, no package
 
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 import os
 import re
@@ -27,6 +29,7 @@ def reference_pages() -> Mapping[str, str]:
         "api.md": api_page(),
         "fixtures.md": fixtures_page(),
         "files.md": files_page(),
+        "roles.md": roles_page(),
     }
 
 
@@ -122,6 +125,48 @@ def fixtures_page() -> str:
     for name, scope, text in session_fixtures():
         lines.append(f"| `{name}` | {scope} | {text.replace('``', '`')} |")
     return "\n".join([*lines, ""])
+
+
+ARGUMENT = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+
+
+def roles_page() -> str:
+    """Return the page of the registered roles, as their docstrings describe them."""
+    from pytest_dura.domains import ROLES
+
+    lines = [
+        "# Built-in roles",
+        "",
+        "<!-- Written by `python docs/reference_pages.py`; do not edit. -->",
+        "",
+        "Scenarios name a role as `roles: {generator: tactical}`, with parameters as",
+        "`roles: {generator: {path: tactical, params: {period: 0.5}}}`; `--dura-generator` takes",
+        "the name of a Generator. Other packages [register](../extending.md) roles of their own.",
+    ]
+    title = ""
+    for name in sorted(ROLES, key=lambda name: name.split(".")[-2:]):
+        role, short = name.split(".")[-2:]
+        described, text = ROLES[name], inspect.getdoc(ROLES[name]) or ""
+        if not described.__module__.startswith("pytest_dura."):
+            continue
+        if role != title:
+            lines += ["", f"## {role}"]
+            title = role
+        lines += ["", f"### {role} {short}", "", plain(text.partition("\n\n")[0])]
+        meanings = dict(ARGUMENT.findall(text.partition("Args:\n")[2].partition("\n\n")[0]))
+        rows = [
+            f"| `{key}` | {default_text(parameter)} | {plain(meanings.get(key, ''))} |"
+            for key, parameter in inspect.signature(described).parameters.items()
+            if parameter.kind is not parameter.VAR_KEYWORD
+        ]
+        if rows:
+            lines += ["", "| parameter | default | meaning |", "|---|---|---|", *rows]
+    return "\n".join([*lines, ""])
+
+
+def default_text(parameter: inspect.Parameter) -> str:
+    """Return the default of a parameter as a cell of a table."""
+    return "required" if parameter.default is parameter.empty else f"`{parameter.default!r}`"
 
 
 FIXTURE = re.compile(r"^(\w+)(?: \[(\w+) scope\])? -- .*\n((?: {4}.*\n)+)", re.MULTILINE)

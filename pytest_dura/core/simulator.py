@@ -193,9 +193,10 @@ class Simulator(ABC):
     ``pytest_dura.core.simulator_conformance`` tests that, and the rest of this contract.
     """
 
-    instances: ClassVar[Literal["many", "one per process"]] = "many"
+    instances: ClassVar[Literal["many", "one per process", "one"]] = "many"
     """Whether several may live in one process. Of ``one per process`` the loop runs one episode at
-    a time, from building to closing; many processes simulate as many at a time."""
+    a time, from building to closing; many processes simulate as many at a time. Of ``one``, such as
+    a test rig, one process simulates: pytest's own."""
 
     deterministic: ClassVar[bool] = True
     """Whether equal scenarios, seeds and actions give equal ticks to the last bit. If not, a replay

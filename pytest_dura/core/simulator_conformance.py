@@ -74,7 +74,7 @@ class EpisodeRuns:
     @property
     def singly(self) -> bool:
         """Whether one instance at a time is alive."""
-        return self.kind.instances == "one per process"
+        return self.kind.instances != "many"
 
     def episode(self, simulator: Simulator, seed: int, at: int | None = None) -> CheckedEpisode:
         """Run one episode; rendered at tick ``at``, if given."""
@@ -321,7 +321,7 @@ def _check_built(  # noqa: PLR0917 - a private function with a single call
     built: list[Simulator] = []
 
     def fresh() -> Simulator:
-        if built and built[-1].instances == "one per process":
+        if built and built[-1].instances != "many":
             built.pop().close()
         simulator = build()
         if not isinstance(simulator, Simulator):
@@ -391,8 +391,9 @@ class _SimulatorKit:
 
     def _check_declarations(self) -> None:
         kind, breach = self.runs.kind, self.findings.breach
-        if kind.instances not in ("many", "one per process"):
-            breach(f"instances is {kind.instances!r}", 'say "many" or "one per process"')
+        if kind.instances not in ("many", "one per process", "one"):
+            remedy = 'say "many", "one per process" or "one"'
+            breach(f"instances is {kind.instances!r}", remedy)
         if not kind.deterministic and not kind.tolerances:
             breach("it is not deterministic, and declares no tolerances", _TOLERANT)
         for name, tolerance in kind.tolerances.items():

@@ -80,6 +80,8 @@ STREAMED_BYTES = 8 << 20
 """Bytes of a record above which its episodes are read one at a time."""
 RESUME_FOLDER = ".episodes"
 """Folder of the episodes that an interrupted session leaves to the next one."""
+PROGRESS_FOLDER = ".progress"
+"""Folder in which the workers of a session write how far they are."""
 _TOOL = re.compile(rb'"tool"\s*:\s*\{\s*"name"\s*:\s*"pytest-dura"')
 _HEAD_BYTES = 1 << 16
 
@@ -119,12 +121,12 @@ def check_directory(directory: Path) -> None:
 
 
 def _is_temporary(name: str) -> bool:
-    """Whether a file is a lock, a spool, an episode or a trace of an unfinished session."""
+    """Whether it is what an unfinished session leaves: lock, spool, episode, trace, progress."""
     first, _, rest = name.partition("/")
     if rest:
         if first == TRACE_FOLDER:
             return rest.startswith(".") or is_trace_name(rest)
-        return first == RESUME_FOLDER
+        return first in (RESUME_FOLDER, PROGRESS_FOLDER)
     return first == LOCK_FILE or first.startswith((*_temporary_prefixes(), SPOOL_PREFIX))
 
 

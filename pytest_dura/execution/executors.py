@@ -203,6 +203,8 @@ class Execution:
     here: Counter[tuple[str, str]] = field(default_factory=Counter, compare=False)
     threads: Executor | None = None
     """Takes the episodes whose component asks a language model, if there is such an executor."""
+    alone: bool = True
+    """Whether no other process of the session runs tests."""
 
     @property
     def width(self) -> int:
@@ -263,8 +265,17 @@ class Execution:
         """Simulate an episode in this process; counted in `here` where that is the exception.
 
         Raises:
-            ConfigurationError: If a part cannot be built.
+            ConfigurationError: If a part cannot be built, or other processes might use the
+                simulator, of which one instance exists.
         """
+        if task.simulator_is_single and not self.alone:
+            raise ConfigurationError(
+                "one instance of the simulator exists, and several processes run tests",
+                key="-n",
+                found=task.spec.simulator.path,
+                expected='a simulator whose `instances` is "many" or "one per process"',
+                remedy="run the session without -n",
+            )
         inside = self.inside or self._executor_of(task) is not None
         reason = None if inside else reason_not_portable(task)
         if reason is not None:

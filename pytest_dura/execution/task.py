@@ -27,7 +27,8 @@ from pytest_dura.requirements.model import Requirement
 def reason_not_portable(task: EpisodeTask) -> str | None:
     """Reason why no other process can simulate an episode; ``None`` if one can.
 
-    A component that asks a language model stays where its exchanges are counted and recorded.
+    A component that asks a language model stays where its exchanges are counted and recorded, and a
+    simulator of which one exists stays in one process.
     """
     return next(_reasons(task), None)
 
@@ -44,6 +45,8 @@ def _reasons(task: EpisodeTask) -> Iterator[str]:
             yield f"its {name} asks a language model"
         elif not _is_plain(part.params):
             yield f"the parameters of its {name} are no plain data"
+    if task.simulator_is_single:
+        yield "one instance of its simulator exists"
     for name, metric in task.metrics.items():
         if not _is_importable(metric):
             yield f"no import path leads to the metric {name}"
@@ -149,6 +152,11 @@ class EpisodeTask:
     def asks_model(self) -> bool:
         """Whether a role says in its parameters which language model it asks."""
         return any(stated_model(role) is not None for role in self.spec.roles.values())
+
+    @cached_property
+    def simulator_is_single(self) -> bool:
+        """Whether one instance of its simulator exists, so that one process must simulate."""
+        return getattr(simulator_class(self.spec.simulator), "instances", "many") == "one"
 
     @cached_property
     def portable(self) -> bool:

@@ -55,6 +55,7 @@ class SessionExecutor:
             :meth:`choose`.
         threads: How many requests to language models are made at once, for episodes in threads.
         is_worker: Whether this is a worker of pytest-xdist.
+        alone: Whether it is the only one, if it is a worker.
         collect_only: Whether nothing is run.
     """
 
@@ -64,8 +65,10 @@ class SessionExecutor:
         *,
         threads: int = 1,
         is_worker: bool,
+        alone: bool,
         collect_only: bool,
     ) -> None:
+        self._alone = alone
         self._automatic = choice == "auto"
         self._choice = None if choice == "auto" else choice
         self._chosen: str | None = None
@@ -97,6 +100,8 @@ class SessionExecutor:
                     self._execution = Execution() if chosen is None else chosen.execution()
                 if self._automatic:
                     self._execution = replace(self._execution, retreat=Retreat())
+                if not self._alone:
+                    self._execution = replace(self._execution, alone=False)
                 if self._threads > 1:
                     from pytest_dura.execution.threads import EpisodeThreads
 

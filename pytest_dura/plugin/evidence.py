@@ -235,10 +235,11 @@ class SessionEvidence:
         config = self.context.config
         if self.record is not None or self.context.is_worker or config.option.collectonly:
             return
-        from pytest_dura.evidence.bundle import begin_bundle, check_directory
+        from pytest_dura.evidence.bundle import PROGRESS_FOLDER, begin_bundle, check_directory
         from pytest_dura.evidence.files import DirectoryLock
         from pytest_dura.evidence.gather import RecordBuilder
         from pytest_dura.plugin.inputs import files_of_roles
+        from pytest_dura.plugin.progress import remove_files
         from pytest_dura.provenance import describe_environment, describe_tool
 
         options = self.context.options
@@ -269,6 +270,7 @@ class SessionEvidence:
                 options.evidence,
             )
             if not late:
+                remove_files(options.evidence / PROGRESS_FOLDER)
                 self._shared.begin()
             gate = Gate.running(warn_undecided=options.warn_undecided)
             begin_bundle(self._concluded("running", gate), traces=not late)

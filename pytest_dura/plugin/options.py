@@ -346,14 +346,14 @@ class Options:
     )
     executor: Option[ExecutorChoice | Literal["auto"] | None] = Option(
         "--dura-executor",
-        "who simulates: auto, which takes processes where they pay; in-process; processes or "
-        "processes:N on this machine; the workers of a Dask cluster, dask://HOST:PORT; or another "
-        "executor that is registered",
+        "where episodes are simulated: auto, which takes processes where they pay; in-process; "
+        "processes or processes:N on this machine; the workers of a Dask cluster, "
+        "dask://HOST:PORT; or another executor that is registered",
         executor_choice,
         default=AUTO,
         metavar="EXECUTOR",
         example="processes:4",
-        details="See [who simulates](executors.md).",
+        details="See [executors](executors.md).",
         same_in_shards=False,
     )
     role_timeout: Option[float] = Option(

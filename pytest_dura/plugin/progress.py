@@ -75,7 +75,6 @@ class Snapshots:
         return replace(progress, upper=known.upper, confidence=known.confidence)
 
 
-PROGRESS_FOLDER = ".progress"
 WRITE_INTERVAL = 0.25
 """Seconds after which a worker writes again."""
 _FILE_NAME = re.compile(r"([0-9a-f]{16})\.([A-Za-z0-9_-]{1,32})\.(json|tmp)")
@@ -259,11 +258,6 @@ class ProgressHooks:
         self._snapshots = Snapshots()
         self._own_progress: dict[str, Progress] = {}
         self._was_shown, self._due = True, 0.0
-
-    def begin(self) -> None:
-        """Remove what workers of a session left that was killed."""
-        if self._distributed:
-            remove_files(self._folder)
 
     def update(self, event: Progress) -> None:
         """Take in the progress of a campaign of this process."""

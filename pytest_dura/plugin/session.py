@@ -152,6 +152,7 @@ class DuraSession(SessionContext):
             options.executor,
             threads=options.llm_concurrency,
             is_worker=self.is_worker,
+            alone=getattr(config, "workerinput", {}).get("workercount", 1) == 1,
             collect_only=config.option.collectonly,
         )
         self.models = LanguageModels(self, self.roles)
@@ -243,7 +244,8 @@ class DuraSession(SessionContext):
     @cached_property
     def progress(self) -> WorkerFile | ProgressHooks | None:
         """Display of this process's progress, or a worker's file; ``None`` if nothing is shown."""
-        from pytest_dura.plugin.progress import PROGRESS_FOLDER, ProgressHooks, WorkerFile
+        from pytest_dura.evidence.bundle import PROGRESS_FOLDER
+        from pytest_dura.plugin.progress import ProgressHooks, WorkerFile
         from pytest_dura.plugin.progress_display import display_mode
 
         folder = self.options.evidence / PROGRESS_FOLDER
@@ -261,7 +263,9 @@ class DuraSession(SessionContext):
 
     def begin_progress(self) -> None:
         """Begin to show the progress of workers, or to write that of this worker."""
-        if self.progress is not None:
+        from pytest_dura.plugin.progress import WorkerFile
+
+        if isinstance(self.progress, WorkerFile):
             self.progress.begin()
 
     @cached_property

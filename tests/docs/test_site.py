@@ -139,7 +139,7 @@ def test_no_markup_of_another_language_is_shown(site):
     assert re.findall(r":[a-z]+:<code>|:[a-z]+:`|^:::.*", text, re.MULTILINE) == []
 
 
-@pytest.mark.parametrize("name", ["api.md", "fixtures.md", "files.md"])
+@pytest.mark.parametrize("name", ["api.md", "fixtures.md", "files.md", "roles.md"])
 def test_the_committed_reference_is_up_to_date(name, monkeypatch):
     monkeypatch.syspath_prepend(REPOSITORY / "docs")
     reference = importlib.import_module("reference_pages")

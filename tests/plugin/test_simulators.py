@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 
 import pytest
 
@@ -36,6 +37,10 @@ class Served(Corridor):
     @classmethod
     def close_process(cls):
         cls.note("close")
+
+
+class Rig(Served):
+    instances = "one"
 
 
 class Drafty(Corridor):
@@ -177,6 +182,33 @@ def test_a_class_is_opened_once_in_each_process_and_closed_at_its_end(simulators
     opened = [line for line in log.read_text().splitlines() if line.startswith("open")]
     assert 1 <= len(opened) == len(set(opened)) <= 2
     assert closed.replace("close", "open") not in opened  # this process simulates nothing
+
+
+@pytest.mark.parametrize("executor", ["auto", "processes:2"])
+def test_a_simulator_of_which_one_exists_is_opened_by_this_process_alone(
+    simulators, monkeypatch, executor
+):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    simulators.write("pytest.ini", "[pytest]\npythonpath = .\n")
+    given = ("--dura-simulator=simulators:Rig", "--dura-runs=20", f"--dura-executor={executor}")
+    result = simulators.scenarios(*given)
+    assert (simulators.path / "served.log").read_text().splitlines() == [
+        f"open {os.getpid()}",
+        f"close {os.getpid()}",
+    ]
+    reason = "one instance of its simulator exists"
+    result.stdout.fnmatch_lines([f"*simulated in pytest's own process: {reason}"])
+    assert simulators.verdict("GAP-1", "corridor/free").verdict == "supported"
+
+
+def test_workers_refuse_a_simulator_of_which_one_exists_before_they_open_it(simulators):
+    given = ("--dura-simulator=simulators:Rig", "-n", "2")
+    result = simulators.run_apart("--dura-scenarios", "--dura-select=corridor/free", *given)
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*one instance of the simulator exists, and several processes *"])
+    assert not (simulators.path / "served.log").exists()
+    simulators.run_apart("--dura-scenarios", "--dura-select=corridor/free", *given[:-1], "1")
+    assert simulators.verdict("GAP-1", "corridor/free").verdict == "supported"
 
 
 @pytest.mark.skipif(
