@@ -17,6 +17,7 @@ import argparse
 import fnmatch
 import json
 import logging
+import os
 import subprocess
 import sys
 import tempfile
@@ -85,8 +86,12 @@ def session(executor: str, folder: Path, options: argparse.Namespace) -> tuple[f
         f"--dura-select={options.select}", f"--dura-runs={options.runs}",
         f"--dura-executor={executor}", f"--dura-evidence={folder / executor}",
     ]  # fmt: skip
+    # As for whoever installed the package: its bytecode lies beside it.
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     start = time.perf_counter()
-    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        command, cwd=folder, env=kept, capture_output=True, text=True, check=False
+    )
     seconds = time.perf_counter() - start
     record = json.loads((folder / executor / "evidence.json").read_text())
     chosen = record["execution"]["executor"]
