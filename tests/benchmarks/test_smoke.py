@@ -33,6 +33,7 @@ SMALLEST = {
     "against_gym.py": ["--episodes", "1"],
     "hidden_violations.py": ["--campaigns", "3"],
     "injector_cost.py": ["--runs", "1", "--repeats", "1", "--select", "*/nominal"],
+    "install.py": ["--list"],
     "intersection_search.py": [
         *("--seeds", "1", "--budget", "1", "--jobs", "1"),
         *("--planners", "reactive", "--scenarios", "conflicting-traffic"),
@@ -97,6 +98,7 @@ HEADERS = {
     "fault_table.py": ["rule_based", "propagated"],
     "hidden_violations.py": ["counted as open"],
     "injector_cost.py": ["share of a tick"],
+    "install.py": ["asked for by"],
     "intersection_search.py": ["bang-bang"],
     "kills.py": ["simulated twice"],
     "llm_defects.py": ["runs that show it", "runs that accuse it"],
