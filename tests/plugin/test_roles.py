@@ -199,6 +199,11 @@ def test_a_bare_instance_is_said_in_terminal_and_evidence(project):
         ("None", "the generator cannot be switched off"),
         ("7", "what the fixture `generator` returned is not a Generator"),
         ("corridor.NoGenerator", "what the fixture `generator` returned is not a Generator"),
+        # From Python 3.14 on, `inspect` takes it for a function.
+        (
+            "__import__('functools').partial(corridor.Careful)",
+            "what the fixture `generator` returned is not a Generator",
+        ),
         ("corridor.Watch()", "what the fixture `generator` returned is not a Generator"),
     ],
 )
