@@ -23,6 +23,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.execution.codec import pack
 from pytest_dura.execution.task import EpisodeTask
+from pytest_dura.execution.worker import begin
 from pytest_dura.library.roles import LocalRole
 from pytest_dura.provenance import (
     describe_arithmetic,
@@ -255,10 +256,14 @@ def preload(paths: Sequence[str]) -> bytes:
             the first episode that needs it says so.
     """
     describe_machine()
+    _import(paths)
+    return b""
+
+
+def _import(paths: Iterable[str]) -> None:
     for path in paths:
         with suppress(Exception):  # importing runs the code of users
             RoleSpec(path).resolve()
-    return b""
 
 
 @cache
@@ -283,7 +288,7 @@ def simulate(
         task: JSON of :meth:`EpisodeTask.to_json`.
         conditions: ``name`` and ``parts`` of the :class:`Address` that the episode must have here,
             and ``where`` this is in words, if it is no process of the same session.
-        seconds: The limit of the call, which its process is held to.
+        seconds: The limit that the process is held to, once all has been imported.
 
     Returns:
         The episode, packed.
@@ -294,6 +299,8 @@ def simulate(
     here = EpisodeTask.from_json(json.loads(task))
     if conditions is not None:
         _check_address(here, **conditions)
+    _import(part.path for part in here.parts.values())
+    begin()
     calls = _model_call_count()
     episode = here.run()
     if _model_call_count() != calls:

@@ -21,8 +21,10 @@ from typing import IO, Any, ParamSpec, TypeVar, cast
 from pytest_dura.core.errors import DuraError
 from pytest_dura.execution.executors import ExecutorKind, cancel_queued
 from pytest_dura.execution.worker import (
+    BEGUN,
     READY,
     RETIRES,
+    SECONDS_TO_START,
     CallFailedError,
     ProcessLostError,
     read_frame,
@@ -34,8 +36,6 @@ _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); "
     "from pytest_dura.execution.worker import main; main()"
 )
-SECONDS_TO_START = 300.0
-"""Imports from a disk that many processes read at once are slow."""
 _SECONDS_TO_END = 10.0
 """How long the pool waits for a process that was killed, or closed its output."""
 _POLL_SECONDS = 1.0
@@ -67,6 +67,16 @@ class WorkerEndedError(Exception):
     def __init__(self, how: str, seconds: float | None = None) -> None:
         self.seconds = seconds
         super().__init__(how)
+
+
+@dataclass(frozen=True)
+class _Limit:
+    """Limit of a wait for a process; ``overrun`` is set when it is ended for that."""
+
+    seconds: float | None
+    what: str
+    """What takes the time, as the error says it."""
+    overrun: threading.Event = field(default_factory=threading.Event)
 
 
 class WorkerProcess:
@@ -115,8 +125,8 @@ class WorkerProcess:
             CallFailedError: If it never does; then it is ended.
         """
         try:
-            with self._limited(SECONDS_TO_START) as late:
-                ready = self._reply(SECONDS_TO_START, late) == READY
+            with self._limited(SECONDS_TO_START, "its start") as limit:
+                ready = self._reply(limit) == READY
             how = "it wrote something else"
         except WorkerEndedError as ended:
             ready, how = False, str(ended)
@@ -145,19 +155,22 @@ class WorkerProcess:
         Args:
             function: ``package.module:name``.
             args: Plain data.
-            kwargs: Plain data; ``seconds`` is the limit of the call.
+            kwargs: Plain data; ``seconds`` is the limit of the call once it has begun.
 
         Raises:
             WorkerEndedError: If there is no reply: the process ended, or was ended after so long.
         """
         request = {"function": function, "args": list(args), "kwargs": dict(kwargs)}
         data, seconds = json.dumps(request).encode(), kwargs.get("seconds")
-        with self._limited(seconds) as late:
+        with self._limited(None if seconds is None else SECONDS_TO_START, "its imports") as limit:
             try:
                 write_frame(self._calls, data)  # a process that was stopped reads nothing
             except OSError:
-                raise self._ended(seconds, late) from None
-            reply = self._reply(seconds, late)
+                raise self._ended(limit) from None
+            reply = self._reply(limit)
+        if reply == BEGUN:
+            with self._limited(seconds, "it") as limit:
+                reply = self._reply(limit)
         return reply[1:], reply[:1] != RETIRES
 
     def kill(self) -> None:
@@ -192,31 +205,31 @@ class WorkerProcess:
                 self._replies.put(frame)
 
     @contextmanager
-    def _limited(self, seconds: float | None) -> Iterator[threading.Event]:
-        """Context that ends the process after so many seconds, and then sets the event."""
-        late = threading.Event()
+    def _limited(self, seconds: float | None, what: str) -> Iterator[_Limit]:
+        """Context that ends the process after so many seconds."""
+        limit = _Limit(seconds, what)
 
-        def kill_late() -> None:
-            late.set()
+        def end_late() -> None:
+            limit.overrun.set()
             self.kill()
 
         if seconds is None:
-            yield late
+            yield limit
             return
-        timer = threading.Timer(seconds, kill_late)
+        timer = threading.Timer(seconds, end_late)
         timer.daemon = True
         timer.start()
         try:
-            yield late
+            yield limit
         finally:
             timer.cancel()
 
-    def _reply(self, seconds: float | None, late: threading.Event) -> bytes:
+    def _reply(self, limit: _Limit) -> bytes:
         over = False
         while (frame := self._next()) == b"" and not over:
-            over = late.is_set() or not self.is_alive  # what it wrote by then is on its way
+            over = limit.overrun.is_set() or not self.is_alive  # what it wrote is on its way
         if not frame:  # also if a process that it left behind holds its output open
-            raise self._ended(seconds, late)
+            raise self._ended(limit)
         return frame
 
     def _next(self) -> bytes | None:
@@ -226,9 +239,11 @@ class WorkerProcess:
         except Empty:
             return b""
 
-    def _ended(self, seconds: float | None, late: threading.Event) -> WorkerEndedError:
-        if late.is_set():
-            return WorkerEndedError(f"it took longer than {seconds:g} s", seconds)
+    def _ended(self, limit: _Limit) -> WorkerEndedError:
+        if limit.overrun.is_set():
+            return WorkerEndedError(
+                f"{limit.what} took longer than {limit.seconds:g} s", limit.seconds
+            )
         return WorkerEndedError(self._how_it_ended())
 
     def _how_it_ended(self) -> str:
@@ -309,7 +324,8 @@ class ProcessPool(Executor):
         Args:
             fn: A function at the top of a module, which returns bytes.
             args: Plain data.
-            kwargs: Plain data; ``seconds`` is also the limit that the call is held to.
+            kwargs: Plain data; ``seconds`` is also the limit that the call is held to once it has
+                begun; see :func:`pytest_dura.execution.worker.begin`.
         """
         call = _Call(f"{fn.__module__}:{fn.__name__}", args, kwargs)
         with self._lock:

@@ -87,11 +87,26 @@ _MAX_CALLS = 1000
 """Calls after which a process gives way to a fresh one, so that what a role leaves behind goes."""
 MAX_MEMORY_GROWTH = 512 * 2**20
 """Bytes by which its memory may grow before it gives way: roles may leak."""
-READY, STAYS, RETIRES = b"+", b"s", b"x"
-"""The first byte of what it writes: that it is ready, or a reply, the last one or not."""
+READY, BEGUN, STAYS, RETIRES = b"+", b"b", b"s", b"x"
+"""The first byte of what it writes: that it is ready, that the limit of a call begins, or a reply,
+the last one or not."""
+SECONDS_TO_START = 300.0
+"""What a process has for its start, and a call for its imports: a disk that many processes read at
+once is slow."""
 _LENGTH = 8
-_MARGIN = 60.0
+_MARGIN = SECONDS_TO_START + 60.0
 """Seconds after its limit at which a call ends the process by itself: its parent is gone."""
+_REPLIES: list[IO[bytes]] = []
+"""Where this process writes to the one that it simulates for, if there is one."""
+
+
+def begin() -> None:
+    """Let the limit of the call that this process carries out begin: its imports are over.
+
+    Called by each function with a limit, which has :data:`SECONDS_TO_START` until then.
+    """
+    for replies in _REPLIES:
+        write_frame(replies, BEGUN)
 
 
 def write_frame(stream: IO[bytes], *parts: bytes) -> None:
@@ -118,6 +133,7 @@ def read_frame(stream: IO[bytes]) -> bytes | None:
 def main() -> None:
     """Carry out calls until the input ends."""
     calls, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    _REPLIES.append(replies)
     # A key that interrupts the session reaches this process as well; the session will end it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests: SimpleQueue[bytes] = SimpleQueue()

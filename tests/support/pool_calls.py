@@ -61,6 +61,7 @@ def fatal(code: int) -> bytes:
 
 def endless(folder: str = "", *, seconds: float | None = None) -> bytes:
     """Never come back; a process that it starts holds on to everything as well."""
+    worker.begin()
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     if folder:
         Path(folder, f"{os.getpid()} {child.pid}").touch()
@@ -70,6 +71,7 @@ def endless(folder: str = "", *, seconds: float | None = None) -> bytes:
 
 def outlived(folder: str, *, seconds: float | None = None) -> bytes:
     """End this process, and leave a copy of it behind that no signal to its group reaches."""
+    worker.begin()
     if os.fork() == 0:
         os.setsid()
         Path(folder, str(os.getpid())).touch()
@@ -82,7 +84,15 @@ def outlived(folder: str, *, seconds: float | None = None) -> bytes:
 
 def limited(text: str, *, seconds: float | None = None) -> bytes:
     """Take a limit, and come back at once."""
+    worker.begin()
     return str(len(text)).encode()
+
+
+def prepared(takes: float, *, seconds: float | None = None) -> bytes:
+    """Take so long before the limit begins."""
+    time.sleep(takes)
+    worker.begin()
+    return number()
 
 
 def refused(value: list[int]) -> bytes:

@@ -126,12 +126,21 @@ def test_a_process_that_another_one_keeps_the_pipe_of_is_not_waited_for(
             os.kill(int(noted.name), signal.SIGKILL)
 
 
-def test_a_process_that_reads_nothing_is_ended_at_the_limit_of_its_call(pool, tmp_path):
+def test_a_process_that_reads_nothing_is_ended(pool, monkeypatch):
     assert pool.submit(pool_calls.number).result(timeout=20.0)
     os.kill(pool.pids[0], signal.SIGSTOP)
+    monkeypatch.setattr(processes, "SECONDS_TO_START", 0.5)
     much = "x" * 2**20  # more than the pipe takes
-    with pytest.raises(ProcessLostError, match=r"took longer than 0\.5 s"):
-        pool.submit(pool_calls.limited, much, seconds=0.5).result(timeout=20.0)
+    with pytest.raises(ProcessLostError, match=r"its imports took longer than 0\.5 s"):
+        pool.submit(pool_calls.limited, much, seconds=60.0).result(timeout=20.0)
+
+
+def test_the_limit_of_a_call_begins_after_its_imports(pool, monkeypatch):
+    first = pool.submit(pool_calls.prepared, 1.0, seconds=0.5).result(timeout=20.0)
+    monkeypatch.setattr(processes, "SECONDS_TO_START", 0.5)
+    with pytest.raises(ProcessLostError, match=r"its imports took longer than 0\.5 s"):
+        pool.submit(pool_calls.prepared, 60.0, seconds=90.0).result(timeout=20.0)
+    assert int(first) not in pool.pids
 
 
 def test_a_call_that_overruns_its_limit_is_ended_with_all_that_it_started(pool, tmp_path):
