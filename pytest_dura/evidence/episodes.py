@@ -251,8 +251,9 @@ def unpack_report(part: str) -> ItemReport:
 SPOOL_PREFIX = ".session-"
 """Prefix of the file's name, which is seen only where open files cannot be removed."""
 
-_MOST_ENTRIES = 400
-"""Episodes that are kept in memory as well: formats read a session's episodes a dozen times."""
+_MOST_ENTRIES = 2000
+"""Episodes that are kept in memory as well, about 40 kB each: formats read a session's episodes a
+dozen times. None are kept of a session that has more."""
 
 _T = TypeVar("_T")
 
@@ -360,13 +361,16 @@ class EpisodeSpool:
         if self._entries is not None:
             yield from self._entries
             return
+        ((count,),) = self._execute("SELECT count(*) FROM episodes")
+        if count > _MOST_ENTRIES:
+            yield from self._stored()
+            return
         entries: list[EpisodeEntry] = []
         changes = self._changes
         for entry in self._stored():
-            if len(entries) <= _MOST_ENTRIES:
-                entries.append(entry)
+            entries.append(entry)
             yield entry
-        if len(entries) <= _MOST_ENTRIES and changes == self._changes:
+        if changes == self._changes:
             self._entries = entries
 
     def _stored(self) -> Iterator[EpisodeEntry]:

@@ -86,8 +86,8 @@ def test_where_no_call_is_under_way_a_pause_is_nothing() -> None:
 
 def test_an_earlier_pause_gives_a_later_call_no_more_time() -> None:
     with alarms(), with_pauses():
-        pauses_for(2 * LIMIT)
+        pauses_for(10 * LIMIT)
         begun = time.monotonic()
         with pytest.raises(TimeBudgetExceeded):
             call_within(LIMIT, time.sleep, 10.0)
-        assert time.monotonic() - begun < 2 * LIMIT + 0.5
+        assert time.monotonic() - begun < 8 * LIMIT

@@ -69,7 +69,7 @@ def test_a_busy_call_is_ended(run: Any) -> None:
     started = time.monotonic()
     with pytest.raises(TimeBudgetExceeded):
         run(lambda: call_within(0.05, work))
-    assert time.monotonic() - started < 1.0
+    assert time.monotonic() - started < 10.0
     assert ended == [True]
 
 
@@ -77,7 +77,7 @@ def test_a_sleeping_call_is_ended_in_the_main_thread() -> None:
     started = time.monotonic()
     with pytest.raises(TimeBudgetExceeded):
         call_within(0.05, time.sleep, 30)
-    assert time.monotonic() - started < 1.0
+    assert time.monotonic() - started < 10.0
 
 
 def test_a_sleeping_call_is_left_behind_elsewhere() -> None:
@@ -88,7 +88,7 @@ def test_a_sleeping_call_is_left_behind_elsewhere() -> None:
             in_a_thread(lambda: call_within(0.05, release.wait, 30))
     finally:
         release.set()
-    assert time.monotonic() - started < 1.0
+    assert time.monotonic() - started < 10.0
 
 
 def test_one_that_swallows_every_interruption_is_ended_all_the_same() -> None:

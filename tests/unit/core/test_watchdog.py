@@ -18,7 +18,7 @@ from pytest_dura.core.component import ABANDON_AFTER
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="there is no alarm")
 
-LIMIT = 0.08
+LIMIT = 0.2
 SPEC = EpisodeSpec(
     "case", 0, 1, RoleSpec("a:Sim"), {"generator": RoleSpec("a:Planner")},
     termination=Termination(1.0), time_budget=5.0,
@@ -32,7 +32,7 @@ def run(
     made = Orchestrator(simulator or Thermostat(), roles, role_timeout=LIMIT, **options)
     begun = time.monotonic()
     episode = made.run(spec)
-    assert time.monotonic() - begun < 5.0
+    assert time.monotonic() - begun < 20.0
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
     return episode
 
@@ -67,7 +67,7 @@ def test_a_role_that_blocks_is_named_with_its_tick_and_ends_its_episode_alone(bl
     episode = run(roles={"safety_monitor": Stuck()})
     assert episode.failure == (
         "infrastructure: safety_monitor at tick 3 (t = 0.3 s): "
-        "it did not come back within 0.08 s of wall-clock time"
+        "it did not come back within 0.2 s of wall-clock time"
     )
     assert (episode.validity, episode.termination) == ("missing", "infrastructure")
     assert run(roles={"safety_monitor": HeatMonitor()}).validity == "valid"

@@ -193,8 +193,8 @@ def test_closing_interrupts_what_is_under_way_and_leaves_no_thread():
         time.sleep(0.01)
     begun = time.monotonic()
     server.close()
-    waiting.join(timeout=5)
-    assert time.monotonic() - begun < 3
+    waiting.join(timeout=20)
+    assert time.monotonic() - begun < 15
     assert len(failures) == 1
     assert set(threading.enumerate()) <= before
     server.close()  # a second time does nothing
@@ -202,7 +202,7 @@ def test_closing_interrupts_what_is_under_way_and_leaves_no_thread():
 
 def test_it_closes_by_itself():
     server = ScriptedServer(at_most=0.1)
-    server._loop.join(timeout=5)
+    server._loop.join(timeout=20)
     assert not server._loop.is_alive()
     with pytest.raises(openai.APIConnectionError):
         ask(server)
