@@ -54,7 +54,7 @@ class EpisodeThreads(Executor):
         self._threads: list[threading.Thread] = []
         self._running: list[_Call] = []
         self._unfinished = 0
-        self._closed = False
+        self._closed = self._ended = False
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """The future of a call in one of the threads, in a copy of the context at hand."""
@@ -76,13 +76,13 @@ class EpisodeThreads(Executor):
             cancel_futures: Whether what was not begun is given up.
         """
         with self._lock:
-            self._closed = True
+            self._closed, self._ended = True, self._ended or not wait
             if cancel_futures or not wait:
                 cancel_queued(self._calls)
             threads, running = list(self._threads), list(self._running)
             for _ in threads:
                 self._calls.put(None)
-        for call in [] if wait else running:
+        for call in running if self._ended else []:
             self._settle(call, error=CallFailedError(_SESSION_ENDED))
         end = monotonic() + _SECONDS_TO_END
         for thread in threads:
@@ -102,19 +102,23 @@ class EpisodeThreads(Executor):
             call = self._calls.get()
             if call is None:
                 return
-            if call.future.set_running_or_notify_cancel():
-                self._carry_out(call, thread)
-            else:
-                with self._lock:
+            with self._lock:
+                begins = call.future.set_running_or_notify_cancel()
+                ended = self._ended  # while the call was neither queued nor running
+                if begins:
+                    self._running.append(call)
+                else:
                     self._unfinished -= 1
+            if begins and ended:
+                self._settle(call, error=CallFailedError(_SESSION_ENDED))
+            elif begins:
+                self._carry_out(call, thread)
 
     def _carry_out(self, call: _Call, thread: threading.Thread) -> None:
         def called() -> Any:
             with giving_up_by(partial(self._give_up, call, thread)):
                 return call.function()
 
-        with self._lock:
-            self._running.append(call)
         try:
             result = call.context.run(called)
         except CallEnded as ended:  # a limit that ended nothing but the way back from its call

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextvars
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -165,6 +166,20 @@ def test_many_short_calls_in_a_thread_are_not_one_long_one(store) -> None:
     task = asking(1, Busy)
     short = replace(task, spec=replace(task.spec, termination=Termination(2.0)))
     assert store.get(short).validity == "valid"
+
+
+def test_at_the_end_no_call_is_between_the_queue_and_its_thread() -> None:
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)  # so that threads are interrupted anywhere
+    try:
+        for _ in range(20):
+            threads = EpisodeThreads(3)
+            futures = [threads.submit(time.sleep, 0.05) for _ in range(4 * IN_FLIGHT)]
+            threads.shutdown(wait=False, cancel_futures=True)
+            for future in futures:
+                assert future.cancelled() or isinstance(future.exception(0), CallFailedError)
+    finally:
+        sys.setswitchinterval(before)
 
 
 def test_the_end_of_the_executor_waits_for_no_thread_that_goes_on() -> None:
