@@ -97,7 +97,7 @@ def test_a_component_that_no_alarm_interrupts_is_ended_with_its_process(project)
     scenario(project, "well", requirements="[GAP-1]")
     began = time.monotonic()
     result = project.scenarios(
-        "--dura-executor=processes:1", "--dura-episode-timeout=1.5", "--dura-time-budget=0.01"
+        "--dura-executor=processes:1", "--dura-episode-timeout=1.5", "--dura-time-budget=0.1"
     )
     assert time.monotonic() - began < 60.0
     assert result.ret == 1

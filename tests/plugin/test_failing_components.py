@@ -33,7 +33,7 @@ def test_a_component_that_hangs_is_judged_in_a_worker_too(project):
 
 
 def judged(project, words, *mode):
-    result, text = failing(project, "fails", *mode)
+    result, text = failing(project, "fails", "--dura-time-budget=0.2", *mode)
     result.assert_outcomes(failed=2)
     assert words in text
     assert "in 2 of 2 episodes" in text

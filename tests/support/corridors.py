@@ -9,7 +9,7 @@ name: corridor/{name}
 simulator: {simulator}
 duration: {duration}
 runs: {runs}
-time_budget: 0.2
+time_budget: 1.0
 world: {world}
 variation: {variation}
 roles: {roles}
