@@ -251,9 +251,10 @@ def unpack_report(part: str) -> ItemReport:
 SPOOL_PREFIX = ".session-"
 """Prefix of the file's name, which is seen only where open files cannot be removed."""
 
-_MOST_ENTRIES = 2000
-"""Episodes that are kept in memory as well, about 40 kB each: formats read a session's episodes a
-dozen times. None are kept of a session that has more."""
+_MOST_BYTES = 6_000_000
+"""Size in the file of episodes that are kept in memory as well, where they take 20 times as much:
+3000 of a built-in scenario, for formats read a session's episodes a dozen times. Of a session that
+has more, none are kept."""
 
 _T = TypeVar("_T")
 
@@ -361,8 +362,8 @@ class EpisodeSpool:
         if self._entries is not None:
             yield from self._entries
             return
-        ((count,),) = self._execute("SELECT count(*) FROM episodes")
-        if count > _MOST_ENTRIES:
+        ((size,),) = self._execute("SELECT sum(length(data)) FROM episodes")
+        if (size or 0) > _MOST_BYTES:
             yield from self._stored()
             return
         entries: list[EpisodeEntry] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 from entries import make
 
@@ -105,3 +107,13 @@ def test_what_is_added_after_a_reading_is_in_the_next():
     spool.add_chain({**chain, "id": "f"})
     list(reading)
     assert [each.faults[0].outcome for each in spool] == ["tolerated"]
+
+
+@pytest.mark.parametrize("size, kept", [(1, True), (7_000_000, False)])
+def test_only_a_session_of_some_size_is_kept_in_memory(size, kept):
+    spool = EpisodeSpool()
+    text = random.Random(0).randbytes(size).hex()  # which takes so many bytes in the file
+    spool.add(episode(failure=text))
+    (first,), (again,) = spool, spool
+    assert first == again
+    assert (first is again) == kept
