@@ -123,15 +123,21 @@ def test_an_episode_that_blocks_for_ever_is_missing(pool, tmp_path):
     assert store.get(shaky(2, tmp_path)).failure is None
 
 
-def test_imports_that_take_longer_than_an_episode_may_cost_no_episode(tmp_path, monkeypatch):
+@pytest.mark.parametrize("addressed", [True, False])
+def test_imports_that_take_longer_than_an_episode_may_cost_no_episode(
+    tmp_path, monkeypatch, addressed
+):
     source = "import time\nfrom shaky import ShakyRoom as Slow\ntime.sleep(1.5)\n"
     (tmp_path / "slow_to_import.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path))
     with ProcessPool(1) as slow:
-        store = EpisodeStore(execution=Execution("processes", slow, seconds=1.0))
+        execution = Execution("processes", slow, seconds=1.0)
         task = shaky(1)
-        room = RoleSpec("slow_to_import:Slow")
-        assert store.get(replace(task, spec=replace(task.spec, simulator=room))).failure is None
+        slow_task = replace(
+            task, spec=replace(task.spec, simulator=RoleSpec("slow_to_import:Slow"))
+        )
+        address = Addresses().of(slow_task) if addressed else None
+        assert execution.submit(slow_task, address).result()
 
 
 def test_a_campaign_that_is_decided_cancels_what_is_queued(bench):
