@@ -79,6 +79,21 @@ def compare(executions: dict[str, Execution], wanted: Sequence[EpisodeTask], rep
     print(table(headers, rows))
 
 
+def time_starts(task: EpisodeTask, repeats: int) -> None:
+    """Print what a process takes until it simulates: its first episode, less the same again."""
+    taken = []
+    for _ in range(repeats):
+        execution = ExecutorChoice.parse("processes:1").execution()
+        try:
+            first, again = (simulated(execution, [task])[0] for _ in range(2))
+        finally:
+            execution.close()
+        taken.append(first - again)
+    print()
+    print(table(["a process starts and imports, s", "at most"],
+                [[f"{median(taken):.2f}", f"{max(taken):.2f}"]]))  # fmt: skip
+
+
 def session(executor: str, folder: Path, options: argparse.Namespace) -> tuple[float, list[str]]:
     """Seconds of a session as a process, and the digests of its episodes."""
     command = [
@@ -157,6 +172,7 @@ def main() -> None:
         executions = {name: ExecutorChoice.parse(text).execution() for name, text in names.items()}
         try:
             compare(executions, wanted, options.repeats)
+            time_starts(wanted[0], options.repeats)
         finally:
             for execution in executions.values():
                 execution.close()

@@ -93,7 +93,7 @@ HEADERS = {
     "early_end.py": ["looking"],
     "evidence_cost.py": ["share of session"],
     "evidence_memory.py": ["MB more per 1000"],
-    "executors.py": ["time against the pool"],
+    "executors.py": ["time against the pool", "a process starts and imports, s"],
     "falsification_table.py": ["portfolio", "portfolio"],
     "fault_table.py": ["rule_based", "propagated"],
     "hidden_violations.py": ["counted as open"],
