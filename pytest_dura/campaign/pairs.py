@@ -13,7 +13,7 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.text import one_line
 from pytest_dura.library.cases import Case
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, with_doubt
 from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
@@ -154,8 +154,8 @@ class PairedCampaign(Shown):
         campaign_verdict = judge.verdict()
         table = {"without": self.without, "case": self.case.id, **compared.table()}
         doubt = self._doubt(compared)
-        if doubt is not None and campaign_verdict.verdict == "supported":
-            return replace(campaign_verdict, verdict="undecided", reason=doubt, pairs=table)
+        if doubt is not None:
+            campaign_verdict = with_doubt(campaign_verdict, doubt)
         return replace(campaign_verdict, pairs=table)
 
     def monitors(self) -> list[MonitorQuality]:

@@ -231,7 +231,7 @@ class CampaignRuns(Shown):
         self.failures = ComponentFailures()
         runs, faulty = [], []
         for verdict, episodes in judged:
-            judge.add(self._with_crash(verdict, episodes[0], check))
+            judge.add(self._with_crash(verdict, episodes, check))
             for episode in episodes:
                 situations.add(episode)
                 self.failures.add(episode)
@@ -244,13 +244,20 @@ class CampaignRuns(Shown):
         return runs
 
     def _with_crash(
-        self, verdict: EpisodeVerdict, episode: JudgedEpisode, check: Check
+        self, verdict: EpisodeVerdict, episodes: Sequence[JudgedEpisode], check: Check
     ) -> EpisodeVerdict:
-        """The verdict, marked where the episode's crash violates nothing."""
-        requirements = self.runner.requirements_of(self.case)
-        if verdict.verdict == "violated" or not is_unseen_crash(episode, requirements, check):
+        """The verdict, marked with the first of its episodes whose crash violates nothing.
+
+        A check of pairs compares two runs, and so sees the crash of neither.
+        """
+        if verdict.verdict == "violated":
             return verdict
-        return replace(verdict, unseen_crash=True)
+        requirements = self.runner.requirements_of(self.case)
+        own_check = check if len(episodes) == 1 else None
+        crashed = (
+            episode.id for episode in episodes if is_unseen_crash(episode, requirements, own_check)
+        )
+        return replace(verdict, unseen_crash=next(crashed, ""))
 
     def judge_of(self, requirement: Requirement, check: Check | None) -> CampaignJudge:
         """The judge of this campaign's episodes.

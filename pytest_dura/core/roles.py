@@ -110,12 +110,15 @@ class Role(ABC):
     """One V&V function. Subclass this for a role of your own; it needs ``name`` and ``run``.
 
     ``after`` names roles that run earlier in the same tick. ``reassess`` says whether the role
-    runs again when the Generator refines a refused proposal within a tick.
+    runs again when the Generator refines a refused proposal within a tick. ``repeatable`` says of
+    the component under test whether equal seeds give equal episodes: if not, its runs count as
+    draws, and reports say so.
     """
 
     name: ClassVar[str] = ""
     after: ClassVar[tuple[str, ...]] = ()
     reassess: ClassVar[bool] = True
+    repeatable: ClassVar[bool] = True
 
     @classmethod  # noqa: B027 - most roles accept all
     def check_params(cls, params: Mapping[str, Any], time_step: float) -> None:

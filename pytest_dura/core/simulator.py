@@ -207,6 +207,11 @@ class Simulator(ABC):
     the signal's unit, of a simulator that is not deterministic. Signals that it does not name are
     not compared, and at least one has to be named."""
 
+    repeatable: ClassVar[bool] = True
+    """Whether a repeated episode is the same, within :attr:`tolerances` if there are any. If not,
+    the runs of a case count as draws: a repetition that differs leaves no verdict undecided, and
+    reports say so."""
+
     lacks: ClassVar[Mapping[str, str]] = {}
     """What this simulator cannot do, with the reason in a few words: a dotted key of the world
     (``pedestrians``, ``controls.signals``), or ``channels.`` with the name of a sensor channel.

@@ -400,6 +400,9 @@ class RepeatEntry(Entry):
     ended, `skipped` where a live language model answers."""
     detail: str
     """Why it failed or was skipped, or how signals compare, in words."""
+    declared: str
+    """What declares that equal seeds may give other episodes: the component, the simulator, the
+    session. Then the runs of the case count as draws. Empty if nothing does."""
 
 
 class ExposurePlan(Entry):

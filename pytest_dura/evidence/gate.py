@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.model import RecordHead
     from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
     from pytest_dura.evidence.verdict_model import VerdictEntry
+    from pytest_dura.requirements.campaign_verdicts import CampaignStatus
 
 _REPEAT_RESULTS = ("different", "failed", "within tolerances", "equal", "skipped")
 """Results of a repetition. Of several the first in this order counts."""
@@ -27,19 +28,70 @@ def worse_repeat(repeat: RepeatEntry | None, other: RepeatEntry | None) -> Repea
     return min(repeat, other, key=lambda repeat: _REPEAT_RESULTS.index(repeat.result))
 
 
+NOT_REPEATABLE = "not repeatable: "
+"""Beginning of the reason why verdicts on a case whose repeated episode differs are undecided."""
+_DRAWS = "the runs count as draws"
+
+
+def repeat_difference(repeat: RepeatEntry | None, component: str) -> str:
+    """Describe how a repeated episode differs from the first one; empty if it does not.
+
+    Args:
+        repeat: Of a case.
+        component: Name of the component under test.
+    """
+    if repeat is None or repeat.result not in ("different", "failed"):
+        return ""
+    name = f"{NOT_REPEATABLE}{repeat.episode} ({component})"
+    if repeat.result == "failed":
+        return f"{name}: the repetition failed: {repeat.detail}"
+    digests = f"digests {repeat.digest[:12]} and {(repeat.repeated_digest or '')[:12]}"
+    return f"{name}: run again in this session it came out differently, {repeat.detail or digests}"
+
+
+def _is_declared(repeat: RepeatEntry) -> bool:
+    """Whether a repetition that differs is declared; a failed one is not excused by that."""
+    return bool(repeat.declared) and repeat.result != "failed"
+
+
 def not_repeatable_lines(cases: Iterable[CaseEntry]) -> Iterator[str]:
-    """Yield a line for each case whose repeated episode differs from the first one."""
+    """Yield a line for each case whose repeated episode differs, though nothing declares that."""
     for case in cases:
-        repeat = case.repeat
-        if repeat is None or repeat.result not in ("different", "failed"):
+        if case.repeat is not None and not _is_declared(case.repeat):
+            difference = repeat_difference(case.repeat, case.component)
+            yield from [difference] if difference else []
+
+
+def draws_lines(cases: Iterable[CaseEntry]) -> Iterator[str]:
+    """Yield a line for each case of which it is declared that its episodes may not repeat."""
+    for case in cases:
+        if case.repeat is not None and case.repeat.declared:
+            yield f"{_DRAWS} on {case.id} ({case.component}): {case.repeat.declared}"
+
+
+def with_repeats(
+    status: CampaignStatus, reason: str, repeats: Iterable[RepeatEntry | None], component: str
+) -> dict[str, Any]:
+    """Fields of a verdict that change since the cases that it rests on are not repeatable.
+
+    Args:
+        status: Of the verdict.
+        reason: Of the verdict.
+        repeats: Of the case, and of that of the second runs of pairs.
+        component: Name of the component under test.
+    """
+    from pytest_dura.requirements.campaign_verdicts import doubted
+
+    fields: dict[str, Any] = {"verdict": status, "reason": reason}
+    for repeat in repeats:
+        if repeat is None:
             continue
-        name = f"not repeatable: {repeat.episode} ({case.component})"
-        if repeat.result == "failed":
-            yield f"{name}: the repetition failed: {repeat.detail}"
-        else:
-            how = f"digests {repeat.digest[:12]} and {(repeat.repeated_digest or '')[:12]}"
-            how = repeat.detail or how
-            yield f"{name}: run again in this session it came out differently, {how}"
+        difference = repeat_difference(repeat, component)
+        if difference and not _is_declared(repeat):
+            fields |= doubted(fields["verdict"], fields["reason"], difference)
+        if repeat.declared and _DRAWS not in fields["reason"]:
+            fields["reason"] += f"; {_DRAWS}: {repeat.declared}"
+    return fields
 
 
 def repeat_objections(cases: Iterable[CaseEntry]) -> Iterator[str]:
@@ -48,7 +100,8 @@ def repeat_objections(cases: Iterable[CaseEntry]) -> Iterator[str]:
     A case in which a live language model answers is exempt.
     """
     for case in cases:
-        yield from not_repeatable_lines([case])
+        difference = repeat_difference(case.repeat, case.component)
+        yield from [difference] if difference else []
         if case.repeat is None and case.planned and case.metrics.run:
             yield f"not repeatable: no episode of {case.id} ({case.component}) was repeated"
 
@@ -65,6 +118,8 @@ def repeat_problems(case: CaseEntry, digests: Iterable[str]) -> Iterator[str]:
         return
     if repeat.digest not in set(digests):
         yield f"{repeat.episode} was repeated, and is not recorded with that digest"
+    if repeat.result == "skipped" and not repeat.declared:
+        yield f"{repeat.episode} was not repeated, and nothing declares that it may differ"
     equal = repeat.digest == repeat.repeated_digest
     compared = ("equal", "within tolerances", "different")
     if repeat.result in compared and equal != (repeat.result == "equal"):
@@ -72,7 +127,7 @@ def repeat_problems(case: CaseEntry, digests: Iterable[str]) -> Iterator[str]:
 
 
 VIOLATED_OUTCOMES = ("falsified", "not repeatable")
-"""Statuses of an outcome with a violation; no option accepts them."""
+"""Statuses of an outcome with a violation."""
 NOTHING_FOUND = "nothing found"
 OBJECTIONABLE_OUTCOMES = {
     "falsified": "falsified by a search",
@@ -83,16 +138,15 @@ OBJECTIONABLE_OUTCOMES = {
 """Wording of the outcomes that the gate does not accept; the worst first."""
 
 
-def _search_objections(searches: Sequence[SearchEntry], *, warn_undecided: bool) -> list[str]:
-    """Write a sentence for every outcome that the gate does not accept; the worst first."""
-    statuses = [
-        status
-        for status in OBJECTIONABLE_OUTCOMES
-        if status in VIOLATED_OUTCOMES or not warn_undecided
-    ]
+def _search_objections(searches: Sequence[SearchEntry]) -> list[str]:
+    """Write a sentence for every outcome that the gate does not accept; the worst first.
+
+    A search is undecided since too many of its simulations are missing, invalid or open, and not
+    since there are too few: no option accepts that.
+    """
     return [
         outcome_objection(outcome.requirement, search.case, status)
-        for status in statuses
+        for status in OBJECTIONABLE_OUTCOMES
         for search in searches
         if search.waiver is None
         for outcome in search.outcomes
@@ -131,7 +185,8 @@ class Gate:
     Args:
         result: ``incomplete`` where the session did not come to its end.
         exit_code: Of the session.
-        warn_undecided: Whether undecided verdicts were accepted (``--dura-undecided=warn``).
+        warn_undecided: Whether verdicts on too few runs were accepted
+            (``--dura-undecided=warn``).
         failed: Test items that failed.
         reasons: Why it did not pass; empty if it did.
     """
@@ -173,7 +228,7 @@ class Gate:
             interrupted: Whether it ended early.
             exit_code: Of pytest.
             failed: Test items that failed.
-            warn_undecided: Whether undecided verdicts are accepted.
+            warn_undecided: Whether verdicts on too few runs are accepted.
         """
         reasons = verdict_objections(verdicts, searches, warn_undecided=warn_undecided)
         if failed:
@@ -230,16 +285,17 @@ def verdict_objections(
     Args:
         verdicts: Of the record.
         searches: Of the record.
-        warn_undecided: Whether undecided ones are accepted.
+        warn_undecided: Whether undecided verdicts are accepted whose valid runs are too few.
     """
-    accepted = {"supported"} | ({"undecided"} if warn_undecided else set())
     objectionable = [
         verdict
         for verdict in verdicts
-        if verdict.verdict not in accepted and verdict.waiver is None
+        if verdict.verdict != "supported"
+        and verdict.waiver is None
+        and not (warn_undecided and verdict.too_few)
     ]
     objectionable.sort(key=lambda verdict: verdict.verdict != "violated")
     sentences = [
         f"{verdict.requirement} on {verdict.case} is {verdict.verdict}" for verdict in objectionable
     ]
-    return [*sentences, *_search_objections(searches, warn_undecided=warn_undecided)]
+    return [*sentences, *_search_objections(searches)]

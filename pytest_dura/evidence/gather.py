@@ -21,7 +21,7 @@ from pytest_dura.evidence.episodes import (
     case_situations,
     unpack_report,
 )
-from pytest_dura.evidence.gate import Gate, worse_repeat
+from pytest_dura.evidence.gate import Gate, with_repeats, worse_repeat
 from pytest_dura.evidence.metrics import CaseMetrics
 from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
 from pytest_dura.evidence.search_model import SearchRecords
@@ -37,7 +37,12 @@ from pytest_dura.evidence.verdict_model import (
     WaiverEntry,
 )
 from pytest_dura.requirements.campaign_judge import judge_campaign
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situation, Situations
+from pytest_dura.requirements.campaign_verdicts import (
+    CampaignVerdict,
+    Situation,
+    Situations,
+    doubted,
+)
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
 
@@ -608,6 +613,9 @@ class RecordBuilder:
         """Apply waivers, and doubts about the case's episodes."""
         waiver = self._waivers.get(verdict.item, verdict.waiver)
         clash = self._clashes.get((verdict.case, verdict.component))
-        if clash is not None and verdict.verdict == "supported":
-            return verdict.replace(waiver=waiver, verdict="undecided", reason=clash)
-        return verdict.replace(waiver=waiver)
+        if clash is not None:
+            verdict = verdict.replace(**doubted(verdict.verdict, verdict.reason, clash))
+        cases = [verdict.case, *([verdict.pairs.case] if verdict.pairs else [])]
+        repeats = [self._repeats.get((case, verdict.component)) for case in cases]
+        changed = with_repeats(verdict.verdict, verdict.reason, repeats, verdict.component)
+        return verdict.replace(waiver=waiver, **changed)

@@ -204,7 +204,8 @@ class AttemptEntry(Entry):
     """Ids of valid episodes that ended before it was decided, by a crash, a halt or the violation
     of something else; the bound counts each as a violation."""
     unseen_crashes: list[str]
-    """Ids of episodes that ended critical and violate no requirement of their case."""
+    """Ids of episodes, or of second runs of pairs, that ended critical and violate no requirement
+    of their case on single episodes."""
     without_effect: Count
     """Invalid episodes that violated it all the same, without effect of the fault."""
     invalid: Count
@@ -230,6 +231,9 @@ class AttemptEntry(Entry):
     """What its runs are if their trajectories are all equal, so that no rate follows: `repeated`
     where nothing is declared to vary, `without effect` where something is. Null if they differ, or
     there is one."""
+    too_few: bool
+    """Whether it is undecided only because its runs, which are valid, are too few: what
+    `--dura-undecided=warn` excuses."""
     check: str
     """What was judged: a formula or the import path of a function; empty for test code."""
     paired: PairedEntry | None

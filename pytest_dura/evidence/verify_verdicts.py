@@ -12,10 +12,11 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CaseEntry, RepeatEntry, RequirementEntry
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import case_situations
+from pytest_dura.evidence.gate import with_repeats
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.verdict_model import MeasuredChange, MeasuredPairs, VerdictEntry
 from pytest_dura.evidence.verify_record import differences
@@ -124,6 +125,16 @@ def verdict_problems(record: SessionRecord, judged: TraceVerdicts) -> Iterator[s
             None if pairs is None else runs[pairs.case, verdict.component],
             on_traces[number],
             _violating_episodes(verdicts_on[place], verdict.run, case.requirements),
+            any(
+                requirements[name].paired is None
+                for name in case.requirements
+                if name in requirements
+            ),
+            [
+                cases[name, verdict.component].repeat
+                for name in (verdict.case, *([pairs.case] if pairs else []))
+                if (name, verdict.component) in cases
+            ],
         )
         about = f"{verdict.requirement} on {verdict.case}"
         for problem in check.problems():
@@ -136,7 +147,7 @@ def verdict_problems(record: SessionRecord, judged: TraceVerdicts) -> Iterator[s
 def _violating_episodes(
     verdicts: Sequence[VerdictEntry], runs: int, requirements: Collection[str]
 ) -> set[str] | None:
-    """Ids of episodes that violate any requirement; ``None`` if not each requirement was judged.
+    """Ids of episodes that violate any requirement by themselves; ``None`` if not each was judged.
 
     Args:
         verdicts: Those on the case.
@@ -146,7 +157,8 @@ def _violating_episodes(
     judged = {verdict.requirement for verdict in verdicts if verdict.run >= runs}
     if not judged.issuperset(requirements):
         return None
-    return {counter.episode for verdict in verdicts for counter in verdict.counterexamples}
+    alone = [verdict for verdict in verdicts if verdict.paired is None]
+    return {counter.episode for verdict in alone for counter in verdict.counterexamples}
 
 
 @dataclass(frozen=True)
@@ -160,8 +172,10 @@ class _VerdictCheck:
         own: Planned runs of the case.
         twins: Runs that these are compared with, of a verdict on pairs.
         on_traces: Verdicts on its episodes by their traces.
-        violating_episodes: Ids of episodes that violate a requirement of the case; ``None`` if not
-            all were judged.
+        violating_episodes: Ids of episodes that violate a requirement of the case by themselves;
+            ``None`` if not all were judged.
+        judges_alone: Whether a requirement of the case judges single episodes.
+        repeats: Repetitions of its case, and of that of the second runs.
     """
 
     verdict: VerdictEntry
@@ -171,6 +185,8 @@ class _VerdictCheck:
     twins: _CaseRuns | None
     on_traces: Mapping[str, EpisodeVerdict]
     violating_episodes: Collection[str] | None
+    judges_alone: bool
+    repeats: Sequence[RepeatEntry | None]
 
     def problems(self) -> Iterator[str]:
         """Yield differences as JSON pointers below the verdict, and contradictions in words."""
@@ -190,7 +206,7 @@ class _VerdictCheck:
             yield from pair_problems(verdict, recovered if self.own.is_unambiguous else None)
         else:
             yield from self._run_problems(runs)
-            yield from self._crash_problems(runs)
+        yield from self._crash_problems(runs)
         again = list(self._judged_again(runs))
         yield from again[0] if again else _claim_problems(verdict)
 
@@ -234,7 +250,11 @@ class _VerdictCheck:
         if self.violating_episodes is None or self.verdict.verdict != "supported":
             return
         explained = {*self.violating_episodes, *self.verdict.unseen_crashes}
-        for run in runs:
+        sides = [self.own.runs[run.number] for run in runs]
+        if self.twins is not None and not self.judges_alone:
+            # Otherwise it is not recorded which of the second runs violate what.
+            sides += [self.twins.runs[run.number] for run in runs]
+        for run in sides:
             if run.termination == "critical" and run.episode not in explained:
                 yield f"supported, although {run.episode} crashed and violates nothing"
 
@@ -322,10 +342,17 @@ class _VerdictCheck:
                     run.not_manifested,
                     without_effect=counterexample is not None and not counterexample.valid,
                     ended=run.termination if early else "",
-                    unseen_crash=run.episode in verdict.unseen_crashes,
+                    unseen_crash=self._unseen_crash(run),
                 )
             )
         return None if any(remaining.values()) else (verdicts, is_only)
+
+    def _unseen_crash(self, run: _Run) -> str:
+        """Id of the run, or of its twin, whose crash the verdict names; empty without one."""
+        sides = [run.episode]
+        if self.twins is not None:
+            sides.append(self.twins.runs[run.number].episode)
+        return next((side for side in sides if side in self.verdict.unseen_crashes), "")
 
     def _decided(
         self, runs: Sequence[_Run], verdicts: Sequence[EpisodeVerdict], until: bool
@@ -379,15 +406,18 @@ class _VerdictCheck:
     ) -> Iterator[str]:
         """Compare with a verdict that was judged again, as far as that is known."""
         recorded, known = self.verdict, self.verdict.to_json()
+        doubts = with_repeats(again.verdict, again.reason, self.repeats, recorded.component)
         computed = {
-            key: value for key, value in plain_data(again.to_json()).items() if key in known
+            key: value
+            for key, value in plain_data(replace(again, **doubts).to_json()).items()
+            if key in known
         }
         unknown = {"pairs"}  # a table that is checked on its own
         if not recorded.run:
             unknown.add("reason")  # a test that ended without a verdict says so itself
         distrusted = recorded.reason.startswith(_NONDETERMINISTIC)
-        if (recorded.verdict, again.verdict) == ("undecided", "supported") and distrusted:
-            unknown |= {"verdict", "reason"}
+        if recorded.verdict == "undecided" and again.verdict != "violated" and distrusted:
+            unknown |= {"verdict", "reason", "too_few"}
         by_tests = not recorded.check and self.twins is None
         violated = {entry.episode for entry in recorded.counterexamples}
         measured = {*violated, *self.on_traces}

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pytest_dura.library.loading import Library
     from pytest_dura.library.roles import ParameterResolver
     from pytest_dura.requirements.model import Requirement
+    from pytest_dura.runner import Runner
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,3 +212,33 @@ def _quoted(argument: str) -> str:
     if argument.startswith("--") and equals:
         return f"{name}={shlex.quote(value)}"
     return shlex.quote(argument)
+
+
+LIVE_MODEL = "a live language model answers"
+
+
+def draws_reason(context: SessionContext, runner: Runner, case: Case | None) -> str:
+    """Name what declares that equal seeds may give other episodes; empty if nothing does.
+
+    Args:
+        context: The session's context.
+        runner: Of episodes.
+        case: ``None`` where it is not known.
+    """
+    if not context.options.repeatable:
+        return "the session sets dura_repeatable = false"
+    if case is None:
+        return ""
+    task = runner.task(case)
+    parts = {"component": task.spec.roles.get("generator"), "simulator": task.spec.simulator}
+    for kind, part in parts.items():
+        if part is None:
+            continue
+        declaring = part.resolve() if part.instance is None else part.instance
+        if not getattr(declaring, "repeatable", True):
+            return f"the {kind} {part.label} declares repeatable = False"
+    from pytest_dura.execution.address import model_answers
+
+    answers = model_answers(task)
+    live = answers is not None and not answers.startswith("replay ")
+    return LIVE_MODEL if live else ""

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.evidence.text import counted
+from pytest_dura.plugin.context import LIVE_MODEL, draws_reason
 from pytest_dura.plugin.messages import safe_lines, typed_path
 from pytest_dura.plugin.outcomes import target_of
 
@@ -572,8 +573,8 @@ class _DueRepetition:
 
     task: EpisodeTask
     digest: str
-    skip_reason: str | None
-    """Why it cannot be, if so."""
+    declared: str
+    """What declares that it may differ; empty if nothing does."""
     signals: Mapping[str, NDArray[np.float64]]
     """To be compared within :attr:`tolerances`; empty where the digest is."""
     tolerances: Mapping[str, float] | None
@@ -612,16 +613,13 @@ class Repeats:
         known = key in self._due or key in self._done
         if not event.planned or known or episode.failure is not None:
             return
-        from pytest_dura.execution.address import model_answers
         from pytest_dura.library.scenario import tolerances_of
 
         task = self._runner().task(case, episode.spec.run)
-        answers = model_answers(task)
-        live = answers is not None and not answers.startswith("replay ")
-        skip_reason = "a live language model answers" if live else None
+        declared = draws_reason(self._shared.context, self._runner(), case)
         tolerances = tolerances_of(task.spec.simulator)
         signals = {} if tolerances is None else episode.signals
-        self._due[key] = _DueRepetition(task, episode.digest, skip_reason, signals, tolerances)
+        self._due[key] = _DueRepetition(task, episode.digest, declared, signals, tolerances)
 
     def item_ends(
         self, item: pytest.Item, nextitem: pytest.Item | None
@@ -639,20 +637,20 @@ class Repeats:
         ):
             return
         if not self._shared.context.is_worker:  # there another process may repeat it
-            due_tasks = [due.task for due in self._due.values() if due.skip_reason is None]
+            due_tasks = [due.task for due in self._due.values() if due.declared != LIVE_MODEL]
             self._runner().store.begin_repeats(due_tasks)
         for (case, component), due in list(self._due.items()):
             repeated = self._repeated(due)
             self._done.add((case, component))
             if repeated is not None:
                 about = {"case": case, "component": component, "episode": due.task.spec.id}
-                yield {**about, "digest": due.digest, **repeated}
+                yield {**about, "digest": due.digest, "declared": due.declared, **repeated}
         self._due.clear()
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:
         """Repeat an episode; ``None`` if another process does."""
-        if due.skip_reason is not None:
-            return {"result": "skipped", "repeated_digest": None, "detail": due.skip_reason}
+        if due.declared == LIVE_MODEL:
+            return {"result": "skipped", "repeated_digest": None, "detail": LIVE_MODEL}
         if not self._shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
             return None
         try:
@@ -684,10 +682,11 @@ def _case_id_of(item: pytest.Item) -> str:
 
 
 def show_repeats(terminal: Any, record: SessionRecord, objections: Collection[str]) -> None:
-    """Show the cases that are not repeatable, unless they are among the objections."""
-    from pytest_dura.evidence.gate import not_repeatable_lines
+    """Show which cases are not repeatable, unless it is an objection, and whose runs are draws."""
+    from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
 
-    for line in not_repeatable_lines(record.head.cases):
+    cases = record.head.cases
+    for line in (*not_repeatable_lines(cases), *draws_lines(cases)):
         if line not in objections:
             for part in safe_lines(line):
                 terminal.line(part, yellow=True)

@@ -23,7 +23,7 @@ import pytest
 
 from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
-from pytest_dura.plugin.context import replay_command
+from pytest_dura.plugin.context import draws_reason, replay_command
 from pytest_dura.plugin.markers import marked_requirements
 from pytest_dura.plugin.outcomes import (
     Assertions,
@@ -91,6 +91,7 @@ def _properties(
     for result in event.results:
         sentence = event_sentence(result, runner, context.redact)
         properties += _result_properties(context, result, sentence)
+        properties.append(("draws", draws_reason(context, runner(), result.case)))
     return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
 
 
@@ -297,7 +298,9 @@ def _report_item(context: SessionContext, runner: Callable[[], Runner], event: I
     allure.add_label(label_type="component", labels=tuple(components))
     for result in results:
         prefix = f"{one_line(result.requirement.id, 100)}: " if len(results) > 1 else ""
-        for parameter, value in _parameters(context, result).items():
+        parameters = _parameters(context, result)
+        draws = draws_reason(context, runner(), result.case)
+        for parameter, value in ({**parameters, "draws": draws} if draws else parameters).items():
             # Allure's history tells tests apart by parameters: results must not be among them.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
     events = [event_sentence(result, runner, context.redact) for result in results]

@@ -476,7 +476,8 @@ class Options:
     )
     warn_undecided: Option[bool] = Option(
         "--dura-undecided",
-        "what an undecided verdict does to its test: fail it, or skip it",
+        "what a verdict does to its test that is undecided only since its valid runs are too few: "
+        "fail it, or skip it; what is undecided for another reason fails",
         is_choice("warn"),
         default="fail",
         choices=("fail", "warn"),
@@ -491,13 +492,22 @@ class Options:
     )
     require_repeatable: Option[bool] = Option(
         "--dura-require-repeatable",
-        "fail the gate for a case if one of its episodes, run twice in the session, comes out "
-        "differently",
+        "fail the gate for a case of which no episode was run twice, or whose repeated episode "
+        "differs, also where the component or the simulator declares that",
         switch,
         ini="dura_require_repeatable",
         ini_type="bool",
         default="false",
-        default_note=", which says so and no more",
+        details="See [repeated episodes](evidence.md#repeated-episodes).",
+    )
+    repeatable: Option[bool] = Option(
+        None,
+        "whether the verdicts on a case whose repeated episode differs are undecided; if false, "
+        "its runs count as draws, and reports say so",
+        true_or_false,
+        ini="dura_repeatable",
+        default="true",
+        example="false",
         details="See [repeated episodes](evidence.md#repeated-episodes).",
     )
     baseline: Option[str | None] = Option(

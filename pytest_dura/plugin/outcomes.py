@@ -387,6 +387,7 @@ def outcome_of_test(
     elif judged is not None and status == "satisfied" and judged.verdict != "satisfied":
         status, detail = judged.verdict, judged.detail
     vacuous = status == "satisfied" and judged is not None and judged.vacuous
+    unseen = status != "violated" and is_unseen_crash(episode, requirements)
     own = EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
@@ -401,7 +402,7 @@ def outcome_of_test(
         not_manifested=tuple(episode.not_manifested),
         without_effect=status == "violated" and episode.validity == "invalid",
         ended=episode.termination if episode.termination in EARLY_ENDS else "",
-        unseen_crash=status != "violated" and is_unseen_crash(episode, requirements),
+        unseen_crash=episode.id if unseen else "",
     )
     assertion = Assertions(
         alone=judged is None,
@@ -485,7 +486,7 @@ def check_passed(
 
     for episodes in used.values():
         if episodes.failure:
-            pytest.fail(episodes.failure, pytrace=False)
+            _fail(episodes.failure)
     looked_at = given_to(item, "episode")
     if isinstance(looked_at, JudgedEpisode):
         _check_violations(context, item, looked_at)
@@ -494,18 +495,18 @@ def check_passed(
             # What the test read beyond that end might have been otherwise.
             text = "it shows a test nothing of what would have followed"
             remedy = "run such tests with --dura-end=complete"
-            _fail_undecided(context, f"invalid: {episodes.early_end}: {text}; {remedy}")
+            _fail(f"invalid: {episodes.early_end}: {text}; {remedy}")
     if isinstance(looked_at, JudgedEpisode):
         if looked_at.validity == "invalid":
-            _fail_undecided(context, f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
+            _fail(f"invalid: {looked_at.id}: {looked_at.invalid_reason}")
         _check_decided_by_own(context, item, looked_at)
         _check_looked(context, item, looked_at)
-    _check_searched(context, used.values())
+    _check_searched(used.values())
     campaign = given_to(item, "campaign")
     if isinstance(campaign, Campaign):
         _check_decided(context, item, campaign, used, decided)
     if without_verdict(context, item, decided):
-        _fail_undecided(context, f"undecided: the test ended without a verdict; {_remedy(item)}")
+        _fail(f"undecided: the test ended without a verdict; {_remedy(item)}")
 
 
 def without_verdict(
@@ -564,7 +565,7 @@ def _check_violations(
     for requirement in marked_requirements(context, item):
         judged = _judged_by_own_check(requirement, episode)
         if judged is not None and judged.verdict == "violated" and requirement.at_most is None:
-            pytest.fail(f"violated: {_violation_text(requirement, judged)}", pytrace=False)
+            _fail(f"violated: {_violation_text(requirement, judged)}")
 
 
 def _check_decided_by_own(
@@ -574,7 +575,7 @@ def _check_decided_by_own(
     for requirement in marked_requirements(context, item):
         judged = _judged_by_own_check(requirement, episode)
         if judged is not None and judged.verdict not in ("satisfied", "violated"):
-            _fail_undecided(context, f"{judged.verdict}: {_violation_text(requirement, judged)}")
+            _fail(f"{judged.verdict}: {_violation_text(requirement, judged)}")
 
 
 def _check_looked(context: SessionContext, item: pytest.Function, episode: JudgedEpisode) -> None:
@@ -587,15 +588,14 @@ def _check_looked(context: SessionContext, item: pytest.Function, episode: Judge
         if _judged_by_own_check(requirement, episode) is None
     ]
     if alone and not observations_of(episode).names:
-        _fail_undecided(
-            context,
+        _fail(
             f"invalid: the test looked at nothing of {episode.id}, so that it decides nothing "
             f"about {', '.join(alone)}; assert something of the episode, such as "
             '`episode.satisfies("always (gap > 0)")`',
         )
 
 
-def _check_searched(context: SessionContext, used: Iterable[UsedEpisodes]) -> None:
+def _check_searched(used: Iterable[UsedEpisodes]) -> None:
     """Fail a property test none of whose cases is valid."""
     from pytest_dura.library.cases import SearchedCase
 
@@ -606,7 +606,7 @@ def _check_searched(context: SessionContext, used: Iterable[UsedEpisodes]) -> No
     ]
     if reasons and all(reasons):
         reason = str(reasons[0]).partition("(")[2]
-        _fail_undecided(context, f"undecided: none of {len(reasons)} cases is valid ({reason}")
+        _fail(f"undecided: none of {len(reasons)} cases is valid ({reason}")
 
 
 def _violation_text(requirement: Requirement, judged: EpisodeVerdict) -> str:
@@ -624,20 +624,17 @@ def _check_decided(
     """Fail a test on a campaign that asked for no verdict on a requirement of its markers."""
     used_episodes = used.get(campaign.case.id)
     if used_episodes is not None and used_episodes.undecided_reason is not None:
-        _fail_undecided(context, used_episodes.undecided_reason)
+        _fail(used_episodes.undecided_reason)
     if given_to(item, "episode") is not None:
         return  # it decides them
     claimed = [requirement.id for requirement in marked_requirements(context, item)]
     undecided = [name for name in claimed if (name, campaign.case.id) not in decided]
     if undecided:
-        _fail_undecided(
-            context,
+        _fail(
             f"undecided: the test never asked for a verdict on {', '.join(undecided)}; "
             "call campaign.require(check)",
         )
 
 
-def _fail_undecided(context: SessionContext, message: str) -> NoReturn:
-    if context.options.warn_undecided:
-        pytest.skip(message)
+def _fail(message: str) -> NoReturn:
     pytest.fail(message, pytrace=False)

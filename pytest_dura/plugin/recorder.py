@@ -278,12 +278,8 @@ class ItemRecorder:
 
     def outcome_of(self, error: DuraError) -> BaseException:
         """Turn one of our own errors into a failure or a skip with its message."""
-        verdict, search = getattr(error, "verdict", None), getattr(error, "falsification", None)
-        undecided = verdict is not None and verdict.verdict == "undecided"
-        if search is not None:
-            statuses = {outcome.status for outcome in search.outcomes}
-            undecided = not search.violations and "undecided" in statuses
-        if undecided and self.context.options.warn_undecided:
+        verdict = getattr(error, "verdict", None)
+        if verdict is not None and verdict.too_few and self.context.options.warn_undecided:
             return pytest.skip.Exception(failure_text(error))
         return pytest.fail.Exception(failure_text(error))
 
@@ -338,8 +334,7 @@ class ItemRecorder:
         if marked_target(item, ["episode"]) is not None:
             self._test_outcome(item, call, report)
         # A test that skips itself, or is expected to fail, came to no verdict either.
-        excused = report.skipped and not self.context.options.warn_undecided
-        if excused and without_verdict(self.context, item, self._decided):
+        if report.skipped and without_verdict(self.context, item, self._decided):
             self._report.objections.append(f"{item.nodeid} ended without a verdict")
 
     def _item_ended(self, item: pytest.Item) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pytest_dura.evidence.case_model import RequirementEntry
+from pytest_dura.evidence.gate import NOT_REPEATABLE
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.requirements.campaign_verdicts import REPEATED, SITUATIONS
@@ -40,8 +41,8 @@ def obstacle_of(verdict: VerdictEntry, requirement: RequirementEntry) -> Obstacl
         requirement: That it is on.
     """
     known = (
-        _missing(verdict), _unseen_crash(verdict), _not_run(verdict), _invalid(verdict),
-        _open(verdict), _one_situation(verdict), _vacuous(verdict),
+        _missing(verdict), _not_repeatable(verdict), _unseen_crash(verdict), _not_run(verdict),
+        _invalid(verdict), _open(verdict), _one_situation(verdict), _vacuous(verdict),
     )  # fmt: skip
     return next(filter(None, known), None) or _by_rate(verdict, requirement)
 
@@ -56,6 +57,18 @@ def _missing(verdict: VerdictEntry) -> Obstacle | None:
         f"A run is missing, since a role or the simulator failed: {detail}",
         "Repair what failed there, and run the session again.",
         spoilt.episode,
+    )
+
+
+def _not_repeatable(verdict: VerdictEntry) -> Obstacle | None:
+    _, sign, difference = verdict.reason.partition(NOT_REPEATABLE)
+    if not sign:
+        return None
+    return Obstacle(
+        f"repeat {verdict.case}",
+        f"Not repeatable: {one_line(difference, _MAX_DETAIL)}",
+        "Draw what is random from the episode's seed, and keep nothing from episode to episode; "
+        "or declare it (`repeatable = False`), so that the runs count as draws.",
     )
 
 

@@ -12,10 +12,10 @@ from operator import itemgetter
 
 from pytest_dura.core.state import NOTHING, Event
 from pytest_dura.evidence.episode_model import EventEntry
-from pytest_dura.evidence.gate import not_repeatable_lines
+from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
-from pytest_dura.evidence.text import counted, name
+from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.hazards import without_evidence_sentences
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
@@ -301,8 +301,10 @@ def _not_repeatable(record: SessionRecord) -> Iterator[str]:
         more = f" and {len(cases) - _MOST_NAMES} more" if len(cases) > _MOST_NAMES else ""
         yield (
             f"Not repeatable: {names}{more}. An episode of each, run twice in this session, came "
-            "out differently: what is said of them may come out differently, too."
+            "out differently: verdicts on them are undecided, unless they are violated."
         )
+    for line in draws_lines(record.head.cases):
+        yield f"{one_line(line[:1].upper() + line[1:])}. Equal seeds may give other episodes."
 
 
 def _taken_over(record: SessionRecord) -> Iterator[str]:

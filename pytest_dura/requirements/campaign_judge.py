@@ -273,7 +273,7 @@ class CampaignJudge:
             violations=self._count("violated"),
             open=tuple(verdict.episode for verdict in valid if verdict.verdict == "open"),
             unseen_crashes=tuple(
-                verdict.episode for verdict in self.verdicts if verdict.unseen_crash
+                verdict.unseen_crash for verdict in self.verdicts if verdict.unseen_crash
             ),
             without_effect=self._count("without effect"),
             invalid=self._invalid,
@@ -285,6 +285,7 @@ class CampaignJudge:
             counterexamples=counterexamples(self.verdicts),
             spoilt=_first_uncounted(self.verdicts),
             situation=self.situation,
+            too_few=status == "undecided" and not self._flaws(),
         )
 
     def _count(self, status: str) -> int:
@@ -398,44 +399,54 @@ class CampaignJudge:
 
     def _obstacles(self, *, decided: bool = False) -> list[str]:
         """Reasons why this campaign cannot support a claim."""
+        return [*self._flaws(), *self._shortages(decided=decided)]
+
+    def _flaws(self) -> list[str]:
+        """Reasons that stand against the runs themselves, however many there are."""
         run, valid = len(self.verdicts), self._valid
         missing, invalid = self._count("missing"), self._invalid
-        obstacles = []
-        if run < self.planned and not decided:
-            obstacles.append(f"only {run} of {self.planned} planned {self._noun} were run")
+        flaws = []
         if missing:
-            obstacles.append(f"{missing} of {run} {self._noun} are missing (infrastructure)")
+            flaws.append(f"{missing} of {run} {self._noun} are missing (infrastructure)")
         if run and invalid / run > MAX_INVALID_SHARE:
             share = f"more than {MAX_INVALID_SHARE:.0%}"
-            obstacles.append(f"{invalid} of {run} {self._noun} are invalid, {share}")
+            flaws.append(f"{invalid} of {run} {self._noun} are invalid, {share}")
         if not valid:
-            obstacles.append(f"none of the {self._noun} was valid")
-        obstacles += self._early_ends()
+            flaws.append(f"none of the {self._noun} was valid")
+        flaws += self._early_ends()
         if self.test is not None and self._count("without effect"):
-            obstacles.append(self._violated_without_effect())
+            flaws.append(self._violated_without_effect())
         if self._after_support:
             before = 0 if self.test is None else self.test.episodes
-            obstacles.append(
+            flaws.append(
                 f"supported after {before} {self._noun}, and {self._after_support} after these "
                 "violated it or ended before it was decided"
-            )
-        satisfied = self._count("satisfied")
-        vacuous = sum(verdict.vacuous for verdict in self.verdicts)
-        if satisfied and satisfied == vacuous and not self._count("violated"):
-            obstacles.append(
-                f"its condition held in none of the {valid} valid {self._noun} (vacuous)"
-            )
-        never = _not_manifested([verdict for verdict in self.verdicts if verdict.valid])
-        if never:
-            obstacles.append(
-                f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}"
             )
         proposals = sum(verdict.proposals for verdict in self.verdicts)
         valid_proposals = sum(verdict.valid_proposals for verdict in self.verdicts)
         if valid_proposals < _MIN_VALID_PROPOSALS * proposals:
             ticks = f"{valid_proposals} of {proposals} ticks"
-            obstacles.append(f"the component made a valid proposal at only {ticks}")
-        return obstacles
+            flaws.append(f"the component made a valid proposal at only {ticks}")
+        return flaws
+
+    def _shortages(self, *, decided: bool) -> list[str]:
+        """Reasons that more valid runs might remove."""
+        run, valid = len(self.verdicts), self._valid
+        shortages = []
+        if run < self.planned and not decided:
+            shortages.append(f"only {run} of {self.planned} planned {self._noun} were run")
+        satisfied = self._count("satisfied")
+        vacuous = sum(verdict.vacuous for verdict in self.verdicts)
+        if satisfied and satisfied == vacuous and not self._count("violated"):
+            shortages.append(
+                f"its condition held in none of the {valid} valid {self._noun} (vacuous)"
+            )
+        never = _not_manifested([verdict for verdict in self.verdicts if verdict.valid])
+        if never:
+            shortages.append(
+                f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}"
+            )
+        return shortages
 
     def _early_ends(self) -> list[str]:
         """Runs whose end the component may have caused, where no bound counts them."""
@@ -450,7 +461,7 @@ class CampaignJudge:
         if unharmed:
             count = f"{len(unharmed)} invalid {self._noun}"
             obstacles.append(f"{count} ended before a fault had an effect ({_ends(unharmed)})")
-        unseen = [verdict.episode for verdict in self.verdicts if verdict.unseen_crash]
+        unseen = [verdict.unseen_crash for verdict in self.verdicts if verdict.unseen_crash]
         if unseen:
             runs = f"{unseen[0]} and {len(unseen) - 1} more" if unseen[1:] else unseen[0]
             obstacles.append(f"a crash that no requirement sees: {runs} ended critical")

@@ -7,7 +7,7 @@ many they are: no rate follows from them.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 import numpy as np
@@ -193,8 +193,8 @@ class CampaignVerdict(Shown):
         violations: Valid episodes that violated it.
         open: Ids of valid episodes that ended before it was decided, by a crash, a halt or the
             violation of something else. The bound counts each as a violation.
-        unseen_crashes: Ids of episodes that ended critical and violate no requirement of their
-            case.
+        unseen_crashes: Ids of episodes, or of twins of pairs, that ended critical and violate no
+            requirement of their case on single episodes.
         without_effect: Invalid episodes that violated it all the same, without effect of the fault.
         invalid: Episodes that are no sample of it, those without effect included.
         missing: Episodes that an infrastructure error ended.
@@ -209,6 +209,8 @@ class CampaignVerdict(Shown):
             one.
         situation: ``repeated`` if all runs are equal and nothing is declared to vary, ``without
             effect`` if they are though something is; ``None`` if they differ.
+        too_few: Whether it is undecided only because its runs, which are valid, are too few: what
+            ``--dura-undecided=warn`` excuses.
     """
 
     requirement: str
@@ -235,6 +237,7 @@ class CampaignVerdict(Shown):
     pairs: Mapping[str, Any] | None = None
     spoilt: UncountedEpisode | None = None
     situation: Situation | None = None
+    too_few: bool = False
 
     __repr__ = short_repr
 
@@ -285,6 +288,30 @@ class CampaignVerdict(Shown):
                 "spoilt": None if spoilt is None else UncountedEpisode(**spoilt),
             }
         )
+
+
+def with_doubt(verdict: CampaignVerdict, doubt: str) -> CampaignVerdict:
+    """Leave a verdict undecided for a reason that its runs do not show; violated stays violated.
+
+    Args:
+        verdict: Of a campaign.
+        doubt: The reason.
+    """
+    return replace(verdict, **doubted(verdict.verdict, verdict.reason, doubt))
+
+
+def doubted(status: CampaignStatus, reason: str, doubt: str) -> dict[str, Any]:
+    """Fields of a verdict that a doubt changes; none if it is violated, or has the doubt already.
+
+    Args:
+        status: Of the verdict.
+        reason: Of the verdict.
+        doubt: Why it cannot be trusted.
+    """
+    if status == "violated" or doubt in reason:
+        return {}
+    reason = doubt if status == "supported" else f"{reason}; {doubt}"
+    return {"verdict": "undecided", "too_few": False, "reason": reason}
 
 
 class _Explained(Protocol):

@@ -132,7 +132,8 @@ class EpisodeVerdict(Shown):
         without_effect: Whether it is violated in a run that is invalid, since a planned fault never
             manifested: the violation counts, and the run is no sample of runs with that fault.
         ended: How the episode ended, if that was an early end: a key of :data:`EARLY_ENDS`.
-        unseen_crash: Whether the episode ended critical and violates no requirement of its case.
+        unseen_crash: Id of the episode, or of its twin, that ended critical and violates no
+            requirement of its case on single episodes; empty without one.
     """
 
     requirement: str
@@ -148,7 +149,7 @@ class EpisodeVerdict(Shown):
     not_manifested: tuple[str, ...] = ()
     without_effect: bool = False
     ended: str = ""
-    unseen_crash: bool = False
+    unseen_crash: str = ""
 
     idle = renamed("idle", "not_manifested")
     __repr__ = short_repr
@@ -235,8 +236,8 @@ def is_unseen_crash(
 
     Args:
         episode: The episode.
-        requirements: Of its case; those on pairs are no judgement of a single episode.
-        check: Another check that it was judged by.
+        requirements: Of its case; those on pairs do not judge a single episode.
+        check: Another check that judged it alone.
     """
     if episode.termination != "critical":
         return False

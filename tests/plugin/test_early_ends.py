@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from corridors import IDLE, expect, requirement, scenario
 
+from pytest_dura.__main__ import main
 from pytest_dura.requirements import upper_bound
 
 CRASHES = '''
@@ -32,6 +33,15 @@ class Crashes(Corridor):
             critical="ran into VICTIM" if crashed else None,
             goal=bool(self.goal and self.index >= self.goal),
         )
+
+
+class CrashesAtHalf(Corridor):
+    """Crashes once it has gone half a metre."""
+
+    def _tick(self):
+        made = super()._tick()
+        critical = "ran into VICTIM" if self.x >= 0.5 else None
+        return Tick(made.index, made.time, made.truth, made.channels, critical=critical)
 
 
 class Refuses(SafetyMonitor):
@@ -147,6 +157,41 @@ def test_a_crash_that_another_requirement_sees_is_no_obstacle(crashing):
     result = crashing.run("corridor/it")
     expect(crashing, result, "supported", ret=1)
     expect(crashing, result, "violated", requirement="SEES-1")
+
+
+PAIRED = {"kind": "security", "paired": "{without: faults}"}
+STOPPED = "[{type: bias, target: gap, activation: {at: 0.1}, parameters: {offset: -8.0}}]"
+"""With this fault the component `Careful` stands still."""
+
+
+@pytest.mark.parametrize(
+    "simulator, crashed",
+    [("crashes:Crashes", "corridor/it#0"), ("crashes:CrashesAtHalf", "corridor/it+none#0")],
+    ids=["both runs", "the run without faults"],
+)
+def test_a_requirement_on_pairs_sees_the_crash_of_neither_run(crashing, simulator, crashed):
+    requirement(crashing, "always (gap > 0)", **PAIRED)
+    scenario(
+        crashing, simulator=simulator, world="{crash: 3}", duration=1.0, runs=3, faults=STOPPED,
+        requirements="[R-1]",
+    )  # fmt: skip
+    result = crashing.run("corridor/it", "--dura-undecided=warn")
+    reason = f"a crash that no requirement sees: {crashed} and 2 more ended critical"
+    found = expect(crashing, result, "undecided", reason)
+    assert len(found.unseen_crashes) == found.run == 3
+    assert main(["verify", str(crashing.path / "dura-evidence")]) == 0
+
+
+def test_a_requirement_on_single_runs_sees_the_crash_of_a_pair(crashing):
+    sees = "requirements: [{id: SEES-1, text: No crash., kind: safety, check: 'always (x < 0.4)'}]"
+    crashing.write("scenarios/requirements_SEES-1.yaml", sees)
+    requirement(crashing, "always (gap > 0)", **PAIRED)
+    scenario(
+        crashing, simulator="crashes:CrashesAtHalf", duration=1.0, runs=3, faults=STOPPED,
+        requirements="[R-1, SEES-1]",
+    )  # fmt: skip
+    assert crashing.run("corridor/it").ret == 0
+    assert set(crashing.verdicts().values()) == {"supported"}
 
 
 def test_an_invalid_run_that_violates_fails_the_gate_in_words_of_its_own(project):

@@ -86,12 +86,7 @@ def test_a_fault_that_never_manifests_has_more_runs_follow(project):
     assert [one.id for one in project.evidence().episodes][-1] == "corridor/idle#5"
 
 
-def test_undecided_can_be_relaxed_to_a_skip_but_a_violation_cannot(project):
-    scenario(project, "idle", faults=IDLE, fault_injector="Idle")
-    result = project.run("corridor/idle::GAP-1", "--dura-undecided=warn")
-    result.assert_outcomes(skipped=1)
-    assert result.ret == 0
-    assert set(project.verdicts().values()) == {"undecided"}
+def test_no_option_excuses_a_violation(project):
     scenario(project, "crash", generator="Reckless", world="{wall: 1.0}")
     project.run("corridor/crash", "--dura-undecided=warn").assert_outcomes(failed=1, passed=1)
 
@@ -202,7 +197,7 @@ def test_a_campaign_of_invalid_episodes_carries_no_pass(project):
     result = project.run("test_it.py")
     result.assert_outcomes(failed=1)
     assert "undecided: 3 of 3 episodes are invalid (corridor/idle#0: never" in result.stdout.str()
-    project.run("test_it.py", "--dura-undecided=warn").assert_outcomes(skipped=1)
+    project.run("test_it.py", "--dura-undecided=warn").assert_outcomes(failed=1)
 
 
 def test_the_gate_fails_on_a_verdict_for_which_no_test_failed(project):
@@ -212,7 +207,7 @@ def test_the_gate_fails_on_a_verdict_for_which_no_test_failed(project):
     result.assert_outcomes(passed=3)
     assert result.ret == 1
     assert "the gate fails: GAP-1 on corridor/useless is undecided, though" in result.stdout.str()
-    assert project.run("test_it.py", "--dura-undecided=warn").ret == 0
+    assert project.run("test_it.py", "--dura-undecided=warn").ret == 1
     project.write("test_it.py", TEST.format("tight"))
     assert project.run("test_it.py").ret == 0
     assert project.run("test_it.py", "-k", "tight and 0").ret == 1

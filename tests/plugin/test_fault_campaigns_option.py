@@ -488,7 +488,7 @@ def test_a_partly_decided_requirement_has_no_conformance_score_and_a_violated_on
     assert score == 0
     assert "1 of 2 verdicts supported; 1 violated. 0: it was violated" in why
     near_the_wall(project, name="bad", faults=f"[{LATE}]")
-    assert project.run("corridor/bad", "corridor/too", "--dura-undecided=warn").ret == 0
+    assert project.run("corridor/bad", "corridor/too").ret == 1
     ((score, why),) = conformance(project).values()
     assert score is None
     assert "1 of 2 verdicts supported; 1 undecided. No score" in why

@@ -115,9 +115,11 @@ def _component(record: SessionRecord, facts: EpisodeFacts) -> Element:
     if under_test.opaque:
         parts.append("an instance whose state the record does not hold")
     policies = names_text(sorted(facts.policies)) or "unknown"
+    declared = sorted({case.repeat.declared for case in record.head.cases if case.repeat} - {""})
+    draws = f" The runs count as draws: {one_line('; '.join(declared), MAX_TEXT)}."
     return Element(
         "CComponent",
-        f"{', '.join(parts)}. Recovery policy: {policies}.",
+        f"{', '.join(parts)}. Recovery policy: {policies}.{draws if declared else ''}",
         url="evidence.json#/component_under_test",
         alias="context:component",
     )
