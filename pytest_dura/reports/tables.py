@@ -45,6 +45,7 @@ from pytest_dura.reports.searches import (
     search_coverage_text,
 )
 from pytest_dura.reports.verdicts import no_rate_reason, rate_bound
+from pytest_dura.requirements.campaign_verdicts import weakness
 
 # Cases.
 
@@ -269,7 +270,8 @@ def _bound(row: VerdictEntry) -> Cell:
     else:
         page = f"\N{LESS-THAN OR EQUAL TO} {share_text(bound.upper)}"
         page += f" at {share_text(bound.confidence)}"
-    return Cell(text, text, page, (allowed,), below=True)
+    weak = weakness(bound.at_most, bound.confidence)
+    return Cell(text, text, page, (allowed, weak) if weak else (allowed,), below=True)
 
 
 def _margins(row: VerdictEntry) -> str | None:

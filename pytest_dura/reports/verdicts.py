@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import VerdictEntry, WaiverEntry
-from pytest_dura.requirements.campaign_verdicts import SITUATIONS
+from pytest_dura.requirements.campaign_verdicts import SITUATIONS, weakness
 
 MAX_TEXT = 400
 """Characters of a user's text in a sentence; the record has all of it."""
@@ -31,6 +31,7 @@ def figures_text(verdict: VerdictEntry) -> str:
     bound = verdict.bound
     if bound.upper is not None:
         counts += f", rate <= {bound.upper:.2g} at {bound.confidence:g}"
+    counts += _weakness_note(verdict)
     if verdict.situation is not None:
         counts += f", {SITUATIONS[verdict.situation]}"
     counts += f", {verdict.method}"
@@ -70,10 +71,16 @@ def fault_free_violations_text(verdict: VerdictEntry) -> str:
 
 def rate_bound(verdict: VerdictEntry) -> str:
     """The bound on the rate of violations with its confidence, or that there is none."""
-    bound = verdict.bound
+    bound, weak = verdict.bound, _weakness_note(verdict)
     if bound.upper is None:
-        return f"no bound{no_rate_reason(verdict)}"
-    return f"rate <= {bound.upper:.3g} at {bound.confidence:g} confidence"
+        return f"no bound{no_rate_reason(verdict)}{weak}"
+    return f"rate <= {bound.upper:.3g} at {bound.confidence:g} confidence{weak}"
+
+
+def _weakness_note(verdict: VerdictEntry) -> str:
+    """That little is asked for, after a comma; else empty."""
+    weak = weakness(verdict.bound.at_most, verdict.bound.confidence)
+    return f", {weak}" if weak else ""
 
 
 def no_rate_reason(verdict: VerdictEntry) -> str:
@@ -139,9 +146,10 @@ def _bound_text(requirement: RequirementEntry) -> str:
         what = f"pairs of equal seeds, with and without {lacking},"
     if requirement.at_most is None:
         return f"Asked for in all {what.rstrip(',')}."
+    weak = weakness(requirement.at_most, requirement.confidence)
     return (
         f"Violated in at most {part_text(requirement.at_most)} of {what.rstrip(',')}, "
-        f"confidence {part_text(requirement.confidence)}."
+        f"confidence {part_text(requirement.confidence)}{f' ({weak})' if weak else ''}."
     )
 
 
@@ -182,7 +190,7 @@ def _upper_text(verdict: VerdictEntry) -> str:
         return f"no bound on the rate of violations{no_rate_reason(verdict)} ({method})"
     return (
         f"rate of violations at most {part_text(bound.upper)} with confidence "
-        f"{part_text(bound.confidence)} ({method})"
+        f"{part_text(bound.confidence)} ({method}){_weakness_note(verdict)}"
     )
 
 

@@ -19,6 +19,7 @@ from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.hazards import without_evidence_sentences
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
+from pytest_dura.requirements.campaign_verdicts import weakness
 
 NAME_LIMIT = 400
 """Characters of a name in a machine-readable format."""
@@ -187,11 +188,25 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
 
 
 def supported_sentence(verdicts: list[VerdictEntry]) -> str:
-    """How many of a session's verdicts are supported, and their weakest bound; there is one."""
+    """How many of a session's verdicts are supported, their weakest bound, weak requirements."""
     supported = [verdict for verdict in verdicts if verdict.verdict == "supported"]
     if not supported:
-        return f"None of {len(verdicts)} verdicts is supported."
-    return f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
+        return f"None of {len(verdicts)} verdicts is supported.{_weak_requirements(verdicts)}"
+    return (
+        f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
+        f"{_weak_requirements(verdicts)}"
+    )
+
+
+def _weak_requirements(verdicts: list[VerdictEntry]) -> str:
+    """Sentence that names the requirements that ask for little; empty without any."""
+    weak = {
+        f"{name(verdict.requirement)} {weakness(*limits).removeprefix('weak: ')}": None
+        for verdict in verdicts
+        if weakness(*(limits := (verdict.bound.at_most, verdict.bound.confidence)))
+    }
+    more = f"; and {len(weak) - _MOST_NAMES} more" if len(weak) > _MOST_NAMES else ""
+    return f" Weak: {'; '.join(list(weak)[:_MOST_NAMES])}{more}." if weak else ""
 
 
 def limitation_sentences(record: SessionRecord) -> Iterator[str]:

@@ -116,6 +116,27 @@ class Bound:
     at_most: float | None = None
 
 
+WEAK_RATE = 0.5
+"""Accepted rate of violations from which a requirement is weak."""
+WEAK_CONFIDENCE = 0.8
+"""Confidence below which a requirement is weak."""
+
+
+def weakness(at_most: float | None, confidence: float) -> str:
+    """Why a requirement asks for little, such as ``weak: accepts 50 % of runs``; empty if not.
+
+    Args:
+        at_most: Greatest acceptable rate of episodes that violate it.
+        confidence: Of the bound on that rate.
+    """
+    reasons = []
+    if at_most is not None and at_most >= WEAK_RATE:
+        reasons.append(f"accepts violations in {100 * at_most:.4g} % of runs")
+    if confidence < WEAK_CONFIDENCE:
+        reasons.append(f"asks for {100 * confidence:.4g} % confidence")
+    return f"weak: {' and '.join(reasons)}" if reasons else ""
+
+
 @dataclass(frozen=True, slots=True)
 class Margins:
     """Distribution of robustness over the valid episodes that have a margin."""

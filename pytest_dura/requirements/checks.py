@@ -25,6 +25,7 @@ from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.stl.evaluation import evaluate
 from pytest_dura.requirements.stl.formula import Formula, ranging_or_refuse, reach
 from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.validity import falsifiable_or_refuse
 from pytest_dura.requirements.stl.windows import Array
 
 _PATH = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -71,11 +72,12 @@ def read_formula(text: str, signals: tuple[str, ...] | None = None) -> Formula:
     """The formula of a check; ``signals`` are the known names, where they are known.
 
     Raises:
-        ConfigurationError: For anything that is no formula, and for one of which a part reads the
-            beginning of an episode alone.
+        ConfigurationError: For anything that is no formula, for one of which a part reads the
+            beginning of an episode alone, and for one that holds whatever the signals are.
     """
     formula = parse(text, signals)
     ranging_or_refuse(formula)
+    falsifiable_or_refuse(formula)
     return formula
 
 

@@ -7,6 +7,7 @@ from corridors import requirement, scenario
 from outputs import output
 
 REFUSED = "`gap > 0` is judged at the beginning of the episode alone"
+CERTAIN = "the formula holds whatever the signals are"
 
 
 def a_test(body, fixtures="episode", marks=(), **dura):
@@ -32,19 +33,32 @@ def test_a_requirement_that_reads_one_sample_is_refused_at_its_line(project):
     assert "Traceback" not in told
 
 
+def test_a_requirement_that_no_signal_can_make_false_is_refused_at_its_line(project):
+    requirement(project, "always (gap * 0 >= 0)")
+    scenario(project, requirements="[R-1]")
+    result = project.scenarios()
+    assert result.ret == 4
+    told = output(result)
+    assert CERTAIN in told
+    assert "scenarios/requirements_R-1.yaml:2: " in told
+    assert "Traceback" not in told
+
+
 @pytest.mark.parametrize(
-    "fixture, body",
+    "fixture, body, refusal",
     [
-        ("campaign", "campaign.require('(gap > 0) and (always (x < 99))')"),
-        ("episode", "assert episode.robustness('gap > 0') > 0"),
-        ("episode", "assert episode.satisfies('gap > 0')"),
+        ("campaign", "campaign.require('(gap > 0) and (always (x < 99))')", REFUSED),
+        ("episode", "assert episode.robustness('gap > 0') > 0", REFUSED),
+        ("episode", "assert episode.satisfies('gap > 0')", REFUSED),
+        ("campaign", "campaign.require('always (gap >= gap)')", CERTAIN),
+        ("episode", "assert episode.satisfies('always (gap >= gap)')", CERTAIN),
     ],
 )
-def test_a_formula_of_a_test_that_reads_one_sample_is_refused(project, fixture, body):
+def test_a_formula_of_a_test_that_cannot_fail_is_refused(project, fixture, body, refusal):
     project.write("test_it.py", a_test([body], fixture))
     result = project.run("test_it.py")
     assert result.ret == 1
-    assert REFUSED in output(result)
+    assert refusal in output(result)
     assert "passed" not in result.parseoutcomes()
 
 
@@ -54,6 +68,26 @@ def test_a_marker_that_reads_one_sample_is_refused(project):
     assert result.ret == 1
     result.assert_outcomes(errors=1)
     assert REFUSED in output(result)
+
+
+@pytest.mark.parametrize(
+    "rate, words",
+    [
+        ({"at_most": 0.999}, "accepts violations in 99.9 % of runs"),
+        ({"at_most": 0.2, "confidence": 0.5001}, "asks for 50.01 % confidence"),
+    ],
+)
+def test_a_requirement_that_asks_for_little_is_named_where_its_verdict_stands(project, rate, words):
+    requirement(project, "always (gap > 0)", **rate)
+    scenario(project, runs=8, requirements="[R-1]")
+    result = project.scenarios(select="corridor/it")
+    assert result.ret == 0
+    argument = (project.path / "dura-evidence/assurance-case.gsn.yaml").read_text()
+    for text in (output(result), *rendered(project), argument):
+        assert words in " ".join(text.split())
+    requirement(project, "always (gap > 0)", at_most=0.49, confidence=0.8)
+    project.scenarios(select="corridor/it")
+    assert "weak: " not in (project.path / "dura-evidence/report.html").read_text()
 
 
 def test_a_check_that_returns_a_number_of_things_decides_nothing(project):

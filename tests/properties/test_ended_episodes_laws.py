@@ -106,7 +106,7 @@ def asked_for(step: float) -> st.SearchStrategy[str]:
     )
     found = st.one_of(throughout, ranged, ranged).map(lambda root: Formula(root, node_text(root)))
     wide = formulas(NAMES, time_step=step, max_window=8)
-    return st.one_of(found, wide).map(str).map(ranging)
+    return st.one_of(found, wide).map(str).map(ranging).filter(can_fail)
 
 
 def ranging(text: str) -> str:
@@ -115,6 +115,14 @@ def ranging(text: str) -> str:
         return str(read_formula(text))
     except ConfigurationError:
         return f"always[0:0] ({text})"
+
+
+def can_fail(text: str) -> bool:
+    """Whether a formula is a check; one that holds whatever the signals are is not."""
+    try:
+        return bool(read_formula(text))
+    except ConfigurationError:
+        return False
 
 
 @st.composite
