@@ -255,6 +255,25 @@ def stream_record(file: Path, read: ReadEpisode) -> StreamedRecord | None:
     return StreamedRecord(head, file, identity, offsets)
 
 
+def read_head(file: Path) -> dict[str, Any]:
+    """Read a record as it is written, without its episodes, which are not parsed.
+
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: If it is not JSON.
+        TypeError: If it is not an object.
+    """
+    lines, skipped = [], False
+    with file.open("rb") as stream:
+        for line in stream:
+            skipped = skipped and line not in _CLOSE
+            if not skipped:
+                lines.append(line)
+            skipped = skipped or line == _OPEN
+    head: dict[str, Any] = dict(json.loads(b"".join(lines)))
+    return head
+
+
 def _episode_offsets(stream: IO[bytes], offset: int, read: ReadEpisode) -> tuple[array[int], bytes]:
     """Find the offsets of a list's episodes, and the line that closes it.
 

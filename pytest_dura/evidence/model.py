@@ -42,6 +42,7 @@ from pytest_dura.evidence.signing import Review, read_review
 from pytest_dura.evidence.verdict_model import (
     BaselineEntry,
     EffectivenessEntry,
+    LookEntry,
     MonitorEntry,
     VerdictEntry,
 )
@@ -151,6 +152,9 @@ class RecordHead(Entry):
     verdict."""
     baseline: BaselineEntry | None
     """What the session was compared with; null without."""
+    looks: Absent[list[LookEntry]] = None
+    """Earlier verdicts on rates, of the evidence that this session replaced and of the baseline: a
+    bound holds with its confidence for one look. Absent where there are none."""
     finished: str | None
     """When it ended, in ISO 8601; null as long as it runs."""
     gate: GateEntry

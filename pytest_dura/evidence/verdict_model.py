@@ -443,6 +443,29 @@ class ComparisonEntry(Entry):
     """Adjusted for all comparisons."""
 
 
+class LookEntry(Entry):
+    """An earlier verdict on a rate."""
+
+    created: str
+    """When its session began, in ISO 8601."""
+    base_seed: Count
+    """Base seed of its session."""
+    requirement: str
+    """Id of the requirement."""
+    case: str
+    """Id of the case."""
+    component: str
+    """Name of the component under test."""
+    digest: str | None
+    """Digest of the component; null without one."""
+    planned: Count
+    """Episodes that were planned."""
+    episodes: Count
+    """Valid episodes."""
+    violations: Count
+    """Valid episodes that violated it."""
+
+
 class BaselineEntry(Entry):
     """An earlier record that the session is compared with."""
 

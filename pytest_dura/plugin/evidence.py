@@ -238,6 +238,7 @@ class SessionEvidence:
         from pytest_dura.evidence.bundle import PROGRESS_FOLDER, begin_bundle, check_directory
         from pytest_dura.evidence.files import DirectoryLock
         from pytest_dura.evidence.gather import RecordBuilder
+        from pytest_dura.evidence.looks import earlier_looks
         from pytest_dura.plugin.inputs import files_of_roles
         from pytest_dura.plugin.progress import remove_files
         from pytest_dura.provenance import describe_environment, describe_tool
@@ -246,6 +247,7 @@ class SessionEvidence:
         check_directory(options.evidence)
         self._lock = DirectoryLock(options.evidence)
         try:
+            looks = earlier_looks(options.evidence, self.given.baseline)
             self.record = RecordBuilder(
                 {
                     "created": _now(),
@@ -266,6 +268,7 @@ class SessionEvidence:
                     "merged_from": None,
                     "selection": self._selection.to_json(),
                     **self._models.price_json(),
+                    **({"looks": looks} if looks else {}),
                 },
                 options.evidence,
             )

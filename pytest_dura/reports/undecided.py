@@ -8,8 +8,7 @@ from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.gate import NOT_REPEATABLE
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import VerdictEntry
-from pytest_dura.requirements.campaign_verdicts import REPEATED, SITUATIONS
-from pytest_dura.requirements.rate_tests import runs_needed
+from pytest_dura.requirements.campaign_verdicts import REPEATED, SITUATIONS, rate_advice
 
 _MAX_DETAIL = 300
 
@@ -158,14 +157,22 @@ def _by_rate(verdict: VerdictEntry, requirement: RequirementEntry) -> Obstacle:
             f"other {reason}", f"{name(verdict.requirement)}: {reason}",
             "Look at its reason in the report: no number of runs alone decides it.", worst,
         )  # fmt: skip
-    needed = runs_needed(at_most, requirement.confidence, verdict.violations)
+    violations = verdict.violations + len(verdict.open)
+    counts = (
+        f"{violations} of {verdict.episodes} violate {name(verdict.requirement)} on "
+        f"{name(verdict.case)}"
+    )
+    if violations > at_most * verdict.episodes:
+        headline = (
+            f"More runs violate it than are allowed, too few to be sure: {counts}, where "
+            f"{100 * at_most:.3g} % are allowed"
+        )
+    else:
+        headline = (
+            f"Too few runs to tell: {counts}, so that the rate may be {upper:.2g} where "
+            f"{at_most:g} is allowed"
+        )
+    advice = rate_advice(violations, verdict.episodes, at_most, requirement.confidence)
     return Obstacle(
-        f"rate {verdict.requirement}",
-        f"Too few runs to tell: {verdict.violations} of {verdict.episodes} violate "
-        f"{name(verdict.requirement)} on {name(verdict.case)}, so that the rate may be "
-        f"{upper:.2g} where {at_most:g} is allowed",
-        f"Plan {counted(needed, 'run')} on a fresh seed (`--dura-seed`), which may hold "
-        f"{counted(verdict.violations, 'violation')}; or decide it by a sequential method "
-        "(`method: e-process`).",
-        worst,
+        f"rate {verdict.requirement}", headline, f"{advice[0].upper()}{advice[1:]}.", worst
     )

@@ -13,6 +13,7 @@ from operator import itemgetter
 from pytest_dura.core.state import NOTHING, Event
 from pytest_dura.evidence.episode_model import EventEntry
 from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
+from pytest_dura.evidence.looks import further_looks
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name, one_line
@@ -227,6 +228,7 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
         rest = f", {without_valid} of them without a single valid episode" if without_valid else ""
         yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
     yield from _one_situation(verdicts)
+    yield from look_sentences(record)
     waived = [verdict for verdict in verdicts if verdict.waiver is not None]
     if waived:
         yield f"{_share(waived, verdicts)} waived: let through by name, not by evidence."
@@ -268,6 +270,20 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
         "All of it is simulated: nothing is said of conditions that the scenarios and their ranges "
         "do not contain."
     )
+
+
+def look_sentences(record: SessionRecord) -> Iterator[str]:
+    """Name the verdicts on a rate before which earlier sessions looked at the same campaign."""
+    for verdict, earlier in further_looks(record):
+        looks = [
+            f"{look.violations} of {look.episodes} violated at base seed {look.base_seed}"
+            for look in earlier[-_MOST_NAMES:]
+        ]
+        yield (
+            f"{name(verdict.requirement)} on {name(verdict.case)} was looked at before, in "
+            f"{counted(len(earlier), 'earlier plan')} ({'; '.join(looks)}): its confidence holds "
+            "for one look."
+        )
 
 
 def _left_out(record: SessionRecord) -> Iterator[str]:

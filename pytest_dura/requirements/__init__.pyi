@@ -28,7 +28,16 @@ from .pairs import (
     measured,
     pair_verdict,
 )
-from .rate_tests import EProcess, FixedN, Sprt, lower_bound, make_test, runs_needed, upper_bound
+from .rate_tests import (
+    EProcess,
+    FixedN,
+    Sprt,
+    advised_plan,
+    lower_bound,
+    make_test,
+    runs_needed,
+    upper_bound,
+)
 from .second_engine import EnginesDisagreeError, SecondEngine
 from .sequential import SequentialTest
 from .stl.evaluation import (
@@ -99,6 +108,7 @@ __all__ = [
     "Temporal",
     "TemporalPair",
     "Window",
+    "advised_plan",
     "change_verdict",
     "check_comparison",
     "check_name",

@@ -20,6 +20,7 @@ from pytest_dura.requirements.campaign_verdicts import (
     Margins,
     Situation,
     UncountedEpisode,
+    rate_advice,
 )
 from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
@@ -27,7 +28,6 @@ from pytest_dura.requirements.rate_tests import (
     EXACT_METHOD,
     lower_bound,
     make_test,
-    runs_needed,
     upper_bound,
 )
 from pytest_dura.requirements.sequential import SequentialTest, require_between
@@ -389,13 +389,12 @@ class CampaignJudge:
         reason = f"{counts}: at {confidence:g} confidence the rate is at most {upper:.3g}"
         if upper <= at_most:
             return "supported", reason
-        # More runs beside these would be a second look at them, which breaks the level.
-        needed = runs_needed(at_most, confidence, violations)
-        return "undecided", (
-            f"{reason}, which does not support {at_most:g}; decide it by a sequential method "
-            f"(e-process, sprt), or by a new plan on a fresh seed: {needed} {self._noun} allow "
-            f"{violations} violations"
-        )
+        worst = violations + self._count("open")
+        if worst > at_most * valid:
+            share = f"{100 * worst / valid:.3g} %, more than the {100 * at_most:.3g} % allowed"
+            reason = reason.replace(counts, f"{counts} ({share})", 1)
+        advice = rate_advice(worst, valid, at_most, confidence)
+        return "undecided", f"{reason}, which does not support {at_most:g}; {advice}"
 
     def _obstacles(self, *, decided: bool = False) -> list[str]:
         """Reasons why this campaign cannot support a claim."""

@@ -14,7 +14,13 @@ import numpy as np
 
 from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.episode import Episode
-from pytest_dura.requirements.rate_tests import EXACT_METHOD
+from pytest_dura.requirements.rate_tests import (
+    ADVISED_POWER,
+    EXACT_METHOD,
+    MAX_ADVISED_RUNS,
+    advised_plan,
+    plan_allowing,
+)
 
 if TYPE_CHECKING:
     from pytest_dura.requirements.model import Requirement
@@ -135,6 +141,39 @@ def weakness(at_most: float | None, confidence: float) -> str:
     if confidence < WEAK_CONFIDENCE:
         reasons.append(f"asks for {100 * confidence:.4g} % confidence")
     return f"weak: {' and '.join(reasons)}" if reasons else ""
+
+
+def rate_advice(violations: int, episodes: int, at_most: float, confidence: float) -> str:
+    """What would decide a rate that a fixed number of runs left undecided, with its prospects.
+
+    More runs beside these would be a second look at them, which breaks the level.
+
+    Args:
+        violations: Among the runs, open ones included.
+        episodes: Valid runs.
+        at_most: Greatest acceptable rate.
+        confidence: Of the bound on it.
+    """
+    rate = violations / episodes
+    observed = f"at the observed rate of {100 * rate:.3g} %"
+    if rate > at_most:
+        plan = plan_allowing(violations, at_most, confidence, rate)
+        return (
+            f"mend what violates it: {observed} a new plan on a fresh seed that allows "
+            f"{violations} violations in {plan.runs} runs succeeds with probability "
+            f"{100 * plan.power:.2g} %"
+        )
+    advised = advised_plan(at_most, confidence, rate)
+    if advised is None:
+        return (
+            f"decide it by a sequential method (e-process, sprt): {observed} no new plan of up to "
+            f"{MAX_ADVISED_RUNS} runs succeeds with probability {100 * ADVISED_POWER:.0f} %"
+        )
+    return (
+        "decide it by a sequential method (e-process, sprt), or by a new plan on a fresh seed: "
+        f"{advised.runs} runs allow {advised.violations} violations, and {observed} they "
+        f"succeed with probability {100 * advised.power:.3g} %"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import islice
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.model import METHODS
@@ -71,6 +71,49 @@ def runs_needed(at_most: float, confidence: float, violations: int = 0) -> int:
         else:
             high = middle
     return high
+
+
+class Plan(NamedTuple):
+    """A fixed number of runs that supports a rate with at most so many violations among them.
+
+    Args:
+        runs: Its valid runs.
+        violations: The most that may be among them.
+        power: Probability that it supports the rate, at an assumed true rate of violations.
+    """
+
+    runs: int
+    violations: int
+    power: float
+
+
+ADVISED_POWER = 0.8
+"""Probability of success that an advised plan has."""
+MAX_ADVISED_RUNS = 10_000
+
+
+def plan_allowing(violations: int, at_most: float, confidence: float, rate: float) -> Plan:
+    """The least plan that allows so many violations, with its power at a true rate."""
+    from scipy.special import bdtr
+
+    runs = runs_needed(at_most, confidence, violations)
+    return Plan(runs, violations, float(bdtr(violations, runs, rate)))
+
+
+def advised_plan(at_most: float, confidence: float, rate: float) -> Plan | None:
+    """A plan that supports ``at_most`` with a probability of 80 % at a true rate.
+
+    ``None`` if no plan of :data:`MAX_ADVISED_RUNS` has that power, as where the rate is above it.
+    """
+    violations = 0
+    while rate < at_most:
+        plan = plan_allowing(violations, at_most, confidence, rate)
+        if plan.runs > MAX_ADVISED_RUNS:
+            return None
+        if plan.power >= ADVISED_POWER:
+            return plan
+        violations += 1 + violations // 16
+    return None
 
 
 def _check(violations: int, episodes: int, confidence: float) -> None:

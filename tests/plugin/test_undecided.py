@@ -108,3 +108,63 @@ def test_a_violation_is_never_relaxed(project, kind):
     else:
         found = expect(project, result, "violated")
         assert found.violations == found.run > 0
+
+
+def looks(project):
+    return [(look.base_seed, look.planned) for look in project.evidence().looks or ()]
+
+
+NAMED = "R-1 on corridor/it was looked at before"
+
+
+def test_a_new_plan_on_a_fresh_seed_is_a_further_look_and_names_the_earlier_ones(project):
+    requirement(project, "always (gap > 0)", at_most=0.1)
+    scenario(project, requirements="[R-1]", runs=3)
+    assert NAMED not in project.run("corridor/it").stdout.str()
+    assert project.evidence().looks is None
+    assert NAMED not in project.run("corridor/it").stdout.str()  # the same episodes again
+    second = project.run("corridor/it", "--dura-seed=1")
+    third = project.run("corridor/it", "--dura-seed=2", "--dura-runs=40")
+    assert third.ret == 0
+    assert looks(project) == [(0, 3), (1, 3)]
+    bundle = project.path / "dura-evidence"
+    assert main(["verify", str(bundle)]) == 0
+    assert "in 1 earlier plan (0 of 3 violated at base seed 0)" in flat(second.stdout.str())
+    text = f"{NAMED}, in 2 earlier plans (0 of 3 violated at base seed 0; 0 of 3 violated at base"
+    for found in (third.stdout.str(), (bundle / "summary.md").read_text()):
+        assert text in flat(found)
+
+
+def test_looks_at_another_component_are_not_looks_at_this_one(project):
+    requirement(project, "always (gap > 0)", at_most=0.1)
+    scenario(project, requirements="[R-1]", runs=3, generator="planners:Own")
+    project.write("planners.py", "from corridor import Careful\n\nclass Own(Careful):\n    pass\n")
+    project.scenarios(select="corridor/it")
+    project.write(
+        "planners.py", "from corridor import Careful\n\nclass Own(Careful):\n    speed = 2\n"
+    )
+    result = project.scenarios("--dura-seed=1", select="corridor/it")
+    assert looks(project) == [(0, 3)]
+    assert NAMED not in result.stdout.str()
+
+
+def test_a_baseline_of_the_same_component_is_an_earlier_look(project):
+    requirement(project, "always (gap > 0)", at_most=0.1)
+    scenario(project, requirements="[R-1]", runs=3)
+    project.run("corridor/it", "--dura-evidence=first")
+    result = project.run("corridor/it", "--dura-seed=1", "--dura-baseline=first")
+    assert looks(project) == [(0, 3)]
+    assert NAMED in flat(result.stdout.str())
+
+
+@pytest.mark.parametrize("content", ["[]", "{", '{"looks": 3}', '{"component_under_test": 1}'])
+def test_evidence_that_cannot_be_read_has_no_looks(project, content):
+    scenario(project)
+    (project.path / "dura-evidence").mkdir()
+    project.write("dura-evidence/evidence.json", content)
+    result = project.run("corridor/it", "--dura-evidence=dura-evidence")
+    assert "Traceback" not in result.stdout.str() + result.stderr.str()
+
+
+def flat(text):
+    return " ".join(text.split())

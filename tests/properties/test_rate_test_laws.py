@@ -16,6 +16,7 @@ from scipy.stats import binom, binomtest, fisher_exact
 
 from pytest_dura.requirements import (
     SequentialTest,
+    advised_plan,
     compare_counts,
     compare_pairs,
     holm,
@@ -201,3 +202,23 @@ def test_counts_are_compared_by_fishers_exact_test(cells: list[int]) -> None:
         assert p_value == pytest.approx(expected, rel=1e-7)
     level = min(result.p_worse, result.p_better) <= 0.05
     assert (result.status == "no evidence of a change") == (not level)
+
+
+@lawful
+@given(
+    st.floats(0.005, 0.9),
+    st.sampled_from([0.8, 0.9, 0.95, 0.99]),
+    st.floats(0, 1, exclude_max=True),
+)
+def test_an_advised_plan_supports_the_rate_as_often_as_it_says(
+    at_most: float, confidence: float, rate: float
+) -> None:
+    plan = advised_plan(at_most, confidence, rate)
+    if plan is None:
+        # The rate is above the limit, or so near below it that thousands of runs are too few.
+        assert rate > 0.4 * at_most
+        return
+    assert rate < at_most
+    assert plan.power >= 0.8
+    assert plan.power == pytest.approx(binom.cdf(plan.violations, plan.runs, rate), rel=1e-9)
+    assert binom.cdf(plan.violations, plan.runs, at_most) <= 1 - confidence + 1e-9

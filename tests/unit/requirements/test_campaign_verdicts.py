@@ -135,10 +135,20 @@ def test_a_rate_that_n_cannot_support_is_undecided_and_says_what_would() -> None
     found = judge(some(satisfied=58), at_most=0.05)
     assert found.verdict == "undecided"
     assert "which does not support 0.05; decide it by a sequential method" in found.reason
-    assert "or by a new plan on a fresh seed: 59 episodes allow 0 violations" in found.reason
+    assert "or by a new plan on a fresh seed: 59 runs allow 0 violations" in found.reason
     found = judge(some(satisfied=91, violated=1), at_most=0.05)
     assert found.verdict == "undecided"
-    assert "on a fresh seed: 93 episodes allow 1 violations" in found.reason
+    assert "on a fresh seed: 124 runs allow 2 violations" in found.reason
+
+
+def test_where_more_runs_violate_than_are_allowed_the_reason_says_that_first() -> None:
+    found = judge(some(satisfied=6, violated=9), at_most=0.5)
+    assert found.verdict == "undecided"
+    counts = "9 of 15 valid episodes violated it (60 %, more than the 50 % allowed)"
+    assert found.reason.startswith(counts)
+    # The distribution of scipy.stats.binom at 9 of 28 runs, with a rate of 0.6.
+    assert "allows 9 violations in 28 runs succeeds with probability 0.27 %" in found.reason
+    assert "sequential" not in found.reason
 
 
 def test_a_rate_that_is_exceeded() -> None:
