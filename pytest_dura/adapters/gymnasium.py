@@ -108,7 +108,10 @@ class GymnasiumSimulator(Simulator):
 
     Every callable may be given as an import path ``package.module:name``, so that a RoleSpec
     holds plain data. ``scenario["world"]`` goes to the environment's ``reset`` as ``options``. The
-    environment's time limit is left out: the length of an episode is the scenario's.
+    time limit with which an environment is registered is left out: the length of an episode is the
+    scenario's. An environment that truncates an episode all the same ends it, as ``truncated``,
+    which is judged as a time limit; where it does so for another reason, such as a place that it
+    cannot leave, ``critical`` has to say so.
 
     Args:
         env: A Gymnasium id, or an import path of an environment class or factory.
@@ -298,7 +301,7 @@ class GymnasiumSimulator(Simulator):
             channels=read_only(self._sensors(observation, info)),
             goal=goal,
             critical=critical,
-            events=(("truncated", self._env_name, "by the environment"),) if truncated else (),
+            truncated=bool(truncated or terminated),  # either way `step` may not be called again
         )
 
     def _set_attribute(self, name: str) -> None:

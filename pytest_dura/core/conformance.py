@@ -323,7 +323,7 @@ class _RoleKit:
         tick = world.reset(self.scenario, self.context.seed)
         state = StateManager(self.context.dt)
         for _ in range(self.ticks):
-            if tick.critical is not None:
+            if tick.critical is not None or tick.truncated:
                 break
             state.update(tick, Percept(tick.channels, aliases=world.channel_aliases))
             action = world.fallback_action()

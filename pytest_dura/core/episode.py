@@ -85,7 +85,7 @@ class Policy:
 
 @dataclass(frozen=True)
 class Termination:
-    """Conditions that end an episode, besides a critical failure.
+    """Conditions that end an episode, besides a critical failure and an end of the plant's own.
 
     Args:
         time_limit: Simulated seconds; the first tick at or past it is the last one.
@@ -249,7 +249,7 @@ class Episode(Shown):
         events: In the order in which they happened.
         faults: One record per planned fault.
         termination: ``goal``, ``time``, ``critical``, ``violation``, ``decided``, ``iterations``,
-            ``halt`` or ``infrastructure``.
+            ``truncated`` (the plant ended by itself), ``halt`` or ``infrastructure``.
         failure: The message of the infrastructure error, if there was one.
         timeouts: Calls in which the component overran its wall-clock budget: the number of the
             proposal, counted from 0 (the tick, unless the policy refines), or -1 for ``reset``. A

@@ -326,10 +326,9 @@ class Orchestrator:
         judge, so_far = self.judge, (self.simulator, self.state.ticks)
         if judge is not None and end.violation and self._guard("judge", judge, *so_far):
             return "violation"
-        if tick.index >= self._last_index:
-            return "time"
-        if end.iterations is not None and tick.index >= end.iterations:
-            return "iterations"
+        limit = self._limit(tick)
+        if limit is not None:
+            return limit
         faults = self.log.metrics.faults
         decided = (
             judge is not None
@@ -337,6 +336,18 @@ class Orchestrator:
             and self._guard("judge", _all_decided, judge, *so_far, faults)
         )
         return "decided" if decided else None
+
+    def _limit(self, tick: Tick) -> str | None:
+        """Limit of the scenario or of the plant that is reached at this tick."""
+        most = self.spec.termination.iterations
+        if tick.index >= self._last_index:
+            return "time"
+        if most is not None and tick.index >= most:
+            return "iterations"
+        if tick.truncated:
+            self.log.event(tick, "truncated", "simulator", "the plant ended by itself")
+            return "truncated"
+        return None
 
     def _decide_on_tick(self, tick: Tick) -> Any:
         self._propose()

@@ -264,7 +264,7 @@ def checked_tick(tick: Any, index: int, time_step: float) -> Tick:
         raise ValueError(
             f"returned tick {tick.index} at {tick.time:g} s where tick {index} at {due:g} s was due"
         )
-    exact = type(tick.goal) is bool
+    exact = type(tick.goal) is type(tick.truncated) is bool
     for event in tick.events:
         exact &= check_texts("event", event)
     if not _is_mapping(tick.channels):
@@ -278,7 +278,8 @@ def checked_tick(tick: Any, index: int, time_step: float) -> Tick:
 def _exact_tick(tick: Tick) -> Tick:
     critical = None if tick.critical is None else str.__str__(tick.critical)
     events = tuple([cast("tuple[str, str, str]", exact_texts(event)) for event in tick.events])
-    return replace(tick, goal=bool(tick.goal), critical=critical, events=events)
+    goal, truncated = bool(tick.goal), bool(tick.truncated)
+    return replace(tick, goal=goal, critical=critical, events=events, truncated=truncated)
 
 
 def accepted_action(simulator: Simulator, action: Any) -> tuple[Any, str | None]:

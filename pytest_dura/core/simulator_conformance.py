@@ -131,7 +131,7 @@ def _checked(
 
 def _is_over(tick: Tick) -> bool:
     """Whether an episode is not stepped further."""
-    return tick.critical is not None or tick.goal
+    return tick.critical is not None or tick.goal or tick.truncated
 
 
 @contextmanager
@@ -157,10 +157,12 @@ def _check_lazy(runs: EpisodeRuns) -> None:
     if not runs.kind.deterministic:  # another run shows something else at any instant
         return
     later = runs.fresh()
-    lazy = later.reset(runs.scenario, runs.seeds[0]).channels
+    tick = later.reset(runs.scenario, runs.seeds[0])
+    lazy = tick.channels
     for action in runs.actions[:3]:
-        if _is_over(later.step(later.check_action(action))):
+        if _is_over(tick):
             break
+        tick = later.step(later.check_action(action))
     for name in names:
         try:
             value = leaves(lazy[name].get())
@@ -295,7 +297,7 @@ def check_simulator(
         factory: Builds a fresh simulator at each call.
         scenario: The scenario to reset it with.
         actions: Actions as a component proposes them, one per tick; use ten or more. An episode
-            that turns critical or reaches its goal is not stepped further.
+            that turns critical, is truncated or reaches its goal is not stepped further.
         seeds: The seed that is checked, and another one for the episode in between.
         time_step: Simulated seconds per tick; the simulator's own if not given.
 
@@ -563,10 +565,9 @@ class _SimulatorKit:
 
     def _check_fallback(self) -> None:
         simulator = self.runs.fresh()
-        simulator.reset(self.runs.scenario, self.runs.seeds[0])
+        first = simulator.reset(self.runs.scenario, self.runs.seeds[0])
         action = simulator.fallback_action()
-        tick = simulator.step(action)
-        if tick.index != 1:
+        if not _is_over(first) and (tick := simulator.step(action)).index != 1:
             self.findings.breach(
                 f"a step with the fallback action leads to tick {tick.index}",
                 "return from fallback_action what step takes",

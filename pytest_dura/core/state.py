@@ -386,6 +386,9 @@ class Tick:
         goal: Whether the component's task is done.
         critical: Why the episode cannot go on (a collision of the ego), if so.
         events: Events of the step, as ``(kind, subject, detail)``.
+        truncated: Whether the plant ended by itself and cannot be stepped on, at a time limit of
+            its own for example. A breakdown is ``critical`` instead. Where the goal ends episodes,
+            a tick with ``goal`` ends by it.
     """
 
     index: int
@@ -395,6 +398,7 @@ class Tick:
     goal: bool = False
     critical: str | None = None
     events: tuple[tuple[str, str, str], ...] = ()
+    truncated: bool = False
 
     __repr__ = short_repr
 

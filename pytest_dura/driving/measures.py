@@ -26,9 +26,12 @@ def clearance_time(episode: Episode) -> float:
     return float(episode.time[cleared[0]]) if len(cleared) else math.nan
 
 
+_TIME_UP = ("time", "iterations", "truncated")
+
+
 def gridlock(episode: Episode) -> bool:
     """Whether the ego had not cleared the junction when the episode's time was up."""
-    return not episode.ever("cleared") and episode.termination in ("time", "iterations")
+    return not episode.ever("cleared") and episode.termination in _TIME_UP
 
 
 def collided(episode: Episode) -> bool:

@@ -381,8 +381,8 @@ class EpisodeEntry(Entry):
     invalid_reason: str | None
     """Which planned fault never manifested."""
     termination: str
-    """What ended it: `goal`, `time`, `critical`, `violation`, `decided`, `iterations`, `halt` or
-    `infrastructure`."""
+    """What ended it: `goal`, `time`, `critical`, `violation`, `decided`, `iterations`, `truncated`
+    (the plant ended by itself), `halt` or `infrastructure`."""
     failure: str | None
     """Message of the infrastructure error."""
     digest: Sha256

@@ -37,6 +37,7 @@ _ENDS = {
     "goal": "reached its goal",
     "time": "ended at its time limit",
     "iterations": "ended at its limit of decisions",
+    "truncated": "was ended by its plant",
     "critical": "ended critical",
     "halt": "was halted",
     "violation": "ended at a violation",

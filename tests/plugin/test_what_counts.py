@@ -240,9 +240,20 @@ def test_a_probabilistic_fault_that_hit_in_some_episodes_supports_a_claim(projec
     assert any(time is not None for time in hits)
 
 
-def test_the_trace_ends_before_a_window_and_is_invalid_for_it_alone(project):
+TIME_LIMITS = pytest.mark.parametrize(
+    "limit, end",
+    [
+        ({"duration": 0.5}, "time"),
+        ({"duration": 5.0, "simulator": "oddities:EndsByItself"}, "truncated"),
+    ],
+    ids=["of the scenario", "of the plant"],
+)
+
+
+@TIME_LIMITS
+def test_the_trace_ends_before_a_window_and_is_invalid_for_it_alone(project, limit, end):
     requirement(project, "always ((x > 0.25) implies eventually[0:0.3] (x >= 100))")
-    scenario(project, requirements="[R-1, GAP-1]", runs=1)
+    scenario(project, requirements="[R-1, GAP-1]", runs=1, **limit)
     result = project.run("corridor/it")
     reason = "1 of 1 episodes are invalid, more than 20%; none of the episodes was valid"
     found = expect(project, result, "undecided", reason)
@@ -250,27 +261,33 @@ def test_the_trace_ends_before_a_window_and_is_invalid_for_it_alone(project):
     assert "robustness between -0.25 and 0.05" in result.stdout.str()
     other = expect(project, result, "supported", requirement="GAP-1", ret=1)
     assert (other.episodes, other.invalid) == (1, 0)
+    (episode,) = project.evidence().episodes
+    assert (episode.termination, episode.validity) == (end, "valid")
 
 
+@TIME_LIMITS
 @pytest.mark.parametrize(
     "check, word",
     [("eventually[0:0.5] (x >= 0.3)", "supported"), ("always[0:0.5] (x < 0.3)", "violated")],
 )
-def test_a_prefix_that_decides_a_window_counts(project, check, word):
+def test_a_prefix_that_decides_a_window_counts(project, check, word, limit, end):
     requirement(project, check)
-    scenario(project, requirements="[R-1]")
+    scenario(project, requirements="[R-1]", **limit)
     found = expect(project, project.run("corridor/it"), word)
     assert (found.episodes, found.invalid) == (2, 0)
+    assert {episode.termination for episode in project.evidence().episodes} == {end}
 
 
+@TIME_LIMITS
 @pytest.mark.parametrize(
     "check, word", [("eventually (x >= 100)", "violated"), ("always (x < 0.6)", "supported")]
 )
-def test_unbounded_operators_range_over_the_episode(project, check, word):
+def test_unbounded_operators_range_over_the_episode(project, check, word, limit, end):
     requirement(project, check)
-    scenario(project, requirements="[R-1]")
+    scenario(project, requirements="[R-1]", **limit)
     found = expect(project, project.run("corridor/it"), word)
     assert (found.episodes, found.invalid) == (2, 0)
+    assert {episode.termination for episode in project.evidence().episodes} == {end}
 
 
 def test_vacuous_passes_alone_are_undecided(project):

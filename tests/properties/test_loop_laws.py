@@ -77,7 +77,7 @@ def scripts(draw: st.DrawFn) -> Script:
             goal=draw(st.booleans()),
             iterations=draw(st.none() | st.integers(1, 10)),
         ),
-        {"goal": draw(moment), "critical": draw(moment)},
+        {name: draw(moment) for name in ("goal", "critical", "truncated")},
     )
 
 
@@ -145,6 +145,7 @@ def expected(script: Script) -> tuple[list[Row], str]:
             "goal": script.end.goal and tick == script.world["goal"],
             "time": tick == limit,
             "iterations": most is not None and tick >= most,
+            "truncated": tick == script.world["truncated"],
         }
         if any(ends.values()):
             return rows, next(name for name, holds in ends.items() if holds)
@@ -183,7 +184,7 @@ def test_each_decision_and_the_end_are_those_of_the_script() -> None:
         ways.update(f"{script.policy} {row.attempts}" for row in rows)
 
     law()
-    ends = ("critical", "goal", "time", "iterations", "halt")
+    ends = ("critical", "goal", "time", "iterations", "truncated", "halt")
     assert min(ways[name] for name in (*ends, "recovery", "fallback", "refine(2) 1")) > 4, ways
 
 

@@ -9,8 +9,9 @@ from pytest_dura import Simulator, Tick, stream
 
 
 class Clockwork(Simulator):
-    """Reaches its goal and breaks down when the script says so; ``level`` counts the ticks.
+    """Reaches its goal, breaks down and stops when the script says so; ``level`` counts the ticks.
 
+    After a tick at which it broke down or stopped (``truncated``) it cannot be stepped.
     ``noise`` is drawn from the stream ``world``, and ``power`` is what was carried out last.
     """
 
@@ -20,6 +21,8 @@ class Clockwork(Simulator):
         return self._tick()
 
     def step(self, action: Any) -> Tick:
+        if self._index in (self._world.get("critical"), self._world.get("truncated")):
+            raise RuntimeError("stepped after its end")
         self._index, self._power = self._index + 1, float(action)
         return self._tick()
 
@@ -36,6 +39,7 @@ class Clockwork(Simulator):
             {"level": float(self._index), "power": self._power},
             goal=self._index == self._world.get("goal"),
             critical="broke" if self._index == self._world.get("critical") else None,
+            truncated=self._index == self._world.get("truncated"),
         )
 
     def signals(self, ticks: Sequence[Tick]) -> dict[str, Any]:

@@ -59,6 +59,15 @@ class TurnsNaN(Corridor):
         return tick
 
 
+class EndsByItself(Corridor):
+    """A plant with a time limit of its own, which refuses to be stepped after it."""
+
+    def step(self, action):
+        if self.index >= 5:
+            raise RuntimeError("stepped after its end")
+        return replace(super().step(action), truncated=self.index == 5)
+
+
 class Fragile(Corridor):
     """Breaks as the wall is touched, and before that can be seen."""
 

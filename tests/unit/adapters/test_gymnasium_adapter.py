@@ -220,20 +220,74 @@ def test_goal_critical_and_truncation() -> None:
         simulator = tank(**changes)
         tick = simulator.reset({}, 0)
         ticks = [tick]
-        while tick.critical is None and not tick.goal:
+        while tick.critical is None and not tick.goal and not tick.truncated:
             tick = simulator.step(simulator.check_action([0.0, 2.0]))
             ticks.append(tick)
         return ticks
 
-    ended = run()
+    cut = run()[-1]
+    assert (cut.truncated, cut.critical, cut.goal) == (True, None, False)
+    assert 10.0 > cut.truth["level"] > 5.0
+    ended = run(params={"size": 4.0})
     assert ended[-1].critical == "the environment has terminated"
-    assert ended[-1].truth["level"] >= 10.0
-    assert ("truncated", f"{HERE}:Tank", "by the environment") in ended[-2].events
+    assert 5.0 > ended[-1].truth["level"] >= 4.0
     reached = run(goal=f"{HERE}:full")
     assert (reached[-1].goal, reached[-1].critical) == (True, None)
     assert run(critical=f"{HERE}:too_full")[-1].critical == "wet feet"
     both = run(goal=f"{HERE}:full", params={"size": 4.0})
     assert (both[-1].goal, both[-1].critical) == (True, None)
+
+
+class Once(Tank):
+    """A tank that refuses to be stepped after its end, as Gymnasium's interface allows."""
+
+    over = False
+
+    def reset(self, **arguments: Any) -> Any:
+        self.over = False
+        return super().reset(**arguments)
+
+    def step(self, action: Any) -> Any:
+        if self.over:
+            raise RuntimeError("stepped after its end")
+        result = super().step(action)
+        self.over = result[2] or result[3]
+        return result
+
+
+class Pours(Generator):
+    def propose(self, view: Any) -> Proposal:
+        return Proposal([0.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    "changes, goal, end",
+    [
+        ({}, True, "truncated"),
+        ({"params": {"size": 4.0}}, True, "critical"),
+        ({"goal": f"{HERE}:full"}, True, "goal"),
+        ({"goal": f"{HERE}:full", "params": {"size": 4.0}}, True, "goal"),
+        ({"goal": f"{HERE}:full", "params": {"size": 4.0}}, False, "truncated"),
+        ({"critical": f"{HERE}:too_full"}, True, "critical"),
+    ],
+)
+def test_nothing_is_stepped_after_its_end(changes: Any, goal: bool, end: str) -> None:
+    parts = {"time_step": 0.5, "signals": f"{HERE}:signals", "sensors": f"{HERE}:sensors"}
+    spec = EpisodeSpec(
+        case="tank/filling",
+        run=0,
+        seed=1,
+        simulator=RoleSpec(
+            "pytest_dura.adapters.gymnasium:GymnasiumSimulator",
+            {"env": f"{HERE}:Once", **parts, **changes},
+        ),
+        roles={"generator": RoleSpec(f"{HERE}:Pours")},
+        termination=Termination(20.0, goal=goal),
+        time_step=0.5,
+    )
+    episode = Orchestrator.build(spec).run(spec)
+    assert (episode.failure, episode.termination) == (None, end)
+    check_simulator(lambda: tank(env=f"{HERE}:Once", **changes), {}, [[0.0, 2.0]] * 20)
 
 
 def test_a_time_step_is_fixed_unless_an_attribute_holds_it() -> None:

@@ -52,6 +52,32 @@ def test_an_episode_that_turns_critical_is_checked_up_to_there() -> None:
     check_simulator(Thermostat, {"world": {"start": 29.0, "fuse": 30.0}}, [1.0] * 20)
 
 
+@pytest.mark.parametrize("at", [0, 1, 3])
+@pytest.mark.parametrize("end", ["critical", "goal", "truncated"])
+def test_nothing_is_stepped_after_its_end(end: str, at: int) -> None:
+    class Ends(Thermostat):
+        over = False
+
+        def reset(self, scenario: Any, seed: int) -> Tick:
+            self.over = False
+            return self._ended(super().reset(scenario, seed))
+
+        def step(self, action: Any) -> Tick:
+            assert not self.over, "stepped after its end"
+            return self._ended(super().step(action))
+
+        def restore(self, snapshot: Any) -> None:
+            self.over = False
+            super().restore(snapshot)
+
+        def _ended(self, tick: Tick) -> Tick:
+            self.over = tick.index >= at
+            ended = {"critical": "broke" if self.over else None, "goal": self.over}
+            return replace(tick, **{end: ended.get(end, self.over)})
+
+    check_simulator(Ends, SCENARIO, ACTIONS)
+
+
 class Bare(Thermostat):
     """Without the optional parts."""
 
