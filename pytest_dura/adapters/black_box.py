@@ -34,6 +34,13 @@ _PLAYED = "next sample"
 """The only action: nobody steers a black box while it runs."""
 _TOLERANCE = 1e-9
 """Share of a piece by which a time may miss the piece's beginning, as sums of time steps do."""
+_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+_MISSING_LINE = 1.5
+"""Times the usual step of a log, from which on a line is missing; below it, lines jitter."""
+_UNSEEN_SAMPLES = 2.5
+"""Time steps without a line from which on more than one judged sample rests on no line."""
+_MOST_GAPS = 3
+"""Gaps of a log that a message names."""
 
 
 @dataclass(frozen=True)
@@ -198,6 +205,9 @@ class BlackBox:
         tolerances: For a tool whose equal runs differ a little: within what signals count as the
             same, see :attr:`pytest_dura.Simulator.tolerances`. By default equal runs are equal.
 
+    One without inputs that returns a ``time`` of its own is a recorded log, which is judged as a
+    whole or not at all: a log that reaches beyond the run, or has gaps, is refused.
+
     Raises:
         ConfigurationError: For names that are used twice or that formulas cannot name.
     """
@@ -296,7 +306,8 @@ class BlackBox:
             Each input and signal by name, shape ``(n,)``.
 
         Raises:
-            ValueError: If ``simulate`` returns something else than finite signals.
+            ValueError: If ``simulate`` returns something else than finite signals for the run, or
+                a log that would be judged in part.
         """
         values = self.check_scenario(world)
         end = float(time[-1])
@@ -308,7 +319,7 @@ class BlackBox:
         }
         columns = {name: curve(time) for name, curve in curves.items()}
         returned = self.simulate(sealed(time.copy()), MappingProxyType(curves))
-        return columns | _sampled(returned, self.signals, time)
+        return columns | _sampled(returned, self.signals, time, is_log=not self.inputs)
 
     def _digests(self) -> dict[str, str]:
         return {file.name: _digest(file) for file in self.files}
@@ -337,7 +348,9 @@ def _is_signal_name(name: str) -> bool:
     return name != "time" and all(_NAME.fullmatch(part) for part in name.split("."))
 
 
-def _sampled(returned: Any, names: Sequence[str], time: Floats) -> dict[str, Floats]:
+def _sampled(
+    returned: Any, names: Sequence[str], time: Floats, *, is_log: bool
+) -> dict[str, Floats]:
     """Check what ``simulate`` returned, and take the values at the times of the samples."""
     if not isinstance(returned, Mapping):
         raise TypeError(f"simulate returned {type(returned).__name__}, not a mapping of signals")
@@ -348,15 +361,84 @@ def _sampled(returned: Any, names: Sequence[str], time: Floats) -> dict[str, Flo
     at = time if own is None else _column("time", own, None)
     if (np.diff(at) < 0.0).any():
         raise ValueError("simulate returned times that go back")
-    slack = 1e-6 * max(float(time[-1]), 1.0)
-    if not len(at) or at[0] > slack or at[-1] < time[-1] - slack:
-        covered = f"{at[0]:g} to {at[-1]:g} s" if len(at) else "no time"
-        raise ValueError(f"simulate returned {covered} of a run from 0 to {time[-1]:g} s")
+    if own is not None:
+        _check_cover(at, time, is_log=is_log)
     columns = {name: _column(name, returned[name], at) for name in names}
     return {
         name: column if own is None else np.interp(time, at, column)
         for name, column in columns.items()
     }
+
+
+def _check_cover(at: Floats, time: Floats, *, is_log: bool) -> None:
+    """Refuse values that do not cover the run, and values that the run does not cover.
+
+    What lies beyond the run by a time step or more is not judged, and might hold a violation. The
+    last step of a tool that simulates may be longer, since nothing was to happen there.
+
+    Raises:
+        ValueError: With the times, the share that would be judged, and a remedy.
+    """
+    end = float(time[-1])
+    step, slack = end / max(len(time) - 1, 1), 1e-6 * max(end, 1.0)
+    if not len(at):
+        raise ValueError(f"simulate returned no time of a run from 0 to {end:g} s")
+    outside = (at < -slack) | (at > end + slack)
+    is_short = at[0] > slack or at[-1] < end - slack
+    is_beyond = at[0] <= -0.999 * step or at[-1] - end >= 0.999 * step
+    if is_short or (is_beyond and (is_log or at[:2].max() < -slack or at[-2:].min() > end + slack)):
+        share = f"{int((~outside).sum())} of {len(at)} lines lie within it"
+        remedy = _log_remedy(at, end, step, slack) if is_log else "return the run, and no more"
+        raise ValueError(
+            f"simulate returned {_seconds(at[0])} to {_seconds(at[-1])} s of a run from 0 to "
+            f"{end:g} s: {share}; {remedy}"
+        )
+    if is_log:
+        _check_gaps(at, step)
+
+
+def _log_remedy(at: Floats, end: float, step: float, slack: float) -> str:
+    """Say what to do with a log whose times are not those of the run."""
+    span, advice = float(at[-1] - at[0]), []
+    if at[0] > slack or at[0] <= -0.999 * step:
+        advice.append("subtract the first stamp: time - time[0]")
+    for unit, factor in _UNITS.items():
+        if end / 3.0 <= span * factor <= end * 3.0:
+            advice.append(f"if its times are in {unit}, multiply them by {factor:g}")
+            span *= factor
+    whole = math.floor(span / step + 1e-3) * step  # a part of a step is not judged
+    if 0.0 < whole < end - slack:
+        advice.append(f"let the scenario run for {whole:g} s: `duration`")
+    elif whole > end + slack:
+        advice.append(f"let the scenario run for {whole:g} s (`duration`), or cut the log")
+    return "; ".join(advice) or "return all of the run"
+
+
+def _check_gaps(at: Floats, step: float) -> None:
+    """Refuse a log in which lines are missing for more than one judged sample.
+
+    Raises:
+        ValueError: With the gaps, and the share of the time that lies in them.
+    """
+    steps = np.diff(at)
+    usual = float(np.percentile(steps[steps > 0.0], 50, method="lower"))
+    wide = np.flatnonzero((steps > _MISSING_LINE * usual) & (steps > _UNSEEN_SAMPLES * step))
+    if not len(wide):
+        return
+    gaps = [f"from {at[index]:g} to {at[index + 1]:g} s" for index in wide[:_MOST_GAPS]]
+    more = f" and {len(wide) - _MOST_GAPS} more" if len(wide) > _MOST_GAPS else ""
+    whole = float(at[-1] - at[0])
+    raise ValueError(
+        f"the log has gaps: no line {', '.join(gaps)}{more}; only {whole - steps[wide].sum():g} of "
+        f"{whole:g} s have lines, one every {usual:g} s; judge the parts between the gaps in "
+        "scenarios of their own, or, where it is known what happened there, return values at the "
+        "times that simulate is given"
+    )
+
+
+def _seconds(value: float) -> str:
+    """Format seconds, also of an epoch, so that two of them can be told apart."""
+    return f"{value:.0f}" if abs(value) >= 1e5 else f"{value:g}"
 
 
 def _column(name: str, values: Any, time: Floats | None) -> Floats:
@@ -389,6 +471,9 @@ class _Run(Simulator):
                 found="a scenario without a duration",
                 expected="seconds",
             )
+        if not self.box.inputs and scenario.get("iterations") is not None:
+            # A log is held against what is judged of it.
+            duration = min(duration, scenario["iterations"] * self.time_step)
         last = math.ceil(duration / self.time_step * (1.0 - 1e-9))
         time = np.arange(last + 1) * self.time_step
         self._columns = self.box.columns(scenario.get("world") or {}, time)

@@ -43,6 +43,8 @@ class ScenarioEntry(OpenEntry):
     """Name of the scenario."""
     duration: Absent[Number] = None
     """Simulated seconds."""
+    iterations: Absent[Positive] = None
+    """Decisions at most; absent without a limit."""
     world: Absent[JsonObject] = None
     """The world."""
 

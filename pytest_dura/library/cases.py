@@ -185,13 +185,16 @@ class Case(Shown):
         simulator = simulator or scenario.simulator_spec()
         world, faults = self._varied(simulator, seed)
         resolve = (resolver or ParameterResolver()).resolve
+        read = {"name": scenario.name, "duration": scenario.duration}
+        if scenario.iterations is not None:
+            read["iterations"] = scenario.iterations
         return EpisodeSpec(
             case=self.id,
             run=run,
             seed=seed,
             simulator=simulator,
             roles={name: resolve(role) for name, role in self.roles(roles or {}).items()},
-            scenario={"name": scenario.name, "duration": scenario.duration, "world": world},
+            scenario={**read, "world": world},
             faults=faults,
             policy=Policy.parse(policy or self.policy),
             termination=Termination(

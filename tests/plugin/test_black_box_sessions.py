@@ -169,3 +169,72 @@ def test_the_page_s_fmu_is_searched_and_replayed(tank) -> None:
     assert "1 of 1 valid episodes violated it" in output(again)
     replayed = tank.run(f"--dura-replay=found/{found.stem}#0")
     assert replayed.ret == 0
+
+
+LOGS = """
+import numpy as np
+
+from pytest_dura import BlackBox
+
+TIME, SPEED = np.arange(51) * 0.1, np.linspace(8.0, 0.0, 51)
+FAST = SPEED.copy()
+FAST[25] = 12.0
+
+
+def log(time, speed):
+    return BlackBox(lambda at, inputs: {"time": time, "speed": speed}, [], ["speed"])
+
+
+def without(*lines):
+    return log(np.delete(TIME, lines), np.delete(FAST, lines))
+
+
+SECONDS = log(TIME, FAST)
+NANOSECONDS = log((TIME * 1e9).astype(np.int64), FAST)
+EPOCH = log(TIME + 1.7e9, FAST)
+JITTER = log(TIME + np.random.default_rng(0).uniform(-0.01, 0.01, 51), FAST)
+GAP = without(*range(20, 34))
+LONGER = log(np.arange(151) * 0.1, np.append(np.zeros(100), FAST))
+BACKWARDS = log(np.where(np.arange(51) == 30, 2.5, TIME), FAST)
+UNKNOWN = log(TIME, np.where(TIME == 1.0, np.nan, FAST))
+DOUBLED = log(np.where(np.arange(51) == 20, TIME[19], TIME), SPEED)
+"""
+PARTS_OF_LOGS = {
+    "NANOSECONDS": "0 to 5000000000 s of a run from 0 to 5 s: 1 of 51 lines lie within it; if its "
+    "times are in nanoseconds, multiply them by 1e-09",
+    "EPOCH": "1700000000 to 1700000005 s of a run from 0 to 5 s: 0 of 51 lines lie within it; "
+    "subtract the first stamp: time - time[0]",
+    "JITTER": "50 of 51 lines lie within it; subtract the first stamp: time - time[0]",
+    "GAP": "the log has gaps: no line from 1.9 to 3.4 s; only 3.5 of 5 s have lines",
+    "LONGER": "0 to 15 s of a run from 0 to 5 s: 51 of 151 lines lie within it; let the scenario "
+    "run for 15 s (`duration`), or cut the log",
+    "SHORTENED": "0 to 5 s of a run from 0 to 1 s: 11 of 51 lines lie within it",
+    "BACKWARDS": "times that go back",
+    "UNKNOWN": "returned nan for 'speed' at 1 s",
+}
+
+
+def test_a_log_is_judged_as_a_whole_or_not_at_all(project) -> None:
+    shutil.rmtree(project.path / "scenarios")
+    project.write("logs.py", LOGS)
+    project.write(
+        "scenarios/requirements.yaml",
+        "requirements: [{id: LOG-1, text: Slow., kind: safety, check: always (speed <= 9)}]\n",
+    )
+    for name in [*PARTS_OF_LOGS, "SECONDS", "DOUBLED"]:
+        log, limit = (name, "") if name != "SHORTENED" else ("SECONDS", "iterations: 10\n")
+        project.write(
+            f"scenarios/{name.lower()}.yaml",
+            f"name: log/{name.lower()}\nsimulator: logs:{log}\nduration: 5\ntime_step: 0.1\n"
+            f"runs: 1\nrequirements: [LOG-1]\n{limit}",
+        )
+    result = project.scenarios(select="log/*")
+    assert result.ret == 1
+    assert project.verdict("LOG-1", "log/seconds").verdict == "violated"
+    assert project.verdict("LOG-1", "log/doubled").verdict == "supported"
+    failures = {episode.case: episode.failure for episode in project.evidence().episodes}
+    for name, reason in PARTS_OF_LOGS.items():
+        verdict = project.verdict("LOG-1", f"log/{name.lower()}")
+        assert (verdict.verdict, verdict.missing) == ("undecided", 1), name
+        assert reason in failures[f"log/{name.lower()}"]
+        assert reason in re.sub(r"\s+", " ", output(result))

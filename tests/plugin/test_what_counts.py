@@ -49,6 +49,9 @@ RULES = {
         "test_what_counts.py::test_a_prefix_that_decides_a_window_counts",
         "test_what_counts.py::test_unbounded_operators_range_over_the_episode",
     ],
+    "a recorded log that reaches beyond what was judged, has gaps or changes its unit": [
+        "test_black_box_sessions.py::test_a_log_is_judged_as_a_whole_or_not_at_all",
+    ],
     "an episode ends critical and violates nothing of its case": [
         "test_early_ends.py::test_a_crash_that_no_requirement_sees_is_undecided",
         "test_early_ends.py::test_a_crash_that_another_requirement_sees_is_no_obstacle",

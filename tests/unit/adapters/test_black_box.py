@@ -61,6 +61,54 @@ def test_unusable_signals_are_refused_with_their_reason(signals, problem) -> Non
         returning(**signals).columns({}, TIME)
 
 
+def test_a_tool_may_take_a_last_step_beyond_the_run_and_no_further() -> None:
+    box = returning(time=[0.0, 4.0, 8.0, 12.0], y=[0.0, 4.0, 8.0, 12.0])
+    assert box.columns({}, TIME)["y"][-1] == 10.0
+    with pytest.raises(ValueError, match="0 to 16 s of a run from 0 to 10 s: 3 of 5 lines"):
+        returning(time=[0.0, 4.0, 8.0, 12.0, 16.0], y=[0.0] * 5).columns({}, TIME)
+
+
+LOGGED = np.arange(11) * 1.0
+
+
+@pytest.mark.parametrize(
+    "time, problem",
+    [
+        (LOGGED * 1e9, "1 of 11 lines lie within it; if its times are in nanoseconds, multiply"),
+        (LOGGED * 1e6, "1 of 11 lines lie within it; if its times are in microseconds"),
+        (LOGGED * 1e3, "1 of 11 lines lie within it; if its times are in milliseconds"),
+        (LOGGED + 1.7e9, "1700000000 to 1700000010 s of .*; subtract the first stamp: time - time"),
+        ((LOGGED + 1.7e9) * 1e9, "subtract the first stamp: .*; if its times are in nanoseconds"),
+        (LOGGED + 0.01, "0.01 to 10.01 s of .*: 10 of 11 lines .*; subtract the first stamp"),
+        (LOGGED * 1.3, r"0 to 13 s of .*: 8 of 11 lines .*; let the scenario run for 13 s"),
+        (LOGGED * 0.9, r"0 to 9 s of .*; let the scenario run for 9 s: `duration`"),
+        (LOGGED - 3.0, "-3 to 7 s of .*: 8 of 11 lines .*; subtract the first stamp"),
+        (np.delete(LOGGED, [3, 4]), "no line from 2 to 5 s; only 7 of 10 s have lines, one every"),
+        (np.r_[LOGGED[:5], LOGGED[5:] / 1e3], "times that go back"),
+        (np.r_[LOGGED[:2], LOGGED[2:] * 1e3], "0 to 10000 s of .*: 2 of 11 lines"),
+    ],
+)
+def test_a_log_that_would_be_judged_in_part_is_refused_with_a_remedy(time, problem) -> None:
+    log = BlackBox(lambda _, __: {"time": time, "y": np.zeros(len(time))}, [], ["y"])
+    with pytest.raises(ValueError, match=problem):
+        log.columns({}, TIME)
+
+
+@pytest.mark.parametrize(
+    "time",
+    [
+        LOGGED,
+        np.r_[LOGGED[:-1] + 0.01, 10.0] - np.r_[0.01, np.zeros(10)],  # jitter
+        np.r_[LOGGED, 10.4],  # less than a tick that no sample could judge
+        np.arange(1001) * 0.01,
+        np.r_[LOGGED[:5], LOGGED[4:]],  # a doubled stamp
+    ],
+)
+def test_a_log_that_is_judged_as_a_whole_may_have_any_rate(time) -> None:
+    log = BlackBox(lambda _, __: {"time": time, "y": time * 2.0}, [], ["y"])
+    assert log.columns({}, TIME)["y"] == pytest.approx(TIME * 2.0, abs=0.03)
+
+
 @pytest.mark.parametrize("value", [[0.5] * 3, 0.5, [0.5, 0.5, 0.5, 1.1], ["a"] * 4, [True] * 4])
 def test_a_value_that_an_input_does_not_take_is_refused(value) -> None:
     with pytest.raises(ConfigurationError, match="a list of 4 numbers from 0 to 1") as caught:
