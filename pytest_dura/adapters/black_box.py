@@ -319,7 +319,12 @@ class BlackBox:
         }
         columns = {name: curve(time) for name, curve in curves.items()}
         returned = self.simulate(sealed(time.copy()), MappingProxyType(curves))
-        return columns | _sampled(returned, self.signals, time, is_log=not self.inputs)
+        return columns | _sampled(returned, self.signals, time, is_log=self.is_log)
+
+    @property
+    def is_log(self) -> bool:
+        """Whether a time of its own is that of a recorded log."""
+        return not self.inputs
 
     def _digests(self) -> dict[str, str]:
         return {file.name: _digest(file) for file in self.files}
@@ -471,7 +476,7 @@ class _Run(Simulator):
                 found="a scenario without a duration",
                 expected="seconds",
             )
-        if not self.box.inputs and scenario.get("iterations") is not None:
+        if self.box.is_log and scenario.get("iterations") is not None:
             # A log is held against what is judged of it.
             duration = min(duration, scenario["iterations"] * self.time_step)
         last = math.ceil(duration / self.time_step * (1.0 - 1e-9))

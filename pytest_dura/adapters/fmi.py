@@ -6,6 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ import numpy as np
 
 from pytest_dura.adapters.black_box import BlackBox, Curves, Floats, Input
 from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean
+from pytest_dura.core.roles import Generator
+from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING
 
 _LOGGED = 3
@@ -22,6 +25,14 @@ _LOGGED = 3
 _FATAL = 4
 """The status of a call after which an FMU is unusable, in FMI 2 and 3."""
 _VERSIONS = ("2.", "3.")
+_REALS = ("Real", "Float32", "Float64")
+_INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+_WHOLE: Mapping[str, tuple[int, int]] = {
+    **{name: (np.iinfo(name.lower()).min, np.iinfo(name.lower()).max) for name in _INTEGERS},
+    **dict.fromkeys(("Integer", "Enumeration"), (np.iinfo("int32").min, np.iinfo("int32").max)),
+    "Boolean": (0, 1),
+}
+"""Types of variables whose values are whole numbers, with the least and the greatest of them."""
 
 
 class Fmu(BlackBox):
@@ -34,11 +45,16 @@ class Fmu(BlackBox):
 
     Args:
         file: The ``.fmu``; best from the module's own place, ``Path(__file__).parent / ...``.
-        inputs: Inputs of the FMU that scenarios give. Others keep their start values.
+        inputs: Inputs of the FMU that scenarios give, each a scalar. One of type Boolean (0 and 1),
+            Integer or Enumeration gets the nearest whole number, which its signal has as well.
+            Others keep their start values, whatever their type.
         signals: Variables of the FMU that requirements read.
         variables: The FMU's name of an input or signal that is called otherwise here.
-        start_values: Values of parameters, by the FMU's names.
+        start_values: Values of parameters and of inputs that scenarios do not give, by the FMU's
+            names.
         tolerances: See :class:`BlackBox`.
+        validate: Whether FMPy validates the model description of the file. ``False`` takes a file
+            that it refuses as it is; the evidence names it among the component's parameters.
 
     Raises:
         ConfigurationError: For names that cannot be used. What the FMU itself does not have is
@@ -54,37 +70,62 @@ class Fmu(BlackBox):
         variables: Mapping[str, str] = NOTHING,
         start_values: Mapping[str, Any] = NOTHING,
         tolerances: Mapping[str, float] = NOTHING,
+        validate: bool = True,
     ) -> None:
-        self.file, self.start_values = Path(file), dict(start_values)
+        self.file, self.start_values, self.validate = Path(file), dict(start_values), validate
         self._variables = dict(variables)
         super().__init__(self._simulate, inputs, signals, files=[file], tolerances=tolerances)
 
+    def __call__(
+        self,
+        *,
+        component: bool = False,
+        files: Mapping[str, str] = NOTHING,
+        validate: bool = True,  # noqa: ARG002 - for the record: a run depends on the file
+    ) -> Simulator | Generator:
+        """Build the simulator of an episode; or its component, see :class:`BlackBox`."""
+        return super().__call__(component=component, files=files)
+
+    def resolve_parameters(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters with the file's digest, and with ``validate`` where that is off."""
+        unchecked = {} if self.validate else {"validate": False}
+        return super().resolve_parameters({**unchecked, **params})
+
     def check_scenario(self, world: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the inputs that a scenario gives, defaults filled in.
+        """Return the inputs that a scenario gives, defaults filled in, whole where they have to be.
 
         Raises:
             ConfigurationError: For what the inputs do not take, and for an FMU that cannot be used,
                 or has no such variables.
         """
-        _ = self._description
-        return super().check_scenario(world)
+        variables = {variable.name: variable for variable in self._description.modelVariables}
+        values = super().check_scenario(world)
+        for name, value in values.items():
+            if variables[self._variable(name)].type in _WHOLE:
+                listed = isinstance(value, list)
+                values[name] = [float(round(v)) for v in value] if listed else float(round(value))
+        return values
 
     def _simulate(self, time: Floats, inputs: Curves) -> dict[str, Floats]:
         """Run a fresh instance of the FMU from 0 to the last sample."""
-        from fmpy.simulation import instantiate_fmu, simulate_fmu
+        from fmpy.simulation import apply_start_values, instantiate_fmu, simulate_fmu
 
-        description, messages = self._description, _Messages(self._description.fmiVersion)
+        description, messages = self._description_of_runs, _Messages(self._description.fmiVersion)
         instance = instantiate_fmu(
             self._folder, description, "CoSimulation", logger=messages.receive, debug_logging=True
         )
+        left = {variable.name for variable in self._inputs_left}
+        kept = {name: self.start_values[name] for name in self.start_values if name in left}
+        others = {name: self.start_values[name] for name in self.start_values if name not in left}
         try:
+            apply_start_values(instance, self._description, kept)
             result = simulate_fmu(
                 self._folder,
                 validate=False,
                 start_time=0.0,
                 stop_time=float(time[-1]),
                 output_interval=float(time[1] - time[0]),
-                start_values=dict(self.start_values),
+                start_values=others,
                 input=self._table(inputs, float(time[-1])),
                 output=[self._variable(name) for name in self.signals],
                 model_description=description,
@@ -109,8 +150,6 @@ class Fmu(BlackBox):
         jumps = [at for at in breaks[True] if 0.0 < at < end]
         times = sorted([*(breaks[True] | breaks[False] | {end}), *jumps])
         kinds = [(self._variable(name), np.float64) for name in inputs]
-        rest = [v for v in self._inputs if v.name not in {name for name, _ in kinds}]
-        kinds += [(variable.name, np.float64) for variable in rest]
         table = np.zeros(len(times), dtype=[("time", np.float64), *kinds])
         table["time"] = times
         before = np.flatnonzero(np.diff(table["time"]) == 0.0)
@@ -119,8 +158,6 @@ class Fmu(BlackBox):
             if curve.interpolation == "constant":
                 column[before] = column[before - 1]
             table[self._variable(name)] = column
-        for variable in rest:
-            table[variable.name] = _start(variable)
         return table
 
     @cached_property
@@ -162,15 +199,75 @@ class Fmu(BlackBox):
                     expected=", ".join(known[:20]) or "none",
                     remedy=did_you_mean(name, known),
                 )
+        for name, key in places.items():
+            if key != "start_values" and not _is_number(variables[name]):
+                kind = variables[name].type
+                raise ConfigurationError(
+                    f"the FMU's variable {name!r} is not a number",
+                    file=str(self.file),
+                    key=key,
+                    found=f"an array of {kind}" if variables[name].shape else f"type {kind}",
+                    expected="a scalar: a number, Boolean or Enumeration",
+                    remedy=f"leave it out of `{key}`; an input keeps its start value without it",
+                )
+        for given in self.inputs:
+            self._check_range(given, variables[self._variable(given.name)])
+        return description
+
+    def _check_range(self, given: Input, variable: Any) -> None:
+        """Refuse an input whose numbers are not all those of a variable that takes whole numbers.
+
+        Raises:
+            ConfigurationError: With the variable's type and its least and greatest value.
+        """
+        if variable.type not in _WHOLE:
+            return
+        least, greatest = _WHOLE[variable.type]
+        items = [] if variable.declaredType is None else variable.declaredType.items
+        if items:
+            numbers = [int(item.value) for item in items]
+            least, greatest = min(numbers), max(numbers)
+        range_ = given.low, given.value_by_default, given.high
+        is_whole = all(float(value).is_integer() and least <= value <= greatest for value in range_)
+        if not is_whole or given.interpolation == "linear":
+            raise ConfigurationError(
+                f"the FMU's input {variable.name!r} of type {variable.type} takes whole numbers",
+                file=str(self.file),
+                key="inputs",
+                found=given,
+                expected=f"low, high and nominal from {least} to {greatest}, constant in pieces",
+            )
+
+    @cached_property
+    def _inputs_left(self) -> list[Any]:
+        """Inputs of the FMU that no scenario gives."""
+        given = {self._variable(name.name) for name in self.inputs}
+        inputs = [v for v in self._description.modelVariables if v.causality == "input"]
+        return [variable for variable in inputs if variable.name not in given]
+
+    @cached_property
+    def _description_of_runs(self) -> Any:
+        """The description in which inputs that no scenario gives are none, so that FMPy sets none.
+
+        Its table of inputs holds numbers only, and it prints a warning for each that is missing.
+        """
+        left = {variable.name for variable in self._inputs_left}
+        description = copy(self._description)
+        description.modelVariables = [copy(v) for v in description.modelVariables]
+        for variable in description.modelVariables:
+            if variable.name in left:
+                variable.causality, variable.variability = "local", "discrete"
         return description
 
     @property
-    def _inputs(self) -> list[Any]:
-        return [v for v in self._description.modelVariables if v.causality == "input"]
+    def is_log(self) -> bool:
+        """No: its times are those of its communication steps."""
+        return False
 
     def _read(self) -> Any:
         try:
             from fmpy import read_model_description
+            from fmpy.model_description import ValidationError
         except ImportError:
             raise ConfigurationError(
                 "FMUs need the package FMPy",
@@ -178,19 +275,27 @@ class Fmu(BlackBox):
                 remedy="pip install 'pytest-dura[fmi]'",
             ) from None
         try:
-            return read_model_description(str(self.file))
+            return read_model_description(str(self.file), validate=self.validate)
         except Exception as error:  # of zipfile, of lxml, and of FMPy itself
+            remedy = "correct the path that is given to Fmu"
+            if isinstance(error, ValidationError):
+                remedy = "give Fmu `validate=False`, which the evidence names"
             raise ConfigurationError(
                 f"{self.file.name} is no FMU that can be read: {describe_error(error)}",
                 file=str(self.file),
                 key="simulator",  # of a scenario, whose place may replace this file's
                 found=str(self.file) if self.file.is_file() else f"no file {self.file}",
                 expected="an .fmu of FMI 2 or 3, a zip archive with modelDescription.xml",
-                remedy="export it again, or correct the path that is given to Fmu",
+                remedy=f"export it again, or {remedy}",
             ) from None
 
     def _variable(self, name: str) -> str:
         return self._variables.get(name, name)
+
+
+def _is_number(variable: Any) -> bool:
+    """Whether a variable is a scalar with numbers as values."""
+    return not variable.shape and variable.type in (*_REALS, *_WHOLE)
 
 
 def _remove(folder: str, process: int) -> None:
@@ -211,8 +316,3 @@ class _Messages:
         text = arguments[self._place]
         plain = text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
         self.last = [*self.last, " ".join(plain.split())][-_LOGGED:]
-
-
-def _start(variable: Any) -> float:
-    """Start value of an input as a number."""
-    return float({"true": 1, "false": 0, None: 0}.get(variable.start, variable.start))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import html
+import json
 import re
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -169,6 +172,103 @@ def test_the_page_s_fmu_is_searched_and_replayed(tank) -> None:
     assert "1 of 1 valid episodes violated it" in output(again)
     replayed = tank.run(f"--dura-replay=found/{found.stem}#0")
     assert replayed.ret == 0
+
+
+MIXER = """
+from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real, String
+
+class Mixer(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.flow, self.recipe, self.mode, self.open, self.level = 0.5, "soup", 1, True, 1.0
+        given = {"causality": Fmi2Causality.input, "variability": Fmi2Variability.discrete}
+        self.register_variable(Real("flow", causality=Fmi2Causality.input))
+        self.register_variable(Integer("mode", **given))
+        self.register_variable(Boolean("open", **given))
+        self.register_variable(String("recipe", **given))
+        self.register_variable(Real("level", causality=Fmi2Causality.output))
+
+    def do_step(self, current_time, step_size):
+        rate = {"soup": 1.0}[self.recipe] * self.mode * self.open
+        self.level += step_size * rate * self.flow
+        return True
+"""
+MIXER_PARTS = """
+from pathlib import Path
+
+from pytest_dura import Input
+from pytest_dura.adapters.fmi import Fmu
+
+FILE = Path(__file__).parent / "Mixer.fmu"
+FLOW = Input("flow", 0.0, 1.0, pieces=2)
+PLAIN = Fmu(FILE, [FLOW], ["level"])
+VALVE = Fmu(FILE, [FLOW, Input("open", 0, 1)], ["level"])
+ODD = Fmu(FILE.with_name("Odd.fmu"), [FLOW], ["level"], validate=False)
+TEXT = Fmu(FILE, [Input("recipe", 0.0, 1.0)], ["level"])
+"""
+
+
+def mixer(project, name, requirements="[MIX-1]", **variation):
+    project.write(
+        "scenarios/mixer.yaml",
+        f"name: mixer/run\nsimulator: mixers:{name}\nduration: 2\ntime_step: 0.1\nruns: 4\n"
+        f"variation: {json.dumps(variation)}\nrequirements: {requirements}\n",
+    )
+    return project.scenarios(select="mixer/*")
+
+
+def test_an_fmu_with_inputs_of_every_type_is_run_and_its_record_says_how(project) -> None:
+    shutil.rmtree(project.path / "scenarios")
+    for name, text in (("mixer.py", MIXER), ("mixers.py", MIXER_PARTS)):
+        project.write(name, text)
+    build = [sys.executable, "-m", "pythonfmu", "build", "-f", "mixer.py"]
+    subprocess.run(build, cwd=project.path, check=True, capture_output=True)
+    (project.path / "mixer.py").unlink()
+    with (
+        zipfile.ZipFile(project.path / "Mixer.fmu") as old,
+        zipfile.ZipFile(project.path / "Odd.fmu", "w") as odd,
+    ):
+        for name in old.namelist():
+            odd.writestr(name, old.read(name).replace(b"<LogCat", b"<VendorsOwn/><LogCat"))
+    project.write(
+        "scenarios/requirements.yaml",
+        "requirements:\n"
+        "  - {id: MIX-1, text: Dry., kind: safety, check: always (level <= 4)}\n"
+        "  - {id: MIX-2, text: Shut or open., kind: safety,\n"
+        "     check: always (open <= 0 or open >= 1)}\n",
+    )
+    flow = {"min": 0, "max": 1, "pieces": 2}
+    result = mixer(project, "PLAIN", **{"world.flow": flow})
+    assert (result.ret, "Warning" in output(result)) == (0, False), output(result)
+    assert "validate" not in project.evidence().component_under_test.params
+
+    opened = {"world.flow": flow, "world.open": {"min": 0, "max": 1}}
+    result = mixer(project, "VALVE", "[MIX-1, MIX-2]", **opened)
+    assert result.ret == 0, output(result)
+    assert project.verdict("MIX-2", "mixer/run").verdict == "supported"
+    worlds = [episode.spec.scenario.world for episode in project.evidence().episodes]
+    assert all(0.0 < world["open"] < 1.0 for world in worlds)  # as drawn
+
+    result = mixer(project, "TEXT")
+    assert result.ret == 4
+    assert "the FMU's variable 'recipe' is not a number" in output(result)
+    assert "type String" in output(result)
+
+    result = mixer(project, "ODD", **{"world.flow": flow})
+    assert result.ret == 0, output(result)
+    record = project.evidence()
+    assert record.component_under_test.params["validate"] is False
+    assert all(e.spec.roles["generator"].params["validate"] is False for e in record.episodes)
+    assert "'validate': False" in html.unescape(
+        (project.path / "dura-evidence" / "report.html").read_text("utf-8")
+    )
+    assert verify_bundle(project.path / "dura-evidence").problems == []
+    replayed = project.run("--dura-replay=mixer/run#0")
+    assert replayed.ret == 0, output(replayed)
+    project.write("mixers.py", MIXER_PARTS.replace(", validate=False", ""))
+    result = mixer(project, "ODD", **{"world.flow": flow})
+    assert result.ret == 4
+    assert "validate=False" in output(result)
 
 
 LOGS = """
