@@ -393,7 +393,7 @@ def _check_cover(at: Floats, time: Floats, *, is_log: bool) -> None:
     is_beyond = at[0] <= -0.999 * step or at[-1] - end >= 0.999 * step
     if is_short or (is_beyond and (is_log or at[:2].max() < -slack or at[-2:].min() > end + slack)):
         share = f"{int((~outside).sum())} of {len(at)} lines lie within it"
-        remedy = _log_remedy(at, end, step, slack) if is_log else "return the run, and no more"
+        remedy = _log_remedy(at, end, step, slack) if is_log else "return all of it, and no more"
         raise ValueError(
             f"simulate returned {_seconds(at[0])} to {_seconds(at[-1])} s of a run from 0 to "
             f"{end:g} s: {share}; {remedy}"
