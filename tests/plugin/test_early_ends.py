@@ -194,6 +194,22 @@ def test_a_requirement_on_single_runs_sees_the_crash_of_a_pair(crashing):
     assert set(crashing.verdicts().values()) == {"supported"}
 
 
+@pytest.mark.parametrize(
+    "check", ["always (x < 0.15)", "eventually (x >= 0)"], ids=["violated too", "never violated"]
+)
+def test_a_crash_is_not_seen_by_a_requirement_on_pairs(crashing, check):
+    """Such a requirement asks whether two runs differ: both may violate its check, and pass."""
+    entry = "{id: PAIR-1, text: No worse for it., kind: safety, paired: {without: safety_monitor}"
+    crashing.write(
+        "scenarios/requirements_PAIR-1.yaml", f"requirements: [{entry}, check: {check}}}]"
+    )
+    crash(crashing, "eventually (x >= 0)", requirements="[R-1, PAIR-1]")
+    result = crashing.run("corridor/it")
+    reason = "a crash that no requirement sees: corridor/it#0"
+    found = expect(crashing, result, "undecided", reason)
+    assert len(found.unseen_crashes) == found.run
+
+
 def test_an_invalid_run_that_violates_fails_the_gate_in_words_of_its_own(project):
     requirement(project, "always (gap > 0)")
     scenario(

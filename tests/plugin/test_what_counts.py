@@ -55,6 +55,7 @@ RULES = {
     "an episode ends critical and violates nothing of its case": [
         "test_early_ends.py::test_a_crash_that_no_requirement_sees_is_undecided",
         "test_early_ends.py::test_a_crash_that_another_requirement_sees_is_no_obstacle",
+        "test_early_ends.py::test_a_crash_is_not_seen_by_a_requirement_on_pairs",
     ],
     "what an invalid run violates": [
         "test_early_ends.py::test_an_invalid_run_that_violates_fails_the_gate_in_words_of_its_own",

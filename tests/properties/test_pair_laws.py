@@ -5,34 +5,41 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from handmade import handmade
+from handmade import SPEC, handmade
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from pytest_dura import EpisodeVerdict, Paired, Requirement
+from pytest_dura import EpisodeVerdict, FaultRecord, Paired, Requirement
 from pytest_dura.requirements import (
     Change,
     Pair,
     PairCounts,
     change_verdict,
+    judge_campaign,
+    judge_episode,
     judge_pairs,
     pair_verdict,
 )
 
 lawful = settings(derandomize=True, deadline=None, max_examples=100)
 
-words = st.sampled_from(["satisfied", "violated", "invalid", "missing"])
+WITHOUT_EFFECT = "violated without effect"
+"""In a run that is invalid, since a planned fault never manifested."""
+words = st.sampled_from(["satisfied", "violated", WITHOUT_EFFECT, "invalid", "missing"])
 tables = st.lists(st.tuples(words, words, st.booleans()), max_size=30)
 values = st.none() | st.just(math.nan) | st.floats(-1e6, 1e6)
 measured = st.dictionaries(st.text("abc", max_size=3), st.tuples(values, values), max_size=12)
 
 
 def verdict(word: Any, episode: str) -> EpisodeVerdict:
-    return EpisodeVerdict("R", episode, "P", word, None, None, "", 10, 10)
+    spoilt = word == WITHOUT_EFFECT
+    status = "violated" if spoilt else word
+    return EpisodeVerdict("R", episode, "P", status, None, None, "", 10, 10, without_effect=spoilt)
 
 
 def pairs(table: list[tuple[str, str, bool]], *, swapped: bool = False) -> list[Pair]:
@@ -66,8 +73,22 @@ def test_every_pair_is_counted_in_one_cell(table: Any) -> None:
     )  # fmt: skip
     assert named == found.complete
     assert 0 <= found.unexplained <= found.only_with + found.only_without
-    assert found.violated_with == sum(own == "violated" for own, _, _ in table)
+    assert found.violated_with == sum(own.startswith("violated") for own, _, _ in table)
     assert PairCounts.from_json(json.loads(json.dumps(found.to_json()))) == found
+
+
+@lawful
+@given(tables)
+def test_a_pair_of_which_a_run_does_not_count_enters_neither_the_table_nor_the_test(
+    table: Any,
+) -> None:
+    """Also where it violates the requirement, without effect of the fault."""
+    judged = [row for row in table if {"satisfied", "violated"}.issuperset(row[:2])]
+    found, expected = judge_pairs(pairs(table)), judge_pairs(pairs(judged))
+    cells = ("only_with", "only_without", "both", "neither")
+    for name in (*cells, *(f"acted_{cell}" for cell in cells), "p_value", "success_rate"):
+        assert getattr(found, name) == getattr(expected, name), name
+    assert found.incomplete == len(table) - len(judged)
 
 
 @lawful
@@ -118,14 +139,21 @@ def test_the_summary_lies_within_the_extremes(sides: Any) -> None:
         assert low <= found.median <= high
 
 
-KINDS = ("satisfied", "violated", "open", "invalid", "missing")
+KINDS = ("satisfied", "violated", WITHOUT_EFFECT, "open", "invalid", "missing")
 
 
 def outcome(with_it: str, without: str) -> str:
-    """What a pair of runs comes to: an open run may yet come to either."""
+    """What a pair of runs comes to: an open run may yet come to either.
+
+    A violation without effect of the fault counts, and supports nothing.
+    """
     for spoilt in ("missing", "invalid"):
         if spoilt in (with_it, without):
             return spoilt
+    if WITHOUT_EFFECT in (with_it, without):
+        seen = ["violated" if kind == WITHOUT_EFFECT else kind for kind in (with_it, without)]
+        compared = outcome(*seen)
+        return "invalid" if compared == "satisfied" else compared
     sides = [
         ("satisfied", "violated") if kind == "open" else (kind,) for kind in (with_it, without)
     ]
@@ -144,10 +172,11 @@ def test_a_pair_comes_to_what_its_runs_come_to_and_is_vacuous_if_both_are(
     expected = outcome(with_it, without)
     for own, other in itertools.product((False, True), repeat=2):
         result = pair_verdict(
-            EpisodeVerdict("R", "case#0", "P", with_it, 1.0, None, "", 10, 10, vacuous=own),
-            EpisodeVerdict("R", "twin#0", "P", without, 1.0, None, "", 10, 10, vacuous=other),
+            replace(verdict(with_it, "case#0"), vacuous=own),
+            replace(verdict(without, "twin#0"), vacuous=other),
         )
         assert (result.verdict, result.episode) == (expected, "case#0")
+        assert result.without_effect == (expected == "violated" and with_it == WITHOUT_EFFECT)
         if expected == "satisfied":
             assert result.vacuous == (own and other)
 
@@ -167,3 +196,28 @@ def test_a_change_is_held_against_its_bound_as_the_numbers_are_written(
         assert result.verdict == ("violated" if growth > bound else "satisfied")
         assert (result.margin == 0) == (growth == bound)
         assert math.isclose(result.margin, (bound - growth) / per_unit, rel_tol=1e-6)
+
+
+CHECK = Requirement("R", check="always (gap > 0)", paired=Paired("recovery_planner"))
+MEASURE = Requirement("R", paired=Paired("recovery_planner", measure="a:b", change_at_most=1.0))
+
+
+@lawful
+@given(st.lists(st.booleans(), min_size=1, max_size=8), st.sampled_from([CHECK, MEASURE]))
+def test_pairs_in_none_of_which_a_fault_manifested_support_nothing(
+    manifested: list[bool], requirement: Requirement
+) -> None:
+    """Whether they are compared by a check or by a measure; a fault by chance may draw no hit."""
+    verdicts = []
+    for number, hit in enumerate(manifested):
+        record = FaultRecord("fog", "lidar", by_chance=True, manifested_at=0.1 if hit else None)
+        spec = replace(SPEC, run=number)
+        run = handmade(3, gap=[1, 1, 1], spec=spec, faults=(record,))
+        if requirement is MEASURE:
+            verdicts.append(change_verdict(requirement, run, run, (1.0, 1.0)))
+        else:
+            alone = judge_episode(requirement, run)
+            verdicts.append(pair_verdict(alone, alone))
+    result = judge_campaign(requirement, "case", verdicts, planned=len(manifested))
+    assert result.verdict == ("supported" if any(manifested) else "undecided")
+    assert ("fog manifested in none" in result.reason) == (not any(manifested))
