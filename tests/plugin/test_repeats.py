@@ -340,6 +340,28 @@ class Breaks(Corridor):
     assert re.search(r"the repetition failed: .*worn out", told)
 
 
+def test_where_it_is_required_a_case_that_was_never_repeated_does_not_pass(planned):
+    project = planned("Careful", simulator="oddities:TurnsNaN")
+    result = project.scenarios(*REQUIRED, "--dura-undecided=warn", select="corridor/it")
+    assert result.ret == 1
+    assert repeat(project) is None
+    reasons = [one for one in project.evidence().gate.reasons if "repeated" in one]
+    assert len(reasons) == 1
+    assert "no episode of corridor/it" in reasons[0]
+
+
+def test_where_it_is_required_a_repetition_cannot_be_taken_out_of_the_record(planned, capsys):
+    project = planned("Careful", **VARIES)
+    assert project.scenarios(*REQUIRED, select="corridor/it").ret == 0
+    file = project.path / "dura-evidence/evidence.json"
+    record = json.loads(file.read_text())
+    next(one for one in record["cases"] if one["id"] == "corridor/it")["repeat"] = None
+    file.write_text(json.dumps(record))
+    capsys.readouterr()
+    assert main(["verify", str(file.parent)]) != 0
+    assert '/gate/result: found "passed", expected "failed"' in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     "change, told",
     [
