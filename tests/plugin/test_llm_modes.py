@@ -261,6 +261,53 @@ def test_the_first_line_of_a_replay_and_the_evidence_name_what_spoke(
     assert "(`a parrot`)" in (talking.path / "dura-evidence" / "summary.md").read_text()
 
 
+STOPPED = """
+from pathlib import Path
+
+def test_it(orchestrator):
+    orchestrator.campaign("corridor/it", runs=2).require("always (gap > -99)", at_most=0.9)
+
+def test_last():
+    assert not Path("broken").exists()
+"""
+
+
+@pytest.mark.parametrize("another", [False, True], ids=["the same", "another"])
+def test_a_session_goes_on_with_the_episodes_of_its_own_cassette_alone(
+    talking, server, cut_off, another
+):
+    """Of another one the component hears other answers, though all else is as it was."""
+    talking.write("test_it.py", STOPPED)
+
+    def session(mode, folder, *more):
+        talking.run(
+            "test_it.py", GENERATOR, f"--dura-llm={mode}", f"--dura-evidence={folder}", *more
+        )
+        return digests(talking, folder)
+
+    tape = talking.path / "dura-cassette.sqlite"
+    first = session("record", "first")
+    kept = tape.read_bytes()
+    tape.unlink()
+    # What it can do, which it is asked first, is the same.
+    server._otherwise = answers_by(
+        lambda request: "0.100000" if "gap" in request.prompt else speed(request)
+    )
+    second = session("record", "second")
+    assert not {*first.values()} & {*second.values()}
+    cut_off()
+    recorded = tape.read_bytes()
+    tape.write_bytes(kept)
+    talking.write("broken", "")
+    assert session("replay", "third", "-x") == first
+    (talking.path / "broken").unlink()
+    if another:
+        tape.write_bytes(recorded)
+    assert session("replay", "third", "--dura-resume") == (second if another else first)
+    assert talking.evidence("third").status == "complete"
+    assert talking.evidence("third").reuse.taken_over == (0 if another else len(first))
+
+
 def test_a_model_that_nobody_described_goes_by_its_name(talking, server, cut_off):
     run(talking, "record", runs=1)
     cut_off()
