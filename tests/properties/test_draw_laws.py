@@ -1,12 +1,17 @@
 """Laws of draws: adding a fault, a role, an arm or a run shifts the numbers of nobody else.
 
+And an episode knows whether any number was drawn in it.
+
 Faults among themselves stand in ``test_fault_plan_laws`` and ``test_fault_independence``, and the
 samples of a language model in ``test_llm_planner_laws``.
 """
 
 from __future__ import annotations
 
-from functools import cache
+import contextvars
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
 from typing import Any
 
 import pytest
@@ -16,7 +21,7 @@ from hypothesis import strategies as st
 from injecting import Drawing, fault
 from loops import run_loop
 
-from pytest_dura import Assessment, Proposal, RoleContext, SafetyMonitor, stream
+from pytest_dura import Assessment, Proposal, RoleContext, SafetyMonitor, Tick, stream
 from pytest_dura.core import GeneratorView
 from pytest_dura.faults import CampaignInjector
 from pytest_dura.library import Case, Scenario, case_with_faults, expand_cases, load_library
@@ -84,6 +89,60 @@ def test_world_faults_and_roles_draw_the_same_whoever_else_draws(
         assert not set(some[name]) & set(other[name])
     assert not set(everybody["world"]) & {*everybody["gambler"], *everybody["player"]}
     assert not set(everybody["gambler"]) & set(everybody["player"])
+
+
+class Still(Clockwork):
+    """A clockwork of which nothing is drawn."""
+
+    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
+        self._index = 0
+        return self._tick()
+
+    def step(self, action: Any) -> Tick:
+        self._index += 1
+        return self._tick()
+
+    def _tick(self) -> Tick:
+        return Tick(self._index, self._index * self.time_step, {"level": 0.0}, {"level": 0.0})
+
+
+def in_a_thread(call: Callable[[], Any]) -> Any:
+    """Call it in a thread that is begun for it, whose context is empty."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(call).result(10.0)
+
+
+def with_the_context(call: Callable[[], Any]) -> Any:
+    """As a time limit does: in a thread that has a copy of this one's context."""
+    return in_a_thread(partial(contextvars.copy_context().run, call))
+
+
+@pytest.mark.parametrize("drawing", [True, False])
+@pytest.mark.parametrize("way", ["directly", "thread", "context", "context of another episode"])
+def test_an_episode_in_which_a_component_draws_says_so_whichever_thread_draws(
+    way: str, drawing: bool
+) -> None:
+    """Runs in which nothing is drawn, nor declared to vary, are one situation, repeated."""
+    kept: list[contextvars.Context] = []
+
+    def propose(_: GeneratorView) -> Proposal:
+        kept.append(contextvars.copy_context())
+        return Proposal(0.0)
+
+    run_loop(propose, simulator=Still(), seconds=0.2)
+    earlier = kept[0]
+    ways: dict[str, Callable[[Callable[[], Any]], Any]] = {
+        "directly": lambda call: call(),
+        "thread": in_a_thread,
+        "context": with_the_context,
+        "context of another episode": lambda call: in_a_thread(partial(earlier.run, call)),
+    }
+
+    def draws_some_or_none(_: GeneratorView) -> Proposal:
+        ways[way](lambda: stream(7, "component").random(3 if drawing else 0))
+        return Proposal(0.0)
+
+    assert run_loop(draws_some_or_none, simulator=Still(), seconds=0.2).drawn == drawing
 
 
 # Within a campaign

@@ -9,6 +9,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from roads import channels_of
@@ -101,6 +102,51 @@ def test_object_miss_misses_as_often_as_it_says() -> None:
     seen = [len(acted(fault("object-miss"), channels, seed=seed)) for seed in range(500)]
     rate = 1.0 - sum(seen) / 2000
     assert abs(rate - 0.3) < 4 * math.sqrt(0.3 * 0.7 / 2000)
+
+
+@pytest.mark.parametrize("p", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("kind", ["object-miss", "class-change"])
+def test_object_miss_and_class_change_are_by_chance_exactly_if_seeds_differ(
+    kind: str, p: float
+) -> None:
+    """A certain one that manifests nowhere leaves a run invalid, one by chance leaves it valid."""
+    channels = channels_of(Body("V1", 9.0, 0.0, 0.0, 0.0, 0.0, 5.0, 2.0))
+    one = fault(kind, probability=p)
+    hit = {acted(one, channels, seed=seed) is not channels["lidar"] for seed in range(60)}
+    assert one.by_chance == (len(hit) == 2)
+    assert p == 0.3 or hit == {p == 1.0}
+
+
+CHOSEN: dict[str, dict[str, Any]] = {
+    "object-miss": {"probability": 0.5},
+    "position-noise": {"sigma": 1.0},
+    "class-change": {"probability": 0.5},
+}
+"""Faults that draw a number for each object, and may be about some objects only."""
+
+
+@laws
+@given(
+    scenes(least=2),
+    st.sampled_from(sorted(CHOSEN)),
+    st.sets(st.integers(0, 4).map(lambda index: f"V{index}")) | st.integers(1, 4),
+    st.integers(0, 99),
+)
+def test_what_a_fault_draws_for_an_object_depends_on_no_other_that_it_is_about(
+    channels: Any, kind: str, chosen: set[str] | int, seed: int
+) -> None:
+    before, pose = channels["lidar"], channels["localisation"]
+    if isinstance(chosen, int):
+        some = fault(kind, **CHOSEN[kind], nearest=chosen)
+        order = sorted(before, key=lambda b: (math.hypot(b.x - pose.x, b.y - pose.y), b.id))
+        chosen = {body.id for body in order[:chosen]}
+    else:
+        some = fault(kind, **CHOSEN[kind], ids=sorted(chosen))
+    all_chosen = acted(fault(kind, **CHOSEN[kind]), channels, seed=seed)
+    found = acted(some, channels, seed=seed)
+    for body in before:
+        expected = all_chosen.get(body.id) if body.id in chosen else body
+        assert found.get(body.id) == expected
 
 
 @laws
