@@ -12,6 +12,7 @@ import contextvars
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
+from threading import Barrier
 from typing import Any
 
 import pytest
@@ -106,6 +107,11 @@ class Still(Clockwork):
         return Tick(self._index, self._index * self.time_step, {"level": 0.0}, {"level": 0.0})
 
 
+def directly(call: Callable[[], Any]) -> Any:
+    """Call it in this thread."""
+    return call()
+
+
 def in_a_thread(call: Callable[[], Any]) -> Any:
     """Call it in a thread that is begun for it, whose context is empty."""
     with ThreadPoolExecutor(1) as pool:
@@ -132,7 +138,7 @@ def test_an_episode_in_which_a_component_draws_says_so_whichever_thread_draws(
     run_loop(propose, simulator=Still(), seconds=0.2)
     earlier = kept[0]
     ways: dict[str, Callable[[Callable[[], Any]], Any]] = {
-        "directly": lambda call: call(),
+        "directly": directly,
         "thread": in_a_thread,
         "context": with_the_context,
         "context of another episode": lambda call: in_a_thread(partial(earlier.run, call)),
@@ -143,6 +149,26 @@ def test_an_episode_in_which_a_component_draws_says_so_whichever_thread_draws(
         return Proposal(0.0)
 
     assert run_loop(draws_some_or_none, simulator=Still(), seconds=0.2).drawn == drawing
+
+
+@pytest.mark.parametrize("own_context", [True, False], ids=["as in the loop", "empty context"])
+def test_of_episodes_at_once_the_one_that_draws_says_so(own_context: bool) -> None:
+    """A thread with an empty context may be of either, and counts for both."""
+    together = Barrier(2)
+
+    def episode(draws: bool) -> bool:
+        def propose(view: GeneratorView) -> Proposal:
+            together.wait(10.0)
+            if draws and view.index == 1:
+                (directly if own_context else in_a_thread)(lambda: stream(7, "own").random())
+            together.wait(10.0)
+            return Proposal(0.0)
+
+        return run_loop(propose, simulator=Still(), seconds=0.3).drawn
+
+    with ThreadPoolExecutor(2) as pool:
+        drew, did_not = pool.map(episode, (True, False))
+    assert (drew, did_not) == (True, not own_context)
 
 
 # Within a campaign
