@@ -165,12 +165,15 @@ STOPPED = "[{type: bias, target: gap, activation: {at: 0.1}, parameters: {offset
 
 
 @pytest.mark.parametrize(
+    "check", ["always (gap > 0)", "always (x < 0.05)"], ids=["satisfied", "violated in both"]
+)
+@pytest.mark.parametrize(
     "simulator, crashed",
     [("crashes:Crashes", "corridor/it#0"), ("crashes:CrashesAtHalf", "corridor/it+none#0")],
     ids=["both runs", "the run without faults"],
 )
-def test_a_requirement_on_pairs_sees_the_crash_of_neither_run(crashing, simulator, crashed):
-    requirement(crashing, "always (gap > 0)", **PAIRED)
+def test_a_requirement_on_pairs_sees_the_crash_of_neither_run(crashing, simulator, crashed, check):
+    requirement(crashing, check, **PAIRED)
     scenario(
         crashing, simulator=simulator, world="{crash: 3}", duration=1.0, runs=3, faults=STOPPED,
         requirements="[R-1]",

@@ -5,12 +5,9 @@ import re
 
 import pytest
 from corridors import requirement, scenario
-from entries import make
 from forked_workers import AVAILABLE
 
 from pytest_dura.__main__ import main
-from pytest_dura.evidence.case_model import CaseEntry, RepeatEntry
-from pytest_dura.evidence.gate import repeat_objections
 
 PLANNERS = """
 import random
@@ -173,21 +170,6 @@ def test_runs_of_what_declares_that_it_does_not_repeat_itself_count_as_draws(pla
     assert project.scenarios(*arguments, *REQUIRED, select="corridor/it").ret == 1
 
 
-@pytest.mark.parametrize("status", ["never", "different"])
-def test_a_repetition_that_is_required_and_failed_or_was_never_made_fails_the_gate(status):
-    case = make(
-        CaseEntry,
-        id="a/b",
-        planned=2,
-        metrics={"run": 2},
-        repeat=None if status == "never" else {"episode": "a/b#0", "result": "different"},
-    )
-    (objection,) = repeat_objections([case])
-    assert objection.startswith("not repeatable: ")
-    equal = case.replace(repeat=make(RepeatEntry, result="equal"))
-    assert list(repeat_objections([equal])) == []
-
-
 def test_where_it_is_required_it_fails_the_gate(shaky):
     project, cases = shaky(2)
     result = project.scenarios(*REQUIRED, select="corridor/shaky/*")
@@ -315,7 +297,8 @@ def test_an_episode_that_was_taken_over_is_compared_with_one_of_this_session(pla
     assert repeat(project).result == "equal"
 
 
-def test_a_repetition_that_fails_is_told(planned):
+@pytest.mark.parametrize("declared", [False, True])
+def test_a_failed_repetition_leaves_verdicts_undecided_whatever_is_declared(planned, declared):
     project = planned("Careful", simulator="planners:Breaks", runs=1)
     project.write(
         "planners.py",
@@ -325,17 +308,20 @@ from corridor import Corridor
 
 class Breaks(Corridor):
     resets = 0
+    repeatable = NOT_DECLARED
 
     def reset(self, scenario, seed):
         type(self).resets += 1
         if type(self).resets > 1:
             raise RuntimeError("worn out")
         return super().reset(scenario, seed)
-""",
+""".replace("NOT_DECLARED", str(not declared)),
     )
-    result = project.scenarios(*REQUIRED, select="corridor/it")
+    result = project.scenarios("--dura-undecided=warn", select="corridor/it")
     assert result.ret == 1
     assert repeat(project).result == "failed"
+    assert bool(repeat(project).declared) == declared
+    assert project.verdict("GAP-1").verdict == "undecided"
     (told,) = re.findall(r"not repeatable: corridor/it#0 .*", " ".join(result.stdout.str().split()))
     assert re.search(r"the repetition failed: .*worn out", told)
 
