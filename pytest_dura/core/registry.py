@@ -12,12 +12,11 @@ import re
 import sys
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any, Generic, TypeVar
 
 from pytest_dura.core.boundary import let_pass
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, import_error
-from pytest_dura.core.trust import Offer, check_import, offers
+from pytest_dura.core.trust import Offer, check_import, import_checked, offers
 
 T = TypeVar("T")
 V = TypeVar("V")
@@ -235,7 +234,7 @@ class Registry(Generic[T]):
         module, _, qualname = entry.path.partition(":")
         check_import(entry.path)
         try:
-            target: Any = import_module(module)
+            target: Any = import_checked(entry.path)
             for part in filter(None, qualname.split(".")):
                 target = getattr(target, part)
         except BaseException as error:  # a module runs its author's code when it is imported

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import sys
 from collections.abc import Callable, Mapping
@@ -14,7 +13,13 @@ from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, describe_error, import_error
 from pytest_dura.core.roles import Role
 from pytest_dura.core.simulator import Simulator
-from pytest_dura.core.trust import check_buildable, check_function, check_import
+from pytest_dura.core.trust import (
+    check_buildable,
+    check_function,
+    check_import,
+    check_own,
+    import_checked,
+)
 
 
 def is_routine(value: object) -> TypeGuard[Callable[..., Any]]:
@@ -92,7 +97,7 @@ class RoleSpec:
             )
         check_import(self.path)
         try:
-            target: Any = importlib.import_module(module_name)
+            target: Any = import_checked(self.path)
             for part in qualname.split("."):
                 target = getattr(target, part)
         except BaseException as error:  # a module runs the user's code when it is imported
@@ -128,6 +133,7 @@ class RoleSpec:
             ConfigurationError: If the path cannot be imported, or leads to something that is not
                 the project's own: see :func:`pytest_dura.core.trust.check_function`.
         """
+        check_own(self.path)
         target: Callable[..., Any] = self.resolve()
         check_function(self.path, target)
         return target

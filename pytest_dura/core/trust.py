@@ -9,20 +9,26 @@ point, or other parts of a package that registers something.
 
 from __future__ import annotations
 
+import os
+import pkgutil
 import re
 import sys
 import sysconfig
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
-from importlib.machinery import ModuleSpec
+from importlib import import_module
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.metadata import distributions
 from importlib.util import find_spec
 from inspect import isclass
+from itertools import accumulate
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.boundary import let_pass
+from pytest_dura.core.errors import ConfigurationError, import_error
 
 _ENTRY_POINTS = "pytest_dura"
 """Group of entry points with which an installed package offers its functions as checks; the groups
@@ -123,30 +129,46 @@ class Places:
         """Make them of paths that may be links."""
         return cls(tuple(map(Path.resolve, own)), tuple(map(Path.resolve, foreign)), trusting)
 
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, for another process."""
+        own, foreign = [*map(str, self.own)], [*map(str, self.foreign)]
+        return {"own": own, "foreign": foreign, "trusting": self.trusting}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Places:
+        """Invert :meth:`to_json`."""
+        own, foreign = (tuple(map(Path, data[key])) for key in ("own", "foreign"))
+        return cls(own, foreign, bool(data["trusting"]))
+
     def foreign_folder(self, file: Path) -> Path | None:
-        """Folder of strangers that a file lies in, if it does."""
-        # Of a folder that is both, the strangers' files make it foreign.
-        around = [path for path in (*self.foreign, *self.own) if file.is_relative_to(path)]
-        inner = max(around, key=lambda path: len(path.parts), default=None)
-        return inner if inner in self.foreign else None
+        """Folder of strangers that a file lies in, if it does; a link lies in both its places."""
+        for path in (Path(os.path.abspath(file)), file.resolve()):  # noqa: PTH100 - keeps links
+            for folder in (path, *path.parents) if self.foreign else ():
+                # Of a folder that is both, the strangers' files make it foreign.
+                foreign = next((each for each in self.foreign if _is_same(folder, each)), None)
+                if foreign is not None:
+                    return foreign
+                if any(_is_same(folder, each) for each in self.own):
+                    break
+        return None
 
     def check_import(self, path: str) -> None:
         """Refuse an import path, see :func:`check_import`."""
-        top = path.partition(":")[0].partition(".")[0]
-        if top in self._importable:
+        module = path.partition(":")[0]
+        if module in self._importable:
             return
-        spec = _spec(top)
-        if spec is None:  # importing it says so
-            return
-        if _is_standard(spec):
-            raise ConfigurationError(
-                f"{path!r} leads into Python's standard library",
-                found=path,
-                expected="a class or function of your project, or of an installed package",
-                remedy="write a role, simulator or function of your own, and name that",
-            )
-        for file in _files(spec):
-            folder = self.foreign_folder(file)
+        is_loaded = module in sys.modules
+        # Importing a module imports the packages around it; one that is loaded is only looked up.
+        for spec in _specs(module)[-1:] if is_loaded else _specs(module):
+            if _is_standard(spec):
+                raise ConfigurationError(
+                    f"{path!r} leads into Python's standard library",
+                    found=path,
+                    expected="a class or function of your project, or of an installed package",
+                    remedy="write a role, simulator or function of your own, and name that",
+                )
+            file = _file(spec)
+            folder = None if file is None else self.foreign_folder(file)
             if folder is not None:
                 raise ConfigurationError(
                     f"{path!r} would be imported from {file}, beside files that name it",
@@ -155,17 +177,13 @@ class Places:
                     remedy=f"read the code in {folder}, and if it is to be run, add "
                     "--dura-trust-code",
                 )
-        self._importable.add(top)
+        if is_loaded:  # until then, what a package does to its own path may lead elsewhere
+            self._importable.add(module)
 
     def check_registered(self, path: str) -> None:
         """Refuse an import path, see :func:`check_registered`."""
-        top = path.partition(":")[0].partition(".")[0]
-        spec = _spec(top)
-        if self.trusting or spec is None or self.is_own(top) or _is_standard(spec):
-            return  # what is missing or of Python itself is refused where it is imported
-        if any(self.foreign_folder(file) for file in _files(spec)):
-            return  # likewise
-        if not any(_offers_of(top)):
+        package = self._unregistered(path.partition(":")[0])
+        if package is not None:
             raise ConfigurationError(
                 f"{path!r} is of an installed package that registers nothing for pytest-dura",
                 found=path,
@@ -175,24 +193,77 @@ class Places:
                 "package, or add --dura-trust-code",
             )
 
+    def _unregistered(self, module: str) -> str | None:
+        """Return the installed package of a module if it registers nothing, else ``None``."""
+        specs = _specs(module)
+        # A folder without code of its own may hold packages of several distributions.
+        package = next((spec for spec in specs if _file(spec) is not None), None)
+        if self.trusting or package is None or self.is_own(package.name):
+            return None
+        if _is_standard(package):
+            return None  # as what is missing or a stranger's, refused where it is imported
+        if any(file and self.foreign_folder(file) for file in map(_file, specs)):
+            return None
+        return None if any(_offers_of(package.name)) else package.name
+
+    def check_name(self, text: str, packages: Collection[str]) -> None:
+        """Refuse a text by which a library might import, see :func:`check_names`."""
+        module, colon, inner = text.partition(":")
+        specs = _specs(module) if colon or "." in module else []
+        if self.trusting or not any(map(_file, specs)):
+            return  # there is no such module, and so nothing is run
+        refusal = self._refusal(module, packages)
+        if refusal is None:
+            target: Any = _import_named(text, specs[-1].name)
+            rest = module[len(specs[-1].name) :].split(".")[1:]
+            for part in [*rest, *inner.split(".")] if colon else rest:
+                target = getattr(target, part, None)
+            home = getattr(target, "__module__", None)
+            # What a module of the project has imported from elsewhere is not the project's.
+            if callable(target):
+                refusal = "has no module" if not home else self._refusal(str(home), packages)
+        if refusal is not None:
+            raise ConfigurationError(
+                f"{text!r} in a configuration {refusal}",
+                found=text,
+                expected="names of your project, of a package that registers something for "
+                f"pytest-dura, or of {', '.join(sorted(packages)) or 'none'}",
+                remedy="derive a class of your project from it and name that; write the name of a "
+                "file with its folder (./name); or add --dura-trust-code",
+            )
+
+    def _refusal(self, module: str, packages: Collection[str]) -> str | None:
+        """Return why a library must not import a module by name, ``None`` if it may."""
+        specs = _specs(module)
+        if any(map(_is_standard, specs)):
+            return "leads into Python's standard library"
+        for file in filter(None, map(_file, specs)):
+            folder = self.foreign_folder(file)
+            if folder is not None:
+                return f"would be imported from {file}, beside files that name it"
+        package = self._unregistered(module)
+        if package is None or any(f"{package}.".startswith(f"{each}.") for each in packages):
+            return None
+        return f"is of the package {package}, which registers nothing for pytest-dura"
+
     def is_own(self, module: str) -> bool:
         """Whether functions that a module defines may be called by name."""
         if module not in self._own_modules:
-            self._own_modules[module] = self._find_own(module.partition(".")[0])
+            own = self._find_own(module)
+            if module not in sys.modules:
+                return own
+            self._own_modules[module] = own
         return self._own_modules[module]
 
-    def _find_own(self, top: str) -> bool:
-        if top in (_OURS, "__main__"):
+    def _find_own(self, module: str) -> bool:
+        if module.partition(".")[0] == _OURS or module == "__main__":
             return True
-        spec = _spec(top)
-        if spec is None or _is_standard(spec):
+        specs = _specs(module)
+        file = _file(specs[-1]) if specs and specs[-1].name == module else None
+        if file is None or _is_standard(specs[-1]) or self.foreign_folder(file):
             return False
-        files = _files(spec)
-        if any(self.foreign_folder(file) for file in files):
-            return False
-        if not any(part in _PACKAGES for file in files for part in file.parts):
-            return True
-        return _ENTRY_POINTS in _offers_of(top)
+        is_installed = set(_PACKAGES) & {*file.parts, *file.resolve().parts}
+        return not is_installed or _ENTRY_POINTS in _offers_of(module)
 
 
 _places = Places()
@@ -207,10 +278,15 @@ def use_places(places: Places) -> Places:
     return before
 
 
+def current_places() -> Places:
+    """Return where code may come from in this process."""
+    return _places
+
+
 def check_import(path: str) -> None:
     """Refuse an import path that leads into the standard library, or to strangers.
 
-    Nothing is imported.
+    Nothing is imported. What counts is the file that each module on the way would come from.
 
     Args:
         path: ``package.module`` or ``package.module:Name``.
@@ -219,6 +295,28 @@ def check_import(path: str) -> None:
         ConfigurationError: For a module of Python itself, and one in a folder of strangers.
     """
     _places.check_import(path)
+
+
+def import_checked(path: str) -> ModuleType:
+    """Import the module of an import path that :func:`check_import` lets pass.
+
+    Raises:
+        ConfigurationError: See :func:`check_import`.
+        BaseException: Whatever the module raises.
+    """
+    module = path.partition(":")[0]
+    for package in list(_names(module))[:-1] if module not in sys.modules else ():
+        check_import(path)
+        import_module(package)  # which may change where its modules are looked for
+    check_import(path)
+    return import_module(module)
+
+
+def source_of(module: str) -> Path | None:
+    """Return the file that a module comes from, without an import of it or of its packages."""
+    specs = _specs(module)
+    file = _file(specs[-1]) if specs and specs[-1].name == module else None
+    return file if file is not None and file.is_file() else None
 
 
 def check_registered(path: str) -> None:
@@ -235,12 +333,65 @@ def check_registered(path: str) -> None:
     _places.check_registered(path)
 
 
-def _offers_of(top: str) -> Iterator[str]:
-    """Yield the groups in which a top-level module offers something."""
+def _offers_of(module: str) -> Iterator[str]:
+    """Yield the groups in which the distribution of a module offers something."""
+    specs = _specs(module)
+    package = next((spec.name for spec in specs if _file(spec) is not None), module)
     for group, names in _offers(_import_path()).items():
         for points in names.values():
-            if any(re.split(r"[:.]", point.path)[0] == top for point in points):
+            if any(
+                f"{point.path.partition(':')[0]}.".startswith(f"{package}.") for point in points
+            ):
                 yield group
+
+
+def check_names(config: object, packages: Collection[str] = ()) -> None:
+    """Refuse names in a configuration that is handed to a library which imports by name.
+
+    Every text counts that has the form of an import path, ``a.b.C`` or ``a.b:C``, and leads to a
+    module that is there: which of them the library resolves is its own affair.
+
+    Args:
+        config: Plain data: texts, also within mappings and lists.
+        packages: Packages that it may name beside those that files may name, such as the library's.
+
+    Raises:
+        ConfigurationError: For a module of Python itself, of strangers, and of an installed package
+            that registers nothing and is none of these; and for what such a module defines.
+    """
+    for text in _texts(config):
+        _places.check_name(text, packages)
+
+
+def _texts(value: object) -> Iterator[str]:
+    """Yield the texts in plain data, keys as well."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        yield from _texts([*value.keys(), *value.values()])
+    elif isinstance(value, (list, tuple, set, frozenset)):
+        for each in value:
+            yield from _texts(each)
+
+
+def _import_named(text: str, module: str) -> ModuleType:
+    """Import a module that a configuration names and that may be imported.
+
+    Raises:
+        ConfigurationError: If it cannot be imported.
+    """
+    try:
+        return import_checked(module)
+    except BaseException as error:  # a module runs its author's code when it is imported
+        let_pass(error)
+        raise import_error(
+            error,
+            f"{text!r} in a configuration cannot be imported",
+            module=module,
+            found=text,
+            expected="a module that can be imported",
+            remedy="correct the module, or write the name of a file with its folder (./name)",
+        ) from error
 
 
 def check_buildable(path: str, target: object, kinds: tuple[type, ...]) -> None:
@@ -286,35 +437,123 @@ def check_function(path: str, target: object) -> None:
         )
     home = getattr(target, "__module__", None)
     if not isinstance(home, str) or not all(map(_places.is_own, (home, path.partition(":")[0]))):
-        raise ConfigurationError(
-            f"{path!r} is no function of this project",
-            found=target,
-            expected="a function that your project defines, or one of an installed package with an "
-            f"entry point in the group {_ENTRY_POINTS!r}",
-            remedy="define a function in your project that calls it, and name that",
-        )
+        raise _not_own_error(path, target)
 
 
-def _spec(top: str) -> ModuleSpec | None:
-    """Spec of a top-level module, imported or not, without importing it."""
-    loaded = sys.modules.get(top)
-    spec = getattr(loaded, "__spec__", None)
-    if loaded is None:
-        try:
-            return find_spec(top)
-        except (ImportError, ValueError):
-            return None
-    if spec is None and getattr(loaded, "__file__", None):  # a conftest.py, for example
-        return ModuleSpec(top, None, origin=loaded.__file__)
+def check_own(path: str) -> None:
+    """Refuse an import path of a function before its module is imported.
+
+    Raises:
+        ConfigurationError: For a module that is there and whose functions must not be called, see
+            :func:`check_function`.
+    """
+    _places.check_import(path)
+    specs = _specs(path.partition(":")[0])
+    last = next((spec.name for spec in reversed(specs) if _file(spec) is not None), None)
+    if last is not None and not _places.is_own(last):  # what is missing is said by importing it
+        raise _not_own_error(path, path)
+
+
+def _not_own_error(path: str, found: object) -> ConfigurationError:
+    return ConfigurationError(
+        f"{path!r} is no function of this project",
+        found=found,
+        expected="a function that your project defines, or one of an installed package with an "
+        f"entry point in the group {_ENTRY_POINTS!r}",
+        remedy="define a function in your project that calls it, and name that",
+    )
+
+
+def _specs(module: str) -> list[ModuleSpec]:
+    """Find the specs of a module and of the packages around it, the outermost first.
+
+    Nothing is imported. The list ends before the first one that is not found; of a loaded module
+    whose packages are not found, it holds the module alone.
+    """
+    specs: list[ModuleSpec] = []
+    places: Iterable[str] | None = None
+    for name in _names(module):
+        spec = _loaded_spec(name) if name in sys.modules else _find_spec(name, places)
+        if spec is None:
+            break
+        specs.append(spec)
+        places = getattr(sys.modules.get(name), "__path__", spec.submodule_search_locations) or ()
+    if not specs or specs[-1].name != module:
+        loaded = _loaded_spec(module)
+        return specs if loaded is None else [loaded]
+    return specs
+
+
+def _names(module: str) -> Iterator[str]:
+    """Iterate over the names of the packages around a module, the outermost first, and its own."""
+    return accumulate(module.split("."), "{}.{}".format)
+
+
+def _loaded_spec(name: str) -> ModuleSpec | None:
+    """Spec of a module that is imported, under the name that it is imported by."""
+    module = sys.modules.get(name)
+    spec: ModuleSpec | None = getattr(module, "__spec__", None)
+    origin = getattr(module, "__file__", None) if spec is None else spec.origin
+    if module is None or (spec is None and origin is None):
+        return None
+    # `os.path` is imported by another name; a conftest.py may have no spec.
+    named = ModuleSpec(name, None if spec is None else spec.loader, origin=origin)
+    named.submodule_search_locations = getattr(module, "__path__", None)
+    return named
+
+
+def _find_spec(name: str, places: Iterable[str] | None) -> ModuleSpec | None:
+    """Spec of a module that is not imported, as Python would find it.
+
+    Args:
+        name: Its full name.
+        places: Where the package around it looks for modules; ``None`` for a top-level module.
+    """
+    try:
+        if places is None:
+            return find_spec(name)
+        found = (_found_by(finder, name, list(places)) for finder in sys.meta_path)
+        return next((spec for spec in found if spec is not None), None)
+    except (ImportError, ValueError):
+        return None
+
+
+def _found_by(finder: Any, name: str, places: list[str]) -> ModuleSpec | None:
+    if finder is PathFinder or not hasattr(finder, "find_spec"):
+        return _found_in(name, places) if finder is PathFinder else None
+    try:
+        spec: ModuleSpec | None = finder.find_spec(name, places)
+    except KeyError:
+        # It asks Python's own finder, which makes no spec of a folder without code as long as the
+        # package around it is not imported.
+        return None
     return spec
+
+
+def _found_in(name: str, places: list[str]) -> ModuleSpec | None:
+    """Find a module in folders and archives as ``PathFinder`` does, its package not imported."""
+    portions: list[str] = []
+    for place in places:
+        finder = pkgutil.get_importer(place)
+        spec = None if finder is None else finder.find_spec(name)
+        if spec is not None and spec.loader is not None:
+            return spec
+        if spec is not None:
+            portions += spec.submodule_search_locations or ()
+    if not portions:
+        return None
+    namespace = ModuleSpec(name, None, is_package=True)
+    namespace.submodule_search_locations = portions
+    return namespace
 
 
 def _is_standard(spec: ModuleSpec) -> bool:
     if spec.origin in ("built-in", "frozen"):
         return True
-    return any(
-        file.is_relative_to(folder) and not set(_PACKAGES) & set(file.relative_to(folder).parts)
-        for file in _files(spec)
+    file = _file(spec)
+    return file is not None and any(
+        path.is_relative_to(folder) and not set(_PACKAGES) & set(path.relative_to(folder).parts)
+        for path in (file.resolve(),)
         for folder in _standard()
     )
 
@@ -325,8 +564,14 @@ def _standard() -> tuple[Path, ...]:
     return tuple({Path(path).resolve() for name in names if (path := sysconfig.get_path(name))})
 
 
-def _files(spec: ModuleSpec) -> list[Path]:
-    """Files and folders that a module is made of."""
-    origin = [spec.origin] if spec.origin not in (None, "namespace") else []
-    paths = (*origin, *(spec.submodule_search_locations or ()))
-    return [Path(path).resolve() for path in paths if path]
+def _file(spec: ModuleSpec) -> Path | None:
+    """File whose code a module runs; ``None`` for a folder without code of its own."""
+    is_folder = spec.origin is None or spec.origin == "namespace"
+    return None if is_folder else Path(str(spec.origin))
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    try:
+        return one == other or one.samefile(other)  # also where the case of letters is ignored
+    except OSError:
+        return False

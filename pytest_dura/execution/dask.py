@@ -63,7 +63,8 @@ def _reply_with_machine(client: Mapping[str, Any]) -> bytes:
     """Describe the machine of a Dask worker, as a reply.
 
     Args:
-        client: The session: ``token``, and the ``path`` and ``folder`` where it finds components.
+        client: The session: ``token``, the ``path`` and ``folder`` where it finds components, and
+            the ``places`` that code may come from.
     """
     return reply_of(lambda: _pool(client).submit(machine_json).result())
 
@@ -109,7 +110,8 @@ def _process_environment(client: Mapping[str, Any]) -> ProcessEnvironment:
     own = ProcessEnvironment.here()
     shared = [entry for entry in client["path"] if Path(entry).exists()]
     folder = client["folder"] if Path(client["folder"]).is_dir() else own.folder
-    return ProcessEnvironment(list(dict.fromkeys([*shared, *own.path])), folder)
+    path = list(dict.fromkeys([*shared, *own.path]))
+    return ProcessEnvironment(path, folder, client["places"])
 
 
 _LAST_PORT = 65535
@@ -326,7 +328,12 @@ class DaskExecutor(Executor):
         self.address = address
         here = ProcessEnvironment.here()
         shared = [entry for entry in here.path if not is_installed(Path(entry))]
-        self._session = {"token": uuid.uuid4().hex, "path": shared, "folder": here.folder}
+        self._session = {
+            "token": uuid.uuid4().hex,
+            "path": shared,
+            "folder": here.folder,
+            "places": here.places,
+        }
         self._tasks: dict[Future[Any], Any] = {}
         self._lock, self._resolving = threading.Lock(), threading.Lock()
         self._closed = threading.Event()

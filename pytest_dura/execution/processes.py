@@ -19,6 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import IO, Any, ParamSpec, TypeVar, cast
 
 from pytest_dura.core.errors import DuraError
+from pytest_dura.core.trust import Places, current_places
 from pytest_dura.execution.executors import ExecutorKind, cancel_queued
 from pytest_dura.execution.worker import (
     BEGUN,
@@ -33,8 +34,8 @@ from pytest_dura.execution.worker import (
 )
 
 _START = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); "
-    "from pytest_dura.execution.worker import main; main()"
+    "import json, sys; given = json.loads(sys.argv.pop()); sys.path[:] = given['path']; "
+    "from pytest_dura.execution.worker import main; main(given['places'])"
 )
 _SECONDS_TO_END = 10.0
 """How long the pool waits for a process that was killed, or closed its output."""
@@ -44,21 +45,24 @@ _POLL_SECONDS = 1.0
 
 @dataclass(frozen=True)
 class ProcessEnvironment:
-    """Import path and folder of a process.
+    """Import path and folder of a process, and which of its folders are strangers'.
 
     Args:
         path: Where it imports from: ``sys.path``.
         folder: The folder that it works in.
+        places: Where code that files name may come from, see :meth:`Places.to_json`.
     """
 
     path: Sequence[str]
     folder: str
+    places: Mapping[str, Any] = field(default_factory=Places().to_json)
 
     @classmethod
     def here(cls) -> ProcessEnvironment:
         """Those of this process, as they are now."""
         folder = Path.cwd()
-        return cls([str(folder / entry) for entry in sys.path], str(folder))
+        path = [str(folder / entry) for entry in sys.path]
+        return cls(path, str(folder), current_places().to_json())
 
 
 class WorkerEndedError(Exception):
@@ -94,10 +98,11 @@ class WorkerProcess:
 
     def __init__(self, environment: ProcessEnvironment) -> None:
         command = [sys.executable, *["-O"] * sys.flags.optimize, "-c", _START]
+        places = dict(environment.places)
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `end`
         try:
             self._process = subprocess.Popen(
-                [*command, json.dumps(list(environment.path))],
+                [*command, json.dumps({"path": list(environment.path), "places": places})],
                 cwd=environment.folder,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,

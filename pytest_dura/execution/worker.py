@@ -130,8 +130,12 @@ def read_frame(stream: IO[bytes]) -> bytes | None:
     return data if len(data) == size else None
 
 
-def main() -> None:
-    """Carry out calls until the input ends."""
+def main(places: dict[str, Any]) -> None:
+    """Carry out calls until the input ends.
+
+    Args:
+        places: Where code that files name may come from, see ``core.trust.Places.to_json``.
+    """
     calls, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     _REPLIES.append(replies)
     # A key that interrupts the session reaches this process as well; the session will end it.
@@ -139,6 +143,8 @@ def main() -> None:
     requests: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_read, args=(calls, requests), daemon=True).start()
     write_frame(replies, READY)
+    trust = importlib.import_module("pytest_dura.core.trust")
+    trust.use_places(trust.Places.from_json(places))
     # From now on nothing that is printed here gets into the terminal or between the replies.
     null = os.open(os.devnull, os.O_RDWR)
     for number in range(3):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.trust import source_of
 from pytest_dura.evidence.files import InputFiles, InputKind
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.roles import conftest_files
@@ -142,7 +142,7 @@ class SessionInputs:
         if module.endswith(".py"):
             self.inputs.add(kind, self.context.config.rootpath / module)
         elif is_function_path(path):
-            file = _file_of(module)
+            file = source_of(module)
             if file is not None and not is_installed(file):
                 self.inputs.add(kind, file)
 
@@ -155,7 +155,7 @@ class SessionInputs:
             file: Path | None = self.context.config.rootpath / module
             module = Path(module).stem
         else:
-            file = _file_of(module)
+            file = source_of(module)
         if file is None or is_installed(file):
             return
         code = user_code(file, module)
@@ -199,20 +199,5 @@ def files_of_roles(context: SessionContext, simulator: RoleSpec | None) -> dict[
         paths.append(scenario.simulator_spec().path)  # known: the library has checked it
         paths += [role.path for role in scenario.roles.values() if role is not None]
     modules = dict.fromkeys(path.partition(":")[0] for path in paths if ":" in path)
-    files = {module: file for module in modules if (file := _file_of(module)) is not None}
+    files = {module: file for module in modules if (file := source_of(module)) is not None}
     return files | {f"conftest of {file.parent}": file for file in conftest_files(context.config)}
-
-
-def _file_of(module: str) -> Path | None:
-    """Source file of a module, which is not imported for that."""
-    from importlib.util import find_spec
-
-    loaded = sys.modules.get(module)
-    name = getattr(loaded, "__file__", None)
-    if loaded is None:
-        try:
-            spec = find_spec(module)
-        except (ImportError, ValueError):  # its package is not there in this process
-            return None
-        name = None if spec is None else spec.origin
-    return Path(name) if name and Path(name).is_file() else None

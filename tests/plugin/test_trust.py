@@ -174,6 +174,26 @@ def test_a_replay_imports_nothing_that_lies_in_the_bundle(project):
     assert (project.path / "imported").exists()
 
 
+@pytest.mark.parametrize("package", [False, True])
+def test_a_bundle_below_the_root_directory_is_not_a_part_of_the_project(project, package):
+    """Whose folder can be imported from, since folders without code count as packages."""
+    project.run("corridor/free")
+    (project.path / "downloads").mkdir()
+    bundle = shutil.move(project.path / "dura-evidence", project.path / "downloads/bundle")
+    (bundle / "stranger.py").write_text(PLANNER)
+    if package:  # whose own code is imported before its modules are looked for
+        (bundle / "__init__.py").write_text(PLANNER)
+    name = "downloads.bundle.missing:Planner" if package else "downloads.bundle.stranger:Planner"
+    alter(bundle, names(name))
+    arguments = ("--dura-replay=corridor/free#0", "--dura-evidence=downloads/bundle")
+    result = project.run(*arguments, "-opythonpath=.")
+    assert not (project.path / "imported").exists()
+    assert result.ret == 4
+    result.stderr.fnmatch_lines(
+        [f"ERROR: '{name}' would be imported from *", "  remedy: *--dura-trust-code"]
+    )
+
+
 def test_files_from_outside_the_project_name_no_code_beside_them(project, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside")
     path = stranger(project, outside)
@@ -196,3 +216,22 @@ def test_a_bundle_names_code_of_the_project(project):
     project.run("corridor/free", "--dura-generator=mine:Planner")
     seal(project.path / "dura-evidence")
     assert project.run("--dura-replay=corridor/free#0").ret == 0
+
+
+@pytest.mark.parametrize("option", ["", "--dura-executor=processes"])
+def test_a_scenario_hands_no_name_of_a_stranger_to_a_library(project, option):
+    """Gymnasium imports the package of an environment, and environments import what they like."""
+    stranger(project, project.path / "site-packages")
+    pytest.importorskip("gymnasium")
+    simulator = (
+        "{path: 'pytest_dura.adapters.gymnasium:GymnasiumSimulator', params: {env: '%s', "
+        "time_step: 0.1, signals: 'seen:signals', sensors: 'seen:sensors'}}"
+    )
+    project.write("seen.py", "def signals(o, i, r): return {'gap': 1.0}\nsensors = signals\n")
+    for env in ("stranger:Thing-v0", "stranger:Planner"):
+        scenario(project, ("corridor:Corridor", simulator % env))
+        path = f"-opythonpath=. {project.path / 'site-packages'}"
+        result = project.run("corridor/named", path, *filter(None, [option]))
+        assert not (project.path / "imported").exists()
+        assert result.ret == 1
+        result.stdout.fnmatch_lines(["*stranger*, which registers nothing for pytest-dura*"])

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura import ConfigurationError
+from pytest_dura import ConfigurationError, RoleSpec
 from pytest_dura.execution import processes, worker
 
 HELD: list[bytearray] = []
@@ -117,3 +117,7 @@ def leaky(megabytes: int, most: int) -> bytes:
 def surroundings() -> bytes:
     """What this process finds."""
     return json.dumps([sys.path, str(Path.cwd()), sys.flags.optimize]).encode()
+
+
+def built(path: str) -> bytes:
+    return repr(RoleSpec(path).create()).encode()

@@ -16,6 +16,7 @@ import psutil
 import pytest
 
 from pytest_dura import ConfigurationError
+from pytest_dura.core import Places, use_places
 from pytest_dura.execution import (
     MAX_STARTS,
     CallFailedError,
@@ -185,6 +186,19 @@ def test_a_process_finds_what_this_one_finds(pool, tmp_path, monkeypatch):
     path, folder, optimize = json.loads(pool.submit(pool_calls.surroundings).result())
     assert path == ProcessEnvironment.here().path
     assert (folder, optimize) == (str(tmp_path), sys.flags.optimize)
+
+
+def test_a_process_imports_nothing_of_strangers_as_this_one_does(pool, tmp_path, monkeypatch):
+    (tmp_path / "of_a_stranger.py").write_text("open('imported', 'w').close()\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    before = use_places(Places.of([], [tmp_path]))
+    try:
+        with pytest.raises(ConfigurationError, match="beside files that name it"):
+            pool.submit(pool_calls.built, "of_a_stranger:Planner").result()
+    finally:
+        use_places(before)
+    assert not (tmp_path / "imported").exists()
 
 
 def test_what_is_queued_is_cancelled_and_what_runs_is_ended_at_the_end(pool, tmp_path):
