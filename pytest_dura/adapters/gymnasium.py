@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from importlib.metadata import distributions
 from numbers import Integral, Real
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
@@ -16,7 +19,7 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.seeding import watch_draws
 from pytest_dura.core.simulator import Scene, Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick, sealed
-from pytest_dura.core.trust import check_import
+from pytest_dura.core.trust import check_import, check_names, import_checked
 
 if TYPE_CHECKING:
     import gymnasium
@@ -197,6 +200,7 @@ class GymnasiumSimulator(Simulator):
         self.fallback_action()  # refuses an invalid one before the first step
         self._index = 0
         options = dict(scenario.get("world") or {})
+        check_names(options, _packages(type(self.env.unwrapped)))
         observation, info = self.env.reset(seed=seed, options=options or None)
         own = getattr(
             self.env.unwrapped, "_np_random", None
@@ -344,15 +348,48 @@ def _callable(value: Callable[..., Any] | str) -> Any:
     return RoleSpec(value).function() if isinstance(value, str) else value
 
 
+@cache
+def _environment_packages() -> frozenset[str]:
+    """Packages that offer environments to Gymnasium by an entry point, and its own."""
+    points = (point for installed in distributions() for point in installed.entry_points)
+    offered = {p.module.partition(".")[0] for p in points if p.group.startswith("gymnasium.envs")}
+    return frozenset({"gymnasium", *offered})
+
+
+def _packages(creator: object = None) -> frozenset[str]:
+    """Packages whose modules a configuration may name.
+
+    Args:
+        creator: Class or factory of the environment, whose package and those of its bases count.
+    """
+    kinds = () if creator is None else getattr(creator, "__mro__", (creator,))
+    own = {str(getattr(kind, "__module__", "")).partition(".")[0] for kind in kinds}
+    return _environment_packages() | (own - {"", "builtins"})
+
+
 def _make(name: str, params: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
     import gymnasium
+    from gymnasium.envs.registration import load_env_creator
 
     # "module:Name" is ours; "module:Name-v0" is Gymnasium's own way to import before making.
     if ":" in name and "-" not in name.partition(":")[2]:
-        env = RoleSpec(name, params).create(gymnasium.Env)
+        check_names(name, _packages())
+        spec = RoleSpec(name, params)
+        check_names(params, _packages(spec.factory(gymnasium.Env)))
+        env = spec.create(gymnasium.Env)
     else:
-        check_import(name if ":" in name else "gymnasium")
+        module, colon, known_id = name.rpartition(":")
+        check_import(name if colon else "gymnasium")
+        if module not in sys.modules:  # importing it again would run nothing
+            check_names(name, _packages())
         try:
+            if colon:
+                import_checked(module)
+            registered = gymnasium.registry.get(known_id)
+            creator: Any = None if registered is None else registered.entry_point
+            if isinstance(creator, str):
+                creator = load_env_creator(creator)
+            check_names(params, _packages(creator))
             env = gymnasium.make(
                 name, **{"max_episode_steps": -1, "disable_env_checker": True, **params}
             )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import builtins
+import importlib
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import gymnasium
@@ -327,6 +329,87 @@ def test_an_environment_that_cannot_be_made_is_told(env: str, problem: str) -> N
 def test_wrong_parameters_and_callables_are_told() -> None:
     assert "tarqet" in message_of(lambda: tank(params={"tarqet": 1}).reset({}, 0))
     assert "nowhere" in message_of(lambda: tank(signals=f"{HERE}:nowhere"))
+
+
+@pytest.fixture
+def installed(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """Names of imported modules: of a package that registers nothing, and of the project's."""
+    mark = "import builtins\nbuiltins.imported.append(__name__)\n"
+    (tmp_path / "site-packages").mkdir()
+    (tmp_path / "site-packages/stranger.py").write_text(f"{mark}class Car: pass\n")
+    (tmp_path / "mine.py").write_text(
+        f"{mark}from os import system\nfrom highway_env.vehicle.behavior import IDMVehicle\n"
+        "class Car(IDMVehicle): pass\n"
+    )
+    imported: list[str] = []
+    monkeypatch.setattr(builtins, "imported", imported, raising=False)
+    monkeypatch.syspath_prepend(tmp_path / "site-packages")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield imported
+    for name in ("stranger", "mine"):
+        sys.modules.pop(name, None)
+
+
+def motorway(**config: Any) -> GymnasiumSimulator:
+    """highway-env's motorway, whose vehicles have the class that its configuration names."""
+    return GymnasiumSimulator(
+        "highway_env:highway-v0",
+        {"config": {"vehicles_count": 2} | config},
+        time_step=1.0,
+        signals=lambda o, i, r: {"reward": r},
+        sensors=lambda o, i: {"speed": float(i["speed"])},
+    )
+
+
+@pytest.mark.parametrize(
+    "name, why",
+    [
+        ("stranger.Car", "is of the package stranger, which registers nothing"),
+        ("stranger.inner.Car", "is of the package stranger, which registers nothing"),
+        ("antigravity.Car", "leads into Python's standard library"),
+        ("mine.system", "leads into Python's standard library"),
+        ("mine.IDMVehicle", None),
+        ("mine.Car", None),
+        ("highway_env.vehicle.behavior.LinearVehicle", None),
+    ],
+)
+@pytest.mark.parametrize("place", ["params", "world"])
+def test_names_in_a_configuration_are_checked_as_our_own(
+    installed: list[str], place: str, name: str, why: str | None
+) -> None:
+    """highway-env imports the class of its vehicles by name."""
+    pytest.importorskip("highway_env")
+    config = {"other_vehicles_type": name}
+    simulator = motorway(**config if place == "params" else {})
+    scenario = {"world": {"config": config}} if place == "world" else {}
+    if why is None:
+        simulator.reset(scenario, 0)
+    else:
+        text = message_of(lambda: simulator.reset(scenario, 0))
+        assert f"{name!r} in a configuration {why}" in text
+    assert "stranger" not in installed
+    assert "antigravity" not in sys.modules
+    simulator.close()
+
+
+def test_what_only_looks_like_a_name_is_handed_over(installed: list[str]) -> None:
+    texts = ["v1.0", "no.such.Thing", "maps/a.xml", "./stranger.xml", "stranger", "a: b", ".", ":"]
+    simulator = tank()
+    simulator.reset({"world": {"texts": texts, "one.of": {"stranger": texts}}}, 0)
+    assert not installed
+
+
+@pytest.mark.parametrize("env", ["stranger:Thing-v0", "stranger:Car", "stranger.inner:Thing-v0"])
+def test_an_environment_imports_no_package_that_registers_nothing(
+    installed: list[str], env: str
+) -> None:
+    text = message_of(lambda: tank(env=env).reset({}, 0))
+    assert "is of the package stranger, which registers nothing" in text
+    assert "--dura-trust-code" in text
+    assert not installed
+    if env.endswith("-v0"):  # what a conftest.py has imported is not imported by that
+        importlib.import_module("stranger")
+        assert "Gymnasium cannot make" in message_of(lambda: tank(env="stranger:Thing-v0").env)
 
 
 def test_without_a_render_mode_it_does_not_render() -> None:
