@@ -400,9 +400,10 @@ def _sign(options: argparse.Namespace) -> int:
     from pytest_dura.evidence.signing import Review, sign_statement, write_review
     from pytest_dura.evidence.verify import verify_bundle
     from pytest_dura.library.documents import read_yaml, validate
+    from pytest_dura.reports.wording import review_text
 
     review = None if options.review is None else validate(Review, read_yaml(options.review))
-    bundle = verify_bundle(options.directory)
+    bundle = verify_bundle(options.directory, signed=True)
     if bundle.problems or (review is not None and bundle.not_rendered is not None):
         raise ConfigurationError(
             "this bundle is not intact"
@@ -415,14 +416,16 @@ def _sign(options: argparse.Namespace) -> int:
             if bundle.problems
             else "sign it with that version",
         )
+    record = open_record(options.directory / RECORD_FILE)
     if review is not None:
-        write_review(options.directory, review, options.key)
-        render_again(open_record(options.directory / RECORD_FILE))
+        ended = record.head.finished or record.head.created
+        write_review(options.directory, review, options.key, ended)
+        render_again(record)
     key_id = sign_statement(options.directory, options.key)
     _print_any_file_name()
     if review is not None:
-        line = f"reviewed: {review.decision} by {review.who} on {review.when}"
-        print(one_line(line, _MAX_LENGTH))
+        text = review_text(record).removeprefix("generated; ")
+        print(one_line(f"reviewed: {text}", _MAX_LENGTH))
     print(f"signed: {one_line(str(options.directory), _MAX_LENGTH)} with the key {key_id}")
     return 0
 
@@ -431,8 +434,14 @@ def _verify(options: argparse.Namespace) -> int:
     from pytest_dura.evidence.signing import check_signatures
     from pytest_dura.evidence.verify import verify_bundle
 
-    bundle = verify_bundle(options.directory, options.junit_xml)
-    signatures = check_signatures(options.directory, options.key)
+    bundle = verify_bundle(options.directory, options.junit_xml, signed=bool(options.key))
+    head = bundle.head
+    signatures = check_signatures(
+        options.directory,
+        options.key,
+        gate="" if head is None else head.gate.result,
+        ended=None if head is None else head.finished or head.created,
+    )
     bundle.problems += signatures.problems
     _print_any_file_name()
     for line in signatures.lines:

@@ -38,7 +38,7 @@ from pytest_dura.evidence.session_model import (
     ShardEntry,
     ToolEntry,
 )
-from pytest_dura.evidence.signing import Review, read_review
+from pytest_dura.evidence.signing import SignedReview, read_review
 from pytest_dura.evidence.verdict_model import (
     BaselineEntry,
     EffectivenessEntry,
@@ -219,9 +219,9 @@ class SessionRecord(Shown):
         return self.read_episodes()
 
     @cached_property
-    def review(self) -> Review | None:
+    def review(self) -> SignedReview | None:
         """The review that lies beside the bundle; its signature is not checked."""
-        return read_review(self.directory)
+        return read_review(self.directory, self.head.finished or self.head.created)
 
     def to_json(self) -> JsonObject:
         """Convert to plain data, with all episodes."""

@@ -44,7 +44,7 @@ from pytest_dura.evidence.files import file_entry, files_below, listed_files, ma
 from pytest_dura.evidence.gate import judge_again
 from pytest_dura.evidence.junit import junit_problems
 from pytest_dura.evidence.mcap import read_trace
-from pytest_dura.evidence.model import SessionRecord, Totals
+from pytest_dura.evidence.model import RecordHead, SessionRecord, Totals
 from pytest_dura.evidence.traces import Trace, trace_path
 from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
 from pytest_dura.evidence.verify_record import differences, record_problems
@@ -372,6 +372,7 @@ class Verification:
         rejudged: Verdicts on single episodes that were judged again on their traces.
         not_rendered: Version that wrote the bundle, if it is not this one: the third sentence was
             not checked then.
+        head: Head of the record, if it could be read.
     """
 
     problems: list[str]
@@ -379,6 +380,7 @@ class Verification:
     totals: Totals | None = None
     rejudged: JudgedOnTraces = field(default_factory=dict)
     not_rendered: str | None = None
+    head: RecordHead | None = None
 
     @property
     def intact(self) -> bool:
@@ -386,12 +388,16 @@ class Verification:
         return not self.problems
 
 
-def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
+def verify_bundle(
+    directory: Path, junit: Path | None = None, *, signed: bool = False
+) -> Verification:
     """Check the three sentences on a bundle.
 
     Args:
         directory: The evidence directory.
         junit: The JUnit file of the same session, if it is to be compared.
+        signed: Whether the bundle is, or is to be, signed: then each file has to be in the
+            manifest, also those from which a session that failed can be resumed.
 
     Raises:
         ConfigurationError: If there is no such directory.
@@ -422,7 +428,7 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
         verification.problems += [*manifest_problems(directory), f"{RECORD_FILE}: {error}"]
         return verification
     try:
-        _check_sentences(verification, record, names)
+        _check_sentences(verification, record, names, signed=signed)
     except Exception as error:  # whatever a damaged record does to the code that concludes it
         why = str(error).partition("\n")[0]
         verification.problems.append(f"{RECORD_FILE}: damaged ({type(error).__name__}: {why})")
@@ -432,10 +438,10 @@ def verify_bundle(directory: Path, junit: Path | None = None) -> Verification:
 
 
 def _check_sentences(
-    verification: Verification, record: SessionRecord, names: Iterable[str]
+    verification: Verification, record: SessionRecord, names: Iterable[str], *, signed: bool
 ) -> None:
-    problems = verification.problems
-    kept = () if record.head.gate.result == "passed" else resume_files(names)
+    problems, verification.head = verification.problems, record.head
+    kept = () if signed or record.head.gate.result == "passed" else resume_files(names)
     problems += hash_problems(record.directory, kept)
     problems += _extra_files(record)
     verification.totals = record.head.totals

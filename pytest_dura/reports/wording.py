@@ -40,8 +40,8 @@ def review_text(record: SessionRecord) -> str:
     review = record.review
     if review is None:
         return "generated, unreviewed"
-    who, what = (name(part, NAME_LIMIT) for part in (review.who, review.what))
-    return f"generated; {review.decision} by {who} on {review.when}: {what}"
+    gate = record.head.gate.result
+    return f"generated; {review.decision}; {review.remarks(gate)}"
 
 
 def event_text(event: Event | EventEntry) -> str:

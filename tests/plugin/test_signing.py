@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
@@ -26,11 +27,13 @@ from cryptography.hazmat.primitives.serialization import (
 from sealing import alter, seal
 
 from pytest_dura.__main__ import main
+from pytest_dura.evidence.files import file_entry, manifest_text
 
 PROJECT = Path(__file__).with_name("project")
-REVIEW = """
+TODAY = datetime.now(timezone.utc).date()
+REVIEW = f"""
 who: Ada <b>Example</b>, independent assessor
-when: "2026-11-20"
+when: "{TODAY}"
 what: All verdicts, and replays of the counterexamples
 decision: accepted
 """
@@ -231,7 +234,8 @@ def test_a_bundle_that_is_not_intact_is_not_signed(bundle, keys, capsys):
 @pytest.mark.parametrize(
     "change, problem",
     [
-        (('"2026-11-20"', "yesterday"), "review.yaml:3"),
+        ((f'"{TODAY}"', "yesterday"), "review.yaml:3"),
+        ((str(TODAY), str(TODAY - timedelta(days=2))), "dated before the session ended"),
         (("accepted", "perhaps"), "review.yaml:5"),
         (("decision: accepted", ""), "the key 'decision' is missing"),
     ],
@@ -268,3 +272,168 @@ def test_a_new_session_takes_the_old_signature_away(bundle, keys):
     )  # fmt: skip
     assert (project / "dura-evidence/manifest.json").is_file()
     assert not (project / "dura-evidence/test-result.intoto.dsse.json").exists()
+
+
+def with_schema(bundle):
+    """Change the schema, which says what each key of the record means, and list it anew."""
+    file = bundle / "evidence.schema.json"
+    file.write_text(file.read_text().replace("number", "integer"))
+    list_again(bundle)
+
+
+def list_again(bundle, *more):
+    """Write a manifest that agrees with the files that it lists, and lists more of them."""
+    listed = json.loads((bundle / "manifest.json").read_text())["files"]
+    names = [name for name in (*listed, *more) if (bundle / name).is_file()]
+    files = {name: file_entry(bundle / name) for name in names}
+    (bundle / "manifest.json").write_text(manifest_text(files))
+
+
+def with_file(name, *, listed=False):
+    """Add a file to a bundle."""
+
+    def change(bundle):
+        (bundle / name).parent.mkdir(parents=True, exist_ok=True)
+        (bundle / name).write_text("{}")
+        if listed:
+            list_again(bundle, name)
+
+    return change
+
+
+def without_file(name, *, listed=False):
+    """Remove a file from a bundle."""
+
+    def change(bundle):
+        (bundle / name).unlink()
+        if not listed:
+            list_again(bundle)
+
+    return change
+
+
+RESUMED = f".episodes/ab/{'a' * 64}.episode"
+CHANGES = {
+    "a schema": with_schema,
+    "a file added": with_file("notes.txt"),
+    "a file added and listed": with_file("notes.txt", listed=True),
+    "a file added in a folder": with_file("episodes/more/notes.txt"),
+    "an episode to resume from": with_file(RESUMED),
+    "a report removed": without_file("report.html"),
+    "a schema removed": without_file("evidence.schema.json"),
+    "a file removed that is listed": without_file("summary.md", listed=True),
+    "a review added": with_file("review.dsse.json"),
+    "a manifest in another form": lambda bundle: (bundle / "manifest.json").write_text(
+        (bundle / "manifest.json").read_text() + " "
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def failed(tmp_path_factory):
+    """The bundle of a session whose gate failed."""
+    folder = tmp_path_factory.mktemp("failed")
+    shutil.copytree(PROJECT, folder, dirs_exist_ok=True)
+    subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--dura-scenarios",
+         "--dura-select=corridor/tight", "--dura-runs=1", "--dura-generator=corridor:Reckless"],
+        cwd=folder, env={**os.environ, "PYTEST_ADDOPTS": ""}, capture_output=True, timeout=60,
+        check=False,
+    )  # fmt: skip
+    return folder / "dura-evidence"
+
+
+@pytest.fixture
+def failing(failed, tmp_path):
+    return shutil.copytree(failed, tmp_path / "failing")
+
+
+@pytest.mark.parametrize("case", CHANGES)
+@pytest.mark.parametrize("version", ["this", "another"])
+def test_a_signature_covers_every_file(failing, keys, monkeypatch, case, version):
+    """Also where another version wrote the reports, which are not rendered again."""
+    assert sign(failing, keys[0]) == 0
+    assert verify(failing, keys[1]) == 0
+    if version == "another":
+        monkeypatch.setattr("pytest_dura.evidence.verify._other_version", lambda record: "0.0.1")
+        assert verify(failing, keys[1]) == 3
+    CHANGES[case](failing)
+    assert verify(failing, keys[1]) == 1
+
+
+def test_a_bundle_with_files_that_no_signature_would_cover_is_not_signed(failing, keys, capsys):
+    with_file(RESUMED)(failing)
+    assert verify(failing) == 0
+    assert sign(failing, keys[0]) == 2
+    assert f"{RESUMED}: not in the manifest" in capsys.readouterr().err
+
+
+SAME = "the review is signed with the key that signed the evidence"
+ANOTHER = "the review is signed with another key than the evidence"
+UNSIGNED = "the evidence was not signed before the review"
+
+
+@pytest.mark.parametrize(
+    "signers",
+    [("maker", "maker", SAME), ("maker", "assessor", ANOTHER), (None, "assessor", UNSIGNED)],
+)
+def test_every_format_says_whose_key_signed_a_review(bundle, tmp_path, review, capsys, signers):
+    producer, reviewer, remark = signers
+    pairs = {name: key_pair(tmp_path, name) for name in ("maker", "assessor", "stranger")}
+    if producer is not None:
+        sign(bundle, pairs[producer][0])
+    sign(bundle, pairs[reviewer][0], "--review", review)
+    assert remark in capsys.readouterr().out
+    for name in FORMATS:
+        assert remark in " ".join((bundle / name).read_text().split()), name
+    assert verify(bundle, *(pair[1] for pair in pairs.values())) == 0
+    assert remark in (out := capsys.readouterr().out)
+    assert "not checked" not in out
+    # With the reviewer's key alone, another one of the evidence is only what the envelope says.
+    assert verify(bundle, pairs[reviewer][1]) == 0
+    out = capsys.readouterr().out
+    assert remark in out
+    assert ("(not checked: name its public key" in out) == (remark == ANOTHER)
+    # Whoever reviews it again has signed it, and has not made it.
+    sign(bundle, pairs["stranger"][0], "--review", review)
+    assert (UNSIGNED if producer is None else ANOTHER) in capsys.readouterr().out
+
+
+def test_an_accepted_review_of_a_failed_gate_says_what_was_accepted(failing, keys, review, capsys):
+    words = (
+        "All verdicts, and replays of the counterexamples",
+        "the gate did not pass (failed), which no review changes",
+    )
+    sign(failing, keys[0], "--review", review)
+    out = capsys.readouterr().out
+    assert all(part in out for part in words)
+    for name in FORMATS:
+        text = " ".join((failing / name).read_text().split())
+        assert all(part in text for part in words), name
+    verify(failing, keys[1])
+    line = next(each for each in capsys.readouterr().out.splitlines() if "accepted" in each)
+    assert all(part in line for part in words)
+
+
+def test_a_review_from_before_the_session_counts_for_nothing(
+    bundle, keys, review, capsys, monkeypatch
+):
+    """Also if another tool than ours has signed it."""
+    review.write_text(REVIEW.replace(str(TODAY), str(TODAY - timedelta(days=2))))
+    with monkeypatch.context() as lenient:
+        lenient.setattr("pytest_dura.evidence.signing.is_too_early", lambda review, ended: False)
+        assert sign(bundle, keys[0], "--review", review) == 0
+    capsys.readouterr()
+    assert verify(bundle, keys[1]) == 1
+    out = capsys.readouterr().out
+    assert "review.dsse.json: dated " in out
+    assert "before the session ended" in out
+    assert "report.html: not as it is rendered from the record" in out
+
+
+def test_a_review_holds_no_signature_of_other_evidence(bundle, failing, keys, review, capsys):
+    sign(failing, keys[0])
+    shutil.copy(failing / "test-result.intoto.dsse.json", bundle)
+    capsys.readouterr()
+    assert sign(bundle, keys[0], "--review", review) == 2
+    assert "it is of another evidence.json" in capsys.readouterr().err

@@ -65,10 +65,12 @@ def _scenario_contexts(record: SessionRecord) -> Iterator[Element]:
 
 
 def _review(record: SessionRecord) -> Element:
-    review, text = record.review, f"{review_text(record)}."
-    if review is None:
+    text, parts = f"{review_text(record)}.", ("",) * 3
+    if record.review is None:
         text += " No element of this argument is asserted until a reviewer says so."
-    parts = ("",) * 3 if review is None else (review.who, review.when, review.decision)
+    else:
+        review = record.review.review
+        parts = (review.who, review.when, review.decision)
     return Element(
         REVIEW_ID,
         text[0].upper() + text[1:],
