@@ -218,10 +218,10 @@ class Places:
             rest = module[len(specs[-1].name) :].split(".")[1:]
             for part in [*rest, *inner.split(".")] if colon else rest:
                 target = getattr(target, part, None)
-            home = getattr(target, "__module__", None)
-            # What a module of the project has imported from elsewhere is not the project's.
             if callable(target):
-                refusal = "has no module" if not home else self._refusal(str(home), packages)
+                # What a module of the project has imported from elsewhere is not the project's.
+                home = str(getattr(target, "__module__", None) or "builtins")
+                refusal = self._refusal(home, packages)
         if refusal is not None:
             raise ConfigurationError(
                 f"{text!r} in a configuration {refusal}",
