@@ -8,6 +8,8 @@ import importlib
 import sys
 import zipfile
 from collections.abc import Callable, Iterator
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +189,39 @@ def test_of_two_places_the_one_that_python_takes_counts(
     with pytest.raises(ConfigurationError, match="beside files that name it"):
         RoleSpec("mine.stranger:Planner").create()
     assert ran == ["mine.sub.code"]
+
+
+class EditableFinder:
+    """As editable installs put one on ``sys.meta_path``: a package in a folder of another name."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        if name == "extended":
+            file = self.folder / "__init__.py"
+            return spec_from_file_location(
+                name, file, submodule_search_locations=[str(self.folder)]
+            )
+        return PathFinder.find_spec(name, path) if name.startswith("extended.") else None
+
+
+@pytest.mark.parametrize("folder", ["regular", "bundle"])
+def test_a_package_of_an_editable_install_counts_by_its_files(
+    ran: list[str], tmp_path: Any, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    (tmp_path / folder / "__init__.py").write_text(MARK)
+    (tmp_path / folder / "inner").mkdir()
+    (tmp_path / folder / "inner/code.py").write_text(MARK + CLASS)
+    monkeypatch.setattr(sys, "meta_path", [EditableFinder(tmp_path / folder), *sys.meta_path])
+    assert source_of("extended.inner.code") == tmp_path / folder / "inner/code.py"
+    if folder == "bundle":
+        with pytest.raises(ConfigurationError, match="beside files that name it"):
+            RoleSpec("extended.inner.code:Planner").create()
+        assert not ran
+    else:
+        assert RoleSpec("extended.inner.code:Planner").create() is not None
+        assert ran == ["extended", "extended.inner.code"]
 
 
 def test_a_folder_of_packages_registers_nothing_for_all_of_them(
