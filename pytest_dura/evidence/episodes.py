@@ -109,6 +109,7 @@ def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
 
 EPISODES_PER_PART = 64
 """Episodes that a report holds unpacked; see :meth:`ItemReport.split`."""
+_ABOUT_ITEM = ("item", "recorded_as", "attempt")
 _PART_KEYS = ("components", "cases", "measures", "hazards", "requirements", "episodes", "chains")
 
 
@@ -138,6 +139,10 @@ class ItemReport:
 
     Args:
         item: Node id.
+        recorded_as: Node id of the first of several items that repeat one test on the same
+            parameters; empty where nothing repeats it.
+        attempt: Number of the attempt at the item, from 1.
+        retried: Whether this attempt passed after an earlier one had failed.
         components: Components under test, of :func:`describe_component`.
         sources: SHA-256 of the files of components by their names, by the components' digests.
         cases: Cases that it used.
@@ -167,6 +172,9 @@ class ItemReport:
     """
 
     item: str
+    recorded_as: str = ""
+    attempt: int = 1
+    retried: bool = False
     components: list[JsonObject] = field(default_factory=list)
     sources: dict[str, dict[str, str]] = field(default_factory=dict)
     cases: list[CasePlan] = field(default_factory=list)
@@ -214,7 +222,7 @@ class ItemReport:
 
     def __bool__(self) -> bool:
         """Whether it reports anything."""
-        return any(value for name, value in vars(self).items() if name != "item")
+        return any(value for name, value in vars(self).items() if name not in _ABOUT_ITEM)
 
     @property
     def full(self) -> bool:

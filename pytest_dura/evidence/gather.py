@@ -6,7 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -159,6 +159,14 @@ def question_key(item: str, verdict: AttemptEntry) -> tuple[str, ...]:
     return item, *about, json.dumps(question, sort_keys=True)
 
 
+_WORST_VERDICT_FIRST = ("violated", "undecided", "supported")
+
+
+def _counting_attempt(attempts: Sequence[AttemptEntry]) -> AttemptEntry:
+    """Select the attempt at an item that counts: the first violation, else the last attempt."""
+    return next((entry for entry in attempts if entry.verdict == "violated"), attempts[-1])
+
+
 def _final_outcomes(outcomes: Sequence[JsonObject]) -> list[JsonObject]:
     """Select one attempt of each item: a violation if there is one, else the last."""
     final: dict[str, JsonObject] = {}
@@ -167,6 +175,30 @@ def _final_outcomes(outcomes: Sequence[JsonObject]) -> list[JsonObject]:
         if before is None or before["verdict"] != "violated":
             final[outcome["item"]] = outcome
     return list(final.values())
+
+
+def _attempts(outcomes: Sequence[JsonObject]) -> Iterator[list[JsonObject]]:
+    """Yield what each attempt at a test came to, where there are several.
+
+    An attempt has the outcome of each item by then: not every item is run again. Items that repeat
+    a test make an attempt of their own.
+    """
+    repeated: dict[str, list[str]] = {}
+    for outcome in sorted(outcomes, key=itemgetter("item")):
+        items = repeated.setdefault(outcome["recorded_as"] or outcome["item"], [])
+        if outcome["item"] not in items:
+            items.append(outcome["item"])
+    place = {item: number for items in repeated.values() for number, item in enumerate(items)}
+    numbers = sorted({(place[outcome["item"]], outcome["attempt"]) for outcome in outcomes})
+    if len(numbers) == 1:
+        return
+    for repetition, number in numbers:
+        latest = {
+            outcome["item"]: outcome
+            for outcome in outcomes
+            if place[outcome["item"]] == repetition and outcome["attempt"] <= number
+        }
+        yield list(latest.values())
 
 
 _MAX_OBSERVED = 50
@@ -326,10 +358,17 @@ class RecordBuilder:
     """Names of components by the id of a case."""
     _spool: EpisodeSpool = field(init=False)
     _verdicts: dict[tuple[str, ...], VerdictEntry] = field(default_factory=dict)
+    """Those of other sessions."""
+    _attempts: dict[tuple[str, ...], dict[str, list[tuple[int, AttemptEntry]]]] = field(
+        default_factory=dict
+    )
+    """Numbered attempts at each question, by the item that made them."""
     _outcomes: dict[tuple[str, ...], dict[str, JsonObject]] = field(default_factory=dict)
     _monitors: dict[tuple[str, ...], MonitorEntry] = field(default_factory=dict)
     _expected: dict[tuple[str, str, str], CasePlan] = field(default_factory=dict)
     _waivers: dict[str, WaiverEntry] = field(default_factory=dict)
+    _failed: set[str] = field(default_factory=set)
+    """Items that failed in the end."""
     _first_waived: dict[str, str] = field(default_factory=dict)
     """First waived item of each test."""
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -374,7 +413,7 @@ class RecordBuilder:
             self.add(unpack_report(part))
         item = report.item
         for claim in report.claims:
-            decides = test_function(item) if claim.each_run else item
+            decides = test_function(item) if claim.each_run else report.recorded_as or item
             self._expected.setdefault((decides, claim.requirement, claim.case.id), claim.case)
         for component in report.components:
             self._components.add(component)
@@ -395,16 +434,14 @@ class RecordBuilder:
         self.objections.update(dict.fromkeys(report.objections))
         self._reuse.add(report.notes, report.searched)
         for verdict in report.verdicts:
-            self._add_verdict(item, verdict)
-        self.searches.add(item, report.searches)
+            self._add_verdict(report, verdict)
+        self.searches.add(report.recorded_as or item, report.searches)
         for monitor in report.monitors:
             key = monitor.case, monitor.component, monitor.target, monitor.monitor
             self._monitors[key] = monitor
-        for outcome in report.outcomes:
-            # Two tests on one episode give two verdicts, not two attempts at one.
-            key = test_function(item), outcome["requirement"], outcome["case"], outcome["component"]
-            entry = outcome | {"item": item}
-            self._outcomes.setdefault(key, {})[json.dumps(entry, sort_keys=True)] = entry
+        self._add_outcomes(report)
+        if report.retried:
+            self.waive(item, "rerun", "the item was run again")
 
     def add_traces(self, traces: Iterable[JsonObject]) -> None:
         """Add the files of traces: ``{id, component, digest, trace}``, in any order.
@@ -420,9 +457,20 @@ class RecordBuilder:
         self._verdicts[question_key(verdict.item, verdict)] = verdict
 
     def waive(self, item: str, kind: str, reason: str) -> None:
-        """Record that an item's failure is excused: ``xfail``, ``rerun`` or ``skip``."""
+        """Record that an item's failure is excused: ``xfail``, ``rerun`` or ``skip``.
+
+        That an item was run again excuses nothing if it failed all the same; see :meth:`fail`.
+        """
+        if kind == "rerun" and item in self._failed:
+            return
         self._waivers[item] = WaiverEntry.model_validate({"kind": kind, "reason": reason})
         self._first_waived.setdefault(test_function(item), item)
+
+    def fail(self, item: str) -> None:
+        """Record that an item failed in the end, however often it was run."""
+        self._failed.add(item)
+        if item in self._waivers and self._waivers[item].kind == "rerun":
+            del self._waivers[item]
 
     @property
     def problems(self) -> list[str]:
@@ -476,6 +524,7 @@ class RecordBuilder:
     def verdicts(self) -> list[VerdictEntry]:
         """List all verdicts, also on what never reported, sorted by case and requirement."""
         verdicts = list(self._verdicts.values())
+        verdicts += [self._of_attempts(key[0], asked) for key, asked in self._attempts.items()]
         for key, outcomes in self._outcomes.items():
             verdicts.append(self._of_outcomes(key, list(outcomes.values())))
         reported = {(entry.item, entry.requirement, entry.case) for entry in verdicts}
@@ -523,23 +572,48 @@ class RecordBuilder:
             self._situations[key] = case_situations(self._cases[key])
         add_episode(self._situations[key], episode)
 
-    def _add_verdict(self, item: str, attempt: AttemptEntry) -> None:
+    def _add_outcomes(self, report: ItemReport) -> None:
+        asked = {
+            "item": report.item,
+            "attempt": report.attempt,
+            "recorded_as": report.recorded_as,
+        }
+        for outcome in report.outcomes:
+            # Two tests on one episode give two verdicts, not two attempts at one.
+            about = outcome["requirement"], outcome["case"], outcome["component"]
+            entry = outcome | asked
+            known = self._outcomes.setdefault((test_function(report.item), *about), {})
+            known[json.dumps(entry, sort_keys=True)] = entry
+
+    def _add_verdict(self, report: ItemReport, verdict: AttemptEntry) -> None:
         # An item may ask several questions; the same question again is another attempt.
-        key = question_key(item, attempt)
-        before = self._verdicts.get(key)
-        if before is None:
-            self._verdicts[key] = _verdict(attempt, item)
-            return
-        previous = AttemptEntry.model_validate(
-            before.to_json(include=set(AttemptEntry.model_fields))
+        key = question_key(report.recorded_as or report.item, verdict)
+        attempts = self._attempts.setdefault(key, {}).setdefault(report.item, [])
+        numbered = report.attempt, verdict
+        if not attempts or attempts[-1] != numbered:
+            attempts.append(numbered)
+
+    def _of_attempts(
+        self, item: str, asked: Mapping[str, Sequence[tuple[int, AttemptEntry]]]
+    ) -> VerdictEntry:
+        """Verdict of one or several attempts, by one or several items that repeat a test.
+
+        Of several attempts at an item a violation counts before anything else, and of several items
+        the worst verdict; all of them are kept.
+        """
+        attempts = {name: [entry for _, entry in asked[name]] for name in sorted(asked)}
+        counting = {name: _counting_attempt(entries) for name, entries in attempts.items()}
+        verdict = min(counting.values(), key=lambda one: _WORST_VERDICT_FIRST.index(one.verdict))
+        waivers = [self._waivers[name] for name in attempts if name in self._waivers]
+        bad = {name for name, entry in counting.items() if entry.verdict != "supported"}
+        return _verdict(
+            verdict,
+            item,
+            waiver=waivers[0] if waivers and bad <= self._waivers.keys() else None,
+            attempts=[
+                entry for entries in attempts.values() for entry in entries if entry is not verdict
+            ],
         )
-        if previous == attempt:
-            return
-        # Of several attempts a violation counts before anything else; all of them are kept.
-        if before.verdict == "violated":
-            self._verdicts[key] = before.replace(attempts=[*before.attempts, attempt])
-        else:
-            self._verdicts[key] = _verdict(attempt, item, attempts=[*before.attempts, previous])
 
     def _of_outcomes(self, key: tuple[str, ...], outcomes: list[JsonObject]) -> VerdictEntry:
         """Verdict of a test that looks at one episode at a time."""
@@ -547,13 +621,20 @@ class RecordBuilder:
         final = _final_outcomes(outcomes)
         known = self._situations.get((case, component))
         situation = None if known is None else known.situation
-        verdict = AttemptEntry.of(
-            _judge_test(self._requirement(requirement), case, component, outcomes, situation)
-        )
+
+        def judged(seen: Sequence[JsonObject]) -> AttemptEntry:
+            known = self._requirement(requirement)
+            return AttemptEntry.of(_judge_test(known, case, component, seen, situation))
+
+        verdict = judged(outcomes)
+        attempts = list(map(judged, _attempts(outcomes)))
+        if verdict in attempts:
+            attempts.remove(verdict)
         return _verdict(
             verdict,
             test,
             waiver=self._waiver_of(final, verdict),
+            attempts=attempts,
             assertion=_assertion_summary(final),
         )
 
@@ -602,20 +683,19 @@ class RecordBuilder:
         elif case.id in self._ran:
             reason = "episodes of the case ran, and no verdict was made on them"
             verdict = verdict.replace(reason=reason)
-        waived = self._first_waived.get(item)
-        return _verdict(verdict, item, waiver=None if waived is None else self._waivers[waived])
+        waived = item if item in self._waivers else self._first_waived.get(item, "")
+        return _verdict(verdict, item, waiver=self._waivers.get(waived))
 
     def _requirement(self, name: str) -> Requirement:
         known = self._requirements.get(name)
         return Requirement.from_json({"id": name} if known is None else known.to_json())
 
     def _qualified(self, verdict: VerdictEntry) -> VerdictEntry:
-        """Apply waivers, and doubts about the case's episodes."""
-        waiver = self._waivers.get(verdict.item, verdict.waiver)
+        """Apply doubts about the case's episodes."""
         clash = self._clashes.get((verdict.case, verdict.component))
         if clash is not None:
             verdict = verdict.replace(**doubted(verdict.verdict, verdict.reason, clash))
         cases = [verdict.case, *([verdict.pairs.case] if verdict.pairs else [])]
         repeats = [self._repeats.get((case, verdict.component)) for case in cases]
         changed = with_repeats(verdict.verdict, verdict.reason, repeats, verdict.component)
-        return verdict.replace(waiver=waiver, **changed)
+        return verdict.replace(**changed)

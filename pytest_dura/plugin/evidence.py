@@ -54,8 +54,6 @@ def _waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
     reason = getattr(report, "wasxfail", None)
     if reason is not None:
         return "xfail", reason
-    if str(report.outcome) == "rerun":  # of pytest-rerunfailures
-        return "rerun", "the item was run again"
     if report.skipped and report.when == "setup":
         longrepr = report.longrepr
         return "skip", longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
@@ -322,15 +320,18 @@ class SessionEvidence:
             return
         started, self._any_report = perf_counter(), True
         # It is taken out, since the terminal and others keep the reports of all items.
-        item_report = vars(report).pop(REPORT_ATTRIBUTE, None)
-        if item_report is not None or report.nodeid not in self._claiming:
+        item_reports = vars(report).pop(REPORT_ATTRIBUTE, [])
+        if item_reports or report.nodeid not in self._claiming:
             self._unreported.discard(report.nodeid)
-        if report.failed:
-            self._failed.add(report.nodeid)
-        if item_report is not None:
+        if item_reports:
             from pytest_dura.evidence.episodes import ItemReport
 
-            self._add(ItemReport.from_text(item_report))
+            for item_report in item_reports:
+                self._add(ItemReport.from_text(item_report))
+        if report.failed:
+            self._failed.add(report.nodeid)
+            if self.record is not None:
+                self.record.fail(report.nodeid)
         waiver = _waiver_of(report)
         if self.record is not None and waiver is not None:
             self.record.waive(*self.context.redact([report.nodeid, *waiver]))

@@ -255,7 +255,8 @@ class SessionHooks:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        """Fail a test whose markers cannot be used, before anything may skip it."""
+        """Begin an attempt; fail a test whose markers cannot be used before anything skips it."""
+        self.session.recorder.attempt_begins(item)
         refusal = self._refusal_of(item)
         if refusal is not None:
             if self._has_own_items:
@@ -304,6 +305,23 @@ class SessionHooks:
                 escape_error(error)
             raise
 
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_call(self, item: pytest.Item) -> Generator[None, Any, Any]:
+        """Record what an attempt at an item came to: not each that is made again is reported."""
+        __tracebackhide__ = True
+        error: BaseException | None = None
+        try:
+            return (yield)
+        except BaseException as raised:  # also of `pytest.fail`; it is raised again
+            error = raised
+            raise
+        finally:
+            ends = isinstance(error, (KeyboardInterrupt, pytest.exit.Exception))
+            if uses_runner(item) and not ends:
+                if error is not None:
+                    escape_error(error)
+                self.session.recorder.attempt_ends(item, error)
+
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
         """Turn errors of this package into failures, and check what a pass rests on."""
@@ -346,6 +364,7 @@ class SessionHooks:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Gather what items recorded."""
         self._end_forked_copy()
+        self.session.recorder.passed_on(report)
         self.session.evidence.gather(report)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:

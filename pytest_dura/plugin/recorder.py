@@ -103,8 +103,14 @@ def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
 
 
 REPORT_ATTRIBUTE = "dura"
-"""Attribute of a test report. pytest and xdist carry such attributes along, and unlike
-``user_properties`` they do not end up in JUnit files, where kilobytes per test have no place."""
+"""Attribute of a test report: a list of :class:`ItemReport` as JSON. pytest and xdist carry such
+attributes along, and unlike ``user_properties`` they do not end up in JUnit files, where kilobytes
+per test have no place."""
+RECORDED_AS = pytest.StashKey[str]()
+"""See :class:`ItemReport`; kept on an item that repeats another one."""
+_ATTEMPT = pytest.StashKey[int]()
+_HAS_FAILED = pytest.StashKey[bool]()
+"""Whether an attempt at the item has failed."""
 
 
 class ItemRecorder:
@@ -135,6 +141,8 @@ class ItemRecorder:
         self._models, self._shared, self._executor, self._take = models, shared, executor, take
         self._formulas = formulas
         self._pending: ItemReport | None = None
+        self._held: list[tuple[str, str, str | None]] = []
+        """What no report has carried yet: node id, phase and the item's report as JSON."""
         self._recorded: set[tuple[EpisodeKey, bool]] = set()
         self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
@@ -299,13 +307,15 @@ class ItemRecorder:
     def attach(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> ItemReport | None:
-        """Put what the item recorded on its report, as JSON; returns it, if there is anything."""
+        """Let the report carry what the item recorded; returns that, if there is anything."""
+        if report.failed:
+            item.stash[_HAS_FAILED] = True
         if call.when == "teardown":
             self._item_ended(item)
         if call.when == "setup":
             self._add_claims(item)
         if call.when == "call":
-            self._test_called(item, call, report)
+            self._call_reported(item, call, report)
         traces, problems = self.traces.take()
         problems += self._formulas.take_differences()
         if traces or problems:
@@ -318,40 +328,91 @@ class ItemRecorder:
         models = self._models.take()
         if models:
             self._report.models += models
-        if self._pending is None:
-            return None
+        return self._hold(item, report.when or "")
+
+    def _hold(self, item: pytest.Item, when: str) -> ItemReport | None:
+        """Hold what the item has recorded until a report is passed on, and return it."""
         item_report, self._pending = self._pending, None
+        if item_report is None:
+            self._held.append((item.nodeid, when, None))
+            return None
         item_report.item = item.nodeid
+        item_report.recorded_as = item.stash.get(RECORDED_AS, "")
+        item_report.attempt = item.stash.get(_ATTEMPT, 1)
         item_report = item_report.without_secrets(self.context.redact)
-        if item_report:
-            setattr(report, REPORT_ATTRIBUTE, json.dumps(item_report.to_json(), allow_nan=False))
+        text = json.dumps(item_report.to_json(), allow_nan=False) if item_report else None
+        self._held.append((item.nodeid, when, text))
         return item_report
 
-    def _test_called(
+    def passed_on(self, report: pytest.TestReport) -> None:
+        """Let a report carry what was recorded until it was made, as it is passed on.
+
+        Of an attempt that a plugin tries again the report may never be passed on, or there is none:
+        the next one carries what it would have.
+        """
+        made = [(name, when) for name, when, _ in self._held]
+        if (report.nodeid, report.when) in made:
+            end = made.index((report.nodeid, report.when)) + 1
+            carried, self._held = self._held[:end], self._held[end:]
+            texts = [text for _, _, text in carried if text is not None]
+            if texts:
+                setattr(report, REPORT_ATTRIBUTE, texts)
+        elif self.context.is_worker:  # a plugin passes it on for the second time
+            vars(report).pop(REPORT_ATTRIBUTE, None)
+
+    def attempt_begins(self, item: pytest.Item) -> None:
+        """Begin an attempt at an item, which other plugins may try several times."""
+        number = item.stash.get(_ATTEMPT, 0) + 1
+        if number > 1:
+            # A plugin may begin the next attempt without a report on the one before.
+            self._hold(item, "")
+            self._forget_item()
+        item.stash[_ATTEMPT] = number
+
+    def attempt_ends(self, item: pytest.Item, error: BaseException | None) -> None:
+        """Record the outcome of an attempt at an item, whether or not it is reported.
+
+        Args:
+            item: An item that uses the runner, and has been called.
+            error: What it raised, if anything.
+        """
+        excinfo = None if error is None else pytest.ExceptionInfo.from_exception(error)
+        self._keep_failed_trace(excinfo)
+        if marked_target(item, ["episode"]) is not None:
+            self._test_outcome(item, excinfo)
+        if error is None and item.stash.get(_HAS_FAILED, False):
+            self._report.retried = True
+
+    def _call_reported(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
     ) -> None:
-        self._keep_failed_trace(call)
-        if marked_target(item, ["episode"]) is not None:
-            self._test_outcome(item, call, report)
+        if call.excinfo is not None and marked_target(item, ["episode"]) is not None:
+            episode = given_to(item, "episode")
+            if episode is not None:
+                command = replay_command(self.context, episode.id)
+                report.sections.append(("dura", f"{episode.id}, replay: {command}"))
         # A test that skips itself, or is expected to fail, came to no verdict either.
         if report.skipped and without_verdict(self.context, item, self._decided):
             self._report.objections.append(f"{item.nodeid} ended without a verdict")
 
-    def _item_ended(self, item: pytest.Item) -> None:
+    def _forget_item(self) -> None:
         self._used.clear()
         self._decided.clear()
         self._last_episode = None
         self._body_passed = False
+
+    def _item_ended(self, item: pytest.Item) -> None:
+        self._forget_item()
         if self._executor.is_lost:  # what there is by now can be resumed
             item.session.shouldstop = "nobody is left who simulates"
         if self._shared.is_broken:
             item.session.shouldstop = "file descriptors of this process were closed"
 
-    def _keep_failed_trace(self, call: pytest.CallInfo[None]) -> None:
+    def _keep_failed_trace(self, excinfo: pytest.ExceptionInfo[BaseException] | None) -> None:
         """Keep the trace of the last episode of a failed test that asked for no verdict."""
-        if self._last_episode is None or self._decided or call.excinfo is None:
+        if self._last_episode is None or self._decided or excinfo is None:
             return
-        status, detail = status_of_test(self._last_episode, call.excinfo.value)
+        status, detail = status_of_test(self._last_episode, excinfo.value)
         if status == "violated" and not detail.startswith("undecided: "):
             self.traces.violated(self._last_episode)
 
@@ -450,7 +511,7 @@ class ItemRecorder:
             self._report.claims.append(claim)
 
     def _test_outcome(
-        self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
+        self, item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException] | None
     ) -> None:
         """Record the outcome of a test on one episode for the requirements in its markers."""
         target, episode = (
@@ -460,15 +521,8 @@ class ItemRecorder:
         if target is None or episode is None:
             return
         self._planned(target.case.id, episode.spec.component, target.planned)
-        error = None if call.excinfo is None else call.excinfo.value
-        if error is not None:
-            command = replay_command(self.context, episode.id)
-            report.sections.append(("dura", f"{episode.id}, replay: {command}"))
-        failed = (
-            ""
-            if call.excinfo is None or self._body_passed
-            else failed_assertion(item, call.excinfo)
-        )
+        error = None if excinfo is None else excinfo.value
+        failed = "" if excinfo is None or self._body_passed else failed_assertion(item, excinfo)
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
             of_case = self._runner().requirements_of(target.case)

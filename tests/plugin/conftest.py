@@ -148,12 +148,14 @@ def _kept(name):
     return property(get)
 
 
+WITHOUT_RETRIES = "-p no:flaky -p no:pytest-retry"
+"""Options without which these change how each session runs its tests; `-p flaky` undoes one."""
 KEPT = {name: _kept(name) for name in ("entry_points", "files", "metadata")}
 
 
 @pytest.fixture
 def fast_sessions(monkeypatch, forked_workers):
-    monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
+    monkeypatch.setenv("PYTEST_ADDOPTS", WITHOUT_RETRIES)
     # Milliseconds each, for what no test can see: that files survive a loss of power.
     monkeypatch.setattr(os, "fsync", lambda _: None)
     monkeypatch.setattr(loading, "read_yaml", _read)

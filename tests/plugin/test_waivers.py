@@ -125,6 +125,39 @@ def test_a_skip_after_a_verdict_does_not_hide_it(project):
 
 
 RERUN = ["--reruns", "1", "-p", "no:xdist"]
+RETRIED = make(WaiverEntry, kind="rerun", reason="the item was run again")
+PLUGINS = {
+    "rerunfailures": ["--reruns", "2"],
+    "flaky": ["-p", "flaky", "--force-flaky", "--max-runs", "3"],
+    "pytest-retry": ["-p", "no:rerunfailures", "-p", "pytest-retry", "--retries", "2"],
+}
+"""Options with which each of these plugins runs a test at most three times."""
+FAILS_FIRST = """
+import pytest
+
+TRIES = []
+
+@pytest.fixture
+def attempt(request):
+    TRIES.append(request.node.name)
+    return TRIES.count(request.node.name)
+
+@pytest.mark.dura(scenario="corridor/it")
+@pytest.mark.requirement("GAP-1")
+def test_episode(episode, attempt):
+    assert not episode.collided
+    assert attempt == 3, "flaky"
+
+@pytest.mark.dura(scenario="corridor/it")
+@pytest.mark.requirement("OWN-1", text="Keeps away.")
+def test_campaign(campaign, attempt):
+    campaign.require(lambda episode: episode.signals["gap"].min() - (0 if attempt == 3 else 99))
+"""
+
+
+@pytest.fixture(params=list(PLUGINS))
+def retrying(request):
+    return PLUGINS[request.param]
 
 
 @pytest.mark.parametrize("first, second", [(5, 0), (0, 5)], ids=["then passes", "passed before"])
@@ -142,9 +175,8 @@ def test_a_rerun_keeps_every_attempt_of_a_campaign(project, first, second):
         f"    assert len(LIMITS) == 2 or {first} == 5, 'once more'\n",
     )
     result = project.run("test_it.py", *RERUN)
-    rerun = make(WaiverEntry, kind="rerun", reason="the item was run again")
     found = expect(project, result, "violated", requirement="OWN-1", ret=0 if first else 1)
-    assert found.waiver == rerun
+    assert found.waiver == (RETRIED if first else None)
     assert {attempt.verdict for attempt in found.attempts} == {"supported", "violated"} - {
         found.verdict
     }
@@ -165,9 +197,56 @@ def test_a_violation_in_any_attempt_at_an_episode_counts(project):
     assert "[rerun]" in result.stdout.str().partition("= dura =")[2]
 
 
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_a_retried_failure_is_a_waiver_whatever_plugin_retries(project, retrying, workers):
+    scenario(project)
+    project.write("test_it.py", FAILS_FIRST)
+    result = project.run_apart("test_it.py", *retrying, "-n", workers)
+    assert result.ret == 0
+    for requirement in ("GAP-1", "OWN-1"):
+        found = project.verdict(requirement)
+        assert (found.verdict, found.violations, found.waiver) == ("violated", 2, RETRIED)
+        assert [attempt.verdict for attempt in found.attempts] == ["violated", "supported"]
+    result.stdout.fnmatch_lines(["gate: passed, 2 violated, 2 waived"])
+
+
+def test_a_retry_that_fails_each_time_is_no_waiver(project, retrying):
+    scenario(project)
+    project.write("test_it.py", FAILS_FIRST.replace("attempt == 3", "attempt == 4"))
+    result = project.run_apart("test_it.py", *retrying)
+    assert result.ret == 1
+    for requirement in ("GAP-1", "OWN-1"):
+        found = project.verdict(requirement)
+        assert (found.verdict, found.waiver) == ("violated", None)
+        assert [attempt.verdict for attempt in found.attempts] == ["violated"] * 2
+    result.stdout.fnmatch_lines(["gate: failed, 2 violated"])
+
+
+def test_an_attempt_that_asks_for_no_verdict_is_no_pass(project, retrying):
+    scenario(project)
+    asks = "if attempt == 1:\n        campaign.require("
+    project.write("test_it.py", FAILS_FIRST.replace("campaign.require(", asks))
+    result = project.run_apart("test_it.py", *retrying, "-k", "campaign")
+    assert result.ret == 1
+    found = project.verdict("OWN-1")
+    assert (found.verdict, found.waiver, found.attempts) == ("violated", None, [])
+
+
+def test_attempts_that_all_pass_need_no_waiver(project):
+    scenario(project)
+    project.write("test_it.py", FAILS_FIRST.replace("attempt == 3", "attempt"))
+    result = project.run_apart("test_it.py", *PLUGINS["flaky"], "--min-passes", "2")
+    result.assert_outcomes(passed=3)
+    for requirement in ("GAP-1", "OWN-1"):
+        found = expect(project, result, "supported", requirement=requirement)
+        assert found.waiver is None
+        assert [attempt.verdict for attempt in found.attempts] == ["supported"]
+
+
 def test_a_rerun_of_a_scenario_item_is_recorded(project):
     scenario(project, **RECKLESS)
     result = project.run("corridor/it::GAP-1", *RERUN)
     result.assert_outcomes(failed=1)
     found = expect(project, result, "violated", requirement="GAP-1", ret=1)
-    assert found.waiver.kind == "rerun"
+    assert found.waiver is None
+    assert [attempt.verdict for attempt in found.attempts] == ["violated"]

@@ -121,7 +121,8 @@ def _run_a_session(project: str) -> None:
         here = Path.cwd()
         os.chdir(folder)
         with Path(os.devnull).open("w") as quiet, contextlib.redirect_stdout(quiet):
-            code = pytest.main(["-p", "no:cacheprovider", "-p", "no:xdist", "corridor/free"])
+            off = [f"-pno:{name}" for name in ("cacheprovider", "xdist", "flaky", "pytest-retry")]
+            code = pytest.main([*off, "corridor/free"])
         os.chdir(here)
         if code:
             raise SystemExit(f"the session that workers begin with ended with {code!r}")
