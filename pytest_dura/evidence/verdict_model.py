@@ -174,7 +174,7 @@ Pairs = Annotated[
 
 
 class AttemptEntry(Entry):
-    """An earlier verdict of the same test, of which each is kept."""
+    """Another verdict of the same test, which was retried or repeated; each is kept."""
 
     requirement: str
     """Id of the requirement."""
@@ -295,7 +295,7 @@ class VerdictEntry(AttemptEntry):
     waiver: WaiverEntry | None
     """What excused its failure; null if nothing did."""
     attempts: list[AttemptEntry]
-    """Earlier verdicts of the same test."""
+    """Other verdicts of the same test, which was retried or repeated."""
     assertion: AssertionEntry | None
     """What the assertions of a test on single episodes rest on; null where no test decided."""
     also_without: Count | None

@@ -15,7 +15,7 @@ import pytest
 
 from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
 from pytest_dura.core.errors import DuraError
-from pytest_dura.plugin.items import scenario_items
+from pytest_dura.plugin.items import note_repetitions, scenario_items
 from pytest_dura.plugin.markers import (
     RefusedMarkerError,
     check_markers,
@@ -221,6 +221,7 @@ class SessionHooks:
         own_items = list(filter(uses_runner, session.items))
         if self.session.shard is None:  # a shard deselects what other shards run
             self.session.selection.select(own_items)
+        note_repetitions(own_items)
         node_ids = [item.nodeid for item in own_items]
         self._has_own_items = bool(node_ids) or self.session.active
         if node_ids:

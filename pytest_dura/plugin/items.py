@@ -191,6 +191,46 @@ def _later_tasks(runner: Runner, item: ScenarioItem) -> Iterator[EpisodeTask]:
         yield from tasks
 
 
+RECORDED_AS = pytest.StashKey[str]()
+"""Node id under which the verdicts of an item are recorded that repeats a test."""
+
+
+def note_repetitions(items: Sequence[pytest.Item]) -> None:
+    """Note on each item that repeats a test the first one that does, for one verdict of them all.
+
+    Plugins repeat a test by a parameter that neither the test nor a fixture of it asks for. It
+    changes nothing in the test, and parameters that a user gives to a test are others.
+
+    Args:
+        items: In the order of the session.
+    """
+    first: dict[tuple[Any, ...], str] = {}
+    for item in items:
+        parameters: dict[str, Any] = getattr(getattr(item, "callspec", None), "params", {})
+        requested = _requested_by(item) if parameters else set()
+        if not parameters.keys() <= requested:
+            # The parameters of items that repeat a test are the same objects.
+            own = {name: id(value) for name, value in parameters.items() if name in requested}
+            place = item.parent.nodeid if item.parent else ""
+            test = place, getattr(item, "originalname", item.name), *sorted(own.items())
+            item.stash[RECORDED_AS] = first.setdefault(test, item.nodeid)
+
+
+def _requested_by(item: pytest.Item) -> set[str]:
+    """Names of all fixtures that an item, or a fixture that it has, asks for."""
+    info: Any = getattr(item, "_fixtureinfo", None)
+    if info is None:
+        return set()
+    requested, pending = set(), list(info.initialnames)
+    while pending:
+        name = pending.pop()
+        if name not in requested:
+            requested.add(name)
+            for definition in info.name2fixturedefs.get(name, ()):
+                pending += definition.argnames
+    return requested
+
+
 _MOST_LISTED = 20
 """Verdicts that are named of those that were left out."""
 _SELECTION_KEY = "dura_selection"

@@ -13,6 +13,7 @@ import pytest
 
 from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.context import replay_command
+from pytest_dura.plugin.items import RECORDED_AS
 from pytest_dura.plugin.markers import marked_requirements
 from pytest_dura.plugin.messages import failure_text
 from pytest_dura.plugin.outcomes import (
@@ -106,8 +107,6 @@ REPORT_ATTRIBUTE = "dura"
 """Attribute of a test report: a list of :class:`ItemReport` as JSON. pytest and xdist carry such
 attributes along, and unlike ``user_properties`` they do not end up in JUnit files, where kilobytes
 per test have no place."""
-RECORDED_AS = pytest.StashKey[str]()
-"""See :class:`ItemReport`; kept on an item that repeats another one."""
 _ATTEMPT = pytest.StashKey[int]()
 _HAS_FAILED = pytest.StashKey[bool]()
 """Whether an attempt at the item has failed."""

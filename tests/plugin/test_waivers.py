@@ -250,3 +250,78 @@ def test_a_rerun_of_a_scenario_item_is_recorded(project):
     found = expect(project, result, "violated", requirement="GAP-1", ret=1)
     assert found.waiver is None
     assert [attempt.verdict for attempt in found.attempts] == ["violated"]
+
+
+REPEATED = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/it")
+@pytest.mark.requirement("GAP-1")
+def test_episode(episode, request):
+    assert not episode.collided
+    assert "2-3" not in request.node.name or {steady}
+
+@pytest.mark.dura(scenario="corridor/it")
+@pytest.mark.requirement("OWN-1", text="Keeps away.")
+def test_campaign(campaign, request):
+    limit = 99 if "2-3" in request.node.name and not {steady} else 0
+    campaign.require(lambda episode: episode.signals["gap"].min() - limit)
+"""
+
+
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_repeats_of_a_test_are_one_verdict(project, workers):
+    scenario(project, requirements="[GAP-1]")
+    project.write("test_it.py", REPEATED.format(steady=True))
+    scenarios = "--dura-scenarios", "--dura-select=corridor/it"
+    result = project.run_apart("test_it.py", "--count", "3", "-n", workers, *scenarios)
+    result.assert_outcomes(passed=10)
+    result.stdout.fnmatch_lines(["gate: passed, 3 supported"])
+    repeated = [found for found in project.evidence().verdicts if found.item.startswith("test_it")]
+    for found in repeated:
+        assert (found.planned, found.run, found.waiver) == (2, 2, None)
+        assert [attempt.verdict for attempt in found.attempts] == ["supported"] * 2
+
+
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_of_repeats_that_disagree_the_worst_counts_and_is_not_waived(project, workers):
+    scenario(project)
+    project.write("test_it.py", REPEATED.format(steady=False))
+    result = project.run_apart("test_it.py", "--count", "3", "-n", workers)
+    result.assert_outcomes(passed=6, failed=3)
+    for requirement in ("GAP-1", "OWN-1"):
+        found = expect(project, result, "violated", requirement=requirement)
+        assert (found.run, found.waiver) == (2, None)
+        assert [attempt.verdict for attempt in found.attempts] == ["supported"] * 2
+
+
+BY_FIXTURE = """
+@pytest.fixture(autouse=True, params=[0, 99])
+def given(request):
+    global limit
+    limit = request.param
+"""
+
+
+@pytest.mark.parametrize(
+    "given, arguments",
+    [
+        ("@pytest.mark.parametrize('limit', [0, 99])", "campaign, limit"),
+        (BY_FIXTURE, "campaign"),
+    ],
+    ids=["argument", "fixture"],
+)
+def test_parameters_of_a_test_are_no_repeats(project, given, arguments):
+    scenario(project)
+    project.write(
+        "test_it.py",
+        f"import pytest\n\n{given}\n"
+        "@pytest.mark.dura(scenario='corridor/it')\n"
+        "@pytest.mark.requirement('OWN-1', text='Keeps away.')\n"
+        f"def test_campaign({arguments}):\n"
+        "    campaign.require(lambda episode: episode.signals['gap'].min() - limit)\n",
+    )
+    result = project.run("test_it.py", "-p", "no:xdist", "--count", "2")
+    result.assert_outcomes(passed=2, failed=2)
+    verdicts = [found.verdict for found in project.evidence().verdicts]
+    assert sorted(verdicts) == ["supported", "violated"]

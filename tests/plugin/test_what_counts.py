@@ -96,6 +96,13 @@ RULES = {
         "test_waivers.py::test_a_violation_in_any_attempt_at_an_episode_counts",
         "test_scenario_items.py::test_xfail_is_a_waiver",
     ],
+    "a test that other plugins retry or repeat": [
+        "test_waivers.py::test_a_retried_failure_is_a_waiver_whatever_plugin_retries",
+        "test_waivers.py::test_a_retry_that_fails_each_time_is_no_waiver",
+        "test_waivers.py::test_an_attempt_that_asks_for_no_verdict_is_no_pass",
+        "test_waivers.py::test_repeats_of_a_test_are_one_verdict",
+        "test_waivers.py::test_of_repeats_that_disagree_the_worst_counts_and_is_not_waived",
+    ],
     "a malformed file, option or formula": [
         "test_what_counts.py::test_a_malformed_file_option_or_formula_is_one_error",
         "test_options.py::test_a_wrong_value_is_one_usage_error",
