@@ -211,7 +211,8 @@ class AttemptEntry(Entry):
     invalid: Count
     """Episodes that are no sample of it; those without effect of the fault included."""
     missing: Count
-    """Episodes that an infrastructure error ended."""
+    """Episodes that an infrastructure error ended, or that a test did not judge since it failed by
+    an error of its own."""
     vacuous: Count
     """Episodes that satisfied it because its condition never held."""
     bound: BoundEntry

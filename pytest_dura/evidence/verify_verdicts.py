@@ -21,7 +21,12 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.verdict_model import MeasuredChange, MeasuredPairs, VerdictEntry
 from pytest_dura.evidence.verify_record import differences
 from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
-from pytest_dura.requirements.campaign_verdicts import EVERY_EPISODE, CampaignVerdict, Situations
+from pytest_dura.requirements.campaign_verdicts import (
+    EVERY_EPISODE,
+    TEST_FAILED,
+    CampaignVerdict,
+    Situations,
+)
 from pytest_dura.requirements.comparison import mcnemar
 from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
@@ -335,7 +340,7 @@ class _VerdictCheck:
                     status,
                     margin,
                     time,
-                    "",
+                    self._detail(run) if status == "missing" else "",
                     run.proposals,
                     run.valid_proposals,
                     empty,
@@ -346,6 +351,13 @@ class _VerdictCheck:
                 )
             )
         return None if any(remaining.values()) else (verdicts, is_only)
+
+    def _detail(self, run: _Run) -> str:
+        """Why a run is missing: it ended by an error, or a test did not judge it."""
+        spoilt = self.verdict.spoilt
+        if spoilt is not None and spoilt.episode == run.episode:
+            return spoilt.detail
+        return "" if self.verdict.check or run.validity == "missing" else TEST_FAILED
 
     def _unseen_crash(self, run: _Run) -> str:
         """Id of the run, or of its twin, whose crash the verdict names; empty without one."""

@@ -32,7 +32,7 @@ from pytest_dura.plugin.messages import (
     usage_errors,
 )
 from pytest_dura.plugin.options import LONG_NAMES, WAITING, send_options
-from pytest_dura.plugin.property_tests import register_profile
+from pytest_dura.plugin.property_tests import explained_fixtures, register_profile
 from pytest_dura.plugin.session import session_of
 
 if TYPE_CHECKING:
@@ -309,10 +309,13 @@ class SessionHooks:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Generator[None, Any, Any]:
         """Record what an attempt at an item came to: not each that is made again is reported."""
-        __tracebackhide__ = True
         error: BaseException | None = None
         try:
-            return (yield)
+            with explained_fixtures(item):
+                return (yield)
+        except DuraError as refusal:
+            error = pytest.fail.Exception(str(refusal), pytrace=False)
+            raise error from None
         except BaseException as raised:  # also of `pytest.fail`; it is raised again
             error = raised
             raise

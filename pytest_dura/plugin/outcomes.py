@@ -449,6 +449,8 @@ def status_of_test(
     episode: JudgedEpisode, error: BaseException | None
 ) -> tuple[EpisodeStatus, str]:
     """Return what the outcome of a test says of its episode, and why."""
+    from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
+
     message = str(error).partition("\n")[0] if error is not None else ""
     if episode.failure is not None:
         return "missing", episode.failure
@@ -458,10 +460,10 @@ def status_of_test(
     if says_invalid or isinstance(error, pytest.skip.Exception):
         return "invalid", message
     if isinstance(error.__context__, ConfigurationError):
-        return "missing", f"infrastructure: the test cannot be judged: {message}"
+        return "missing", f"{TEST_FAILED}{message}"
     if isinstance(error, (AssertionError, pytest.fail.Exception)):
         return "violated", message
-    return "missing", f"infrastructure: the test raised {type(error).__name__}: {message}"
+    return "missing", f"{TEST_FAILED}{type(error).__name__}: {message}"
 
 
 _OUR_FIXTURES = ("pytest_dura.plugin.fixtures", "pytest_dura.plugin.short_fixtures")

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.options import PROFILE, Options
+from pytest_dura.plugin.options import LONG_NAMES, PROFILE, Options
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import SearchedEpisodeUsed
@@ -78,6 +78,38 @@ _PROFILE_KEY = "dura_hypothesis"
 _FAILURES = (Exception, pytest.fail.Exception)
 _MOST_FAILURES = 8
 """Failing runs that are remembered: the last ones are those that are reported."""
+
+
+@contextmanager
+def explained_fixtures(item: pytest.Item) -> Iterator[None]:
+    """Context in which the refusal of Hypothesis to run a test on one run or campaign is ours.
+
+    Raises:
+        ConfigurationError: In place of a failed health check that names our fixture, which a test
+            may suppress.
+    """
+    try:
+        yield
+    except Exception as error:
+        names = [
+            name
+            for name in getattr(item, "fixturenames", ())
+            if name.removeprefix(LONG_NAMES) in ("episode", "campaign")
+            and f"function-scoped fixture {name!r}" in str(error)
+        ]
+        if type(error).__name__ != "FailedHealthCheck" or not names:
+            raise
+        file, line, _ = item.location
+        raise ConfigurationError(
+            f"@given draws many inputs, and the fixture `{names[0]}` is the same for all of them",
+            file=file,
+            line=None if line is None else line + 1,
+            key="hypothesis.given",
+            found=f"`{names[0]}` among the arguments",
+            expected="a test that runs each case that it draws",
+            remedy=f"take `run_episode` in place of `{names[0]}`, draw the case by "
+            '@given(case=strategies.cases("...")), and call run_episode(case)',
+        ) from None
 
 
 def register_profile(config: pytest.Config) -> None:

@@ -8,7 +8,12 @@ from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.gate import NOT_REPEATABLE
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import VerdictEntry
-from pytest_dura.requirements.campaign_verdicts import REPEATED, SITUATIONS, rate_advice
+from pytest_dura.requirements.campaign_verdicts import (
+    REPEATED,
+    SITUATIONS,
+    TEST_FAILED,
+    rate_advice,
+)
 
 _MAX_DETAIL = 300
 
@@ -51,6 +56,13 @@ def _missing(verdict: VerdictEntry) -> Obstacle | None:
     if not verdict.missing or spoilt is None or spoilt.verdict != "missing":
         return None
     detail = one_line(spoilt.detail, _MAX_DETAIL).removeprefix("infrastructure: ")
+    if detail.startswith(TEST_FAILED):
+        return Obstacle(
+            detail,
+            f"A run is not judged: {detail}",
+            "Mend the test, whose traceback pytest shows, and run the session again.",
+            spoilt.episode,
+        )
     return Obstacle(
         f"missing {detail}",
         f"A run is missing, since a role or the simulator failed: {detail}",

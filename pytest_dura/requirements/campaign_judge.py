@@ -12,6 +12,7 @@ from pytest_dura.requirements.campaign_verdicts import (
     EVERY_EPISODE,
     REPEATED,
     SITUATIONS,
+    TEST_FAILED,
     WITHOUT_EFFECT,
     Bound,
     CampaignStatus,
@@ -79,12 +80,17 @@ def _not_manifested(verdicts: Sequence[EpisodeVerdict]) -> list[str]:
 
 
 def _first_uncounted(verdicts: Sequence[EpisodeVerdict]) -> UncountedEpisode | None:
-    """The first missing episode, or else the first invalid one, or else the first open one."""
+    """The first missing episode, or else the first invalid one, or else the first open one.
+
+    Of missing ones the first that an infrastructure error ended comes before those that a test
+    failed to judge.
+    """
     statuses: tuple[Literal["missing", "invalid", "open"], ...] = ("missing", "invalid", "open")
     for status in statuses:
-        for verdict in verdicts:
-            if verdict.verdict == status:
-                return UncountedEpisode(verdict.episode, status, verdict.detail)
+        of_status = [verdict for verdict in verdicts if verdict.verdict == status]
+        if of_status:
+            first = min(of_status, key=lambda verdict: verdict.detail.startswith(TEST_FAILED))
+            return UncountedEpisode(first.episode, status, first.detail)
     return None
 
 
@@ -406,7 +412,10 @@ class CampaignJudge:
         missing, invalid = self._count("missing"), self._invalid
         flaws = []
         if missing:
-            flaws.append(f"{missing} of {run} {self._noun} are missing (infrastructure)")
+            first = _first_uncounted(self.verdicts)
+            by_test = first is not None and first.detail.startswith(TEST_FAILED)
+            what = "not judged, since the test failed" if by_test else "missing (infrastructure)"
+            flaws.append(f"{missing} of {run} {self._noun} are {what}")
         if run and invalid / run > MAX_INVALID_SHARE:
             share = f"more than {MAX_INVALID_SHARE:.0%}"
             flaws.append(f"{invalid} of {run} {self._noun} are invalid, {share}")

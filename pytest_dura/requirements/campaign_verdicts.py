@@ -234,6 +234,10 @@ class UncountedEpisode:
     detail: str
 
 
+TEST_FAILED = "the test failed: "
+"""Beginning of the detail of an episode that a test did not judge, by an error of its own."""
+
+
 @dataclass(frozen=True, slots=True)
 class CampaignVerdict(Shown):
     """Verdict and all counts that it rests on.
@@ -412,7 +416,8 @@ class _UndecidingEpisode(Protocol):
 def failure_entries(verdict: _Explained) -> Iterator[tuple[str, str]]:
     """Labels and texts on the episodes behind a verdict, for messages, terminal and reports.
 
-    The label is empty for a missing episode, whose text begins with ``infrastructure:``.
+    The label is empty for a missing episode, whose text begins with ``infrastructure:``, or with
+    :data:`TEST_FAILED`.
     """
     if verdict.counterexamples:
         worst, *rest = verdict.counterexamples

@@ -3,6 +3,8 @@ from __future__ import annotations
 import pytest
 from corridors import IDLE, scenario
 
+from pytest_dura.evidence import verify_bundle
+
 
 def failing(project, name, *arguments):
     result = project.run(f"corridor/{name}", *arguments)
@@ -143,11 +145,27 @@ def test_a_test_cannot_pass_on_a_missing_episode(project):
     assert (verdict.verdict, verdict.missing) == ("undecided", 2)
 
 
-def test_a_broken_test_says_nothing_of_the_component(project):
-    project.write("test_it.py", TEST.format("tight").replace("episode.collided", "episode.colided"))
-    project.run("test_it.py").assert_outcomes(failed=2)
+@pytest.mark.parametrize(
+    "broken, error",
+    [
+        ("episode.colided", "AttributeError: "),
+        ("{}['speed']", "KeyError: 'speed'"),
+        ("episode.satisfies('always (gapp > 0)')", "unknown signal 'gapp' in the formula"),
+    ],
+)
+def test_a_broken_test_says_nothing_of_the_component(project, broken, error):
+    project.write("test_it.py", TEST.format("tight").replace("episode.collided", broken))
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=2)
     (verdict,) = project.evidence().verdicts
     assert (verdict.verdict, verdict.missing) == ("undecided", 2)
+    assert verdict.reason.startswith("2 of 2 episodes are not judged, since the test failed")
+    assert verdict.spoilt.detail.startswith(f"the test failed: {error}")
+    card = " ".join(result.stdout.str().partition("= dura =")[2].split())
+    assert f"A run is not judged: the test failed: {error}" in card
+    assert "role or the simulator" not in card
+    assert "infrastructure" not in card
+    assert verify_bundle(project.path / "dura-evidence").problems == []
 
 
 def test_a_generator_with_a_constructor_that_needs_something(project):

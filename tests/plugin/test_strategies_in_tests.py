@@ -93,6 +93,39 @@ def test_a_failure_is_found_shrunk_kept_and_collected_from_then_on(properties):
     assert properties.verdict("GAP-1", kept["name"]).verdict == "supported"
 
 
+GIVEN = """
+import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
+
+@pytest.mark.dura(scenario="corridor/free", runs=1)
+@pytest.mark.requirement("GAP-1")
+@settings({settings})
+@given(limit=st.floats(0, 1))
+def test_it({fixture}, limit):
+    {asks}
+"""
+ASKS = {"episode": "assert not episode.collided", "campaign": "campaign.require()"}
+
+
+@pytest.mark.parametrize("fixture", ["episode", "campaign"])
+def test_a_fixture_that_is_the_same_for_all_inputs_is_refused_with_the_remedy(project, fixture):
+    asks = {"fixture": fixture, "asks": ASKS[fixture]}
+    project.write("test_it.py", GIVEN.format(settings="", **asks))
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            f"test_it.py:*: @given draws many inputs, and the fixture `{fixture}` is the same *",
+            f"  remedy: * take `run_episode` in place of `{fixture}`, draw the case by *",
+            "gate: failed, 1 undecided",
+        ]
+    )
+    assert "role or the simulator" not in output(result)
+    suppressed = "suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=2"
+    project.write("test_it.py", GIVEN.format(settings=suppressed, **asks))
+    project.run("test_it.py").assert_outcomes(passed=1)
+
+
 def test_what_holds_passes_leaves_no_file_and_enters_no_rate(properties):
     result = run(properties, "test_property.py", generator="hasty:Mended")
     result.assert_outcomes(passed=1)
