@@ -19,10 +19,12 @@ from pytest_dura.plugin.items import note_repetitions, scenario_items
 from pytest_dura.plugin.markers import (
     RefusedMarkerError,
     check_markers,
+    check_parameter_sets,
     check_spelling,
     names_no_scenario,
     parametrize,
     run_marked_search,
+    unread_marker,
 )
 from pytest_dura.plugin.messages import (
     apply_code_places,
@@ -158,6 +160,7 @@ class SessionHooks:
         """Make one test per case and run."""
         definition = metafunc.definition
         marker = definition.get_closest_marker("dura")
+        check_parameter_sets(definition)
         try:
             if uses_runner(metafunc):
                 check_spelling(definition)
@@ -275,6 +278,9 @@ class SessionHooks:
                 "the marker dura runs nothing here: a test of unittest.TestCase takes no fixtures; "
                 "write a function, or a class of its own"
             )
+        parameters: Any = getattr(item, "callspec", None)
+        if refusal is None and parameters is not None:
+            return unread_marker(item, parameters.marks)
         return refusal
 
     @pytest.hookimpl(tryfirst=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -278,6 +278,44 @@ def parametrize(context: SessionContext, metafunc: pytest.Metafunc, marker: pyte
             ids=[name for _, name in targets],
             indirect=True,
         )
+
+
+def check_parameter_sets(definition: pytest.Item) -> None:
+    """Refuse a marker ``dura`` on a set of parameters: pytest applies it after tests are made.
+
+    Raises:
+        pytest.Collector.CollectError: For one that names what to run.
+    """
+    for marker in definition.iter_markers("parametrize"):
+        values = marker.args[1] if len(marker.args) > 1 else marker.kwargs.get("argvalues")
+        if not isinstance(values, Collection):
+            continue  # pytest reads it once; see `unread_marker`
+        marks = [mark for each in values if isinstance(each, _PARAMETER_SET) for mark in each.marks]
+        error = unread_marker(definition, marks)
+        if error:
+            raise pytest.Collector.CollectError(error)
+
+
+_PARAMETER_SET = type(pytest.param())
+
+
+def unread_marker(test: pytest.Item, marks: Iterable[Any]) -> str | None:
+    """Return the error of a marker ``dura`` among the marks of parameters, at the test's place."""
+    for mark in (getattr(decorated, "mark", decorated) for decorated in marks):
+        if mark.name == "dura" and not names_no_scenario(mark):
+            file, line, _ = test.location
+            error = ConfigurationError(
+                "a dura marker on a parameter of parametrize is not read",
+                file=file,
+                line=None if line is None else line + 1,
+                key="pytest.mark.parametrize",
+                found="pytest.param(..., marks=pytest.mark.dura(...))",
+                expected="the marker dura on the test function",
+                remedy='name all scenarios there, dura(scenario=["...", "..."]), and choose by '
+                "`episode.spec.case` what differs between them; or write a test for each",
+            )
+            return error_text(error)
+    return None
 
 
 def check_markers(context: SessionContext, definition: pytest.Item) -> None:

@@ -206,6 +206,54 @@ def test_a_marker_that_cannot_be_used_is_one_error(project, marks, signature, li
     assert "Traceback" not in result.stdout.str()
 
 
+MARKED_PARAMETER = "pytest.param(0.5, marks=pytest.mark.dura(scenario='corridor/free', runs=1))"
+
+
+@pytest.mark.parametrize("own", ["", "@pytest.mark.dura(scenario='corridor/free', runs=1)\n"])
+@pytest.mark.parametrize("arguments", [[], ["--collect-only"]])
+def test_a_marker_on_a_parameter_is_refused_at_collection(project, own, arguments):
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        f"@pytest.mark.parametrize('limit', [0.1, {MARKED_PARAMETER}])\n"
+        f"{own}"
+        "def test_it(episode, limit): assert episode.satisfies(f'always (gap >= {limit})')\n",
+    )
+    result = project.run("test_it.py", *arguments)
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    result.stdout.fnmatch_lines(
+        [
+            "test_it.py:2: a dura marker on a parameter of parametrize is not read",
+            "  remedy: * name all scenarios there, dura(scenario=[*",
+        ]
+    )
+    assert "add the marker" not in result.stdout.str()
+
+
+def test_a_marker_on_a_parameter_that_a_conftest_gives_is_refused(project):
+    own = "    if 'limit' in metafunc.fixturenames:\n"
+    gives = f"        metafunc.parametrize('limit', [{MARKED_PARAMETER}])\n"
+    project.write(
+        "test_it.py",
+        f"import pytest\ndef pytest_generate_tests(metafunc):\n{own}{gives}"
+        "def test_it(episode, limit): assert not episode.collided\n",
+    )
+    result = project.run("test_it.py")
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["test_it.py:5: a dura marker on a parameter of * is not read"])
+
+
+def test_a_parameter_may_say_that_the_test_decides_nothing(project):
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "nothing = pytest.param(7, marks=pytest.mark.dura(verdict=False))\n"
+        "@pytest.mark.parametrize('seed', [nothing])\n"
+        "def test_it(run_episode, seed): run_episode('corridor/free', seed=seed)\n",
+    )
+    project.run("test_it.py").assert_outcomes(passed=1)
+
+
 def test_episode_without_a_marker(project):
     project.write("test_it.py", "def test_it(episode): pass\n")
     result = project.run("test_it.py")
