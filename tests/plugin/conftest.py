@@ -10,7 +10,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from forked_workers import AVAILABLE, ForkedWorkers, import_all
+from forked_workers import AVAILABLE, WITHOUT_RETRIES, ForkedWorkers, import_all
 
 from pytest_dura.evidence import all_formats
 from pytest_dura.evidence.model import WholeRecord
@@ -148,8 +148,6 @@ def _kept(name):
     return property(get)
 
 
-WITHOUT_RETRIES = "-p no:flaky -p no:pytest-retry"
-"""Options without which these change how each session runs its tests; `-p flaky` undoes one."""
 KEPT = {name: _kept(name) for name in ("entry_points", "files", "metadata")}
 
 

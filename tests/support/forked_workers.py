@@ -35,6 +35,10 @@ AVAILABLE = sys.platform == "linux"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Threads of a numeric library are not there in a copy."""
 
+WITHOUT_RETRIES = "-p no:flaky -p no:pytest-retry"
+"""Options without which these plugins change how each session runs its tests; a session that is to
+have one asks for it: ``-p flaky``."""
+
 CI_VARIABLES = (
     "CI", "TF_BUILD", "GITHUB_ACTIONS", "GITLAB_CI", "JENKINS_URL", "TEAMCITY_VERSION",
     "BUILDKITE", "CIRCLECI", "CIRRUS_CI", "CODEBUILD_BUILD_ID", "HEROKU_TEST_RUN_ID",
@@ -121,8 +125,8 @@ def _run_a_session(project: str) -> None:
         here = Path.cwd()
         os.chdir(folder)
         with Path(os.devnull).open("w") as quiet, contextlib.redirect_stdout(quiet):
-            off = [f"-pno:{name}" for name in ("cacheprovider", "xdist", "flaky", "pytest-retry")]
-            code = pytest.main([*off, "corridor/free"])
+            off = "-p no:cacheprovider -p no:xdist", WITHOUT_RETRIES
+            code = pytest.main([*" ".join(off).split(), "corridor/free"])
         os.chdir(here)
         if code:
             raise SystemExit(f"the session that workers begin with ended with {code!r}")
@@ -165,6 +169,7 @@ def _become(folder: str, environment: dict[bytes, bytes], arguments: list[str]) 
     os.chdir(folder)
     os.environb.clear()
     os.environb.update(environment)
+    os.environ.setdefault("PYTEST_ADDOPTS", WITHOUT_RETRIES)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     sys.stdin, sys.stdout, sys.stderr = map(os.fdopen, range(3), ("r", "w", "w"))
     sys.argv = arguments or ["-c"]

@@ -8,6 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from forked_workers import WITHOUT_RETRIES
+
 REPOSITORY = Path(__file__).parents[2]
 SUITES = REPOSITORY / "example_suites"
 
@@ -23,7 +25,7 @@ def run_suite(
         python: Default: an interpreter that starts afresh, as a user's does.
     """
     environment = {key: value for key, value in os.environ.items() if "PYTEST" not in key}
-    environment["PYTHONPATH"] = str(REPOSITORY)
+    environment |= {"PYTHONPATH": str(REPOSITORY), "PYTEST_ADDOPTS": WITHOUT_RETRIES}
     options = ["-q", "-W", "error", "-p", "no:cacheprovider", *arguments]
     return subprocess.run(
         [*python, "-m", "pytest", *options],
