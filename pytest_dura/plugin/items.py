@@ -205,9 +205,15 @@ def note_repetitions(items: Sequence[pytest.Item]) -> None:
         items: In the order of the session.
     """
     first: dict[tuple[Any, ...], str] = {}
+    known: dict[int, set[str]] = {}
     for item in items:
         parameters: dict[str, Any] = getattr(getattr(item, "callspec", None), "params", {})
-        requested = _requested_by(item) if parameters else set()
+        info: Any = getattr(item, "_fixtureinfo", None)  # the same for all items of a function
+        if not parameters or info is None:
+            continue
+        if id(info) not in known:
+            known[id(info)] = _requested(info)
+        requested = known[id(info)]
         if not parameters.keys() <= requested:
             # The parameters of items that repeat a test are the same objects.
             own = {name: id(value) for name, value in parameters.items() if name in requested}
@@ -216,11 +222,12 @@ def note_repetitions(items: Sequence[pytest.Item]) -> None:
             item.stash[RECORDED_AS] = first.setdefault(test, item.nodeid)
 
 
-def _requested_by(item: pytest.Item) -> set[str]:
-    """Names of all fixtures that an item, or a fixture that it has, asks for."""
-    info: Any = getattr(item, "_fixtureinfo", None)
-    if info is None:
-        return set()
+def _requested(info: Any) -> set[str]:
+    """Names of all fixtures that a test, or a fixture of it, asks for.
+
+    Args:
+        info: pytest's description of the fixtures of the test.
+    """
     requested, pending = set(), list(info.initialnames)
     while pending:
         name = pending.pop()
