@@ -49,11 +49,18 @@ _REGULAR_EXIT_CODES = (
 """Exit codes of sessions that ran to their end."""
 
 
+_PHASES = ("setup", "call", "teardown")
+_OUTCOMES = ("passed", "failed", "skipped")
+
+
 def _waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
     """Return the kind of waiver and its reason, if a report has one."""
     reason = getattr(report, "wasxfail", None)
     if reason is not None:
         return "xfail", reason
+    if report.when not in _PHASES and str(report.outcome) not in _OUTCOMES:
+        # No process is left that knows of this attempt: pytest-rerunfailures takes it for a rerun.
+        return "rerun", "the item was run again after a worker had died"
     if report.skipped and report.when == "setup":
         longrepr = report.longrepr
         return "skip", longrepr[2] if isinstance(longrepr, tuple) else str(longrepr)
@@ -218,6 +225,8 @@ class SessionEvidence:
         """Items of ours that have not reported yet, where this process runs them."""
         self._claiming: set[str] = set()
         self._failed: set[str] = set()
+        self._waived: list[list[str]] = []
+        """Waivers that the record does not have yet: node id, kind and reason."""
         self._inputs: SessionInputs | None = None
         self._expected: list[str] = []
 
@@ -270,6 +279,8 @@ class SessionEvidence:
                 },
                 options.evidence,
             )
+            for failed in self._failed:
+                self.record.fail(failed)
             if not late:
                 remove_files(options.evidence / PROGRESS_FOLDER)
                 self._shared.begin()
@@ -333,9 +344,17 @@ class SessionEvidence:
             if self.record is not None:
                 self.record.fail(report.nodeid)
         waiver = _waiver_of(report)
-        if self.record is not None and waiver is not None:
-            self.record.waive(*self.context.redact([report.nodeid, *waiver]))
+        if waiver is not None:
+            self._waived.append(self.context.redact([report.nodeid, *waiver]))
+        if self.record is not None:
+            self._pass_on_waivers(self.record)
         self._seconds_spent += perf_counter() - started
+
+    def _pass_on_waivers(self, record: RecordBuilder) -> None:
+        """Record what excuses items; the record may begin only after some of them."""
+        for waived in self._waived:
+            record.waive(*waived)
+        self._waived.clear()
 
     def take(self, part: str) -> None:
         """Add episodes of the item that runs in this process; see ItemReport."""

@@ -210,6 +210,25 @@ def test_a_retried_failure_is_a_waiver_whatever_plugin_retries(project, retrying
     result.stdout.fnmatch_lines(["gate: passed, 2 violated, 2 waived"])
 
 
+def test_a_test_that_is_run_again_after_its_worker_died_is_a_waiver(project):
+    scenario(project)
+    project.write(
+        "test_it.py",
+        "import os, pathlib, pytest, signal\n"
+        "@pytest.mark.dura(scenario='corridor/it')\n"
+        "@pytest.mark.requirement('GAP-1')\n"
+        "def test_it(campaign):\n"
+        "    campaign.require()\n"
+        "    if not pathlib.Path('died').exists():\n"
+        "        pathlib.Path('died').touch()\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n",
+    )
+    result = project.run_apart("test_it.py", "--reruns", "1", "-n", "1", "--dist", "worksteal")
+    assert result.ret == 0
+    found = project.verdict("GAP-1")
+    assert (found.verdict, found.waiver.kind) == ("supported", "rerun")
+
+
 def test_a_retry_that_fails_each_time_is_no_waiver(project, retrying):
     scenario(project)
     project.write("test_it.py", FAILS_FIRST.replace("attempt == 3", "attempt == 4"))
