@@ -177,7 +177,7 @@ def _final_outcomes(outcomes: Sequence[JsonObject]) -> list[JsonObject]:
     return list(final.values())
 
 
-def _attempts(outcomes: Sequence[JsonObject]) -> Iterator[list[JsonObject]]:
+def _outcomes_by_attempt(outcomes: Sequence[JsonObject]) -> Iterator[list[JsonObject]]:
     """Yield what each attempt at a test came to, where there are several.
 
     An attempt has the outcome of each item by then: not every item is run again. Items that repeat
@@ -627,7 +627,7 @@ class RecordBuilder:
             return AttemptEntry.of(_judge_test(known, case, component, seen, situation))
 
         verdict = judged(outcomes)
-        attempts = list(map(judged, _attempts(outcomes)))
+        attempts = list(map(judged, _outcomes_by_attempt(outcomes)))
         if verdict in attempts:
             attempts.remove(verdict)
         return _verdict(

@@ -521,13 +521,13 @@ def without_verdict(
         item: The test, which has run.
         decided: Requirement and case of the verdicts that it asked for.
     """
-    fixtures = _episode_fixtures_of(item)
+    fixtures = episode_fixtures_of(item)
     if not fixtures or decided or decides_nothing(item):
         return False
     return "episode" not in fixtures or not marked_requirements(context, item)
 
 
-def _episode_fixtures_of(item: pytest.Item) -> list[str]:
+def episode_fixtures_of(item: pytest.Item) -> list[str]:
     """List those of our fixtures that give a test its episodes, by name and origin."""
     info = getattr(item, "_fixtureinfo", None)
     known = {} if info is None else info.name2fixturedefs
@@ -554,7 +554,7 @@ def _remedy(item: pytest.Item) -> str:
         "episode": 'name what it decides, @pytest.mark.requirement("ID", text="..."), or ',
         "campaign": "call campaign.require(check), or ",
     }
-    return ways.get(_episode_fixtures_of(item)[0], "") + nothing
+    return ways.get(episode_fixtures_of(item)[0], "") + nothing
 
 
 def _check_violations(

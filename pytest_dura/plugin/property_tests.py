@@ -91,13 +91,17 @@ def explained_fixtures(item: pytest.Item) -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        if type(error).__name__ != "FailedHealthCheck":
+            raise
+        from pytest_dura.plugin.outcomes import episode_fixtures_of
+
         names = [
             name
-            for name in getattr(item, "fixturenames", ())
-            if name.removeprefix(LONG_NAMES) in ("episode", "campaign")
-            and f"function-scoped fixture {name!r}" in str(error)
+            for short in episode_fixtures_of(item)
+            for name in (short, LONG_NAMES + short)
+            if f"function-scoped fixture {name!r}" in str(error)
         ]
-        if type(error).__name__ != "FailedHealthCheck" or not names:
+        if not names:
             raise
         file, line, _ = item.location
         raise ConfigurationError(

@@ -126,6 +126,22 @@ def test_a_fixture_that_is_the_same_for_all_inputs_is_refused_with_the_remedy(pr
     project.run("test_it.py").assert_outcomes(passed=1)
 
 
+def test_a_refused_fixture_of_the_users_own_is_left_to_hypothesis(project):
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "from hypothesis import given, strategies as st\n"
+        "@pytest.fixture\n"
+        "def episode(): return 'S01E01'\n"
+        "@given(number=st.integers())\n"
+        "def test_it(episode, orchestrator, number): pass\n",
+    )
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=1)
+    assert "FailedHealthCheck" in result.stdout.str()
+    assert "run_episode" not in result.stdout.str()
+
+
 def test_what_holds_passes_leaves_no_file_and_enters_no_rate(properties):
     result = run(properties, "test_property.py", generator="hasty:Mended")
     result.assert_outcomes(passed=1)
