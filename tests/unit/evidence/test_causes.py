@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 
 import pytest
@@ -191,10 +192,10 @@ def test_the_run_without_recovery_says_what_recovery_was_worth():
 def test_verdicts_that_more_runs_would_decide_are_one_cause_with_the_number_of_runs():
     record = record_of(
         [
-            verdict("SEC-1", CLEAR, ("satisfied", "satisfied", "violated")),
-            verdict("SEC-1", GHOST, ("satisfied", "violated", "violated")),
+            verdict("SEC-1", CLEAR, ("satisfied", "satisfied", "satisfied")),
+            verdict("SEC-1", GHOST, ("satisfied", "satisfied", "violated")),
         ],
-        [episode(CLEAR, 2), episode(GHOST, 1), episode(GHOST, 2)],
+        [episode(GHOST, 2)],
     )
 
     (cause,) = causes_of(record)
@@ -202,11 +203,23 @@ def test_verdicts_that_more_runs_would_decide_are_one_cause_with_the_number_of_r
     assert cause.status == "undecided"
     assert len(cause.verdicts) == 2
     assert cause.case == GHOST  # the worse of the two
-    assert "2 of 3 violate SEC-1" in cause.headline
-    needed = int(cause.next_step.removeprefix("Plan ").split()[0])
-    assert needed > 3
-    again = verdict("SEC-1", GHOST, ("violated",) * 2 + ("satisfied",) * (needed - 2))
+    assert "1 of 3 violate SEC-1" in cause.headline
+    plan = re.search(r"fresh seed: (\d+) runs allow (\d+) violations", cause.next_step)
+    runs, allowed = map(int, plan.groups())
+    assert runs > 3
+    again = verdict("SEC-1", GHOST, ("violated",) * allowed + ("satisfied",) * (runs - allowed))
     assert again["verdict"] == "supported"
+
+
+def test_more_violations_than_are_allowed_are_said_before_any_plan():
+    record = record_of(
+        [verdict("SEC-1", GHOST, ("satisfied", "violated", "violated"))],
+        [episode(GHOST, 1), episode(GHOST, 2)],
+    )
+    (cause,) = causes_of(record)
+    assert cause.headline.startswith("More runs violate it than are allowed, too few to be sure: 2")
+    assert cause.next_step.startswith("Mend what violates it: at the observed rate of 66.7 %")
+    assert "succeeds with probability" in cause.next_step
 
 
 def test_a_missing_run_names_role_and_message():
