@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import csv
 import hashlib
 import importlib.util
 import inspect
+import json
 import os
 import platform
 import re
@@ -34,19 +36,74 @@ def recorded_path(file: Path, root: Path, known: Mapping[Path, str] | None = Non
         known: Folders that have a name of their own.
     """
     absolute = _absolute(file)
-    places: list[tuple[Path, Path | str]] = [
-        (folder, "") for folder in (*installed_folders(), _absolute(root), _resolved(root))
+    own: list[tuple[Path, Path | str]] = [
+        (folder, "") for folder in (_absolute(root), _resolved(root))
     ]
     for path in dict.fromkeys((absolute, _resolved(absolute))):
+        packages = _packages_around(path)
+        places = own if packages is None else [(packages, ""), *own]
         for folder, name in [*places, *(known or {}).items()]:
             if path.is_relative_to(folder):
                 return (Path(name) / path.relative_to(folder)).as_posix()
     return f"{absolute.parent.name}/{absolute.name}".lstrip("/")
 
 
+_PACKAGE_FOLDERS = ("site-packages", "dist-packages")
+
+
 def is_installed(file: Path) -> bool:
-    """Whether a file belongs to an installed package, or to Python itself."""
-    return any(_resolved(file).is_relative_to(folder) for folder in installed_folders())
+    """Whether a file belongs to an installed package, or to Python itself.
+
+    Packages lie in any folder that is called ``site-packages`` or ``dist-packages``, which may be
+    the system's, the user's, or one that a ``.pth`` file or ``PYTHONPATH`` adds. In any other
+    folder of the import path, the files count that a distribution there recorded.
+    """
+    absolute = _absolute(file)
+    return _packages_around(_resolved(absolute)) is not None or (
+        # A link into a cache of packages; other links are a way to develop in place.
+        _recording_folder(absolute) is not None
+    )
+
+
+def _packages_around(path: Path) -> Path | None:
+    """Find the folder of installed packages, or of Python's modules, that a path lies in."""
+    for folder in path.parents:
+        if folder.name in _PACKAGE_FOLDERS:
+            return folder
+    for folder in installed_folders():
+        if path.is_relative_to(folder):
+            return folder
+    return _recording_folder(path)
+
+
+def _recording_folder(path: Path) -> Path | None:
+    """Find the folder on the import path whose distributions recorded a file."""
+    for entry in sys.path:
+        folder = _absolute(Path(entry))
+        if path.is_relative_to(folder) and path.relative_to(folder).as_posix() in _recorded(folder):
+            return folder
+    return None
+
+
+@cache
+def _recorded(folder: Path) -> frozenset[str]:
+    """Read which files the distributions in a folder say that they installed there.
+
+    Editable ones are left out, and so are those without a ``RECORD``, such as the ``.egg-info``
+    that builds leave beside sources.
+    """
+    return frozenset(
+        row[0]
+        for distribution in metadata.distributions(path=[str(folder)])
+        if not _is_editable(distribution)
+        for row in csv.reader((distribution.read_text("RECORD") or "").splitlines())
+        if row
+    )
+
+
+def _is_editable(distribution: metadata.Distribution) -> bool:
+    source = json.loads(distribution.read_text("direct_url.json") or "{}")
+    return bool(source.get("dir_info", {}).get("editable"))
 
 
 @cache
@@ -73,7 +130,7 @@ MAX_LISTED_FILES = 50
 """Number of files up to which all are listed; of more, the defining one is."""
 _MAX_COMPONENT_FILES = 1000
 """Number of files up to which all are read; of more, the defining one is."""
-_NO_SOURCES = {"__pycache__", "node_modules", "site-packages"}
+_NO_SOURCES = {"__pycache__", "node_modules", *_PACKAGE_FOLDERS}
 
 
 @dataclass(frozen=True)
@@ -199,20 +256,21 @@ class UserCode:
     variables: frozenset[str]
 
 
-def user_code(file: Path, module: str) -> UserCode | None:
+def user_code(file: Path, module: str, root: Path | None = None) -> UserCode | None:
     """Collect the code that a component depends on; ``None`` if it cannot be read.
 
     That is the top-level package that defines it, and in turn the packages and modules that any of
     their files imports by name, as far as they are not installed: the versions of installed
     packages are recorded elsewhere. Imports within a function count too. Imports by a computed name
     are not found, nor are data files. A file that this Python cannot parse, and therefore cannot
-    import either, counts by its content alone.
+    import either, counts by its content alone, and so does a package outside of the project.
 
     Args:
         file: The file that defines it.
         module: The dotted name of that file's module.
+        root: The project's root; without it, all that is not installed is the project's.
     """
-    collector = _FileCollector()
+    collector = _FileCollector(root)
     try:
         collector.add(file, module)
     except OSError:  # gone, or not for us to read
@@ -221,9 +279,14 @@ def user_code(file: Path, module: str) -> UserCode | None:
 
 
 class _FileCollector:
-    """Collects files, and names for them that are equal on all machines."""
+    """Collects files, and names for them that are equal on all machines.
 
-    def __init__(self) -> None:
+    Args:
+        root: The project's root. What is imported from elsewhere is not searched for imports.
+    """
+
+    def __init__(self, root: Path | None) -> None:
+        self._root = None if root is None else _resolved(root)
         self._files: dict[Path, tuple[str, str]] = {}
         self._looked_for: set[str] = set()
         self._variables: set[str] = set()
@@ -242,8 +305,13 @@ class _FileCollector:
             state.update(f"{name}\0{sha256}\n".encode("utf-8", "surrogateescape"))
         return UserCode(state.hexdigest(), tuple(sorted(self._files)), frozenset(self._variables))
 
-    def add(self, file: Path, module: str) -> None:
+    def add(self, file: Path, module: str, *, searched: bool = True) -> None:
         """Add a file with the rest of its package, and all that they import.
+
+        Args:
+            file: The file.
+            module: The dotted name of that file's module.
+            searched: Whether they are searched for imports.
 
         Raises:
             OSError: If one of them cannot be read.
@@ -252,17 +320,17 @@ class _FileCollector:
         self._looked_for.add(module.partition(".")[0])
         files = [] if package is None else list(_python_files(package, _MAX_PACKAGE_FILES))
         if package is None or file not in files:
-            self._read(file, file.parent)
+            self._read(file, file.parent, searched=searched)
         for path in files:
-            self._read(path, (package or path).parent)
+            self._read(path, (package or path).parent, searched=searched)
 
-    def _read(self, file: Path, base: Path) -> None:
+    def _read(self, file: Path, base: Path, *, searched: bool) -> None:
         if file in self._files or len(self._files) > _MAX_PACKAGE_FILES:
             return
         data = file.read_bytes()
         name = file.relative_to(base).as_posix()
         self._files[file] = name, hashlib.sha256(data).hexdigest()
-        if file.suffix != ".py":
+        if file.suffix != ".py" or not searched:
             return
         variables, tops = _names_in(data)
         self._variables |= variables
@@ -271,7 +339,10 @@ class _FileCollector:
                 self._looked_for.add(top)
                 for origin in _origins(top, file.parent):
                     if not is_installed(origin):
-                        self.add(origin, top)
+                        self.add(origin, top, searched=self._is_own(origin))
+
+    def _is_own(self, file: Path) -> bool:
+        return self._root is None or _resolved(file).is_relative_to(self._root)
 
 
 _READERS = {"environ", "environb"}
@@ -409,12 +480,12 @@ def describe_environment(
         "machine": platform.machine(),
         "byte_order": sys.byteorder,
         **describe_arithmetic(),
-        "packages": imported_versions(files) | packages,
+        "packages": imported_versions(files, root) | packages,
         "git": _git(root, evidence),
     }
 
 
-def imported_versions(files: Mapping[str, Path]) -> dict[str, str]:
+def imported_versions(files: Mapping[str, Path], root: Path | None = None) -> dict[str, str]:
     """Find the versions of the installed packages that modules import, sorted by distribution.
 
     Of the project's own modules, what their own modules import counts as well; of installed ones
@@ -422,6 +493,7 @@ def imported_versions(files: Mapping[str, Path]) -> dict[str, str]:
 
     Args:
         files: Of the modules, by their dotted names.
+        root: The project's root; without it, all that is not installed is the project's.
     """
     tops: set[str] = set()
     for module, file in files.items():
@@ -429,7 +501,7 @@ def imported_versions(files: Mapping[str, Path]) -> dict[str, str]:
             if module.partition(".")[0] == _OURS or is_installed(file):
                 tops.update((module.partition(".")[0], *_names_in(file.read_bytes())[1]))
             else:
-                collector = _FileCollector()
+                collector = _FileCollector(root)
                 collector.add(file, module)
                 tops |= collector.looked_for
         except OSError:  # noqa: PERF203 - gone, or not for us to read

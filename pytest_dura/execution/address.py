@@ -51,15 +51,17 @@ class Address:
         name: SHA-256 of the parts.
         parts: What the episode depends on, in words, and the digest or version of each: the
             inputs, the code of each role, the versions of packages.
+        root: The root of the project whose code it names; ``None`` if that is not known.
     """
 
     name: str
     parts: Mapping[str, str]
+    root: str | None = None
 
     @classmethod
-    def of(cls, parts: Mapping[str, str]) -> Address:
+    def of(cls, parts: Mapping[str, str], root: str | None = None) -> Address:
         """The address that has these parts."""
-        return cls(hashlib.sha256(canonical(parts)).hexdigest(), parts)
+        return cls(hashlib.sha256(canonical(parts)).hexdigest(), parts, root)
 
     def changed(self, parts: Mapping[str, str]) -> list[str]:
         """Names of the parts that another episode does not share, sorted."""
@@ -92,9 +94,14 @@ class _Code:
 
 
 class Addresses:
-    """Makes addresses; each piece of code is read once, as it is when it is first needed."""
+    """Makes addresses; each piece of code is read once, as it is when it is first needed.
 
-    def __init__(self) -> None:
+    Args:
+        root: The project's root, see :func:`pytest_dura.provenance.user_code`.
+    """
+
+    def __init__(self, root: str | None = None) -> None:
+        self._root = root
         self._by_file: dict[_File, _Code | None] = {}
         self._by_target: dict[Hashable, _Code | None] = {}
 
@@ -124,7 +131,7 @@ class Addresses:
         answers = model_answers(task)
         if answers is not None:
             parts["answers of language models"] = answers
-        return Address.of(parts)
+        return Address.of(parts, self._root)
 
     def _of_part(self, part: RoleSpec) -> _Code | None:
         key = part.target if isinstance(part, LocalRole) else part.path
@@ -140,7 +147,7 @@ class Addresses:
         if module.partition(".")[0] == PACKAGE:
             return _Code(PACKAGE)
         if (file, module) not in self._by_file:
-            code = user_code(file, module)
+            code = user_code(file, module, None if self._root is None else Path(self._root))
             known = None if code is None else _Code(code.digest, code.variables)
             self._by_file[file, module] = known
         return self._by_file[file, module]
@@ -267,13 +274,13 @@ def _import(paths: Iterable[str]) -> None:
 
 
 @cache
-def _addresses_here() -> Addresses:
+def _addresses_here(root: str | None) -> Addresses:
     """Those of a process that simulates for others.
 
     As long as the process lives, as the modules do that it has imported: calls from other
     processes reach it by the names of functions, and share no object.
     """
-    return Addresses()
+    return Addresses(root)
 
 
 def simulate(
@@ -286,8 +293,8 @@ def simulate(
 
     Args:
         task: JSON of :meth:`EpisodeTask.to_json`.
-        conditions: ``name`` and ``parts`` of the :class:`Address` that the episode must have here,
-            and ``where`` this is in words, if it is no process of the same session.
+        conditions: ``name``, ``parts`` and ``root`` of the :class:`Address` that the episode must
+            have here, and ``where`` this is in words, if it is no process of the same session.
         seconds: The limit that the process is held to, once all has been imported.
 
     Returns:
@@ -324,10 +331,14 @@ def simulate(
 
 
 def _check_address(
-    task: EpisodeTask, name: str, parts: Mapping[str, str], where: str = _THIS_SESSION
+    task: EpisodeTask,
+    name: str,
+    parts: Mapping[str, str],
+    root: str | None = None,
+    where: str = _THIS_SESSION,
 ) -> None:
     """Refuse a task whose address in this process is another one than that given."""
-    expected, here = Address(name, parts), _addresses_here().of(task)
+    expected, here = Address(name, parts), _addresses_here(root).of(task)
     if where != _THIS_SESSION:
         expected, here = expected.of_any_machine, here and here.of_any_machine
     if here is None or here.name != expected.name:

@@ -270,6 +270,7 @@ class EpisodeStore:
         execution: The executor; by default this process.
         memory: What this process keeps.
         second_engine: Evaluates the formulas of all its episodes as well.
+        root: The project's root; only code below it is the project's.
     """
 
     def __init__(
@@ -278,6 +279,7 @@ class EpisodeStore:
         execution: Execution | None = None,
         memory: EpisodeMemory | None = None,
         second_engine: SecondEngine | None = None,
+        root: str | None = None,
     ) -> None:
         self.cache, self.second_engine = cache, second_engine
         self.execution = execution or Execution()
@@ -291,7 +293,7 @@ class EpisodeStore:
         """Whether an episode is missing from the session since its executor was lost."""
         self.is_broken = False
         """Whether an episode closed files of this process; see :class:`DescriptorsClosedError`."""
-        self._addresses = Addresses()
+        self._addresses = Addresses(root)
         self._flights: dict[str, _Flight] = {}
         self._certain: Iterator[EpisodeTask] = iter(())
         self._has_plan = False

@@ -399,7 +399,10 @@ class SharedEpisodes:
         from pytest_dura.execution.store import EpisodeStore
 
         self._store = EpisodeStore(
-            self.cache, self._executor.execution(), second_engine=self._formulas.second_engine
+            self.cache,
+            self._executor.execution(),
+            second_engine=self._formulas.second_engine,
+            root=str(self.context.config.rootpath),
         )
         return self._store
 

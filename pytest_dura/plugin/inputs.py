@@ -158,7 +158,7 @@ class SessionInputs:
             file = source_of(module)
         if file is None or is_installed(file):
             return
-        code = user_code(file, module)
+        code = user_code(file, module, self.context.config.rootpath)
         if code is not None and len(code.files) <= MAX_LISTED_FILES:
             for source in code.files:
                 self.inputs.add(kind, source)

@@ -39,6 +39,7 @@ SMALLEST = {
         *("--planners", "reactive", "--scenarios", "conflicting-traffic"),
     ],
     "kills.py": ["--trials", "1", "--only", "executor process"],
+    "layered.py": ["--pairs", "1"],
     "llm_defects.py": [
         *("--runs", "1", "--jobs", "1", "--only"),
         *("invents V77 and a truck T9 in prose", "slow", "with numbers"),
@@ -101,6 +102,7 @@ HEADERS = {
     "install.py": ["asked for by"],
     "intersection_search.py": ["bang-bang"],
     "kills.py": ["simulated twice"],
+    "layered.py": ["it adds, ms (interval)"],
     "llm_defects.py": ["runs that show it", "runs that accuse it"],
     "llm_concurrency.py": ["requests at once"],
     "llm_replay.py": ["session"],

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import site
+import sys
 
 import pytest
 
@@ -85,6 +87,38 @@ def test_every_input_file_is_listed_with_its_digest(full_project):
         assert not one.changed
         assert str(project.path) not in path
         assert not path.startswith(("/", ".."))
+
+
+BULK = {
+    "bulk/__init__.py": "import bulk_base\n",
+    "bulk_base.py": "x = 1\n",
+    "bulk-4.5.6.dist-info/METADATA": "Metadata-Version: 2.1\nName: bulk\nVersion: 4.5.6\n",
+    "bulk-4.5.6.dist-info/RECORD": "bulk/__init__.py,,\nbulk/part.py,,\nbulk_base.py,,\n",
+}
+
+
+@pytest.mark.parametrize("below_root", [False, True])
+@pytest.mark.parametrize("folder", ["lib/site-packages", "ros/dist-packages", "deps"])
+def test_a_distribution_is_installed_wherever_it_lies_and_not_read(
+    full_project, tmp_path_factory, monkeypatch, folder, below_root
+):
+    project = full_project
+    outside = tmp_path_factory.mktemp("outside")
+    packages = (project.path / ".venv" if below_root else outside) / folder
+    for name, text in BULK.items():
+        project.write(packages / name, text)
+    # A session that tries to read all of it lists no imports of the component.
+    (packages / "bulk/part.py").symlink_to(packages / "nowhere")
+    project.write(outside / "other.pth", f"{packages}\n")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    site.addsitedir(str(outside))
+    project.write("planned_aid.py", "import bulk\nfrom planned_deep import depth\n")
+
+    project.scenarios(select="corridor/tight")
+    assert project.evidence().environment.packages["bulk"] == "4.5.6"
+    found = inputs(project)
+    assert ("component", "planned_deep.py") in found
+    assert not [path for _, path in found if "bulk" in path]
 
 
 def test_a_real_record_is_valid_by_its_schema_also_with_the_baseline_that_it_replaces(project):

@@ -147,6 +147,40 @@ def test_code_that_a_role_rests_on_changes_that_role_alone(project, file):
     assert edited(project, file) == [CODE]
 
 
+@pytest.mark.parametrize("file, counts", [("shared/tools.py", True), ("deeper.py", False)])
+def test_code_outside_of_the_project_counts_where_the_project_imports_it(project, file, counts):
+    """As it lies there; what it imports in turn from other folders is not looked for."""
+    outside = project.parent / f"outside-{project.name}"
+    for name in ("shared/__init__.py", "shared/tools.py", "deeper.py"):
+        (outside / name).parent.mkdir(parents=True, exist_ok=True)
+        (project / name).rename(outside / name)
+    sys.path.insert(1, str(outside))  # the fixture's patch restores the path
+    root = str(project)
+    first = Addresses(root).of(task())
+    (outside / file).write_text(FILES[file] + "# edited\n")
+    assert first.changed(Addresses(root).of(task()).parts) == ([CODE] if counts else [])
+
+
+RECORDED, EDITABLE = "deeper.py,,\n", '{"dir_info":{"editable":true}}'
+
+
+@pytest.mark.parametrize(
+    "metadata, counts",
+    [
+        ({"dist-info/RECORD": RECORDED}, False),
+        ({"dist-info/RECORD": "another.py,,\n"}, True),
+        # A project that is installed in place, and what builds leave beside sources.
+        ({"dist-info/RECORD": RECORDED, "dist-info/direct_url.json": EDITABLE}, True),
+        ({"egg-info/SOURCES.txt": "deeper.py\n", "egg-info/top_level.txt": "deeper\n"}, True),
+    ],
+)
+def test_what_a_distribution_recorded_is_not_the_projects_own_code(project, metadata, counts):
+    for name, text in metadata.items():
+        (project / f"deep-1.{name}").parent.mkdir(exist_ok=True)
+        (project / f"deep-1.{name}").write_text(text)
+    assert edited(project, "deeper.py") == ([CODE] if counts else [])
+
+
 def test_code_of_another_role_changes_the_other_role_alone(project):
     assert edited(project, "watching.py") == [f"code of the safety_monitor {MONITOR}"]
 
