@@ -23,6 +23,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.execution.codec import pack
 from pytest_dura.execution.task import EpisodeTask
+from pytest_dura.execution.warning_filters import filtered
 from pytest_dura.execution.worker import begin
 from pytest_dura.library.roles import LocalRole
 from pytest_dura.provenance import (
@@ -286,6 +287,7 @@ def _addresses_here(root: str | None) -> Addresses:
 def simulate(
     task: str,
     conditions: Mapping[str, Any] | None = None,
+    filters: Sequence[Sequence[Any]] | None = None,
     *,
     seconds: float | None = None,  # noqa: ARG001 - the parent process reads it
 ) -> bytes:
@@ -295,6 +297,8 @@ def simulate(
         task: JSON of :meth:`EpisodeTask.to_json`.
         conditions: ``name``, ``parts`` and ``root`` of the :class:`Address` that the episode must
             have here, and ``where`` this is in words, if it is no process of the same session.
+        filters: The warning filters that apply while it runs, see
+            :func:`pytest_dura.execution.warning_filters.warning_filters`.
         seconds: The limit that the process is held to, once all has been imported.
 
     Returns:
@@ -309,7 +313,8 @@ def simulate(
     _import(part.path for part in here.parts.values())
     begin()
     calls = _model_call_count()
-    episode = here.run()
+    with filtered(filters):
+        episode = here.run()
     if _model_call_count() != calls:
         raise ConfigurationError(
             "a component asks a language model, and its parameters do not say which",

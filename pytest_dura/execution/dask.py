@@ -11,7 +11,7 @@ import threading
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
@@ -70,7 +70,11 @@ def _reply_with_machine(client: Mapping[str, Any]) -> bytes:
 
 
 def _reply_with_episode(
-    client: Mapping[str, Any], task: str, conditions: Mapping[str, Any] | None, seconds: float
+    client: Mapping[str, Any],
+    task: str,
+    conditions: Mapping[str, Any] | None,
+    filters: Sequence[Sequence[Any]],
+    seconds: float,
 ) -> bytes:
     """Simulate an episode on a Dask worker, as a reply.
 
@@ -78,12 +82,14 @@ def _reply_with_episode(
         client: See :func:`_reply_with_machine`.
         task: See :func:`pytest_dura.execution.address.simulate`.
         conditions: See the same, but for ``where``.
+        filters: See the same.
         seconds: Limit of the episode.
     """
     from distributed import get_worker
 
     here = conditions and {**conditions, "where": f"the Dask worker {get_worker().address}"}
-    return reply_of(lambda: _pool(client).submit(simulate, task, here, seconds=seconds).result())
+    call = _pool(client).submit
+    return reply_of(lambda: call(simulate, task, here, filters, seconds=seconds).result())
 
 
 def _end_session(token: str) -> None:

@@ -17,6 +17,7 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.registry import Registry
 from pytest_dura.execution.address import Address, simulate
 from pytest_dura.execution.task import EpisodeTask, reason_not_portable
+from pytest_dura.execution.warning_filters import warning_filters
 
 KEY = "--dura-executor"
 IN_FLIGHT = 2
@@ -258,6 +259,7 @@ class Execution:
             simulate,
             json.dumps(task.to_json()),
             conditions,
+            warning_filters(),
             seconds=time_limit_of(task.spec, self.seconds),
         )
 

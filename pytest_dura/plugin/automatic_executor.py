@@ -101,7 +101,6 @@ def _obstacle(context: SessionContext, *, others: bool) -> str | None:
         "--pdb or --trace is on": option.usepdb or getattr(option, "trace", False),
         "-s shows what components print": option.capture == "no",
         "a debugger, profiler or coverage measurement is on": _is_traced(),
-        "a filter turns warnings into errors": _warnings_fail(config),
         "a cassette of a language model is of this process": context.options.llm != "live",
         "test functions ask for episodes, and may change what is simulated": others,
     }
@@ -114,14 +113,3 @@ def _is_traced() -> bool:
         return True
     tools = getattr(sys, "monitoring", None)  # from Python 3.12 on
     return tools is not None and any(tools.get_tool(number) for number in range(6))
-
-
-def _warnings_fail(config: pytest.Config) -> bool:
-    """Whether a warning is an error, which a component in another process would not meet."""
-    filters = [
-        *config.getini("filterwarnings"),
-        *(config.option.pythonwarnings or []),
-        *sys.warnoptions,
-    ]
-    actions = (text.partition(":")[0].strip() for text in filters)
-    return any(action and "error".startswith(action) for action in actions)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 
@@ -70,7 +71,6 @@ def test_named_items_are_simulated_by_processes_too(project):
     [
         (["-s"], "-s shows what components print"),
         (["--pdb"], "--pdb or --trace is on"),
-        (["-W", "error"], "a filter turns warnings into errors"),
         (["--dura-llm=record"], "a cassette of a language model is of this process"),
     ],
 )
@@ -79,6 +79,82 @@ def test_what_needs_this_process_stays_in_it_and_the_reason_is_shown(project, ar
     line = f"dura: episodes are simulated in pytest's own process (auto: {reason})"
     result.stdout.fnmatch_lines([line])
     assert chosen(project) == ("in-process", None, f"auto: {reason}")
+
+
+WARNS = """
+import warnings
+import corridor
+
+class Careless(UserWarning):
+    pass
+
+class Planner(corridor.Careful):
+    def propose(self, view):
+        warnings.warn("slow", DeprecationWarning)
+        warnings.warn("careless", Careless)
+        return super().propose(view)
+
+class Watch(corridor.Watch):
+    def run(self, view):
+        warnings.warn("half asleep", RuntimeWarning)
+        return super().run(view)
+"""
+SLOW, CARELESS, ASLEEP = "Warning: slow", "Careless: careless", "RuntimeWarning: half asleep"
+
+
+@pytest.mark.parametrize(
+    "setting, arguments, raised",
+    [
+        ("error", [], {SLOW}),
+        ("error\n ignore:sl[ao]w", [], {CARELESS}),
+        ("error\n ignore::DeprecationWarning\n ignore::warns.Careless", [], {ASLEEP}),
+        ("error\n ignore:half:RuntimeWarning:warns", ["-W", "ignore::UserWarning"], {SLOW}),
+        ("default", ["-W", "error::UserWarning"], {CARELESS}),
+        ("error", ["-W", "ignore"], set()),
+    ],
+)
+def test_warnings_that_are_errors_count_alike_wherever_an_episode_is_simulated(
+    project, setting, arguments, raised
+):
+    """Those of the component are its own failures; those of another role are infrastructure."""
+    project.write("warns.py", WARNS)
+    project.write("pytest.ini", f"[pytest]\npythonpath = .\nfilterwarnings =\n {setting}\n")
+    free = project.path / "scenarios/corridor/free.yaml"
+    free.write_text(free.read_text().replace("corridor:Watch", "warns:Watch"))
+    arguments = [LONG, "--dura-generator=warns:Planner", *arguments]
+    project.scenarios("--dura-executor=in-process", *arguments)
+    plain = record(project)
+    text = json.dumps(plain["episodes"])
+    assert {one for one in (SLOW, CARELESS, ASLEEP) if one in text} == raised
+    missing = {one["spec"]["case"] for one in plain["episodes"] if one["validity"] == "missing"}
+    assert missing == ({"corridor/free"} if ASLEEP in raised else set())
+
+    project.scenarios(*arguments)
+    assert chosen(project) == ("processes", 2, "auto: 40 episodes on 2 cores")
+    assert record(project) == plain
+
+
+MARKED = """
+import pytest
+
+@pytest.mark.filterwarnings("ignore:slow", "ignore:careless")
+@pytest.mark.dura(scenario="corridor/tight", runs=2)
+@pytest.mark.requirement("OWN-1", text="It touches nothing.", kind="safety")
+def test_it(campaign):
+    campaign.require("always (gap > 0)")
+"""
+
+
+def test_the_filters_of_a_test_reach_the_processes_that_it_asks(project):
+    project.write("warns.py", WARNS)
+    project.write("pytest.ini", "[pytest]\npythonpath = .\nfilterwarnings = error\n")
+    project.write("test_it.py", MARKED)
+    for marked, outcome in ((True, "passed"), (False, "failed")):
+        if not marked:
+            project.write("test_it.py", MARKED.replace("@pytest.mark.filterwarnings", "# "))
+        for executor in ("in-process", "processes:2"):
+            arguments = [f"--dura-executor={executor}", "--dura-generator=warns:Planner"]
+            project.run("test_it.py", *arguments).assert_outcomes(**{outcome: 1})
 
 
 def test_what_is_traced_stays_in_this_process(project):
