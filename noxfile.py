@@ -11,6 +11,7 @@ import tempfile
 from pathlib import Path
 
 import nox
+from packaging.requirements import Requirement
 
 nox.needs_version = ">=2024.4.15"
 nox.options.sessions = ["lint", "types", "tests"]
@@ -18,6 +19,16 @@ nox.options.error_on_missing_interpreters = False
 
 PYTHONS = ["3.10", "3.11", "3.12", "3.13", "3.14"]
 EVIDENCE = "dura-evidence"
+EXTRAS = ["dask", "fmi", "learned", "llm", "signing", "sumo"]
+"""What users may install beside the package."""
+LOWEST_TESTS = [
+    "tests/plugin/test_what_counts.py",
+    "tests/plugin/test_scenario_items.py",
+    "tests/properties/test_loop_laws.py",
+    "tests/unit/adapters/test_fmi.py",
+    "tests/unit/llm/test_answers.py",
+]
+"""Sessions with and without workers, laws, and what rests on an extra; some two minutes."""
 
 
 @nox.session(python=PYTHONS)
@@ -52,6 +63,36 @@ def gate(session: nox.Session) -> None:
 
 
 @nox.session
+def lowest(session: nox.Session) -> None:
+    """Run a part of the tests with the lowest version that is stated of each dependency.
+
+    It takes Python 3.10 or 3.11, for which those versions have wheels; pip finds them where it
+    finds all others.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        python = _fresh_python(session, Path(folder).resolve())
+        floors = Path(folder, "floors.txt")
+        floors.write_text("\n".join(_floors()))
+        install = ["-m", "pip", "install", "--quiet", "--constraint", str(floors)]
+        own = ["--editable", f".[{','.join(EXTRAS)}]", "psutil", "pythonfmu", "pythonfmu3"]
+        session.run(python, *install, *own, external=True)
+        session.run(python, "-m", "pytest", *(session.posargs or LOWEST_TESTS), external=True)
+
+
+def _floors() -> list[str]:
+    """State the lowest version that is allowed of each dependency and extra, as constraints."""
+    project = nox.project.load_toml("pyproject.toml")["project"]
+    extras = project["optional-dependencies"]
+    texts = [*project["dependencies"], *(text for extra in EXTRAS for text in extras[extra])]
+    floors = []
+    for requirement in map(Requirement, texts):
+        (floor,) = (bound.version for bound in requirement.specifier if bound.operator == ">=")
+        marker = "" if requirement.marker is None else f"; {requirement.marker}"
+        floors.append(f"{requirement.name}=={floor}{marker}")
+    return floors
+
+
+@nox.session
 def docs(session: nox.Session) -> None:
     """Build the site; a broken link or reference is an error."""
     session.install("-e", ".[docs]")
@@ -75,9 +116,7 @@ def package(session: nox.Session) -> None:
 
 def _use(session: nox.Session, wheel: Path, folder: Path) -> None:
     """Install a wheel where nothing else is, run the built-in scenarios, and begin a project."""
-    session.run("python", "-m", "venv", str(folder / "venv"))
-    scripts = "Scripts" if (folder / "venv" / "Scripts").is_dir() else "bin"
-    python = str(folder / "venv" / scripts / "python")
+    python = _fresh_python(session, folder)
 
     def run(*arguments: str) -> None:
         session.run(python, "-m", *arguments, external=True)
@@ -89,6 +128,13 @@ def _use(session: nox.Session, wheel: Path, folder: Path) -> None:
         run("pytest_dura", "init", "project")
     with session.chdir(folder / "project"):
         run("pytest")
+
+
+def _fresh_python(session: nox.Session, folder: Path) -> str:
+    """Make an environment that has nothing, and return its interpreter."""
+    session.run("python", "-m", "venv", str(folder / "venv"))
+    scripts = "Scripts" if (folder / "venv" / "Scripts").is_dir() else "bin"
+    return str(folder / "venv" / scripts / "python")
 
 
 @nox.session

@@ -155,7 +155,7 @@ def _answer_model(schema: bytes) -> type[BaseModel]:
     """
     data = json.loads(schema)
     properties = data.get("properties")
-    fields: Any = {name: _value_type(value) for name, value in (properties or {}).items()}
+    fields: Any = {name: (_value_type(value), ...) for name, value in (properties or {}).items()}
     config = ConfigDict(extra="allow" if properties is None else "forbid", strict=True)
     model: type[BaseModel] = create_model("Answer", __config__=config, **fields)
     return model

@@ -17,7 +17,7 @@ FENCE = re.compile(r"^```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 PROGRAMS = (
     "apt-get", "chromium", "lint-imports", "mkdocs", "mypy", "pip", "pytest", "ruff", "twine",
 )  # fmt: skip
-SYSTEM = ("basename", "bash", "dirname", "env", "mkdir", "rm", "sh")
+SYSTEM = ("basename", "bash", "cp", "dirname", "env", "mkdir", "rm", "sh")
 LOGGED = """#!/bin/sh
 echo "$(basename "$0")${1+ }$*" >> "$CALLS"
 case "$(basename "$0") $*" in $FAILS) exit 3 ;; esac
@@ -27,6 +27,7 @@ PYTHON = """#!/bin/sh
 echo "$(basename "$0")${1+ }$*" >> "$CALLS"
 if [ "$1 $2" = "-m venv" ]; then
     mkdir -p "$3/bin"
+    cp "$0" "$3/bin/python"
     echo "VIRTUAL_ENV='$PWD/$3'; export VIRTUAL_ENV" > "$3/bin/activate"
 fi
 """
@@ -39,7 +40,8 @@ class Commands:
         self.folder = folder / "clone"
         (self.folder / ".ci").mkdir(parents=True)
         shutil.copy(REPOSITORY / ".ci" / "run", self.folder / ".ci")
-        shutil.copy(REPOSITORY / "noxfile.py", self.folder)
+        for name in ("noxfile.py", "pyproject.toml"):
+            shutil.copy(REPOSITORY / name, self.folder)
         self.programs = folder / "programs"
         self.programs.mkdir()
         for name in SYSTEM:
@@ -95,9 +97,13 @@ def test_the_gate_runs_the_commands_of_the_readme_in_a_new_environment(commands)
     called = iter(commands.calls)
     assert [next(called) for _ in range(3)] == [tests[0], *tests[2:]]
     assert sorted(next(called) for _ in linters) == sorted(linters)
-    assert list(called) == [
+    assert [next(called), next(called)] == [
         f"{gate[3]} -o dura_stl_engine=both", "python -m pytest_dura verify dura-evidence"
     ]  # fmt: skip
+    made, installed, tested = called
+    assert made.startswith("python -m venv /")
+    assert "--constraint" in installed
+    assert re.match(r"python -m pytest tests/plugin/test_what_counts\.py ", tested)
 
 
 @pytest.mark.parametrize(
