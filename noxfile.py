@@ -24,7 +24,8 @@ EXTRAS = ["dask", "fmi", "learned", "llm", "signing", "sumo"]
 LOWEST_TESTS = [
     "tests/plugin/test_what_counts.py",
     "tests/plugin/test_scenario_items.py",
-    "tests/properties/test_loop_laws.py",
+    "tests/properties/test_campaign_laws.py",
+    "tests/properties/test_episode_codec.py",
     "tests/unit/adapters/test_fmi.py",
     "tests/unit/llm/test_answers.py",
 ]
