@@ -195,6 +195,45 @@ def lasting_guard() -> Iterator[None]:
         _uninstall()
 
 
+class HeldInterruptions:
+    """Context in which Ctrl-C waits, so that what is written in it is written whole.
+
+    What came meanwhile is delivered at its end, once, unless an exception leaves it already. In
+    another thread than the main one, which no signal reaches, nothing waits.
+
+    Args:
+        passing: How many are delivered at once, before the next ones wait.
+    """
+
+    def __init__(self, passing: int = 0) -> None:
+        self._passing = passing
+        self._waiting: tuple[int, Any] | None = None
+        self._before: Any = None
+
+    def __enter__(self) -> Self:
+        """Wrap the handler of Ctrl-C, where there is one."""
+        before = signal.getsignal(signal.SIGINT)
+        if threading.current_thread() is threading.main_thread() and callable(before):
+            self._before = before
+            signal.signal(signal.SIGINT, self._handle)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Restore the handler, unless it was replaced meanwhile, and deliver what waits."""
+        if signal.getsignal(signal.SIGINT) == self._handle:
+            signal.signal(signal.SIGINT, self._before)
+        if self._waiting is not None and kind is None:
+            self._before(*self._waiting)
+
+    def _handle(self, number: int, frame: Any) -> None:
+        __tracebackhide__ = True
+        if self._passing:
+            self._passing -= 1
+            self._before(number, frame)
+        else:
+            self._waiting = number, frame
+
+
 def _exit(status: int) -> NoReturn:
     """Stand in for ``os._exit``."""
     boundary = _CURRENT.get()

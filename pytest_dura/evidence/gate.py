@@ -237,8 +237,8 @@ class Gate:
             reasons.append("no test was run")
         reasons += objections
         if interrupted:
-            reasons.insert(0, f"the session was interrupted (exit code {exit_code})")
             code = exit_code or INTERRUPTED
+            reasons.insert(0, f"the session was interrupted (exit code {code})")
             return cls("incomplete", code, warn_undecided, failed, tuple(reasons))
         if exit_code == OK and reasons:
             exit_code = TESTS_FAILED

@@ -343,6 +343,7 @@ class FormulaEngines:
 EPISODES_FOLDER = ".episodes"  # as `KEPT` of pytest_dura.evidence.bundle
 """Folder in the evidence directory while a session runs, and after one that was not whole."""
 _SESSION_KEY = "dura_session"
+_BEFORE_RECORD = "a session that was interrupted before it wrote a record"
 _LOST_KEY = "dura_lost"
 """Key in the output of a worker of pytest-xdist."""
 
@@ -365,7 +366,7 @@ class SharedEpisodes:
         """What the terminal says before anything runs."""
         self._store: EpisodeStore | None = None
         self._problems_reported = self._searches_reported = 0
-        self._lost = False
+        self._lost = self._was_killed = False
         self.is_whole = False
         """Whether the session came to its end, lost nothing, and left all of its evidence."""
 
@@ -457,6 +458,20 @@ class SharedEpisodes:
         """Add the session's id to a worker's input."""
         workerinput[_SESSION_KEY] = self.id
 
+    def look_around(self) -> None:
+        """Note what a killed session left, before this session makes or locks the directory.
+
+        Raises:
+            ConfigurationError: If no session was ever there that could be resumed.
+        """
+        from pytest_dura.evidence.bundle import RECORD_FILE, open_record
+        from pytest_dura.evidence.files import LOCK_FILE
+
+        directory = self.context.options.evidence
+        self._was_killed = (directory / LOCK_FILE).exists()
+        if self.context.options.resume and not directory.is_dir():
+            open_record(directory / RECORD_FILE)
+
     def begin(self) -> None:
         """Keep the episodes of the session that is resumed, or remove what an earlier one left.
 
@@ -477,7 +492,8 @@ class SharedEpisodes:
         # Reading a great record takes its time, and after most sessions there is nothing left.
         session = self._unfinished(left_episodes=unfinished) if options.resume or count else None
         if options.resume:
-            self.lines = [f"resuming: {episodes} of {session}"]
+            anew = "; it begins anew" if session == _BEFORE_RECORD and not count else ""
+            self.lines = [f"resuming: {episodes} of {session}{anew}"]
             return
         if session is not None:
             dropped = f"dropped: {episodes} of {session}"
@@ -501,7 +517,7 @@ class SharedEpisodes:
         self._lost |= bool(error)
 
     def end(self, record: SessionRecord, *, written: bool) -> None:
-        """Remove the episodes of a session that is whole; any other session can be resumed.
+        """Note whether the session is whole; any other one can be resumed.
 
         Args:
             record: Of the session.
@@ -510,14 +526,16 @@ class SharedEpisodes:
         shutil.rmtree(self._repetition_marks, ignore_errors=True)
         lost = self._lost or self._lost_here or record.head.totals.missing
         self.is_whole = written and record.head.status == "complete" and not lost
-        if self.context.options.reuse is not None:
-            return
-        # What cannot be removed does no harm: the next session removes it, or says why it cannot.
-        with suppress(OSError):
-            if self.is_whole:
-                self.cache.clear()
-            else:  # so that it can be resumed, also if nothing was simulated
+        if self.context.options.reuse is None and not self.is_whole:
+            with suppress(OSError):  # so that it can be resumed, also if nothing was simulated
                 self.cache.directory.mkdir(exist_ok=True)
+
+    def remove_if_whole(self) -> None:
+        """Remove the episodes of a session that is whole."""
+        if self.is_whole and self.context.options.reuse is None:
+            # What cannot be removed does no harm: the next session removes it, or says why not.
+            with suppress(OSError):
+                self.cache.clear()
 
     def _clear(self) -> None:
         try:
@@ -544,8 +562,8 @@ class SharedEpisodes:
 
         options = self.context.options
         file = options.evidence / RECORD_FILE
-        if left_episodes and not file.exists():
-            return "a session that was interrupted before it wrote a record"
+        if not file.exists():
+            return _BEFORE_RECORD
         try:
             record = open_record(file)
         except ConfigurationError:
@@ -556,6 +574,8 @@ class SharedEpisodes:
             return f"the interrupted session of {record.head.created}"
         if left_episodes:
             return f"the session of {record.head.created}, which was not whole"
+        if self._was_killed:  # the record is that of the session before it
+            return _BEFORE_RECORD
         if options.resume:
             raise ConfigurationError(
                 "there is nothing to resume: the session of this evidence was not interrupted, and "

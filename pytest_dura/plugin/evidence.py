@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pytest_dura.core.boundary import HeldInterruptions
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.gate import Gate, verdict_objections
 from pytest_dura.plugin.messages import error_text
@@ -220,6 +222,8 @@ class SessionEvidence:
         self._seconds_spent = 0.0
         self.interrupted = False
         """Whether a key or ``pytest.exit`` ended it, whatever the exit code."""
+        self.ran_to_end = False
+        """Whether the loop over the items ended by itself; a second Ctrl-C leaves no other sign."""
         self._any_report = False
         self._unreported: set[str] = set()
         """Items of ours that have not reported yet, where this process runs them."""
@@ -252,7 +256,9 @@ class SessionEvidence:
 
         options = self.context.options
         check_directory(options.evidence)
-        self._lock = DirectoryLock(options.evidence)
+        if not late:
+            self._shared.look_around()
+        self._lock, begun = DirectoryLock(options.evidence), False
         try:
             looks = earlier_looks(options.evidence, self.given.baseline)
             self.record = RecordBuilder(
@@ -285,9 +291,13 @@ class SessionEvidence:
                 remove_files(options.evidence / PROGRESS_FOLDER)
                 self._shared.begin()
             gate = Gate.running(warn_undecided=options.warn_undecided)
-            begin_bundle(self._concluded("running", gate), traces=not late)
+            record = self._concluded("running", gate)
+            with HeldInterruptions():
+                begin_bundle(record, traces=not late)
+                begun = True
         except BaseException:  # also on ctrl-C the next session may write here; it is raised again
-            self._unlock()
+            if not begun:  # otherwise the record has to say first how the session ended
+                self._unlock()
             raise
 
     def expect(self, items: list[str]) -> None:
@@ -375,6 +385,48 @@ class SessionEvidence:
             # Without the episodes the session can show nothing.
             pytest.exit(error_text(error))
 
+    @contextmanager
+    def ending(self, session: pytest.Session) -> Iterator[None]:
+        """Context of the session's end, in which :meth:`finish` is called.
+
+        An interruption in it is in the record before it goes on, and a second one waits for that.
+        What the session can be resumed from goes last.
+        """
+        with HeldInterruptions(passing=1):
+            try:
+                yield
+            except KeyboardInterrupt:
+                self.interrupt(session)
+                raise
+            else:
+                with HeldInterruptions():
+                    self._shared.remove_if_whole()
+            finally:
+                self._unlock()
+
+    def interrupt(self, session: pytest.Session) -> None:
+        """Let the record of a session that runs say that it was interrupted, if it does not yet."""
+        written = None if self.file is None else self.final
+        says_so = written is not None and written.head.status == "interrupted"
+        refused = session.exitstatus == pytest.ExitCode.USAGE_ERROR
+        if self.record is None or self._lock is None or says_so or refused:
+            return
+        from pytest_dura.evidence.bundle import begin_bundle
+
+        self.interrupted = True
+        with HeldInterruptions():
+            try:
+                _, self.final = self._judged(session)
+                begin_bundle(self.final, traces=False)
+                self._shared.end(self.final, written=False)
+                session.exitstatus = self.final.head.gate.exit_code
+                note = "dura: the session was interrupted; --dura-resume goes on"
+            except ConfigurationError as error:
+                note = error_text(error)
+            finally:
+                self._unlock()
+            print(note, file=sys.stderr)  # noqa: T201 - the terminal's own report is not made
+
     def finish(self, session: pytest.Session) -> None:
         """Write the bundle; a session that it does not support has failed, whatever tests say."""
         if self.record is None:
@@ -395,8 +447,6 @@ class SessionEvidence:
             written = self.final.head.gate
             self.objections += written.reasons[len(gate.reasons) :]
             session.exitstatus = written.exit_code
-        finally:
-            self._unlock()
 
     def enforce_exit_code(self, session: pytest.Session) -> None:
         """Keep later plugins from turning the exit code of a failed session into a success."""
@@ -428,7 +478,8 @@ class SessionEvidence:
         assert self.record is not None
         started = perf_counter()
         stopped = self.interrupted or bool(session.shouldstop or session.shouldfail)
-        interrupted = stopped or session.exitstatus not in _REGULAR_EXIT_CODES
+        regular = self.ran_to_end and session.exitstatus in _REGULAR_EXIT_CODES
+        interrupted = stopped or not regular
         status: Status = "interrupted" if interrupted else "complete"
         warn_undecided = self.context.options.warn_undecided
         header = {

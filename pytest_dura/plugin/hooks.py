@@ -81,6 +81,7 @@ def begin(config: pytest.Config, started: pytest.Session | None = None) -> Sessi
         config.add_cleanup(session.properties.begin())
         hooks = SessionHooks(session)
         config.pluginmanager.register(hooks, HOOKS)
+        config.pluginmanager.register(EndHooks(session), f"{HOOKS}-end")
         config.pluginmanager.unregister(name=WAITING)
         if started is not None:
             hooks.pytest_sessionstart(started)
@@ -109,6 +110,19 @@ def lacks_case(item: pytest.Item) -> bool:
 def _test_of(item: pytest.Item) -> tuple[str, str]:
     """Identify a test function, whatever its parameters are."""
     return item.parent.nodeid if item.parent else "", getattr(item, "originalname", "") or item.name
+
+
+class EndHooks:
+    """Hook around the session's end: what other plugins do there, and the terminal's summary."""
+
+    def __init__(self, session: DuraSession) -> None:
+        self.session = session
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_sessionfinish(self, session: pytest.Session) -> Generator[None, Any, Any]:
+        """Let the record say so if an interruption comes before all of it is done."""
+        with self.session.evidence.ending(session):
+            return (yield)
 
 
 class SessionHooks:
@@ -290,6 +304,13 @@ class SessionHooks:
             for repeat in self.session.repeats.item_ends(item, nextitem):
                 self.session.recorder.case_repeated(repeat)
 
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtestloop(self) -> Generator[None, Any, Any]:
+        """Note that the loop over the items ended by itself."""
+        result = yield
+        self.session.evidence.ran_to_end = True
+        return result
+
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(
         self, item: pytest.Item, nextitem: pytest.Item | None
@@ -403,6 +424,7 @@ class SessionHooks:
         if simulators is not None:
             print_lines(simulators.close_classes())
         if self._pytest_session is not None:
+            self.session.evidence.interrupt(self._pytest_session)  # if it was, before its end
             self.session.evidence.enforce_exit_code(self._pytest_session)
         self.session.executor.close()
         self.session.models.end()

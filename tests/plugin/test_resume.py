@@ -50,6 +50,15 @@ def test_it(orchestrator, name):
 def test_last():
     assert not Path("broken").exists()
 """
+KILLED_EARLY = """
+import os, signal
+from pathlib import Path
+from pytest_dura.evidence.gather import RecordBuilder
+
+if Path("killed-early").exists():
+    RecordBuilder.record = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+"""
+"""The record of a session that begins is made, and never written."""
 VOLATILE = ("processing_us", "processing_seconds")
 
 
@@ -436,3 +445,30 @@ def test_a_damaged_record_is_refused_by_name(project):
         output(result),
     )
     assert "INTERNALERROR" not in output(result)
+
+
+@pytest.mark.parametrize("earlier", [False, True], ids=["empty", "after a whole session"])
+def test_a_session_that_was_killed_before_its_first_record_begins_anew(project, earlier):
+    counting(project)
+    if earlier:
+        project.run("corridor/it")
+    project.write("conftest.py", KILLED_EARLY)
+    project.write("killed-early", "")
+    assert project.run_apart("corridor/it").ret != 0
+    (project.path / "killed-early").unlink()
+    assert (project.path / "dura-evidence/evidence.json").exists() == earlier
+    result = project.run("corridor/it", "--dura-resume")
+    assert result.ret == 0, output(result)
+    line = "resuming: 0 episodes of a session that was interrupted before it wrote a record"
+    assert f"{line}; it begins anew" in output(result)
+    assert project.evidence().reuse.taken_over == 0
+    check_intact(project)
+
+
+def test_a_directory_that_is_not_there_is_not_made_by_a_resume(project):
+    counting(project)
+    for _ in range(2):
+        result = project.run("corridor/it", "--dura-resume", "--dura-evidence=mispelt")
+        assert result.ret == 4
+        assert "there is no evidence here" in output(result)
+        assert not (project.path / "mispelt").exists()

@@ -79,6 +79,11 @@ RULES = {
         "test_evidence_file.py::test_a_worker_that_dies_leaves_its_campaign_undecided",
         "test_evidence_file.py::test_a_killed_session_does_not_read_as_a_pass",
     ],
+    "an interruption, once or twice, at any moment": [
+        "test_interruptions.py::test_what_never_ran_leaves_no_complete_session",
+        "test_interruptions.py::test_an_end_that_is_interrupted_leaves_the_episodes",
+        "test_resume.py::test_a_session_that_was_killed_before_its_first_record_begins_anew",
+    ],
     "--dura-runs=N": [
         "test_what_counts.py::test_dura_runs_replaces_the_plan_and_cannot_support_a_rate",
         "test_scenario_items.py::test_runs_are_replaced_and_it_is_said",
