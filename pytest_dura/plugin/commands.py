@@ -96,7 +96,7 @@ def _show_list(session: DuraSession) -> int:
         f"warning: {place}: no scenario uses the requirement {name!r}"
         for name, place in library.unused.items()
     ]
-    print_lines(lines)
+    print_lines(lines, session.redact)
     return 0
 
 
@@ -221,7 +221,7 @@ def reduce(session: DuraSession) -> int:
         with damage_as_error(options, name, _REDUCE_OPTION):
             _write_reduced(record, recorded, reduction, folder)
         lines.append(f"  replay: {replay_command(session, reduction.episode.id, folder)}")
-    print_lines(lines)
+    print_lines(lines, session.redact)
     return 0 if reduction.reproduced else 1
 
 

@@ -31,6 +31,8 @@ from pytest_dura.plugin.messages import (
     escape_error,
     escape_reason,
     print_lines,
+    redact_error,
+    redact_report,
     usage_errors,
 )
 from pytest_dura.plugin.options import LONG_NAMES, WAITING, send_options
@@ -38,6 +40,8 @@ from pytest_dura.plugin.property_tests import explained_fixtures, register_profi
 from pytest_dura.plugin.session import session_of
 
 if TYPE_CHECKING:
+    import warnings
+
     from xdist.remote import Producer
     from xdist.scheduler import LoadScopeScheduling
     from xdist.workermanage import WorkerController
@@ -82,6 +86,7 @@ def begin(config: pytest.Config, started: pytest.Session | None = None) -> Sessi
         hooks = SessionHooks(session)
         config.pluginmanager.register(hooks, HOOKS)
         config.pluginmanager.register(EndHooks(session), f"{HOOKS}-end")
+        config.pluginmanager.register(InnermostHooks(hooks), f"{HOOKS}-innermost")
         config.pluginmanager.unregister(name=WAITING)
         if started is not None:
             hooks.pytest_sessionstart(started)
@@ -125,6 +130,21 @@ class EndHooks:
             return (yield)
 
 
+class InnermostHooks:
+    """Hooks that act before those of other plugins see what pytest made."""
+
+    def __init__(self, hooks: SessionHooks) -> None:
+        self._hooks = hooks
+
+    @pytest.hookimpl(wrapper=True, trylast=True)
+    def pytest_runtest_makereport(self) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Take secrets out of a report: Allure's plugin reads it here, whoever comes first."""
+        report = yield
+        if self._hooks.has_own_items:
+            redact_report(report, self._hooks.session.redact)
+        return report
+
+
 class SessionHooks:
     """Hooks of one session, registered in the controller and in every worker alike."""
 
@@ -133,7 +153,8 @@ class SessionHooks:
         self._pytest_session: pytest.Session | None = None
         self._pid = os.getpid()
         self._guard: ExitStack | None = None
-        self._has_own_items = False
+        self.has_own_items = False
+        """Whether the session uses the package; reports of other sessions stay as they are."""
         self._refused: dict[tuple[str, str], str] = {}
         """Why the markers of a test cannot be used."""
 
@@ -240,9 +261,13 @@ class SessionHooks:
             self.session.selection.select(own_items)
         note_repetitions(own_items)
         node_ids = [item.nodeid for item in own_items]
-        self._has_own_items = bool(node_ids) or self.session.active
+        self.has_own_items = bool(node_ids) or self.session.active
         if node_ids:
             self._begin_guard()
+        if self.has_own_items and session.config.getoption("allure_report_dir", None):
+            from pytest_dura.plugin.item_reports import redact_results
+
+            redact_results(session.config, self.session.redact)
         # The record of an earlier session must not be taken for that of this one, whatever it runs.
         earlier = bool(node_ids) and (self.session.options.evidence / "evidence.json").exists()
         foreign = (lacks_case(item) and self._refusal_of(item) is None for item in own_items)
@@ -277,7 +302,7 @@ class SessionHooks:
         self.session.recorder.attempt_begins(item)
         refusal = self._refusal_of(item)
         if refusal is not None:
-            if self._has_own_items:
+            if self.has_own_items:
                 self.session.recorder.add_objection(f"{item.nodeid}: a marker cannot be used")
             pytest.fail(refusal, pytrace=False)
 
@@ -375,6 +400,8 @@ class SessionHooks:
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Attach what the item recorded to its report, which crosses processes."""
+        if call.excinfo is not None and self.has_own_items:
+            redact_error(call.excinfo.value, self.session.redact)
         if call.excinfo is not None and uses_runner(item):
             escape_error(call.excinfo.value)
         report = yield
@@ -389,6 +416,24 @@ class SessionHooks:
             item.session.shouldstop = (
                 f"the limit of {reached} is reached (--dura-llm-limit); --dura-resume goes on"
             )
+        if self.has_own_items:  # what is ours was added by now
+            redact_report(report, self.session.redact)
+        return report
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_warning_recorded(self, warning_message: warnings.WarningMessage) -> None:
+        """Take secrets out of a warning, which the terminal sums up."""
+        if self.has_own_items and isinstance(warning_message.message, Warning):
+            redact_error(warning_message.message, self.session.redact)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_make_collect_report(
+        self,
+    ) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+        """Take secrets out of what imports of tests and conftests raise."""
+        report = yield
+        if self.session.active:
+            redact_report(report, self.session.redact)
         return report
 
     @pytest.hookimpl(tryfirst=True)

@@ -14,6 +14,7 @@ import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -65,6 +66,38 @@ def subscribe(context: SessionContext, runner: Callable[[], Runner], events: Eve
     events.subscribe(ItemJudged, partial(_add_properties, context, runner))
     if context.config.getoption("allure_report_dir", None):
         events.subscribe(ItemJudged, partial(_report_item, context, runner))
+
+
+def redact_results(config: pytest.Config, redact: Callable[[Any], Any]) -> None:
+    """Take secrets out of what Allure writes: of steps and fixtures, too, whose errors it reads.
+
+    Args:
+        config: Of the session.
+        redact: Takes secrets out of a text.
+    """
+    from allure_commons import hookimpl, plugin_manager
+
+    class Redacting:
+        @hookimpl(tryfirst=True)
+        def report_result(self, result: Any) -> None:
+            _redact_entry(result, redact)
+
+        @hookimpl(tryfirst=True)
+        def report_container(self, container: Any) -> None:
+            _redact_entry(container, redact)
+
+    redacting = Redacting()
+    plugin_manager.register(redacting)
+    config.add_cleanup(lambda: plugin_manager.unregister(redacting))
+
+
+def _redact_entry(entry: Any, redact: Callable[[Any], Any]) -> None:
+    for attribute, value in vars(entry).items():
+        if isinstance(value, str):
+            setattr(entry, attribute, redact(value))
+        for part in value if isinstance(value, list) else [value]:
+            if hasattr(type(part), "__attrs_attrs__"):
+                _redact_entry(part, redact)
 
 
 def _add_properties(
@@ -312,7 +345,8 @@ def _report_item(context: SessionContext, runner: Callable[[], Runner], event: I
     for result in results:
         verdict = result.verdict or result.outcome
         if verdict is not None:
-            _attach(_verdict_json(verdict.to_json()), f"verdict {result.requirement.id}", "JSON")
+            text = _verdict_json(context.redact(verdict.to_json()))
+            _attach(text, f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
         _show_worst(context, runner, item, results)
 
@@ -399,11 +433,15 @@ def _show_worst(
     episode = episode_of(item) or (None if result is None else _worst_episode(runner, result))
     if episode is None:
         return
+    # Attachments leave the machine as the bundle does.
+    redact = context.redact
     judged = None if result is None else _judged_on(result, episode)
+    if judged is not None:
+        judged = replace(judged, detail=redact(judged.detail))
     kind, problem = "Sample", None
     if result is not None and _is_counterexample(result, episode):
         kind = "Counterexample"
-        problem = event_sentence(result, runner, context.redact)
+        problem = event_sentence(result, runner, redact)
         if judged is not None:
             when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
             effect = " without effect of the fault" if judged.without_effect else ""
@@ -411,8 +449,6 @@ def _show_worst(
     elif episode.validity != "valid":
         kind = episode.validity.capitalize()
         problem = episode.failure or episode.invalid_reason
-    # Attachments leave the machine as the bundle does.
-    redact = context.redact
     title = one_line(redact(f"{kind} {episode.id}, seed {episode.spec.seed}"), 200)
     replay = one_line(redact(replay_command(context, episode.id)))
     parameters = {"replay": replay, "digest": episode.digest}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -95,8 +95,52 @@ def escape_error(error: BaseException) -> None:
             )
 
 
+Redact = Callable[[Any], Any]
+"""Copies plain data without secrets."""
+
+
+def redact_error(error: BaseException, redact: Redact) -> None:
+    """Take secrets out of the messages of an error, of its causes and of what it groups.
+
+    A report indents the lines of a message, so that a secret of several lines is no longer whole.
+    """
+    for link in _error_chain(error):
+        for name in ("args", "msg", "__notes__"):
+            known = getattr(link, name, None)
+            if isinstance(known, (str, list, tuple)) and (safe := redact(known)) != known:
+                setattr(link, name, safe)
+
+
+def redact_report(report: pytest.TestReport | pytest.CollectReport, redact: Redact) -> None:
+    """Take secrets out of what a report shows: the failure, captured output, properties."""
+    report.longrepr = _redacted_parts(report.longrepr, redact)
+    report.sections = [_redacted_parts(section, redact) for section in report.sections]
+    if isinstance(report, pytest.TestReport):
+        properties = [_redacted_parts(entry, redact) for entry in report.user_properties]
+        report.user_properties = properties
+        if hasattr(report, "wasxfail"):
+            report.wasxfail = redact(report.wasxfail)
+
+
+def _redacted_parts(value: Any, redact: Redact) -> Any:
+    """Redact a text, or the object of texts of which pytest makes one."""
+    if isinstance(value, str):
+        return redact(value)
+    if isinstance(value, list) and value and all(isinstance(line, str) for line in value):
+        return redact("\n".join(value)).split("\n")  # a secret may have several lines
+    if isinstance(value, tuple) and len(value) == 2 and isinstance(value[0], str):
+        ((name, part),) = redact({value[0]: value[1]}).items()
+        return name, _redacted_parts(part, redact)
+    if isinstance(value, (list, tuple)):
+        return type(value)(_redacted_parts(part, redact) for part in value)
+    if hasattr(value, "toterminal"):
+        for name, part in vars(value).items():
+            setattr(value, name, _redacted_parts(part, redact))
+    return value
+
+
 def _error_chain(error: BaseException) -> Iterator[BaseException]:
-    """Yield the error, its causes and its contexts, each once."""
+    """Yield the error, its causes, its contexts and what it groups, each once."""
     seen: set[int] = set()
     pending: list[BaseException | None] = [error]
     while pending:
@@ -104,7 +148,7 @@ def _error_chain(error: BaseException) -> Iterator[BaseException]:
         if link is not None and id(link) not in seen:
             seen.add(id(link))
             yield link
-            pending += [link.__cause__, link.__context__]
+            pending += [link.__cause__, link.__context__, *getattr(link, "exceptions", ())]
 
 
 def escape_reason(marker: pytest.Mark) -> None:
@@ -175,9 +219,9 @@ def indent_if_reserved(text: str) -> str:
     return f" {text}" if text.startswith(("|", "#", "gate:")) else text
 
 
-def print_lines(lines: Iterable[str]) -> None:
-    """Print lines, escaped for terminals."""
-    for line in lines:
+def print_lines(lines: Iterable[str], redact: Redact = str) -> None:
+    """Print lines without secrets, escaped for terminals."""
+    for line in map(redact, lines):
         for safe_line in safe_lines(line):
             print(safe_line)  # noqa: T201 - it is what a command was asked for
 

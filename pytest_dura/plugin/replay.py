@@ -250,7 +250,7 @@ def replay(session: DuraSession) -> int:
             "  no trace of the same seed without its faults or recovery is in the evidence"
         ]
         url = _write_player(recorded, episode, trace, twins, options.evidence)
-        print_lines([*lines, f"  player: {url}"])
+        print_lines([*lines, f"  player: {url}"], session.redact)
     return 0 if equal else 1
 
 

@@ -105,7 +105,7 @@ def _resume_lines(config: pytest.Config, shared: SharedEpisodes) -> Iterator[str
     if shared.mode == "reuse":
         yield "to go on, give the same command again: its episodes are kept"
     else:
-        yield f"to go on: {_resume_command(config)}"
+        yield f"to go on: {shared.context.redact(_resume_command(config))}"
 
 
 def _resume_command(config: pytest.Config) -> str:
@@ -255,7 +255,7 @@ def header(
             "move the fixture to the root conftest.py"
             for file, role in overrides_deeper_down(config)
         ]
-    return [safe_line for line in lines for safe_line in safe_lines(line)]
+    return [safe_line for line in lines for safe_line in safe_lines(context.redact(line))]
 
 
 def _switched_off(context: SessionContext) -> list[tuple[str, str]]:

@@ -13,7 +13,9 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
+from corridors import scenario
 from mcap.reader import make_reader
+from outputs import output
 
 KEY = "Zx9/planted+Q7!wert-uiop"
 SHAPED = "sk-proj-Ab3dEf6hIj9kLmN0pQrStUvWxYz012345"
@@ -139,3 +141,109 @@ def test_an_episode_whose_spec_held_a_secret_says_why_it_cannot_be_replayed(leak
     result = leaking.run("--dura-replay=corridor/tight#0")
     assert result.ret == 4
     result.stderr.fnmatch_lines(["*what it was run from held a secret*"])
+
+
+RAISING = """
+import logging, os, sys, warnings
+import pytest
+from corridor import Careful, Watch
+
+KEY, SHAPED = os.environ["PLANNER_API_KEY"], os.environ["SHAPED"]
+
+class ShownError(Exception):
+    def __str__(self):
+        return chr(10).join(["refused", KEY])
+
+class Loud(Careful):
+    def propose(self, view):
+        print("asks with", KEY)
+        logging.getLogger("loud").warning("asks with %s", SHAPED)
+        print("asks with", SHAPED, file=sys.stderr)
+        if view.index == 2:
+            raise RuntimeError(f"refused: {KEY} {SHAPED}")
+        return super().propose(view)
+
+class Broken(Watch):
+    def run(self, view):
+        raise RuntimeError(f"no answer to {KEY}")
+
+@pytest.fixture(scope="session")
+def generator():
+    return Loud
+
+@pytest.fixture
+def refused():
+    raise OSError(13, "refused", f"/keys/{KEY}")
+
+@pytest.fixture
+def ends_badly():
+    yield
+    raise ShownError
+"""
+USES = """
+import warnings
+import pytest
+from conftest import KEY, SHAPED, ShownError
+
+@pytest.mark.dura(scenario="corridor/it")
+@pytest.mark.requirement("GAP-1")
+def test_component(episode):
+    print("it was", KEY)
+    assert episode.collided, f"asked with {SHAPED}"
+
+def test_role(orchestrator):
+    orchestrator.campaign("corridor/broken").require("always (gap > 0)")
+
+@pytest.mark.parametrize("what", range(3))
+def test_plain(what, record_property, ends_badly):
+    record_property("asked_with", KEY)
+    warnings.warn(f"asks with {KEY}")
+    token = KEY
+    if what == 0:
+        assert token == f"another than {SHAPED}"
+    if what == 1:
+        try:
+            raise ShownError
+        except ShownError as error:
+            error.add_note(f"asked with {SHAPED}") if hasattr(error, "add_note") else None
+            raise KeyError({"asked": [KEY]}) from error
+
+def test_fixture(refused):
+    pass
+
+def test_skips():
+    pytest.skip(f"{KEY} is over")
+
+@pytest.mark.xfail(reason="it is known")
+def test_known():
+    raise ShownError
+"""
+
+
+@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
+def test_a_planted_key_is_in_no_report_and_not_in_the_terminal(leaking, workers):
+    scenario(leaking, runs=1)
+    scenario(leaking, "broken", runs=1, monitor="conftest:Broken")
+    leaking.write("conftest.py", RAISING)
+    leaking.write("test_it.py", USES)
+    result = leaking.run_apart(
+        "test_it.py", "-rA", "--showlocals", "-Wdefault", "--alluredir=allure", *workers,
+        "--junit-xml=junit.xml", "-ojunit_logging=all", "-ojunit_family=xunit1",
+    )  # fmt: skip
+    assert result.ret == 1
+    (leaking.path / "printed").write_text(output(result))
+    reports = [leaking.path / "junit.xml", leaking.path / "printed"]
+    reports += (leaking.path / "allure").iterdir()
+    for report in reports:
+        for form in (KEY, SHAPED, quote(KEY, safe=""), KEY[:14], SHAPED[:14]):
+            assert form.encode() not in report.read_bytes(), report.name
+    whole = b"".join(report.read_bytes() for report in reports).decode(errors="replace")
+    for told in ("refused: [redacted: PLANNER_API_KEY] [redacted: ", "asks with [redacted",
+                 "no answer to [redacted", "asked with [redacted", "is over"):  # fmt: skip
+        assert told in whole
+
+
+def test_reports_of_a_session_without_episodes_stay_as_they_are(leaking):
+    leaking.write("conftest.py", "")
+    leaking.write("test_it.py", f"def test_it(): assert {KEY!r} == 'another'")
+    assert KEY in output(leaking.run("test_it.py"))
