@@ -9,11 +9,11 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from pytest_dura import __version__
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.evidence.text import one_line, visible
+from pytest_dura.evidence.text import one_line, visible, without_commands
 
 if TYPE_CHECKING:
     from pytest_dura.domains import Importer
@@ -154,7 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except ConfigurationError as error:
-        print(visible(str(error), _MAX_LENGTH), file=sys.stderr)
+        _print(visible(str(error), _MAX_LENGTH), file=sys.stderr)
         return _USAGE_ERROR
 
 
@@ -164,8 +164,8 @@ def _init(options: argparse.Namespace) -> int:
     files = write_project(options.directory)
     _print_any_file_name()
     for file in files:
-        print(f"written: {one_line(str(options.directory / file), _MAX_LENGTH)}")
-    print("run `pytest` there")
+        _print(f"written: {one_line(str(options.directory / file), _MAX_LENGTH)}")
+    _print("run `pytest` there")
     return 0
 
 
@@ -218,7 +218,7 @@ def _importers() -> dict[str, Importer]:
         try:
             domain = DOMAINS[known]
         except ConfigurationError as error:
-            print(f"left out: {one_line(error.problem, _MAX_LENGTH)}", file=sys.stderr)
+            _print(f"left out: {one_line(error.problem, _MAX_LENGTH)}", file=sys.stderr)
             continue
         importers |= {f"{_IMPORT}{name}": each for name, each in domain.importers.items()}
     return importers
@@ -246,10 +246,10 @@ def _import(importer: Importer, options: argparse.Namespace) -> int:
         _write_new(options.out / name, text)
     _print_any_file_name()
     for remark in imported.remarks:
-        print(one_line(remark, _MAX_LENGTH))
+        _print(one_line(remark, _MAX_LENGTH))
     for name in imported.files:
-        print(f"written: {one_line(str(options.out / name), _MAX_LENGTH)}")
-    print(f"{len(imported.remarks)} lines do not map, or not just as they are; they stand above")
+        _print(f"written: {one_line(str(options.out / name), _MAX_LENGTH)}")
+    _print(f"{len(imported.remarks)} lines do not map, or not just as they are; they stand above")
     return 0
 
 
@@ -294,7 +294,7 @@ def _train(options: argparse.Namespace) -> int:
             remedy="name a file that can be written",
         ) from None
     for line in describe_training(model, options.output, digest):
-        print(one_line(line, _MAX_LENGTH))
+        _print(one_line(line, _MAX_LENGTH))
     return 0
 
 
@@ -306,7 +306,7 @@ def _use_cassette(options: argparse.Namespace) -> int:
         dropped, left = drop_failures(options.file, classes)
         shown = ", ".join(f"{dropped[failure]} {failure}" for failure in dict.fromkeys(classes))
         exchanges = "1 exchange" if dropped.total() == 1 else f"{dropped.total()} exchanges"
-        print(f"removed {exchanges} that failed ({shown}); {left} are left")
+        _print(f"removed {exchanges} that failed ({shown}); {left} are left")
         return 0
     if options.classes:
         raise ConfigurationError(
@@ -316,7 +316,7 @@ def _use_cassette(options: argparse.Namespace) -> int:
             remedy="add --drop-failures",
         )
     for line in cassette_lines(options.file):
-        print(line)
+        _print(line)
     return 0
 
 
@@ -336,14 +336,14 @@ def _merge(options: argparse.Namespace) -> int:
     merged = merge_bundles(options.bundles, options.output, MergeComparison(baseline, fail_worse))
     _print_any_file_name()
     for reason in merged.reasons:
-        print(one_line(reason, _MAX_LENGTH))
+        _print(one_line(reason, _MAX_LENGTH))
     totals = merged.totals
     verdicts = totals.supported + totals.violated + totals.undecided
-    print(
+    _print(
         f"{merged.shards} shards, {totals.cases} cases, {totals.episodes} episodes, "
         f"{verdicts} verdicts; gate of the whole: {totals.gate}"
     )
-    print(f"evidence: {one_line(str(options.output / 'report.html'), _MAX_LENGTH)}")
+    _print(f"evidence: {one_line(str(options.output / 'report.html'), _MAX_LENGTH)}")
     return 0 if merged.passed else 1
 
 
@@ -354,7 +354,7 @@ def _compare(options: argparse.Namespace) -> int:
     result = compare_bundles(options.directories)
     _print_any_file_name()
     for line in side_by_side_lines(result, everything=options.all):
-        print(line)
+        _print(line)
     if options.json is not None:
         try:
             options.json.write_text(json.dumps(result.to_json(), indent=1) + "\n", "utf-8")
@@ -383,11 +383,16 @@ def _prune(options: argparse.Namespace) -> int:
         older_than=None if older_than is None else read_age(older_than),
         at_most=None if at_most is None else read_size(at_most),
     )
-    print(
+    _print(
         f"removed: {result.removed} episodes, {result.removed_bytes / 1e6:.1f} MB; "
         f"left: {result.kept} episodes, {result.kept_bytes / 1e6:.1f} MB"
     )
     return 0
+
+
+def _print(text: str, file: TextIO | None = None) -> None:
+    """Print lines on which no CI acts."""
+    print(without_commands(text), file=file)
 
 
 def _print_any_file_name() -> None:
@@ -425,8 +430,8 @@ def _sign(options: argparse.Namespace) -> int:
     _print_any_file_name()
     if review is not None:
         text = review_text(record).removeprefix("generated; ")
-        print(one_line(f"reviewed: {text}", _MAX_LENGTH))
-    print(f"signed: {one_line(str(options.directory), _MAX_LENGTH)} with the key {key_id}")
+        _print(one_line(f"reviewed: {text}", _MAX_LENGTH))
+    _print(f"signed: {one_line(str(options.directory), _MAX_LENGTH)} with the key {key_id}")
     return 0
 
 
@@ -445,26 +450,26 @@ def _verify(options: argparse.Namespace) -> int:
     bundle.problems += signatures.problems
     _print_any_file_name()
     for line in signatures.lines:
-        print(one_line(line, _MAX_LENGTH))
+        _print(one_line(line, _MAX_LENGTH))
     for problem in bundle.problems:
-        print(one_line(problem, _MAX_LENGTH))
+        _print(one_line(problem, _MAX_LENGTH))
     if bundle.totals is not None:
         totals = bundle.totals
         verdicts = totals.supported + totals.violated + totals.undecided
-        print(
+        _print(
             f"{bundle.files} files, {totals.episodes} episodes, {verdicts} verdicts, "
             f"{len(bundle.rejudged)} of their judgements made again on traces; "
             f"gate {totals.gate}"
         )
     if bundle.intact and bundle.not_rendered is not None:
-        print(
+        _print(
             f"not re-rendered: pytest-dura {one_line(bundle.not_rendered, _MAX_LENGTH)} wrote this "
             f"bundle, and this is {__version__}: the hashes hold, and concluding from the episodes "
             "gives the record; whether rendering it gives the files was not checked"
         )
         return _NOT_RENDERED
     plural = "" if len(bundle.problems) == 1 else "s"
-    print("intact" if bundle.intact else f"NOT INTACT: {len(bundle.problems)} difference{plural}")
+    _print("intact" if bundle.intact else f"NOT INTACT: {len(bundle.problems)} difference{plural}")
     return 0 if bundle.intact else 1
 
 

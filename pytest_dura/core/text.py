@@ -53,6 +53,22 @@ def visible(text: str, limit: int = LIMIT, *, hashed: bool = False) -> str:
     return _fitted(_pieces(head, unescaped="\n\t"), text, limit, hashed=hashed)
 
 
+# GitHub acts on `::` at the beginning of a line, after blanks, Azure on `##vso[` anywhere in it,
+# both on `##[`, and TeamCity on `##teamcity[`.
+_COMMAND = re.compile(r"^([^\S\n]*):(?=:)|#(?=#\w*\[)", re.MULTILINE)
+
+
+def without_commands(text: str) -> str:
+    r"""Break what a CI would take for a command in its log: ``\:error::x``, ``\#[error]x``.
+
+    For whole lines, as they are printed; lengths stay. Applied twice, it changes nothing more.
+
+    Args:
+        text: Printable, as :func:`visible` and :func:`one_line` return it.
+    """
+    return _COMMAND.sub(r"\g<1>\\", text)
+
+
 def one_line(text: str, limit: int = LINE, *, hashed: bool = False) -> str:
     """Do the same as :func:`visible` on one line: runs of blanks and ends of lines become a space.
 

@@ -14,6 +14,7 @@ from pytest_dura.core.text import (
     name,
     one_line,
     visible,
+    without_commands,
 )
 
 __all__ = [
@@ -28,4 +29,5 @@ __all__ = [
     "name",
     "one_line",
     "visible",
+    "without_commands",
 ]

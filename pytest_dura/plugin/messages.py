@@ -1,4 +1,4 @@
-"""Texts for a user: lines on which no terminal acts, typed paths, commands to run again."""
+"""Texts for a user: lines on which no terminal and no CI acts, paths, commands to run again."""
 
 from __future__ import annotations
 
@@ -77,22 +77,33 @@ _LONGEST_USER_TEXT = 200_000
 
 
 def escape_error(error: BaseException) -> None:
-    """Escape the texts of an error and of its causes, so that no terminal acts on them.
+    """Escape the texts of an error and of its causes, so that no terminal and no CI acts on them.
 
     Tests quote what components say, in messages of their own. A lone surrogate in a single one
     ends a session under xdist, and one that Allure reports.
     """
-    from pytest_dura.evidence.text import visible
-
     for link in _error_chain(error):
         if isinstance(link, (pytest.fail.Exception, pytest.skip.Exception)):
-            link.msg = visible(str(link.msg), _LONGEST_MESSAGE)
+            link.msg = printed(str(link.msg))
             link.args = (link.msg,)
-        elif any(isinstance(text, str) and not text.isprintable() for text in link.args):
+        elif any(isinstance(text, str) and not _is_harmless(text) for text in link.args):
             link.args = tuple(
-                visible(text, _LONGEST_USER_TEXT) if isinstance(text, str) else text
+                printed(text, _LONGEST_USER_TEXT) if isinstance(text, str) else text
                 for text in link.args
             )
+
+
+def printed(text: str, limit: int = _LONGEST_MESSAGE) -> str:
+    """Escape a text for terminals and for the logs of a CI."""
+    from pytest_dura.evidence.text import visible, without_commands
+
+    return without_commands(visible(text, limit))
+
+
+def _is_harmless(text: str) -> bool:
+    from pytest_dura.evidence.text import without_commands
+
+    return text.isprintable() and without_commands(text) == text
 
 
 Redact = Callable[[Any], Any]
@@ -153,19 +164,15 @@ def _error_chain(error: BaseException) -> Iterator[BaseException]:
 
 def escape_reason(marker: pytest.Mark) -> None:
     """Escape the reason that a marker gives."""
-    from pytest_dura.evidence.text import visible
-
     reason = marker.kwargs.get("reason")
     if isinstance(reason, str):
         # The dictionary is the marker's own, whatever its type says.
-        marker.kwargs["reason"] = visible(reason, _LONGEST_MESSAGE)  # type: ignore[index]
+        marker.kwargs["reason"] = printed(reason)  # type: ignore[index]
 
 
 def error_text(error: Exception) -> str:
     """Return the message of one of our own errors, escaped for terminals."""
-    from pytest_dura.evidence.text import visible
-
-    return visible(str(error), _LONGEST_MESSAGE)
+    return printed(str(error))
 
 
 def failure_text(error: DuraError) -> str:
@@ -207,9 +214,7 @@ def safe_lines(text: str) -> Iterator[str]:
 
     So nothing that a component says reads as a line of ours.
     """
-    from pytest_dura.evidence.text import visible
-
-    first, *rest = visible(text, _LONGEST_LINE).split("\n")
+    first, *rest = printed(text, _LONGEST_LINE).split("\n")
     yield first
     yield from (f"    {line}" for line in rest)
 

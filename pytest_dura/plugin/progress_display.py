@@ -14,6 +14,8 @@ from threading import Event, RLock, Thread
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TextIO
 
+from pytest_dura.core.text import without_commands
+
 if TYPE_CHECKING:
     import pytest
 
@@ -208,7 +210,8 @@ def _cut(text: str, width: int) -> str:
 def _campaign_name(progress: Progress) -> str:
     # Escape sequences in a name would act on the terminal.
     name = f"{progress.case} {progress.subject}".rstrip()
-    return "".join(character if character.isprintable() else "?" for character in name)
+    name = "".join(character if character.isprintable() else "?" for character in name)
+    return without_commands(name)
 
 
 def _runs(progress: Progress) -> str:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.plugin.messages import printed
 from pytest_dura.plugin.options import LONG_NAMES, PROFILE, Options
 
 if TYPE_CHECKING:
@@ -174,7 +175,7 @@ class PropertyTests:
     def add_section(self, report: pytest.TestReport) -> None:
         """Add what was stored to the report of a test."""
         if report.when == "call" and self._lines:
-            report.sections.append(("dura", "\n".join(self._lines)))
+            report.sections.append(("dura", printed("\n".join(self._lines))))
             self._lines = []
 
     def with_profile(self, header: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.items import RECORDED_AS
 from pytest_dura.plugin.markers import marked_requirements
-from pytest_dura.plugin.messages import failure_text
+from pytest_dura.plugin.messages import failure_text, printed
 from pytest_dura.plugin.outcomes import (
     UsedEpisodes,
     check_passed,
@@ -389,7 +389,7 @@ class ItemRecorder:
             episode = given_to(item, "episode")
             if episode is not None:
                 command = replay_command(self.context, episode.id)
-                report.sections.append(("dura", f"{episode.id}, replay: {command}"))
+                report.sections.append(("dura", printed(f"{episode.id}, replay: {command}")))
         # A test that skips itself, or is expected to fail, came to no verdict either.
         if report.skipped and without_verdict(self.context, item, self._decided):
             self._report.objections.append(f"{item.nodeid} ended without a verdict")

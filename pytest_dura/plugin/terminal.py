@@ -271,10 +271,11 @@ def _switched_off(context: SessionContext) -> list[tuple[str, str]]:
 
 def unused_requirements(context: SessionContext) -> list[str]:
     """Warn of requirements that nothing decides, which is probably not meant."""
-    return [
+    lines = (
         f"dura: warning: {place}: no scenario and no collected test uses the requirement {name!r}"
         for name, place in context.unused.items()
-    ]
+    )
+    return [safe_line for line in lines for safe_line in safe_lines(line)]
 
 
 def _component(context: SessionContext, roles: SessionRoles) -> str:

@@ -26,7 +26,11 @@ TEXT = (
     "</script><script>window.pwned=1</script>'\"><svg onload=alert(1)>]]>&lt;"
     "\x1b[31m\x9b2J\x07\x00\x7f\u202e\u2028\ufeff\ud800\r\n\n# Gate passed\ngate: passed\n"
     "| a |`@me #1 [x](javascript:alert(1))../../etc/passwd$(id)%s{0}"
+    "\n::error::pwned\n \t::set-env name=x::y\r::stop-commands::z\x85::add-mask::a\n##[error]pwned "
+    "##vso[task.setvariable variable=x]y ##[set-env name=x]y"
 )
+COMMAND = re.compile(r"^\s*::|##\w*\[", re.MULTILINE)
+"""What a CI takes for a command in its log: GitHub, Azure, TeamCity."""
 MEGABYTE = 2**20 // len(TEXT) + 1
 COMPONENT = f"""
 from corridor import Brake, Corridor, Reckless, Watch
@@ -141,6 +145,7 @@ def test_a_session_of_hostile_texts_ends_properly_and_harmlessly(project, mode, 
     assert result.ret == 1
     result.assert_outcomes(failed=5, errors=1, xfailed=1, skipped=1)
     assert CONTROL.findall(shown) == []
+    assert COMMAND.findall(shown) == []
     assert len(shown) < 400_000
     ours = shown.partition("= dura =")[2].partition("= short test summary")[0].splitlines()
     assert [line[:12] for line in ours if line.startswith("gate")] == ["gate: failed"]
@@ -160,7 +165,9 @@ def check_evidence(project, capsys):
     assert found.totals.missing == 1
     assert {one.text for one in project.evidence().requirements} >= {TEXT}
     assert main(["verify", str(directory)]) == 0
-    assert capsys.readouterr().out.endswith("\nintact\n")
+    printed = capsys.readouterr().out
+    assert printed.endswith("\nintact\n")
+    assert COMMAND.findall(printed) == []
     for file in directory.iterdir():
         if file.is_file():
             assert CONTROL.findall(file.read_text()) == []
@@ -221,6 +228,7 @@ def test_what_a_file_may_not_hold_is_one_harmless_error(tmp_path, text, key):
     assert key in told
     assert caught.value.line
     assert CONTROL.findall(told) == []
+    assert COMMAND.findall(told) == []
 
 
 MARKERS = (
@@ -259,11 +267,13 @@ def test_what_a_marker_or_a_file_may_not_hold_ends_a_session_harmlessly(project)
     assert "\ngate: passed" not in told
     assert "INTERNALERROR" not in told
     assert CONTROL.findall(told) == []
+    assert COMMAND.findall(told) == []
     ET.parse(project.path / "junit.xml")
     project.write("scenarios/x\x1b[31m\u202e.yaml", f"name: {YAML}\n")
     result = project.scenarios()
     assert result.ret == 4
     assert CONTROL.findall(result.stderr.str()) == []
+    assert COMMAND.findall(result.stderr.str()) == []
 
 
 def test_errors_of_other_peoples_fixtures_stay_as_they_are(pytester):

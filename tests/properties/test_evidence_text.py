@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pytest_dura.evidence import code, markdown, name, one_line, visible
-from pytest_dura.evidence.text import LEAST_LIMIT
+from pytest_dura.evidence.text import LEAST_LIMIT, without_commands
 
 HOSTILE = (
     "\x00\x1b[31m", "\x7f\x9b", "\u202e\u2066\u200b\u2060\ufeff", "\ud800", "\udfff",
@@ -45,6 +45,27 @@ def test_visible_text_is_harmless_bounded_and_stays_as_it_is(text, limit, hashed
     assert len(shown) <= limit
     assert is_harmless(shown.replace("\n", "").replace("\t", "")) or not shown.strip("\n\t")
     assert visible(shown, limit, hashed=hashed) == shown
+
+
+COMMANDS = st.lists(
+    st.sampled_from(
+        ("::error::x", "::", ":", "##[error]", "##vso[x]", "##TeamCity[x]", "##", "[", "\n", "\r",
+         "\x0b", "\x85", "\u2028", " ", "\t", "\xa0", "\\", "x")
+    ),
+    max_size=12,
+).map("".join)  # fmt: skip
+
+
+@quick
+@given(COMMANDS | TEXTS)
+def test_no_line_is_a_command_of_a_ci(text):
+    before = visible(text)
+    shown = without_commands(before)
+    assert not [line for line in shown.splitlines() if line.strip().startswith("::")]
+    assert not re.search(r"##\w*\[", shown)
+    assert without_commands(shown) == shown
+    pairs = zip(shown, before, strict=True)
+    assert {pair for pair in pairs if pair[0] != pair[1]} <= {("\\", ":"), ("\\", "#")}
 
 
 @quick

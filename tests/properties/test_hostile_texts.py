@@ -41,6 +41,8 @@ CONTROL = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     "\ufffe\uffff\ud800-\udfff\U000e0000-\U000e007f]"
 )
+COMMAND = re.compile(r"^\s*::|##\w*\[", re.MULTILINE)
+"""What a CI takes for a command in its log."""
 JSON = ("evidence.json", "evidence.schema.json", "cyclonedx.json", "test-result.intoto.json",
         "manifest.json")  # fmt: skip
 LARGEST = 400_000
@@ -331,6 +333,7 @@ def check_terminal(bundle):
         objections=bundle.record.head.gate.reasons, shared=SimpleNamespace(is_whole=True),
     )  # fmt: skip
     assert CONTROL.findall(terminal.text) == []
+    assert COMMAND.findall(terminal.text) == []
     assert len(terminal.text) < LARGEST
     ours = [line for line in terminal.text.split("\n") if line.startswith(("gate:", "#", "|"))]
     assert [line[:13] for line in ours] == ["gate: failed,"]
@@ -350,5 +353,6 @@ def test_what_a_verifier_tells_of_hostile_texts_is_harmless(real, tmp_path, caps
     assert main(["verify", str(bundle.directory)]) == 1
     shown = capsys.readouterr().out
     assert CONTROL.findall(shown) == []
+    assert COMMAND.findall(shown) == []
     assert len(shown.splitlines()) > 10
     assert max(map(len, shown.splitlines())) <= 2000

@@ -61,8 +61,11 @@ SORTS = (
      "www.evil.example", "GH-1 #1", "$x$", "~~x~~"),
     ("../../etc/passwd", "/", "\\..\\", "C:\\con", "%2e%2e%2f", "..", "$(id)", "`id`", "; rm -rf /",
      "-rf", "!!python/object/apply:os.system [id]", "&a *a", "? x\n: y", "# ", "{{x}}{%", "%s{0}"),
+    ("\n::error::x", "\r\n \t::set-env name=x::y", "##[error]x", "##vso[task.complete]x",
+     "##teamcity[x]"),
 )  # fmt: skip
-"""What markup, a terminal, Markdown and GitHub, and file systems, shells and YAML may act on."""
+"""What markup, a terminal, Markdown and GitHub, file systems, shells and YAML, and the log of a CI
+may act on."""
 ALONE = (
     "__proto__", "constructor", "javascript:window.pwned=1", "COM1", ".", "..", "~", "-", "NaN",
     "null", "=1+1", "1e3", "- ", "1. ", "---", "...", "é😀", "\u3164", "::", "urn:cdx:x", "\t",
