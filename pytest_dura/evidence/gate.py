@@ -106,20 +106,23 @@ def repeat_objections(cases: Iterable[CaseEntry]) -> Iterator[str]:
             yield f"not repeatable: no episode of {case.id} ({case.component}) was repeated"
 
 
-def repeat_problems(case: CaseEntry, digests: Iterable[str]) -> Iterator[str]:
+def repeat_problems(
+    case: CaseEntry, digests: Iterable[str], *, asked_models: bool
+) -> Iterator[str]:
     """Yield the contradictions in a case's repetition.
 
     Args:
         case: Of the record.
         digests: Of the recorded episodes that have the id of the repeated one.
+        asked_models: Whether a component of the session asked a model, which may answer anew.
     """
     repeat = case.repeat
     if repeat is None:
         return
     if repeat.digest not in set(digests):
         yield f"{repeat.episode} was repeated, and is not recorded with that digest"
-    if repeat.result == "skipped" and not repeat.declared:
-        yield f"{repeat.episode} was not repeated, and nothing declares that it may differ"
+    if repeat.result == "skipped" and not (repeat.declared and asked_models):
+        yield f"{repeat.episode} was not repeated for the sake of a live model, and none was asked"
     equal = repeat.digest == repeat.repeated_digest
     compared = ("equal", "within tolerances", "different")
     if repeat.result in compared and equal != (repeat.result == "equal"):

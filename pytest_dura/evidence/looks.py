@@ -7,38 +7,36 @@ those of the evidence that it replaces, which has noted the ones before, and tho
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.files import read_head
-from pytest_dura.evidence.model import RecordHead, SessionRecord
+from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.verdict_model import LookEntry, VerdictEntry
-
-if TYPE_CHECKING:
-    from pytest_dura.evidence.baseline import Baseline
 
 MAX_LOOKS = 1000
 """Looks that a record keeps, the latest ones."""
 
 
-def earlier_looks(directory: Path, baseline: Baseline | None) -> list[LookEntry]:
-    """List the looks of the evidence in a directory, which is to be replaced, and of a baseline.
+def earlier_looks(files: Iterable[Path]) -> list[LookEntry]:
+    """List the looks of earlier records: the one that is to be replaced, and that of a baseline.
 
-    Evidence that cannot be read, or is of another version, has none; the session that replaces it
+    A record that cannot be read, or is of another version, has none; the session that replaces it
     says so where that matters.
     """
-    try:
-        looks = list(_looks_of(read_head(directory / RECORD_FILE)))
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        looks = []
-    if baseline is not None:
-        about = {"created": baseline.created, "base_seed": baseline.base_seed}
-        digests = {baseline.component.get("name"): baseline.component.get("digest")}
-        looks += [_look(about, vars(claim), digests) for claim in baseline.claims if claim.run]
-    distinct = {look.to_json(exclude={"created"}).__repr__(): look for look in looks}
+    looks = [look for file in files for look in _read_looks(file)]
+    distinct = {json.dumps(look.to_json(exclude={"created"})): look for look in looks}
     return list(distinct.values())[-MAX_LOOKS:]
+
+
+def _read_looks(file: Path) -> list[LookEntry]:
+    try:
+        return list(_looks_of(read_head(file)))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return []
 
 
 def _looks_of(head: Mapping[str, Any]) -> Iterator[LookEntry]:
@@ -46,46 +44,48 @@ def _looks_of(head: Mapping[str, Any]) -> Iterator[LookEntry]:
     yield from map(LookEntry.model_validate, head.get("looks", ()))
     first = head["component_under_test"]
     components = (first, *(first.get("others") or ()))
-    digests = {component["name"]: component["digest"] for component in components}
+    identities = {component["name"]: _identity(component) for component in components}
+    counts = ("requirement", "case", "component", "check", "planned", "episodes", "violations")
     for verdict in head["verdicts"]:
         if verdict["bound"]["at_most"] is not None and verdict["run"]:
-            yield _look(head, verdict, digests)
+            yield LookEntry.model_validate(
+                {key: head[key] for key in ("created", "base_seed")}
+                | {key: verdict[key] for key in counts}
+                | {"identity": identities.get(verdict["component"], "")}
+            )
 
 
-def _look(
-    session: Mapping[str, Any], verdict: Mapping[str, Any], digests: Mapping[Any, Any]
-) -> LookEntry:
-    counts = ("requirement", "case", "component", "planned", "episodes", "violations")
-    return LookEntry.model_validate(
-        {key: session[key] for key in ("created", "base_seed")}
-        | {key: verdict[key] for key in counts}
-        | {"digest": digests.get(verdict["component"])}
-    )
+def _identity(component: Mapping[str, Any]) -> str:
+    """What makes a component another one: the digest of its code, and its parameters."""
+    known = [component.get("digest"), component.get("params")]
+    return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
 
 
 def further_looks(record: SessionRecord) -> Iterator[tuple[VerdictEntry, list[LookEntry]]]:
-    """Yield each verdict on a rate before which others looked at the same component and case.
+    """Yield each verdict on a rate before which others looked at the same question.
 
-    The same seed with as many planned runs is the same look.
+    That is the same requirement with the same check on a case of the same name, for a component of
+    the same code and parameters. The same seed with as many planned runs is the same look.
     """
-    digests, by_question = _digests(record.head), dict[tuple[str | None, ...], list[LookEntry]]()
-    for look in record.head.looks or ():
-        question = look.requirement, look.case, look.component, look.digest
+    if not record.head.looks:
+        return
+    by_question: dict[tuple[str, ...], list[LookEntry]] = {}
+    for look in record.head.looks:
+        question = look.requirement, look.case, look.component, look.check, look.identity
         by_question.setdefault(question, []).append(look)
+    first = record.head.component_under_test
+    identities = {
+        str(component.name): _identity(component.to_json())
+        for component in (first, *(first.others or ()))
+    }
     for verdict in record.head.verdicts:
         if verdict.bound.at_most is None:
             continue
-        digest = digests.get(verdict.component)
-        asked = verdict.requirement, verdict.case, verdict.component, digest
+        identity = identities.get(verdict.component, "")
+        asked = verdict.requirement, verdict.case, verdict.component, verdict.check, identity
         this = record.head.base_seed, verdict.planned
         earlier = [
             look for look in by_question.get(asked, ()) if (look.base_seed, look.planned) != this
         ]
         if earlier:
             yield verdict, earlier
-
-
-def _digests(head: RecordHead) -> Mapping[str, str | None]:
-    """Digests of the components under test, by name."""
-    first = head.component_under_test
-    return {str(component.name): component.digest for component in (first, *(first.others or ()))}

@@ -457,8 +457,10 @@ class LookEntry(Entry):
     """Id of the case."""
     component: str
     """Name of the component under test."""
-    digest: str | None
-    """Digest of the component; null without one."""
+    check: str
+    """What was judged."""
+    identity: str
+    """SHA-256 of the component's digest and parameters."""
     planned: Count
     """Episodes that were planned."""
     episodes: Count

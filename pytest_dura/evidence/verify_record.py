@@ -381,7 +381,8 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
             planned = f"{case.planned} runs planned"
             yield f"case {case.id}: {planned}, and --dura-runs={override} replaces them"
         repeated = case.repeat.episode if case.repeat else "", case.component
-        for problem in repeat_problems(case, digests.get(repeated, ())):
+        asked = bool(record.head.models)
+        for problem in repeat_problems(case, digests.get(repeated, ()), asked_models=asked):
             yield f"case {case.id}: {problem}"
     for verdict in record.head.verdicts:
         yield from _verdict_problems(verdict, cases, requirements, ids)

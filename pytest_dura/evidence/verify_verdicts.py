@@ -429,7 +429,8 @@ class _VerdictCheck:
             unknown.add("reason")  # a test that ended without a verdict says so itself
         distrusted = recorded.reason.startswith(_NONDETERMINISTIC)
         if recorded.verdict == "undecided" and again.verdict != "violated" and distrusted:
-            unknown |= {"verdict", "reason", "too_few"}
+            unknown |= {"verdict", "reason"}
+            computed["too_few"] = False
         by_tests = not recorded.check and self.twins is None
         violated = {entry.episode for entry in recorded.counterexamples}
         measured = {*violated, *self.on_traces}

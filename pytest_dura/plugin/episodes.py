@@ -659,10 +659,13 @@ class Repeats:
             nextitem is not None and _case_id_of(nextitem) == _case_id_of(item) != ""
         ):
             return
+        # The last case first: a component that behaves by turns, one way in a run and another way
+        # in its twin, would otherwise meet the turn of the first time.
+        in_turn = list(reversed(self._due.items()))
         if not self._shared.context.is_worker:  # there another process may repeat it
-            due_tasks = [due.task for due in self._due.values() if due.declared != LIVE_MODEL]
+            due_tasks = [due.task for _, due in in_turn if due.declared != LIVE_MODEL]
             self._runner().store.begin_repeats(due_tasks)
-        for (case, component), due in list(self._due.items()):
+        for (case, component), due in in_turn:
             repeated = self._repeated(due)
             self._done.add((case, component))
             if repeated is not None:

@@ -260,7 +260,7 @@ class SessionEvidence:
             self._shared.look_around()
         self._lock, begun = DirectoryLock(options.evidence), False
         try:
-            looks = earlier_looks(options.evidence, self.given.baseline)
+            looks = earlier_looks(self._earlier_records())
             self.record = RecordBuilder(
                 {
                     "created": _now(),
@@ -299,6 +299,15 @@ class SessionEvidence:
             if not begun:  # otherwise the record has to say first how the session ended
                 self._unlock()
             raise
+
+    def _earlier_records(self) -> Iterator[Path]:
+        """Yield the files of the record that is to be replaced, and of the baseline."""
+        from pytest_dura.evidence.bundle import RECORD_FILE
+
+        yield self.context.options.evidence / RECORD_FILE
+        if self.given.baseline is not None:
+            file = self.context.config.invocation_params.dir / self.given.baseline.path
+            yield file / RECORD_FILE if file.is_dir() else file
 
     def expect(self, items: list[str]) -> None:
         """Note the scenario items that will run; those that never report are undecided."""

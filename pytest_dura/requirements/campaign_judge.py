@@ -291,7 +291,7 @@ class CampaignJudge:
             counterexamples=counterexamples(self.verdicts),
             spoilt=_first_uncounted(self.verdicts),
             situation=self.situation,
-            too_few=status == "undecided" and not self._flaws(),
+            too_few=status == "undecided" and self.situation is None and not self._flaws(),
         )
 
     def _count(self, status: str) -> int:
@@ -404,18 +404,18 @@ class CampaignJudge:
 
     def _obstacles(self, *, decided: bool = False) -> list[str]:
         """Reasons why this campaign cannot support a claim."""
-        return [*self._flaws(), *self._shortages(decided=decided)]
+        run, shortages = len(self.verdicts), []
+        if run < self.planned and not decided:
+            shortages.append(f"only {run} of {self.planned} planned {self._noun} were run")
+        return [*shortages, *self._flaws()]
 
     def _flaws(self) -> list[str]:
-        """Reasons that stand against the runs themselves, however many there are."""
+        """Reasons that stand against the runs themselves, and not against their number."""
         run, valid = len(self.verdicts), self._valid
         missing, invalid = self._count("missing"), self._invalid
         flaws = []
         if missing:
-            first = _first_uncounted(self.verdicts)
-            by_test = first is not None and first.detail.startswith(TEST_FAILED)
-            what = "not judged, since the test failed" if by_test else "missing (infrastructure)"
-            flaws.append(f"{missing} of {run} {self._noun} are {what}")
+            flaws.append(f"{missing} of {run} {self._noun} are missing (infrastructure)")
         if run and invalid / run > MAX_INVALID_SHARE:
             share = f"more than {MAX_INVALID_SHARE:.0%}"
             flaws.append(f"{invalid} of {run} {self._noun} are invalid, {share}")
@@ -430,31 +430,19 @@ class CampaignJudge:
                 f"supported after {before} {self._noun}, and {self._after_support} after these "
                 "violated it or ended before it was decided"
             )
+        satisfied = self._count("satisfied")
+        vacuous = sum(verdict.vacuous for verdict in self.verdicts)
+        if satisfied and satisfied == vacuous and not self._count("violated"):
+            flaws.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
+        never = _not_manifested([verdict for verdict in self.verdicts if verdict.valid])
+        if never:
+            flaws.append(f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}")
         proposals = sum(verdict.proposals for verdict in self.verdicts)
         valid_proposals = sum(verdict.valid_proposals for verdict in self.verdicts)
         if valid_proposals < _MIN_VALID_PROPOSALS * proposals:
             ticks = f"{valid_proposals} of {proposals} ticks"
             flaws.append(f"the component made a valid proposal at only {ticks}")
         return flaws
-
-    def _shortages(self, *, decided: bool) -> list[str]:
-        """Reasons that more valid runs might remove."""
-        run, valid = len(self.verdicts), self._valid
-        shortages = []
-        if run < self.planned and not decided:
-            shortages.append(f"only {run} of {self.planned} planned {self._noun} were run")
-        satisfied = self._count("satisfied")
-        vacuous = sum(verdict.vacuous for verdict in self.verdicts)
-        if satisfied and satisfied == vacuous and not self._count("violated"):
-            shortages.append(
-                f"its condition held in none of the {valid} valid {self._noun} (vacuous)"
-            )
-        never = _not_manifested([verdict for verdict in self.verdicts if verdict.valid])
-        if never:
-            shortages.append(
-                f"{', '.join(never)} manifested in none of the {valid} valid {self._noun}"
-            )
-        return shortages
 
     def _early_ends(self) -> list[str]:
         """Runs whose end the component may have caused, where no bound counts them."""

@@ -156,11 +156,11 @@ def rate_advice(violations: int, episodes: int, at_most: float, confidence: floa
     """
     rate = violations / episodes
     observed = f"at the observed rate of {100 * rate:.3g} %"
-    if rate > at_most:
+    if rate >= at_most:
         plan = plan_allowing(violations, at_most, confidence, rate)
         return (
-            f"mend what violates it: {observed} a new plan on a fresh seed that allows "
-            f"{violations} violations in {plan.runs} runs succeeds with probability "
+            f"mend what violates it: {observed} a new plan on a fresh seed of {plan.runs} runs, "
+            f"which may hold {_violations(violations)}, succeeds with probability "
             f"{100 * plan.power:.2g} %"
         )
     advised = advised_plan(at_most, confidence, rate)
@@ -169,11 +169,19 @@ def rate_advice(violations: int, episodes: int, at_most: float, confidence: floa
             f"decide it by a sequential method (e-process, sprt): {observed} no new plan of up to "
             f"{MAX_ADVISED_RUNS} runs succeeds with probability {100 * ADVISED_POWER:.0f} %"
         )
+    power = f"{observed} it succeeds with probability {100 * advised.power:.3g} %"
+    if not violations:
+        # That none was observed does not show that the rate is 0.
+        half = plan_allowing(0, at_most, confidence, at_most / 2).power
+        power = f"it succeeds with probability {100 * half:.2g} % if the true rate is half of that"
     return (
-        "decide it by a sequential method (e-process, sprt), or by a new plan on a fresh seed: "
-        f"{advised.runs} runs allow {advised.violations} violations, and {observed} they "
-        f"succeed with probability {100 * advised.power:.3g} %"
+        "decide it by a sequential method (e-process, sprt), or by a new plan on a fresh seed of "
+        f"{advised.runs} runs, which may hold {_violations(advised.violations)}: {power}"
     )
+
+
+def _violations(count: int) -> str:
+    return f"{count} violation" if count == 1 else f"{count or 'no'} violations"
 
 
 @dataclass(frozen=True, slots=True)

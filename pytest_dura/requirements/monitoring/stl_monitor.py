@@ -13,6 +13,7 @@ from pytest_dura.core.state import Percept, RoleView
 from pytest_dura.requirements.stl.formula import Formula, past_only_or_refuse
 from pytest_dura.requirements.stl.online import OnlineFormula, Sample
 from pytest_dura.requirements.stl.parser import parse
+from pytest_dura.requirements.stl.validity import falsifiable_or_refuse
 
 PREFIX = "percept."
 
@@ -212,4 +213,5 @@ def _past(key: str, text: str) -> Formula:
         )
     formula = parse(text)
     past_only_or_refuse(formula, "a monitor")
+    falsifiable_or_refuse(formula)
     return formula

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping
+import operator
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.stl.formula import (
@@ -42,7 +43,10 @@ Polynomial: TypeAlias = "dict[Monomial, Fraction]"
 """Monomials with their factors, none of which is 0."""
 
 _MAX_TERMS = 64
-_MAX_ASSIGNMENTS = 4096
+_MAX_BITS = 256
+"""Length of the numbers in a polynomial; powers of powers would make them ever longer."""
+_MAX_STEPS = 200_000
+"""Nodes that are evaluated for one formula, which takes some tenths of a second."""
 _CONSTANT: Monomial = ()
 
 
@@ -54,8 +58,8 @@ class _Compared(NamedTuple):
     number: Fraction
 
 
-_Assignment: TypeAlias = "Mapping[object, Fraction | float | bool]"
-"""Values of polynomials, and whether subformulas under operators of time hold."""
+_Holds: TypeAlias = "Callable[[Sequence[Any]], bool]"
+"""Truth of a formula at a sample, given the values of what it rests on, in their order."""
 
 
 def falsifiable_or_refuse(formula: Formula) -> None:
@@ -78,35 +82,51 @@ def falsifiable_or_refuse(formula: Formula) -> None:
 @lru_cache(maxsize=1024)
 def holds_always(node: Node) -> bool:
     """Whether a formula is shown to hold for all signals."""
-    variables: dict[object, set[Fraction]] = {}
-    _collect(node, variables)
-    choices = [_samples(variable, numbers) for variable, numbers in variables.items()]
-    if math.prod(map(len, choices)) > _MAX_ASSIGNMENTS:
+    variables: dict[object, tuple[int, set[Fraction]]] = {}
+    holds = _compiled(node, variables)
+    choices = [_samples(variable, numbers) for variable, (_, numbers) in variables.items()]
+    assignments = math.prod(map(len, choices))
+    if assignments * sum(1 for _ in walk(node)) > _MAX_STEPS:
         return False
-    return all(
-        _holds(node, dict(zip(variables, values, strict=True)))
-        for values in itertools.product(*choices)
-    )
+    return all(map(holds, itertools.product(*choices)))
 
 
-def _collect(node: Node, variables: dict[object, set[Fraction]]) -> None:
-    """Gather what a formula's truth at one sample rests on, with the numbers it is compared to."""
+def _compiled(node: Node, variables: dict[object, tuple[int, set[Fraction]]]) -> _Holds:
+    """Make the function that says whether a formula holds, and gather what that rests on.
+
+    Args:
+        node: The formula.
+        variables: Filled with polynomials, each with its place among the values and the numbers
+            that it is compared to, and with subformulas whose truth may vary.
+    """
     if isinstance(node, Comparison):
         compared = _compared(node)
         if compared is None:
-            variables.setdefault(node, set())
-        elif compared.polynomial:
-            variables.setdefault(compared.polynomial, set()).add(compared.number)
-    elif isinstance(node, Not):
-        _collect(node.operand, variables)
-    elif isinstance(node, Boolean):
-        _collect(node.left, variables)
-        _collect(node.right, variables)
-    elif _truth_in_time(node) is None:
-        variables.setdefault(node, set())
+            return _varying(node, variables)
+        compare, number = _COMPARE[compared.operator], compared.number
+        if not compared.polynomial:
+            known = compare(Fraction(0), number)
+            return lambda _: known
+        place, numbers = variables.setdefault(compared.polynomial, (len(variables), set()))
+        numbers.add(number)
+        return lambda values: compare(values[place], number)
+    if isinstance(node, Not):
+        operand = _compiled(node.operand, variables)
+        return lambda values: not operand(values)
+    if isinstance(node, Boolean):
+        join = _JOIN[node.operator]
+        left, right = _compiled(node.left, variables), _compiled(node.right, variables)
+        return lambda values: join(left(values), right(values))
+    in_time = _truth_in_time(node)
+    return _varying(node, variables) if in_time is None else lambda _: in_time
 
 
-def _samples(variable: object, numbers: Iterable[Fraction]) -> list[Fraction | float | bool]:
+def _varying(node: Node, variables: dict[object, tuple[int, set[Fraction]]]) -> _Holds:
+    place, _ = variables.setdefault(node, (len(variables), set()))
+    return lambda values: bool(values[place])
+
+
+def _samples(variable: object, numbers: Iterable[Fraction]) -> list[Any]:
     """A value from each part of a variable's range in which no comparison changes its truth."""
     if not isinstance(variable, tuple):
         return [False, True]
@@ -117,38 +137,21 @@ def _samples(variable: object, numbers: Iterable[Fraction]) -> list[Fraction | f
     return [point for point in points if low <= point <= high]
 
 
-def _holds(node: Node, assignment: _Assignment) -> bool:
-    """Whether a formula holds at a sample, given what its truth rests on."""
-    if isinstance(node, Comparison):
-        compared = _compared(node)
-        if compared is None:
-            return bool(assignment[node])
-        value = assignment[compared.polynomial] if compared.polynomial else Fraction(0)
-        return _compare(compared.operator, value, compared.number)
-    if isinstance(node, Not):
-        return not _holds(node.operand, assignment)
-    if isinstance(node, Boolean):
-        left, right = _holds(node.left, assignment), _holds(node.right, assignment)
-        return {
-            "and": left and right,
-            "or": left or right,
-            "implies": not left or right,
-            "iff": left == right,
-            "xor": left != right,
-        }[node.operator]
-    known = _truth_in_time(node)
-    return bool(assignment[node]) if known is None else known
-
-
-def _compare(operator: str, value: Fraction | float, number: Fraction) -> bool:
-    return {
-        ">": value > number,
-        ">=": value >= number,
-        "<": value < number,
-        "<=": value <= number,
-        "==": value == number,
-        "!=": value != number,
-    }[operator]
+_COMPARE: Mapping[str, Callable[[Any, Any], bool]] = {
+    ">": operator.gt,
+    ">=": operator.ge,
+    "<": operator.lt,
+    "<=": operator.le,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+_JOIN: Mapping[str, Callable[[bool, bool], bool]] = {
+    "and": lambda left, right: left and right,
+    "or": lambda left, right: left or right,
+    "implies": lambda left, right: not left or right,
+    "iff": operator.eq,
+    "xor": operator.ne,
+}
 
 
 def _truth_in_time(node: Temporal | TemporalPair | Step) -> bool | None:
@@ -176,6 +179,10 @@ def _compared(node: Comparison) -> _Compared | None:
     if difference is None:
         return None
     number = -difference.pop(_CONSTANT, Fraction(0))
+    if number == 0 and _is_never_negative(node.left) and node.right == Constant(0.0):
+        # Multiplied out, `(x - y) * (x - y)` no longer shows that it is a square.
+        square = ((((node.left, 2),), Fraction(1)),)
+        return _Compared(square, node.operator, number)
     # One sign for `x - y > 0` and `y - x < 0`.
     order = sorted(difference.items(), key=lambda term: _monomial_text(term[0]))
     operator = node.operator
@@ -200,6 +207,8 @@ def _polynomial(  # noqa: PLR0911 - one for each kind of expression
     left, right = _polynomial(node.left), _polynomial(node.right)
     if left is None or right is None:
         return None
+    if not (_is_short(left) and _is_short(right)):
+        return None
     if node.operator in ("+", "-"):
         sign = 1 if node.operator == "+" else -1
         return _sum([*left.items(), *((term, sign * factor) for term, factor in right.items())])
@@ -216,7 +225,7 @@ def _polynomial(  # noqa: PLR0911 - one for each kind of expression
 
 
 def _product(left: Polynomial, right: Polynomial) -> Polynomial | None:
-    if len(left) * len(right) > _MAX_TERMS:
+    if len(left) * len(right) > _MAX_TERMS or not (_is_short(left) and _is_short(right)):
         return None
     return _sum(
         (_times(one, other), factor * more)
@@ -243,6 +252,14 @@ def _without_zeros(polynomial: Polynomial) -> Polynomial:
     return {monomial: factor for monomial, factor in polynomial.items() if factor}
 
 
+def _is_short(polynomial: Polynomial) -> bool:
+    """Whether all numbers in a polynomial are short enough to go on with it."""
+    return all(
+        max(factor.numerator.bit_length(), factor.denominator.bit_length()) <= _MAX_BITS
+        for factor in polynomial.values()
+    )
+
+
 def _range(polynomial: Polynomial) -> tuple[float, float]:
     """The least and the greatest value that a polynomial without a constant may have."""
     low, high = 0.0, 0.0
@@ -251,6 +268,22 @@ def _range(polynomial: Polynomial) -> tuple[float, float]:
             return -math.inf, math.inf
         low, high = (low, math.inf) if factor > 0 else (-math.inf, high)
     return low, high
+
+
+def _is_never_negative(node: Expression) -> bool:
+    """Whether an expression is written as a square, a function, or a sum or product of such."""
+    if isinstance(node, Constant):
+        return node.value >= 0
+    if isinstance(node, Function):
+        return True
+    if not isinstance(node, Arithmetic):
+        return False
+    if node.operator == "pow" and node.right in (Constant(2.0), Constant(4.0)):
+        return True
+    if node.operator == "*" and node.left == node.right:
+        return True
+    both = _is_never_negative(node.left) and _is_never_negative(node.right)
+    return node.operator in ("+", "*") and both
 
 
 def _is_square(variable: Expression, exponent: int) -> bool:

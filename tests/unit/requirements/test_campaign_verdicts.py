@@ -143,10 +143,15 @@ def test_a_rate_that_n_cannot_support_is_undecided_and_says_what_would() -> None
     found = judge(some(satisfied=58), at_most=0.05)
     assert found.verdict == "undecided"
     assert "which does not support 0.05; decide it by a sequential method" in found.reason
-    assert "or by a new plan on a fresh seed: 59 runs allow 0 violations" in found.reason
+    assert (
+        "or by a new plan on a fresh seed of 59 runs, which may hold no violations" in found.reason
+    )
+    # The distribution of scipy.stats.binom at 0 of 59 runs, with half of the rate.
+    assert "with probability 22 % if the true rate is half of that" in found.reason
     found = judge(some(satisfied=91, violated=1), at_most=0.05)
     assert found.verdict == "undecided"
-    assert "on a fresh seed: 124 runs allow 2 violations" in found.reason
+    assert "on a fresh seed of 124 runs, which may hold 2 violations: at" in found.reason
+    assert "it succeeds with probability 84.7 %" in found.reason
 
 
 def test_where_more_runs_violate_than_are_allowed_the_reason_says_that_first() -> None:
@@ -155,7 +160,9 @@ def test_where_more_runs_violate_than_are_allowed_the_reason_says_that_first() -
     counts = "9 of 15 valid episodes violated it (60 %, more than the 50 % allowed)"
     assert found.reason.startswith(counts)
     # The distribution of scipy.stats.binom at 9 of 28 runs, with a rate of 0.6.
-    assert "allows 9 violations in 28 runs succeeds with probability 0.27 %" in found.reason
+    assert (
+        "of 28 runs, which may hold 9 violations, succeeds with probability 0.27 %" in found.reason
+    )
     assert "sequential" not in found.reason
 
 
