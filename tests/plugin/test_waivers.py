@@ -204,9 +204,9 @@ def test_a_retried_failure_is_a_waiver_whatever_plugin_retries(project, retrying
     result = project.run_apart("test_it.py", *retrying, "-n", workers)
     assert result.ret == 0
     for requirement in ("GAP-1", "OWN-1"):
-        found = project.verdict(requirement)
-        assert (found.verdict, found.violations, found.waiver) == ("violated", 2, RETRIED)
-        assert [attempt.verdict for attempt in found.attempts] == ["violated", "supported"]
+        verdict = project.verdict(requirement)
+        assert (verdict.verdict, verdict.violations, verdict.waiver) == ("violated", 2, RETRIED)
+        assert [attempt.verdict for attempt in verdict.attempts] == ["violated", "supported"]
     result.stdout.fnmatch_lines(["gate: passed, 2 violated, 2 waived"])
 
 
@@ -225,8 +225,8 @@ def test_a_test_that_is_run_again_after_its_worker_died_is_a_waiver(project):
     )
     result = project.run_apart("test_it.py", "--reruns", "1", "-n", "1", "--dist", "worksteal")
     assert result.ret == 0
-    found = project.verdict("GAP-1")
-    assert (found.verdict, found.waiver.kind) == ("supported", "rerun")
+    verdict = project.verdict("GAP-1")
+    assert (verdict.verdict, verdict.waiver.kind) == ("supported", "rerun")
 
 
 def test_a_retry_that_fails_each_time_is_no_waiver(project, retrying):
@@ -235,9 +235,9 @@ def test_a_retry_that_fails_each_time_is_no_waiver(project, retrying):
     result = project.run_apart("test_it.py", *retrying)
     assert result.ret == 1
     for requirement in ("GAP-1", "OWN-1"):
-        found = project.verdict(requirement)
-        assert (found.verdict, found.waiver) == ("violated", None)
-        assert [attempt.verdict for attempt in found.attempts] == ["violated"] * 2
+        verdict = project.verdict(requirement)
+        assert (verdict.verdict, verdict.waiver) == ("violated", None)
+        assert [attempt.verdict for attempt in verdict.attempts] == ["violated"] * 2
     result.stdout.fnmatch_lines(["gate: failed, 2 violated"])
 
 
@@ -247,8 +247,8 @@ def test_an_attempt_that_asks_for_no_verdict_is_no_pass(project, retrying):
     project.write("test_it.py", FAILS_FIRST.replace("campaign.require(", asks))
     result = project.run_apart("test_it.py", *retrying, "-k", "campaign")
     assert result.ret == 1
-    found = project.verdict("OWN-1")
-    assert (found.verdict, found.waiver, found.attempts) == ("violated", None, [])
+    verdict = project.verdict("OWN-1")
+    assert (verdict.verdict, verdict.waiver, verdict.attempts) == ("violated", None, [])
 
 
 def test_attempts_that_all_pass_need_no_waiver(project):
@@ -257,18 +257,18 @@ def test_attempts_that_all_pass_need_no_waiver(project):
     result = project.run_apart("test_it.py", *PLUGINS["flaky"], "--min-passes", "2")
     result.assert_outcomes(passed=3)
     for requirement in ("GAP-1", "OWN-1"):
-        found = expect(project, result, "supported", requirement=requirement)
-        assert found.waiver is None
-        assert [attempt.verdict for attempt in found.attempts] == ["supported"]
+        verdict = expect(project, result, "supported", requirement=requirement)
+        assert verdict.waiver is None
+        assert [attempt.verdict for attempt in verdict.attempts] == ["supported"]
 
 
 def test_a_rerun_of_a_scenario_item_is_recorded(project, retrying):
     scenario(project, **RECKLESS)
     result = project.run_apart("corridor/it::GAP-1", *retrying)
     assert result.ret == 1
-    found = project.verdict("GAP-1")
-    assert (found.verdict, found.waiver) == ("violated", None)
-    assert [attempt.verdict for attempt in found.attempts] == ["violated"] * 2
+    verdict = project.verdict("GAP-1")
+    assert (verdict.verdict, verdict.waiver) == ("violated", None)
+    assert [attempt.verdict for attempt in verdict.attempts] == ["violated"] * 2
 
 
 REPEATED = """
@@ -296,10 +296,12 @@ def test_repeats_of_a_test_are_one_verdict(project, workers):
     result = project.run_apart("test_it.py", "--count", "3", "-n", workers, *scenarios)
     result.assert_outcomes(passed=10)
     result.stdout.fnmatch_lines(["gate: passed, 3 supported"])
-    repeated = [found for found in project.evidence().verdicts if found.item.startswith("test_it")]
-    for found in repeated:
-        assert (found.planned, found.run, found.waiver) == (2, 2, None)
-        assert [attempt.verdict for attempt in found.attempts] == ["supported"] * 2
+    repeated = [
+        verdict for verdict in project.evidence().verdicts if verdict.item.startswith("test_it")
+    ]
+    for verdict in repeated:
+        assert (verdict.planned, verdict.run, verdict.waiver) == (2, 2, None)
+        assert [attempt.verdict for attempt in verdict.attempts] == ["supported"] * 2
 
 
 @pytest.mark.parametrize("workers", ["0", "2"])
@@ -309,9 +311,9 @@ def test_of_repeats_that_disagree_the_worst_counts_and_is_not_waived(project, wo
     result = project.run_apart("test_it.py", "--count", "3", "-n", workers)
     result.assert_outcomes(passed=6, failed=3)
     for requirement in ("GAP-1", "OWN-1"):
-        found = expect(project, result, "violated", requirement=requirement)
-        assert (found.run, found.waiver) == (2, None)
-        assert [attempt.verdict for attempt in found.attempts] == ["supported"] * 2
+        verdict = expect(project, result, "violated", requirement=requirement)
+        assert (verdict.run, verdict.waiver) == (2, None)
+        assert [attempt.verdict for attempt in verdict.attempts] == ["supported"] * 2
 
 
 BY_FIXTURE = """
@@ -342,5 +344,5 @@ def test_parameters_of_a_test_are_no_repeats(project, given, arguments):
     )
     result = project.run("test_it.py", "-p", "no:xdist", "--count", "2")
     result.assert_outcomes(passed=2, failed=2)
-    verdicts = [found.verdict for found in project.evidence().verdicts]
+    verdicts = [verdict.verdict for verdict in project.evidence().verdicts]
     assert sorted(verdicts) == ["supported", "violated"]

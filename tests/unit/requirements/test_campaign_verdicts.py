@@ -87,9 +87,9 @@ def test_a_missing_episode_is_undecided() -> None:
 def test_an_infrastructure_error_is_named_before_a_test_that_failed() -> None:
     by_test = one(0, "missing", detail="the test failed: KeyError: 'speed'")
     ended = one(1, "missing", detail="infrastructure: simulator at tick 2")
-    found = judge([by_test, ended])
-    assert found.spoilt == UncountedEpisode("case#1", "missing", ended.detail)
-    assert "2 of 2 episodes are missing (infrastructure)" in found.reason
+    verdict = judge([by_test, ended])
+    assert verdict.spoilt == UncountedEpisode("case#1", "missing", ended.detail)
+    assert "2 of 2 episodes are missing (infrastructure)" in verdict.reason
 
 
 def test_invalid_episodes_up_to_a_fifth_are_borne() -> None:
