@@ -158,10 +158,10 @@ def rate_advice(violations: int, episodes: int, at_most: float, confidence: floa
     observed = f"at the observed rate of {100 * rate:.3g} %"
     if rate >= at_most:
         plan = plan_allowing(violations, at_most, confidence, rate)
+        power = "below 0.01 %" if plan.power < 1e-4 else f"{100 * plan.power:.2g} %"
         return (
             f"mend what violates it: {observed} a new plan on a fresh seed of {plan.runs} runs, "
-            f"which may hold {_violations(violations)}, succeeds with probability "
-            f"{100 * plan.power:.2g} %"
+            f"which may hold {_violations(violations)}, succeeds with probability {power}"
         )
     advised = advised_plan(at_most, confidence, rate)
     if advised is None:

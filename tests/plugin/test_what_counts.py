@@ -84,12 +84,26 @@ RULES = {
         "test_interruptions.py::test_an_end_that_is_interrupted_leaves_the_episodes",
         "test_resume.py::test_a_session_that_was_killed_before_its_first_record_begins_anew",
     ],
+    "a case whose repeated episode differs": [
+        "test_repeats.py::test_verdicts_on_a_component_that_does_not_repeat_itself_are_undecided",
+        "test_repeats.py::test_runs_of_what_declares_that_it_does_not_repeat_itself_count_as_draws",
+        "test_repeats.py::test_a_verdict_on_pairs_rests_on_the_repetition_of_their_second_runs_too",
+    ],
+    "a requirement on pairs alone judges a case": [
+        "test_early_ends.py::test_a_requirement_on_pairs_sees_the_crash_of_neither_run",
+    ],
+    "a formula that no signal can make false": [
+        "test_checks_that_cannot_fail.py::"
+        "test_a_requirement_that_no_signal_can_make_false_is_refused_at_its_line",
+        "test_checks_that_cannot_fail.py::"
+        "test_a_requirement_that_asks_for_little_is_named_where_its_verdict_stands",
+    ],
     "--dura-runs=N": [
         "test_what_counts.py::test_dura_runs_replaces_the_plan_and_cannot_support_a_rate",
         "test_scenario_items.py::test_runs_are_replaced_and_it_is_said",
     ],
     "undecided, invalid": [
-        "test_undecided.py::test_undecided_fails_the_gate_and_is_relaxed_to_a_skip",
+        "test_undecided.py::test_undecided_fails_the_gate_and_is_relaxed_to_a_skip_where_runs_are_too_few",
         "test_undecided.py::test_a_violation_is_never_relaxed",
         "test_failing_components.py::test_the_gate_fails_on_a_verdict_for_which_no_test_failed",
     ],
