@@ -22,6 +22,7 @@ from uuid import uuid4
 
 import pytest
 
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
 from pytest_dura.plugin.context import draws_reason, replay_command
@@ -124,8 +125,16 @@ def _properties(
     for result in event.results:
         sentence = event_sentence(result, runner, context.redact)
         properties += _result_properties(context, result, sentence)
-        properties.append(("draws", draws_reason(context, runner(), result.case)))
+        properties.append(("draws", _draws(context, runner, result.case)))
     return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
+
+
+def _draws(context: SessionContext, runner: Callable[[], Runner], case: Case | None) -> str:
+    """Say what declares that the runs of a case count as draws; empty if nothing does."""
+    try:
+        return draws_reason(context, runner(), case)
+    except ConfigurationError:  # a part cannot be built, so that nothing ran
+        return ""
 
 
 def _value(name: str, value: Any) -> str:
@@ -332,7 +341,7 @@ def _report_item(context: SessionContext, runner: Callable[[], Runner], event: I
     for result in results:
         prefix = f"{one_line(result.requirement.id, 100)}: " if len(results) > 1 else ""
         parameters = _parameters(context, result)
-        draws = draws_reason(context, runner(), result.case)
+        draws = _draws(context, runner, result.case)
         for parameter, value in ({**parameters, "draws": draws} if draws else parameters).items():
             # Allure's history tells tests apart by parameters: results must not be among them.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)

@@ -33,7 +33,7 @@ def test_a_requirement_that_reads_one_sample_is_refused_at_its_line(project):
     assert "Traceback" not in told
 
 
-def test_a_requirement_that_no_signal_can_make_false_is_refused_at_its_line(project):
+def test_a_formula_that_holds_always_is_refused_at_its_line(project):
     requirement(project, "always (gap * 0 >= 0)")
     scenario(project, requirements="[R-1]")
     result = project.scenarios()
@@ -77,7 +77,7 @@ def test_a_marker_that_reads_one_sample_is_refused(project):
         ({"at_most": 0.2, "confidence": 0.5001}, "asks for 50.01 % confidence"),
     ],
 )
-def test_a_requirement_that_asks_for_little_is_named_where_its_verdict_stands(project, rate, words):
+def test_a_weak_requirement_is_named_where_its_verdict_stands(project, rate, words):
     requirement(project, "always (gap > 0)", **rate)
     scenario(project, runs=8, requirements="[R-1]")
     result = project.scenarios(select="corridor/it")

@@ -9,7 +9,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from formulas import formulas, nodes
+from formulas import can_fail, formulas, nodes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loops import doing, run_loop
@@ -115,14 +115,6 @@ def ranging(text: str) -> str:
         return str(read_formula(text))
     except ConfigurationError:
         return f"always[0:0] ({text})"
-
-
-def can_fail(text: str) -> bool:
-    """Whether a formula is a check; one that holds whatever the signals are is not."""
-    try:
-        return bool(read_formula(text))
-    except ConfigurationError:
-        return False
 
 
 @st.composite

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from hypothesis import strategies as st
 
+from pytest_dura import ConfigurationError
 from pytest_dura.requirements import (
     Arithmetic,
     Boolean,
@@ -21,6 +22,7 @@ from pytest_dura.requirements import (
     TemporalPair,
     Window,
     node_text,
+    read_formula,
 )
 from pytest_dura.requirements.stl.formula import Function
 
@@ -89,6 +91,14 @@ def nodes(
         return st.one_of(options)
 
     return st.recursive(comparisons(signals, numbers), extend, max_leaves=max_leaves)
+
+
+def can_fail(text: str) -> bool:
+    """Whether a formula is taken as a check: one that holds whatever the signals are is not."""
+    try:
+        return bool(read_formula(text))
+    except ConfigurationError:
+        return False
 
 
 def windows(time_step: float, max_window: int) -> st.SearchStrategy[Window]:
