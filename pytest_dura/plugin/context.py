@@ -229,16 +229,20 @@ def draws_reason(context: SessionContext, runner: Runner, case: Case | None) -> 
         return "the session sets dura_repeatable = false"
     if case is None:
         return ""
-    task = runner.task(case)
-    parts = {"component": task.spec.roles.get("generator"), "simulator": task.spec.simulator}
+    from pytest_dura.execution.address import model_answers
+
+    roles = case.roles(runner.roles)
+    simulator = runner.simulator or case.scenario.simulator_spec()
+    parts = {"component": roles.get("generator"), "simulator": simulator}
     for kind, part in parts.items():
         if part is None:
             continue
         declaring = part.resolve() if part.instance is None else part.instance
         if not getattr(declaring, "repeatable", True):
             return f"the {kind} {part.label} declares repeatable = False"
-    from pytest_dura.execution.address import model_answers
-
-    answers = model_answers(task)
+    resolved = map(runner.resolver.resolve, roles.values())
+    if not any(isinstance(role.params.get("model"), str) for role in resolved):
+        return ""
+    answers = model_answers(runner.task(case))
     live = answers is not None and not answers.startswith("replay ")
     return LIVE_MODEL if live else ""
