@@ -186,6 +186,22 @@ def test_an_equal_request_is_asked_once_in_record_and_each_time_in_live(talking,
     assert len(prompts(server)) == 2 * once
 
 
+@pytest.mark.parametrize("mode", ["live", "record", "replay"])
+def test_the_runs_of_a_live_model_count_as_draws_and_those_of_a_cassette_do_not(talking, mode):
+    if mode == "replay":
+        run(talking, "record")
+    result = run(talking, mode)
+    draws = "; the runs count as draws: a live language model answers"
+    for case in talking.evidence().cases:
+        assert case.repeat.result == ("equal" if mode == "replay" else "skipped")
+    for verdict in talking.evidence().verdicts:
+        assert verdict.reason.endswith(draws) == (mode != "replay")
+    assert ("the runs count as draws on corridor/it (Talker)" in result.stdout.str()) == (
+        mode != "replay"
+    )
+    assert verify_bundle(talking.path / "dura-evidence").intact
+
+
 @pytest.mark.parametrize("mode", ["live", "record"])
 def test_workers_go_by_what_the_controller_found_out(talking, server, mode):
     run(talking, mode, "-n", "2", "--dura-evidence=one", runs=1)
