@@ -108,7 +108,7 @@ def measured(level: str, directory: Path, options: list[str]) -> dict[str, float
         command, cwd=directory.parent, stdout=subprocess.PIPE, text=True, check=True
     )
     told: dict[str, float] = json.loads(found.stdout.splitlines()[-1])
-    if told.pop("code"):
+    if told.pop("code") > 1:  # a gate that fails for want of runs has all of its evidence, too
         raise SystemExit(f"the session with level {level} failed")
     return told
 

@@ -415,7 +415,10 @@ class CampaignJudge:
         missing, invalid = self._count("missing"), self._invalid
         flaws = []
         if missing:
-            flaws.append(f"{missing} of {run} {self._noun} are missing (infrastructure)")
+            first = _first_uncounted(self.verdicts)
+            by_test = first is not None and first.detail.startswith(TEST_FAILED)
+            what = "not judged, since the test failed" if by_test else "missing (infrastructure)"
+            flaws.append(f"{missing} of {run} {self._noun} are {what}")
         if run and invalid / run > MAX_INVALID_SHARE:
             share = f"more than {MAX_INVALID_SHARE:.0%}"
             flaws.append(f"{invalid} of {run} {self._noun} are invalid, {share}")

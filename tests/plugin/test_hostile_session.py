@@ -276,7 +276,7 @@ def test_what_a_marker_or_a_file_may_not_hold_ends_a_session_harmlessly(project)
     assert COMMAND.findall(result.stderr.str()) == []
 
 
-def test_errors_of_other_peoples_fixtures_stay_as_they_are(pytester):
+def test_errors_of_other_peoples_fixtures_stay_as_they_are(pytester, fast_sessions):
     pytester.makeconftest(
         "import pathlib\n"
         "def pytest_runtest_makereport(item, call):\n"

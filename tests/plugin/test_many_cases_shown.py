@@ -24,7 +24,7 @@ def pytest_runtestloop(session):
 
 @pytest.mark.parametrize("verbose", [False, True])
 def test_a_hundred_are_shown_and_the_others_counted(
-    pytester: pytest.Pytester, *, verbose: bool
+    pytester: pytest.Pytester, fast_sessions: None, *, verbose: bool
 ) -> None:
     scenarios = pytester.mkdir("scenarios")
     values = [5.0 + number / 10 for number in range(103)]
