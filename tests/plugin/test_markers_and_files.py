@@ -228,7 +228,8 @@ def test_a_formula_that_cannot_be_judged_is_no_violation(project):
     write_test(project, body, "requirement('OWN-1', text='Keeps away.')", look="episode")
     result = project.run("test_it.py")
     result.assert_outcomes(failed=3)
-    expect(project, result, "undecided", "3 of 3 episodes are missing", requirement="OWN-1")
+    reason = "3 of 3 episodes are not judged, since the test failed"
+    expect(project, result, "undecided", reason, requirement="OWN-1")
 
 
 @pytest.mark.parametrize("look", ["orchestrator", "run_episode"])
