@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -12,8 +12,10 @@ from pytest_dura.campaign.runs import CampaignRuns
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.episode_verdicts import judge_episode
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_episode
+from pytest_dura.requirements.judgements import RunJudgement
 from pytest_dura.requirements.model import Method, Requirement
+from pytest_dura.requirements.runs import CheckVerdict
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.falsification import Falsification
@@ -51,11 +53,16 @@ class Campaign(CampaignRuns):
         """
         if requirement.paired is not None:
             return self.paired(requirement.paired.without).judge(requirement, check)
-        judge = self.judge_of(requirement, check)
-        episodes = self.in_order([self.case], judge)
-        judged = ((judge_episode(requirement, each, check), (each,)) for each in episodes)
-        self.decide(judge, judged, check or requirement.check)
-        return judge.verdict()
+        course, declared = self.course_of(requirement, check), self.is_declared(requirement, check)
+
+        def judged() -> Iterator[tuple[RunJudgement, Sequence[JudgedEpisode]]]:
+            for episode in self.in_order([self.case], course):
+                verdict = CheckVerdict.of(judge_episode(requirement, episode, check))
+                stated = None if declared else verdict
+                yield RunJudgement(episode.digest, episode.spec.run, verdict=stated), [episode]
+
+        self.decide(course, judged())
+        return course.verdict()
 
     def falsify(
         self,

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.campaign_judge import CampaignJudge
     from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
+    from pytest_dura.requirements.judgements import Judgement
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
@@ -80,10 +81,11 @@ class SearchedEpisodeUsed:
 
 @dataclass(frozen=True, slots=True)
 class VerdictReached:
-    """An item decides a requirement on a campaign."""
+    """An item decides a requirement on a campaign; ``judgement`` has the runs that decide it."""
 
     verdict: CampaignVerdict
     requirement: Requirement
+    judgement: Judgement
 
 
 @dataclass(frozen=True, slots=True)

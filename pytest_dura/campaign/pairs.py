@@ -13,9 +13,10 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.text import one_line
 from pytest_dura.library.cases import Case
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, with_doubt
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
+from pytest_dura.requirements.judgements import RunJudgement, finite_or_infinite
 from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
 from pytest_dura.requirements.monitoring.quality import (
     MonitorQuality,
@@ -27,12 +28,11 @@ from pytest_dura.requirements.pairs import (
     Change,
     Pair,
     PairCounts,
-    change_verdict,
     check_comparison,
     judge_pairs,
     measured,
-    pair_verdict,
 )
+from pytest_dura.requirements.runs import CheckVerdict
 
 if TYPE_CHECKING:
     from pytest_dura.execution.task import EpisodeTask
@@ -145,18 +145,16 @@ class PairedCampaign(Shown):
             ConfigurationError: For a check or measure that cannot be used.
         """
         check_comparison(requirement)
-        campaign = self.campaign
-        judge, compared = campaign.judge_of(requirement, check), _PairResults(requirement, check)
-        cases = [campaign.case, self.case]
-        pairs = self._with_twins(campaign.in_order(cases, judge), cases)
-        judged = ((compared.add(*pair), pair) for pair in pairs)
-        self._report_monitors(campaign.decide(judge, judged, check or requirement.check))
-        campaign_verdict = judge.verdict()
-        table = {"without": self.without, "case": self.case.id, **compared.table()}
-        doubt = self._doubt(compared)
-        if doubt is not None:
-            campaign_verdict = with_doubt(campaign_verdict, doubt)
-        return replace(campaign_verdict, pairs=table)
+        campaign, cases = self.campaign, [self.campaign.case, self.case]
+        course = campaign.course_of(requirement, check, self.case.id)
+        declared = campaign.is_declared(requirement, check)
+
+        def judged() -> Iterator[tuple[RunJudgement, Sequence[JudgedEpisode]]]:
+            for pair in self._with_twins(campaign.in_order(cases, course), cases):
+                yield _judged_pair(requirement, check, pair, declared=declared), pair
+
+        self._report_monitors(campaign.decide(course, judged()))
+        return course.verdict()
 
     def monitors(self) -> list[MonitorQuality]:
         """Quality of the monitors on all planned runs without recovery, where they cannot act.
@@ -188,16 +186,6 @@ class PairedCampaign(Shown):
     def _requirements(self) -> list[Requirement]:
         known = self.campaign.runner.library().requirements
         return [known[name] for name in self.case.requirements]
-
-    def _doubt(self, compared: _PairResults) -> str | None:
-        """Reason for distrust: runs of equal seeds differ although recovery never acted."""
-        counts = compared.counts
-        if self.without != _RECOVERY or counts is None or not counts.unexplained:
-            return None
-        return (
-            f"infrastructure: nondeterministic: {counts.unexplained} of {counts.pairs} pairs "
-            "differ although recovery never acted in them"
-        )
 
     def require(
         self,
@@ -248,15 +236,16 @@ class PairedCampaign(Shown):
     def counts(self, check: Check) -> PairCounts:
         """How many of all planned pairs violate a check in both runs, one of them, or neither."""
         __tracebackhide__ = True
-        name = check_name(check)
-        compared = _PairResults(Requirement(name, check=name, paired=Paired(self.without)), check)
+        requirement = Requirement(check_name(check), check=check_name(check))
+        pairs = []
         try:
             for episode, twin in self:
-                compared.add(episode, twin)
+                own = judge_episode(requirement, episode, check)
+                other = judge_episode(requirement, twin, check)
+                pairs.append(Pair(own, other, bool(episode.metrics.recoveries)))
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
-        assert compared.counts is not None
-        return compared.counts
+        return judge_pairs(pairs)
 
     def change(self, measure: str | Callable[[Episode], float]) -> Change:
         """By how much a measure differs in each of the planned pairs.
@@ -275,37 +264,23 @@ class PairedCampaign(Shown):
         return Change.between(check_name(measure), values)
 
 
-class _PairResults:
-    """The verdicts on pairs, their counts and their changes."""
-
-    def __init__(self, requirement: Requirement, check: Check | None) -> None:
-        assert requirement.paired is not None
-        self.requirement, self.check = requirement, check
-        self.measure = requirement.paired.measure
-        self._pairs: list[Pair] = []
-        self._values: dict[str, tuple[float | None, float | None]] = {}
-
-    def add(self, episode: JudgedEpisode, twin: JudgedEpisode) -> EpisodeVerdict:
-        """The verdict on the next pair."""
-        if self.measure:
-            values = _measured_value(self.measure, episode), _measured_value(self.measure, twin)
-            self._values[episode.id] = values
-            return change_verdict(self.requirement, episode, twin, values)
-        own = judge_episode(self.requirement, episode, self.check)
-        other = judge_episode(self.requirement, twin, self.check)
-        self._pairs.append(Pair(own, other, bool(episode.metrics.recoveries)))
-        return pair_verdict(own, other)
-
-    @property
-    def counts(self) -> PairCounts | None:
-        """Of a check; ``None`` for a measure."""
-        return None if self.measure else judge_pairs(self._pairs)
-
-    def table(self) -> dict[str, Any]:
-        """Plain data of the counts or the changes."""
-        if self.counts is not None:
-            return self.counts.to_json()
-        return {"change": Change.between(self.measure, self._values).to_json()}
+def _judged_pair(
+    requirement: Requirement,
+    check: Check | None,
+    pair: tuple[JudgedEpisode, JudgedEpisode],
+    *,
+    declared: bool,
+) -> RunJudgement:
+    """What a requirement on pairs says of both runs of a pair, as far as they do not have it."""
+    episode, twin = pair
+    assert requirement.paired is not None
+    measure = requirement.paired.measure
+    if measure:
+        own, other = (finite_or_infinite(_measured_value(measure, each)) for each in pair)
+        return RunJudgement(episode.digest, episode.spec.run, twin.digest, values=(own, other))
+    verdicts = [CheckVerdict.of(judge_episode(requirement, each, check)) for each in pair]
+    stated = [None, None] if declared else verdicts
+    return RunJudgement(episode.digest, episode.spec.run, twin.digest, *stated)
 
 
 def _measured_value(measure: str | Callable[[Episode], float], episode: Episode) -> float | None:

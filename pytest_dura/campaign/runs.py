@@ -18,20 +18,13 @@ from pytest_dura.core.text import one_line
 from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
-from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
-from pytest_dura.requirements.campaign_verdicts import (
-    CampaignVerdict,
-    Situations,
-    explain_verdict,
-    varies,
-)
-from pytest_dura.requirements.checks import Check
-from pytest_dura.requirements.episode_verdicts import (
-    EpisodeVerdict,
-    JudgedEpisode,
-    is_unseen_crash,
-)
+from pytest_dura.requirements.campaign_judge import RunSchedule
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, explain_verdict, varies
+from pytest_dura.requirements.checks import Check, check_name
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode
+from pytest_dura.requirements.judgements import CampaignCourse, Judgement, RunJudgement
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.runs import Run
 
 _NUMERIC_FIELDS = ("at_most", "confidence", "p0")
 
@@ -151,6 +144,8 @@ class CampaignRuns(Shown):
     tracer: FaultTracer | None = field(default=None, kw_only=True)
     failures: ComponentFailures = field(default_factory=ComponentFailures, init=False)
     """Of the component itself, in the episodes that the last verdict rests on."""
+    judgement: Judgement | None = field(default=None, init=False)
+    """The last question that was decided, with the runs that decided it."""
 
     def __post_init__(self) -> None:
         """Make a tracer, unless one is given."""
@@ -182,27 +177,29 @@ class CampaignRuns(Shown):
         return self.in_order([self.case])
 
     def in_order(
-        self, cases: Sequence[Case], judge: CampaignJudge | None = None
+        self, cases: Sequence[Case], course: CampaignCourse | None = None
     ) -> Iterator[JudgedEpisode]:
         """The planned runs, and a further run for each invalid one as far as the budget goes.
 
         Args:
             cases: This campaign's, and those whose runs are judged along with it.
-            judge: Ends the runs once it is decided. A sequential one has no further runs.
+            course: Ends the runs once they decide; each run is added to it before the next one.
         """
-        sequential = self.until_decided if judge is None else judge.sequential
+        judge = None if course is None else course.judge
+        schedule = RunSchedule(self.planned, sequential=self.until_decided)
+        schedule = schedule if course is None else course.schedule
         decided = self.requirement if judge is None else judge.requirement
         subject = "" if decided is None else decided.id
-        run, schedule = 0, RunSchedule(self.planned, sequential=sequential)
-        ahead = self.upcoming(cases)
+        run, ahead = 0, self.upcoming(cases)
         with self.runner.progress(self.case, subject, schedule.end, judge) as reach:
-            while run < schedule.end and not (judge is not None and judge.decided):
+            while run < schedule.end if course is None else course.goes_on:
                 ahead.reach(run)
                 reach(run, schedule.end)
                 episode = self.runner.episode(self.case, run, planned=self.planned, ahead=ahead)
                 yield episode
                 run += 1
-                schedule.add(episode.validity)
+                if course is None:
+                    schedule.add(episode.validity)
 
     def upcoming(self, cases: Sequence[Case]) -> UpcomingTasks:
         """The planned runs of several cases as tasks, run by run."""
@@ -212,68 +209,63 @@ class CampaignRuns(Shown):
 
     def decide(
         self,
-        judge: CampaignJudge,
-        judged: Iterable[tuple[EpisodeVerdict, Sequence[JudgedEpisode]]],
-        check: Check,
+        course: CampaignCourse,
+        judged: Iterable[tuple[RunJudgement, Sequence[JudgedEpisode]]],
     ) -> list[int]:
-        """Hand verdicts to a judge one by one, then trace the faults of the runs.
+        """Add runs to a course one by one, then trace their faults.
 
         Args:
-            judge: The judge.
-            judged: Verdicts, each with the run that it is on, and with its twin if it is on a pair.
-            check: What they were judged by, besides the requirements of the case.
+            course: The course.
+            judged: What the question's check says of each run, with the run itself, and with its
+                twin if it is one of a pair.
 
         Returns:
             The numbers of the runs.
         """
-        faults = {fault["id"] for fault in self.case.faults}
-        situations = Situations(varies=varies(self.case.scenario.variation, faults))
+        requirements = self.runner.requirements_of(self.case)
         self.failures = ComponentFailures()
         runs, faulty = [], []
-        for verdict, episodes in judged:
-            judge.add(self._with_crash(verdict, episodes, check))
+        for judgement, episodes in judged:
+            course.add(judgement, *(Run.of(episode, requirements) for episode in episodes))
             for episode in episodes:
-                situations.add(episode)
                 self.failures.add(episode)
-            judge.situation = situations.situation
             runs.append(episodes[0].spec.run)
             if episodes[0].faults:
                 faulty.append(runs[-1])
         # Once all have run, so that a component that remembers episodes meets no twin between them.
         self._tracer.follow(self.case, faulty)
+        self.judgement = course.judgement
         return runs
 
-    def _with_crash(
-        self, verdict: EpisodeVerdict, episodes: Sequence[JudgedEpisode], check: Check
-    ) -> EpisodeVerdict:
-        """The verdict, marked with the first of its episodes whose crash violates nothing.
+    def course_of(
+        self, requirement: Requirement, check: Check | None = None, twins: str = ""
+    ) -> CampaignCourse:
+        """Begin the course of this campaign's runs.
 
-        A check of pairs compares two runs, and so sees the crash of neither.
-        """
-        if verdict.verdict == "violated":
-            return verdict
-        requirements = self.runner.requirements_of(self.case)
-        own_check = check if len(episodes) == 1 else None
-        crashed = (
-            episode.id for episode in episodes if is_unseen_crash(episode, requirements, own_check)
-        )
-        return replace(verdict, unseen_crash=next(crashed, ""))
-
-    def judge_of(self, requirement: Requirement, check: Check | None) -> CampaignJudge:
-        """The judge of this campaign's episodes.
+        Args:
+            requirement: What decides on them.
+            check: A check in place of the requirement's own.
+            twins: Id of the case of the second runs, if pairs are judged.
 
         Raises:
             ConfigurationError: Before anything is run, for a requirement that cannot be judged.
         """
         if self.runner.simulator is None:  # signals of another simulator are known once it runs
             check_formula(self.case.scenario, requirement.check if check is None else check)
-        return CampaignJudge(
-            requirement,
-            self.case.id,
-            planned=self.planned,
-            component=self.component,
-            until_decided=self.until_decided,
+        if check is not None:
+            requirement = replace(requirement, check=check_name(check))
+        question = Judgement(
+            requirement, self.case.id, self.component, self.planned, self.until_decided, twins
         )
+        faults = {fault["id"] for fault in self.case.faults}
+        return CampaignCourse(question, varies=varies(self.case.scenario.variation, faults))
+
+    def is_declared(self, requirement: Requirement, check: Check | None) -> bool:
+        """Whether runs have a verdict on a requirement themselves, as its case declares it."""
+        if requirement.id not in self.case.requirements or callable(check):
+            return False
+        declared = self.runner.library().requirements[requirement.id].check
+        return declared == (requirement.check if check is None else check)
 
     def requirement_of_call(self, own: Requirement, given: Mapping[str, Any]) -> Requirement:
         """The requirement with the fields that a call gives, apart from ``None``.
@@ -291,7 +283,8 @@ class CampaignRuns(Shown):
             RequirementViolated: If it is not.
         """
         __tracebackhide__ = True
-        self.runner.events.emit(VerdictReached(verdict, requirement))
+        assert self.judgement is not None
+        self.runner.events.emit(VerdictReached(verdict, requirement, self.judgement))
         if verdict.verdict != "supported":
             raise RequirementViolated(
                 "\n".join(explain_verdict(verdict, requirement, str(self.failures))), verdict

@@ -8,6 +8,7 @@ from .bundle import (
     write_record,
 )
 from .conclude import PairedCourses, conclude_record, coverage, effectiveness, totals
+from .conclusions.verdicts import UNKNOWN_COMPONENT
 from .entry import plain_data
 from .episodes import episode_record
 from .files import (
@@ -20,7 +21,7 @@ from .files import (
     manifest_text,
 )
 from .gate import Gate
-from .gather import SCHEMA_VERSION, UNKNOWN_COMPONENT, RecordBuilder
+from .gather import SCHEMA_VERSION, RecordBuilder
 from .junit import junit_name
 from .mcap import pack_columns, read_trace, trace_bytes, unpack_columns, write_trace
 from .merge import merge_bundles

@@ -339,7 +339,8 @@ def _read_record(file: Path, key: str) -> dict[str, Any]:
             key="schema_version",
             found=version,
             expected=SCHEMA_VERSION,
-            remedy="use the version that the record names under `tool`",
+            remedy="run its session again, by the command that the record names under `command`, "
+            "or read it with the version that it names under `tool`",
         )
     return record
 

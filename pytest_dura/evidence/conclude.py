@@ -13,6 +13,7 @@ from operator import itemgetter
 from typing import Any, TypeAlias
 
 from pytest_dura.evidence.case_model import CaseEntry, CasePlan, RequirementEntry
+from pytest_dura.evidence.conclusions.verdicts import Runs, VerdictLines, conclude_verdicts
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import (
@@ -30,6 +31,7 @@ from pytest_dura.evidence.operating_domain import (
     ParameterCoverage,
 )
 from pytest_dura.evidence.redaction import count_redactions
+from pytest_dura.evidence.search_model import searched_claims
 from pytest_dura.evidence.session_model import InputEntry
 from pytest_dura.evidence.sessions import origin_counts
 from pytest_dura.evidence.verdict_model import MonitorEntry, PairsEntry, VerdictEntry
@@ -322,6 +324,30 @@ def _entry(
         "role": role, "component": component, "requirement": requirement, "finding": finding,
         "detail": detail,
     }  # fmt: skip
+
+
+def with_verdicts(record: SessionRecord) -> SessionRecord:
+    """Add the verdicts that follow from a record's judgements and episodes.
+
+    Args:
+        record: With its cases, requirements, judgements, waivers, doubts and searches.
+    """
+    head = record.head
+    cases = {(case.id, case.component): case for case in head.cases}
+    requirements = {requirement.id: requirement for requirement in head.requirements}
+    lines = VerdictLines(
+        head.judgements,
+        cases,
+        requirements,
+        head.waivers,
+        {key: case.repeat for key, case in cases.items()},
+        {(doubt.case, doubt.component): doubt.reason for doubt in head.doubts},
+        searched_claims(head.searches),
+    )
+    runs = Runs(cases, requirements)
+    for episode in record.episodes():
+        runs.add(episode)
+    return record.changed(verdicts=conclude_verdicts(lines, runs))
 
 
 def measure_cases(record: SessionRecord) -> SessionRecord:

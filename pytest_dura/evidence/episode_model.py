@@ -20,6 +20,7 @@ from pytest_dura.evidence.entry import (
     Sha256,
     Share,
 )
+from pytest_dura.evidence.verdict_model import CheckVerdictEntry
 
 
 class RoleEntry(Entry):
@@ -402,6 +403,9 @@ class EpisodeEntry(Entry):
     """What the loop measured."""
     faults: list[FaultEntry]
     """What came of each planned fault."""
+    verdicts: dict[str, CheckVerdictEntry]
+    """What the requirements that its case declares say of it, by id; none on a requirement without
+    a check, and on one whose check cannot be judged on it."""
     events: list[EventEntry]
     """In the order in which they happened."""
     timings: EpisodeTimings

@@ -29,12 +29,17 @@ from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import with_chains
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import OWN_ORIGIN
-from pytest_dura.evidence.verdict_model import AttemptEntry, MonitorEntry
-from pytest_dura.requirements.campaign_verdicts import Situations, varies
+from pytest_dura.evidence.verdict_model import AttemptEntry, JudgementEntry, MonitorEntry
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.runs import declared_verdicts
 
 
 def episode_record(
-    episode: Episode, *, planned: bool, origin: Mapping[str, Any] = OWN_ORIGIN
+    episode: Episode,
+    *,
+    planned: bool,
+    origin: Mapping[str, Any] = OWN_ORIGIN,
+    requirements: Iterable[Requirement] = (),
 ) -> dict[str, Any]:
     """Build the entry of an episode in the record.
 
@@ -44,6 +49,7 @@ def episode_record(
             and does not enter the case's rates.
         origin: The earlier ``session`` that it was taken over from, or what ``changed`` since one
             simulated an episode of its name.
+        requirements: Those that its case declares.
     """
     # The recorded timeouts stand in for the clock when the episode is replayed.
     spec = replace(episode.spec, timeouts=episode.timeouts).to_json()
@@ -66,6 +72,10 @@ def episode_record(
             "outcome": outcome_figures(episode, episode.spec.measures),
             "metrics": episode.metrics.summary(),
             "faults": [{**asdict(fault), **fault.latencies()} for fault in episode.faults],
+            "verdicts": {
+                name: asdict(verdict)
+                for name, verdict in declared_verdicts(episode, requirements).items()
+            },
             "events": [event.to_json() for event in episode.events],
             "timings": {
                 "simulated_seconds": episode.time[-1] if episode.ticks else 0.0,
@@ -91,37 +101,10 @@ def outcome_figures(episode: Episode, measures: Iterable[Measure]) -> dict[str, 
     }
 
 
-def case_situations(case: CasePlan) -> Situations:
-    """Make the counter of distinct situations for the runs of a recorded case."""
-    return Situations(varies=varies(case.variation, {fault.id for fault in case.faults}))
-
-
-def add_episode(situations: Situations, episode: Mapping[str, Any]) -> None:
-    """Add a recorded episode to the situations of its case."""
-    situations.add_run(
-        episode["case"],
-        episode["spec"]["run"],
-        episode["trajectory"],
-        valid=episode["validity"] == "valid",
-        drawn=episode["drawn"],
-    )
-
-
 EPISODES_PER_PART = 64
 """Episodes that a report holds unpacked; see :meth:`ItemReport.split`."""
 _ABOUT_ITEM = ("item", "recorded_as", "attempt")
 _PART_KEYS = ("components", "cases", "measures", "hazards", "requirements", "episodes", "chains")
-
-
-class ClaimReport(Entry):
-    """What an item is to decide, reported before it does."""
-
-    requirement: str
-    """Id of the requirement."""
-    case: CasePlan
-    """The case."""
-    each_run: bool
-    """Whether there is an item for each of its runs."""
 
 
 class RepeatReport(RepeatEntry):
@@ -150,15 +133,15 @@ class ItemReport:
         hazards: Those that the requirements mitigate, and once in each process those of the user.
         requirements: Each requirement involved.
         episodes: Of :func:`episode_record`.
-        verdicts: On campaigns.
-        outcomes: ``EpisodeVerdict.to_json()`` of tests that look at one episode, with ``case``,
-            ``planned``, the ``at_most`` and ``confidence`` of the requirement, and the
-            ``assertion`` of the test: what it looked at, and what failed.
+        judgements: What it asked, on campaigns and on single episodes.
+        verdicts: On campaigns, for the formats that the process of the item writes; they follow
+            from the judgements, and do not leave it.
+        outcomes: ``EpisodeOutcome.to_json()`` of tests on one episode, likewise.
         searches: ``Falsification.to_json()``, with the ``scenario`` of its case, the ``simulator``
             and the ``roles``.
         monitors: How good they are.
         chains: How far each fault got, with the ``episode`` and its ``case``.
-        claims: What the item is to decide, reported first.
+        claimed: Cases of what the item is to decide, which may never run.
         traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
         models: Language models that were used, as in the record's ``models``, with the counts of
             this ``process`` since it began.
@@ -182,12 +165,13 @@ class ItemReport:
     hazards: list[HazardEntry] = field(default_factory=list)
     requirements: list[RequirementEntry] = field(default_factory=list)
     episodes: list[JsonObject] = field(default_factory=list)
+    judgements: list[JudgementEntry] = field(default_factory=list)
     verdicts: list[AttemptEntry] = field(default_factory=list)
     outcomes: list[JsonObject] = field(default_factory=list)
     searches: list[JsonObject] = field(default_factory=list)
     monitors: list[MonitorEntry] = field(default_factory=list)
     chains: list[JsonObject] = field(default_factory=list)
-    claims: list[ClaimReport] = field(default_factory=list)
+    claimed: list[CasePlan] = field(default_factory=list)
     traces: list[JsonObject] = field(default_factory=list)
     models: list[JsonObject] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)

@@ -4,47 +4,29 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from operator import attrgetter, itemgetter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.core.episode import canonical
 from pytest_dura.evidence.case_model import CasePlan, HazardEntry, RepeatEntry, RequirementEntry
-from pytest_dura.evidence.conclude import measure_cases
+from pytest_dura.evidence.conclude import measure_cases, with_verdicts
+from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episodes import (
     EpisodeSpool,
     ItemReport,
-    add_episode,
-    case_situations,
     unpack_report,
 )
-from pytest_dura.evidence.gate import Gate, with_repeats, worse_repeat
+from pytest_dura.evidence.gate import Gate, worse_repeat
 from pytest_dura.evidence.metrics import CaseMetrics
 from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
 from pytest_dura.evidence.search_model import SearchRecords
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import ReuseRecord
-from pytest_dura.evidence.verdict_model import (
-    AssertionEntry,
-    AttemptEntry,
-    FailedAssertion,
-    FalseCheck,
-    MonitorEntry,
-    VerdictEntry,
-    WaiverEntry,
-)
-from pytest_dura.requirements.campaign_judge import judge_campaign
-from pytest_dura.requirements.campaign_verdicts import (
-    CampaignVerdict,
-    Situation,
-    Situations,
-    doubted,
-)
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.evidence.verdict_model import JudgementEntry, MonitorEntry, WaiverEntry
 
 
 class Components:
@@ -145,148 +127,24 @@ def _total(model: Mapping[str, Any]) -> int:
     return sum(model.get(name, 0) for name in _COUNTS)
 
 
-def test_function(item: str) -> str:
-    """Remove the parameters from a node id."""
-    return item.partition("[")[0]
-
-
-def question_key(item: str, verdict: AttemptEntry) -> tuple[str, ...]:
-    """Identify what a verdict answers: the item, requirement, case, component and question."""
-    paired = None if verdict.paired is None else verdict.paired.to_json()
-    bound = verdict.bound
-    question = [verdict.check, paired, verdict.method, bound.at_most, bound.confidence]
-    about = verdict.requirement, verdict.case, verdict.component
-    return item, *about, json.dumps(question, sort_keys=True)
-
-
-_WORST_VERDICT_FIRST = ("violated", "undecided", "supported")
-
-
-def _counting_attempt(attempts: Sequence[AttemptEntry]) -> AttemptEntry:
-    """Select the attempt at an item that counts: the first violation, else the last attempt."""
-    return next((entry for entry in attempts if entry.verdict == "violated"), attempts[-1])
-
-
-def _final_outcomes(outcomes: Sequence[JsonObject]) -> list[JsonObject]:
-    """Select one attempt of each item: a violation if there is one, else the last."""
-    final: dict[str, JsonObject] = {}
-    for outcome in outcomes:
-        before = final.get(outcome["item"])
-        if before is None or before["verdict"] != "violated":
-            final[outcome["item"]] = outcome
-    return list(final.values())
-
-
-def _outcomes_by_attempt(outcomes: Sequence[JsonObject]) -> Iterator[list[JsonObject]]:
-    """Yield what each attempt at a test came to, where there are several.
-
-    An attempt has the outcome of each item by then: not every item is run again. Items that repeat
-    a test make an attempt of their own.
-    """
-    repeated: dict[str, list[str]] = {}
-    for outcome in sorted(outcomes, key=itemgetter("item")):
-        items = repeated.setdefault(outcome["recorded_as"] or outcome["item"], [])
-        if outcome["item"] not in items:
-            items.append(outcome["item"])
-    place = {item: number for items in repeated.values() for number, item in enumerate(items)}
-    numbers = sorted({(place[outcome["item"]], outcome["attempt"]) for outcome in outcomes})
-    if len(numbers) == 1:
-        return
-    for repetition, number in numbers:
-        latest = {
-            outcome["item"]: outcome
-            for outcome in outcomes
-            if place[outcome["item"]] == repetition and outcome["attempt"] <= number
-        }
-        yield list(latest.values())
-
-
-_MAX_OBSERVED = 50
-"""Greatest number of names that a test looked at."""
-_MAX_FAILED = 10
-"""Greatest number of episodes with the assertion that failed there."""
-WORST_FIRST = ("violated", "missing", "open", "invalid", "satisfied")
-
-
-def _worst_of_each_episode(final: list[JsonObject]) -> list[EpisodeVerdict]:
-    """Select the worst verdict on each episode, which several parameters of a test may judge."""
-    worst: dict[str, JsonObject] = {}
-    for outcome in sorted(final, key=lambda outcome: WORST_FIRST.index(outcome["verdict"])):
-        worst.setdefault(outcome["episode"], outcome)
-    ordered = sorted(worst.values(), key=lambda outcome: _run_number(outcome["episode"]))
-    return [EpisodeVerdict.from_json(outcome) for outcome in ordered]
-
-
-def _judge_test(
-    requirement: Requirement,
-    case: str,
-    component: str,
-    outcomes: Sequence[JsonObject],
-    situation: Situation | None = None,
-) -> CampaignVerdict:
-    """Judge a test that looks at one episode at a time.
+def claim_of(item: str, requirement: str, case: CasePlan) -> JudgementEntry:
+    """Make the judgement of what an item is to decide, before it does.
 
     Args:
-        requirement: The requirement; its rate and confidence come from the test.
-        case: Id of the case.
-        component: Name of the component under test.
-        outcomes: Outcomes of all episodes that it looked at, with ``item``, ``planned``,
-            ``at_most``, ``confidence``.
-        situation: The single situation of the case's runs, if all of them are equal.
+        item: Node id of the item; of a test on single episodes without its parameters.
+        requirement: Id of the requirement.
+        case: The case.
     """
-    # Tests are a fixed number, and run in no fixed order: no sequential method applies.
-    judged_by = replace(
-        requirement,
-        at_most=outcomes[0]["at_most"],
-        confidence=outcomes[0]["confidence"],
-        method=None,
-        p0=None,
-    )
-    planned = max(outcome["planned"] for outcome in outcomes)
-    final = _worst_of_each_episode(_final_outcomes(outcomes))
-    # Each run is a test of its own: none is saved where all runs are equal.
-    whole = len(final) >= planned > 1
-    return judge_campaign(
-        judged_by,
-        case,
-        final,
-        planned=planned,
-        component=component,
-        situation=situation if whole else None,
-    )
+    return JudgementEntry(
+        kind="claim", item=item, recorded_as="", attempt=0, requirement=requirement, case=case.id,
+        component=case.component, planned=case.planned, check="", paired=None, at_most=None,
+        confidence=0.95, method=None, p0=None, until_decided=False, twins="", runs=[],
+        assertion=None,
+    )  # fmt: skip
 
 
-def _assertion_summary(final: Sequence[JsonObject]) -> AssertionEntry:
-    """Summarise the assertions of a test over all episodes that it looked at.
-
-    Args:
-        final: Of :func:`_final_outcomes`.
-    """
-    assertions = [(outcome["episode"], outcome["assertion"]) for outcome in final]
-    false = Counter(check for _, assertion in assertions for check in assertion["false"])
-    observed = {name for _, assertion in assertions for name in assertion["observed"]}
-    failed = sorted((name, entry["failed"]) for name, entry in assertions if entry["failed"])
-    return AssertionEntry(
-        alone=all(assertion["alone"] for _, assertion in assertions),
-        by_check=sum(assertion["by_check"] for _, assertion in assertions),
-        observed=sorted(observed)[:_MAX_OBSERVED],
-        false=[
-            FalseCheck(check=name, episodes=false[name]) for name in sorted(false)[:_MAX_OBSERVED]
-        ],
-        failed=[FailedAssertion(episode=name, message=why) for name, why in failed[:_MAX_FAILED]],
-    )
-
-
-def _run_number(episode: str) -> tuple[str, int]:
-    case, _, run = episode.rpartition("#")
-    return case, int(run)
-
-
-SCHEMA_VERSION = "3"
+SCHEMA_VERSION = "4"
 _REPEAT_KEYS = set(RepeatEntry.model_fields)
-UNKNOWN_COMPONENT = "unknown"
-"""Name of a component that a conftest defines, until the first episode reports it."""
-
 _UNCONCLUDED: JsonObject = {
     "overall": [],
     "effectiveness": [],
@@ -308,24 +166,6 @@ def _unmeasured(case: CasePlan) -> JsonObject:
     """Return what :func:`measure_cases` computes of a case, before it does."""
     metrics = CaseMetrics().to_json(case.planned)
     return {"metrics": metrics, "missing_runs": [], "missing_runs_total": 0}
-
-
-def _verdict(
-    attempt: AttemptEntry,
-    item: str,
-    *,
-    waiver: WaiverEntry | None = None,
-    attempts: Sequence[AttemptEntry] = (),
-    assertion: AssertionEntry | None = None,
-) -> VerdictEntry:
-    return VerdictEntry(
-        **vars(attempt),
-        item=item,
-        waiver=waiver,
-        attempts=list(attempts),
-        assertion=assertion,
-        also_without=None,
-    )
 
 
 Status = Literal["running", "complete", "interrupted"]
@@ -357,29 +197,19 @@ class RecordBuilder:
     _components_of: dict[str, list[str]] = field(default_factory=dict)
     """Names of components by the id of a case."""
     _spool: EpisodeSpool = field(init=False)
-    _verdicts: dict[tuple[str, ...], VerdictEntry] = field(default_factory=dict)
-    """Those of other sessions."""
-    _attempts: dict[tuple[str, ...], dict[str, list[tuple[int, AttemptEntry]]]] = field(
-        default_factory=dict
-    )
-    """Numbered attempts at each question, by the item that made them."""
-    _outcomes: dict[tuple[str, ...], dict[str, JsonObject]] = field(default_factory=dict)
+    _judgements: dict[str, JudgementEntry] = field(default_factory=dict)
+    """By their content, as the same report may come twice."""
     _monitors: dict[tuple[str, ...], MonitorEntry] = field(default_factory=dict)
-    _expected: dict[tuple[str, str, str], CasePlan] = field(default_factory=dict)
+    _claimed: dict[str, CasePlan] = field(default_factory=dict)
+    """Cases of what is to be decided, by id."""
     _waivers: dict[str, WaiverEntry] = field(default_factory=dict)
     _failed: set[str] = field(default_factory=set)
     """Items that failed in the end."""
-    _first_waived: dict[str, str] = field(default_factory=dict)
-    """First waived item of each test."""
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
     _models: LanguageModels = field(default_factory=LanguageModels)
     _problems: set[str] = field(default_factory=set)
     _reuse: ReuseRecord = field(default_factory=ReuseRecord)
-    _ran: set[str] = field(default_factory=set)
-    """Cases with any episode."""
     _repeats: dict[tuple[str, str], RepeatEntry] = field(default_factory=dict)
-    _situations: dict[tuple[str, str], Situations] = field(default_factory=dict)
-    """Situations of the planned episodes, by case and component."""
 
     def __post_init__(self) -> None:
         """Open the spool for the episodes."""
@@ -392,8 +222,9 @@ class RecordBuilder:
     def expect(self, item: str, requirement: JsonObject, case: JsonObject) -> None:
         """Announce an item of a campaign; if it never reports, its verdict is undecided."""
         plan, known = CasePlan.model_validate(case), RequirementEntry.model_validate(requirement)
-        self._expected[item, known.id, plan.id] = plan
+        self._claimed.setdefault(plan.id, plan)
         self._add_requirement(known)
+        self.add_judgement(claim_of(item, known.id, plan))
 
     def add_hazards(self, hazards: Iterable[HazardEntry]) -> None:
         """Add hazards that the session has to answer for; the first of an id holds."""
@@ -412,9 +243,8 @@ class RecordBuilder:
         for part in report.parts:
             self.add(unpack_report(part))
         item = report.item
-        for claim in report.claims:
-            decides = test_function(item) if claim.each_run else report.recorded_as or item
-            self._expected.setdefault((decides, claim.requirement, claim.case.id), claim.case)
+        for case in report.claimed:
+            self._claimed.setdefault(case.id, case)
         for component in report.components:
             self._components.add(component)
         self._components.add_sources(report.sources)
@@ -433,13 +263,13 @@ class RecordBuilder:
         self._problems.update(report.problems)
         self.objections.update(dict.fromkeys(report.objections))
         self._reuse.add(report.notes, report.searched)
-        for verdict in report.verdicts:
-            self._add_verdict(report, verdict)
+        by = {"item": item, "recorded_as": report.recorded_as, "attempt": report.attempt}
+        for judgement in report.judgements:
+            self.add_judgement(judgement if judgement.item else judgement.replace(**by))
         self.searches.add(report.recorded_as or item, report.searches)
         for monitor in report.monitors:
             key = monitor.case, monitor.component, monitor.target, monitor.monitor
             self._monitors[key] = monitor
-        self._add_outcomes(report)
         if report.retried:
             self.waive(item, "rerun", "the item was run again")
 
@@ -452,9 +282,9 @@ class RecordBuilder:
         for trace in traces:
             self._spool.add_trace(trace)
 
-    def adopt(self, verdict: VerdictEntry) -> None:
-        """Take over a verdict of another session, with its item, its waiver and its attempts."""
-        self._verdicts[question_key(verdict.item, verdict)] = verdict
+    def add_judgement(self, judgement: JudgementEntry) -> None:
+        """Add what an item asked, or was to decide."""
+        self._judgements.setdefault(json.dumps(judgement.to_json(), sort_keys=True), judgement)
 
     def waive(self, item: str, kind: str, reason: str) -> None:
         """Record that an item's failure is excused: ``xfail``, ``rerun`` or ``skip``.
@@ -464,7 +294,6 @@ class RecordBuilder:
         if kind == "rerun" and item in self._failed:
             return
         self._waivers[item] = WaiverEntry.model_validate({"kind": kind, "reason": reason})
-        self._first_waived.setdefault(test_function(item), item)
 
     def fail(self, item: str) -> None:
         """Record that an item failed in the end, however often it was run."""
@@ -491,7 +320,11 @@ class RecordBuilder:
         Raises:
             ConfigurationError: If the episodes cannot be read.
         """
-        self._add_unreported_cases()
+        cases = dict(self._cases)
+        for case in self._unreported_cases():
+            known = cases.setdefault((case.id, case.component), case)
+            cases[case.id, case.component] = max(known, case, key=attrgetter("planned"))
+        judgements = self._answerable_judgements()
         head = RecordHead.model_validate(
             {
                 **_UNCONCLUDED,
@@ -506,32 +339,26 @@ class RecordBuilder:
                 "requirements": [self._requirements[name] for name in sorted(self._requirements)],
                 "cases": [
                     {**case.to_json(), **_unmeasured(case), "repeat": self._repeats.get(key)}
-                    for key, case in self._cases.items()
+                    for key, case in cases.items()
                 ],
-                "verdicts": self.verdicts(),
+                "judgements": judgements,
+                "waivers": {item: self._waivers[item] for item in sorted(self._waivers)},
+                "doubts": [
+                    {"case": case, "component": component, "reason": reason}
+                    for (case, component), reason in sorted(self._clashes.items())
+                ],
+                "verdicts": [],
                 "searches": self.searches.entries(self._waivers),
                 "monitors": [self._monitors[key] for key in sorted(self._monitors)],
             }
         )
         record = SessionRecord(head, self.directory or Path(), self._spool.__iter__)
-        return measure_cases(record)
+        return measure_cases(with_verdicts(record))
 
     def _hazards_json(self) -> JsonObject:
         """The record's key ``hazards``, if there are any."""
         hazards = [self._hazards[name] for name in sorted(self._hazards)]
         return {"hazards": hazards} if hazards else {}
-
-    def verdicts(self) -> list[VerdictEntry]:
-        """List all verdicts, also on what never reported, sorted by case and requirement."""
-        verdicts = list(self._verdicts.values())
-        verdicts += [self._of_attempts(key[0], asked) for key, asked in self._attempts.items()]
-        for key, outcomes in self._outcomes.items():
-            verdicts.append(self._of_outcomes(key, list(outcomes.values())))
-        reported = {(entry.item, entry.requirement, entry.case) for entry in verdicts}
-        for claim, case in self._unsearched():
-            if claim not in reported:
-                verdicts.append(self._not_run(*claim[:2], case))
-        return sorted(map(self._qualified, verdicts), key=attrgetter("case", "requirement", "item"))
 
     def _add_measures(self, measures: Iterable[MeasureEntry]) -> None:
         for measure in measures:
@@ -552,8 +379,6 @@ class RecordBuilder:
 
     def _add_episodes(self, report: ItemReport) -> None:
         for episode in report.episodes:
-            self._ran.add(episode["case"])
-            self._add_situation(episode)
             first = self._spool.add(episode)
             if first != episode["digest"]:
                 self._clashes[episode["case"], episode["component"]] = (
@@ -564,100 +389,17 @@ class RecordBuilder:
             self._spool.add_chain(chain)
         self.add_traces(report.traces)
 
-    def _add_situation(self, episode: JsonObject) -> None:
-        key = episode["case"], episode["component"]
-        if not episode["planned"] or key not in self._cases:
-            return
-        if key not in self._situations:
-            self._situations[key] = case_situations(self._cases[key])
-        add_episode(self._situations[key], episode)
+    def _unreported_cases(self) -> Iterator[CasePlan]:
+        """Yield the cases of which something is to be decided, and of which nothing was reported.
 
-    def _add_outcomes(self, report: ItemReport) -> None:
-        asked = {
-            "item": report.item,
-            "attempt": report.attempt,
-            "recorded_as": report.recorded_as,
-        }
-        for outcome in report.outcomes:
-            # Two tests on one episode give two verdicts, not two attempts at one.
-            about = outcome["requirement"], outcome["case"], outcome["component"]
-            entry = outcome | asked
-            known = self._outcomes.setdefault((test_function(report.item), *about), {})
-            known[json.dumps(entry, sort_keys=True)] = entry
-
-    def _add_verdict(self, report: ItemReport, verdict: AttemptEntry) -> None:
-        # An item may ask several questions; the same question again is another attempt.
-        key = question_key(report.recorded_as or report.item, verdict)
-        attempts = self._attempts.setdefault(key, {}).setdefault(report.item, [])
-        numbered = report.attempt, verdict
-        if not attempts or attempts[-1] != numbered:
-            attempts.append(numbered)
-
-    def _of_attempts(
-        self, item: str, asked: Mapping[str, Sequence[tuple[int, AttemptEntry]]]
-    ) -> VerdictEntry:
-        """Verdict of one or several attempts, by one or several items that repeat a test.
-
-        Of several attempts at an item a violation counts before anything else, and of several items
-        the worst verdict; all of them are kept.
+        What an item searched it does not decide.
         """
-        attempts = {name: [entry for _, entry in asked[name]] for name in sorted(asked)}
-        counting = {name: _counting_attempt(entries) for name, entries in attempts.items()}
-        verdict = min(counting.values(), key=lambda one: _WORST_VERDICT_FIRST.index(one.verdict))
-        waivers = [self._waivers[name] for name in attempts if name in self._waivers]
-        bad = {name for name, entry in counting.items() if entry.verdict != "supported"}
-        return _verdict(
-            verdict,
-            item,
-            waiver=waivers[0] if waivers and bad <= self._waivers.keys() else None,
-            attempts=[
-                entry for entries in attempts.values() for entry in entries if entry is not verdict
-            ],
-        )
-
-    def _of_outcomes(self, key: tuple[str, ...], outcomes: list[JsonObject]) -> VerdictEntry:
-        """Verdict of a test that looks at one episode at a time."""
-        test, requirement, case, component = key
-        final = _final_outcomes(outcomes)
-        known = self._situations.get((case, component))
-        situation = None if known is None else known.situation
-
-        def judged(seen: Sequence[JsonObject]) -> AttemptEntry:
-            known = self._requirement(requirement)
-            return AttemptEntry.of(_judge_test(known, case, component, seen, situation))
-
-        verdict = judged(outcomes)
-        attempts = list(map(judged, _outcomes_by_attempt(outcomes)))
-        if verdict in attempts:
-            attempts.remove(verdict)
-        return _verdict(
-            verdict,
-            test,
-            waiver=self._waiver_of(final, verdict),
-            attempts=attempts,
-            assertion=_assertion_summary(final),
-        )
-
-    def _waiver_of(self, final: list[JsonObject], verdict: AttemptEntry) -> WaiverEntry | None:
-        """Waiver of a verdict, if all that is bad about it comes from waived items."""
-        waivers = [
-            self._waivers[outcome["item"]] for outcome in final if outcome["item"] in self._waivers
-        ]
-        bad = {outcome["item"] for outcome in final if outcome["verdict"] != "satisfied"}
-        excused = bad <= self._waivers.keys() and verdict.run >= verdict.planned
-        return waivers[0] if waivers and excused else None
-
-    def _add_unreported_cases(self) -> None:
-        """Add the cases that are expected, and of which nothing was reported."""
-        reported = set(self._components_of)
-        for _, case in self._unsearched():
-            if case.id not in reported:
-                self._add_case(self._with_component(case))
-
-    def _unsearched(self) -> list[tuple[tuple[str, str, str], CasePlan]]:
-        """Expected claims, apart from those that items searched instead of deciding them."""
-        answered = self.searches.answered
-        return [claim for claim in self._expected.items() if claim[0] not in answered]
+        searched = self.searches.answered
+        for judgement in self._judgements.values():
+            key = judgement.item, judgement.requirement, judgement.case
+            unreported = judgement.case not in self._components_of and key not in searched
+            if judgement.kind == "claim" and unreported:
+                yield self._with_component(self._claimed[judgement.case])
 
     def _with_component(self, case: CasePlan) -> CasePlan:
         """Put the component's name into an expected case, if it is known by now."""
@@ -666,36 +408,19 @@ class RecordBuilder:
         names = self._components_of.get(case.id) or self._components.names
         return case.replace(component=names[0]) if len(names) == 1 else case
 
-    def _not_run(self, item: str, requirement: str, case: CasePlan) -> VerdictEntry:
-        case = self._with_component(case)
-        verdict = AttemptEntry.of(
-            judge_campaign(
-                self._requirement(requirement),
-                case.id,
-                [],
-                planned=case.planned,
-                component=case.component,
-            )
-        )
-        if item != f"{case.id}::{requirement}":
-            # Its episodes may have run: what was not made is the verdict.
-            verdict = verdict.replace(reason="the test ended without a verdict on it")
-        elif case.id in self._ran:
-            reason = "episodes of the case ran, and no verdict was made on them"
-            verdict = verdict.replace(reason=reason)
-        waived = item if item in self._waivers else self._first_waived.get(item, "")
-        return _verdict(verdict, item, waiver=self._waivers.get(waived))
-
-    def _requirement(self, name: str) -> Requirement:
-        known = self._requirements.get(name)
-        return Requirement.from_json({"id": name} if known is None else known.to_json())
-
-    def _qualified(self, verdict: VerdictEntry) -> VerdictEntry:
-        """Apply doubts about the case's episodes."""
-        clash = self._clashes.get((verdict.case, verdict.component))
-        if clash is not None:
-            verdict = verdict.replace(**doubted(verdict.verdict, verdict.reason, clash))
-        cases = [verdict.case, *([verdict.pairs.case] if verdict.pairs else [])]
-        repeats = [self._repeats.get((case, verdict.component)) for case in cases]
-        changed = with_repeats(verdict.verdict, verdict.reason, repeats, verdict.component)
-        return verdict.replace(**changed)
+    def _answerable_judgements(self) -> list[JudgementEntry]:
+        """List all judgements, sorted; claims name their component as far as it is known."""
+        judgements = []
+        for judgement in self._judgements.values():
+            if judgement.kind == "claim" and judgement.component == UNKNOWN_COMPONENT:
+                case = self._with_component(self._claimed[judgement.case])
+                judgements.append(judgement.replace(component=case.component))
+            else:
+                judgements.append(judgement)
+        return sorted(
+            judgements,
+            key=lambda judgement: (
+                judgement.item, judgement.attempt, judgement.requirement, judgement.case,
+                judgement.component, judgement.kind, judgement.check,
+            ),
+        )  # fmt: skip

@@ -155,9 +155,12 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
         report.monitors += head.monitors
         report.models += [{**model.to_json(), "process": part.name} for model in head.models]
         report.notes += head.reuse.problems
+        report.claimed += report.cases
         record.add(report)
-        for verdict in head.verdicts:
-            record.adopt(verdict)
+        for judgement in head.judgements:
+            record.add_judgement(judgement)
+        for item, waiver in head.waivers.items():
+            record.waive(item, waiver.kind, waiver.reason)
         for search in head.searches:
             record.searches.adopt(search)
     traced = _trace_owners(parts)

@@ -15,9 +15,9 @@ from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError, shorten
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
+from pytest_dura.evidence.conclusions.verdicts import question_key
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.files import file_entry
-from pytest_dura.evidence.gather import question_key
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import ShardEntry, ToolEntry
 from pytest_dura.evidence.sessions import ShardUnit, plan_digest

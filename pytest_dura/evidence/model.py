@@ -41,10 +41,13 @@ from pytest_dura.evidence.session_model import (
 from pytest_dura.evidence.signing import SignedReview, read_review
 from pytest_dura.evidence.verdict_model import (
     BaselineEntry,
+    DoubtEntry,
     EffectivenessEntry,
+    JudgementEntry,
     LookEntry,
     MonitorEntry,
     VerdictEntry,
+    WaiverEntry,
 )
 
 
@@ -86,7 +89,7 @@ class RecordHead(Entry):
     otherwise; a number that is not finite is null.
     """
 
-    schema_version: Literal["3"]
+    schema_version: Literal["4"]
     """Version of this schema."""
     status: Literal["running", "complete", "interrupted"]
     """How the session ended. Only `complete` can be a pass; `running` is one that was killed."""
@@ -137,6 +140,12 @@ class RecordHead(Entry):
     """Sorted by id."""
     cases: list[CaseEntry]
     """Sorted by id and component."""
+    judgements: list[JudgementEntry]
+    """What items asked, from which the verdicts follow; sorted by item, requirement and case."""
+    waivers: dict[str, WaiverEntry]
+    """What excuses failures, by the node id of the item."""
+    doubts: list[DoubtEntry]
+    """Cases whose episodes cannot be trusted."""
     verdicts: list[VerdictEntry]
     """Sorted by case and requirement."""
     searches: list[SearchEntry]

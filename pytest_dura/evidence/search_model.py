@@ -211,6 +211,15 @@ class SearchEntry(Entry):
 _sort_key = attrgetter("case", "component", "item", "seed")
 
 
+def searched_claims(searches: Iterable[SearchEntry]) -> set[tuple[str, str, str]]:
+    """Item, requirement and case of what was searched instead of decided."""
+    return {
+        (search.item, outcome.requirement, search.case)
+        for search in searches
+        for outcome in search.outcomes
+    }
+
+
 @dataclass
 class SearchRecords:
     """Collects the searches of a session.
@@ -235,11 +244,7 @@ class SearchRecords:
     @property
     def answered(self) -> set[tuple[str, str, str]]:
         """Claims that items searched instead of deciding them: they get no verdict."""
-        return {
-            (search.item, outcome.requirement, search.case)
-            for search in self._searches.values()
-            for outcome in search.outcomes
-        }
+        return searched_claims(self._searches.values())
 
     def entries(self, waivers: Mapping[str, WaiverEntry]) -> list[SearchEntry]:
         """List the entries of the record's key ``searches``, sorted.

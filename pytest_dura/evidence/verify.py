@@ -35,8 +35,7 @@ from pytest_dura.evidence.bundle import (
     open_record,
     rendered_files,
 )
-from pytest_dura.evidence.case_model import RequirementEntry
-from pytest_dura.evidence.conclude import conclude_record, measure_cases
+from pytest_dura.evidence.conclude import conclude_record, measure_cases, with_verdicts
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import outcome_figures
@@ -45,18 +44,19 @@ from pytest_dura.evidence.gate import judge_again
 from pytest_dura.evidence.junit import junit_problems
 from pytest_dura.evidence.mcap import read_trace
 from pytest_dura.evidence.model import RecordHead, SessionRecord, Totals
+from pytest_dura.evidence.redaction import holds_redaction
 from pytest_dura.evidence.traces import Trace, trace_path
-from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
+from pytest_dura.evidence.verdict_model import CheckVerdictEntry
 from pytest_dura.evidence.verify_record import differences, record_problems
-from pytest_dura.evidence.verify_verdicts import verdict_problems
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.second_engine import ENGINES_DISAGREE
 
 _RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")
 """Name of a file from which a failed session can be resumed, which is no evidence."""
-JudgedOnTraces: TypeAlias = "dict[tuple[int, str], EpisodeVerdict]"
-"""Verdicts on traces, by the number of the verdict in the record and the episode's id."""
+JudgedOnTraces: TypeAlias = "dict[tuple[str, str, str, str], EpisodeVerdict]"
+"""Verdicts on traces, by requirement, check, component and the episode's id."""
 _IDENTITY = {"id", "component", "seed", "digest"}
 """Keys of an episode that name the file of its trace."""
 _STATEMENT_FILE = "test-result.intoto.json"
@@ -89,18 +89,14 @@ def hash_problems(directory: Path, kept: Collection[str]) -> Iterator[str]:
 
 def trace_problems(record: SessionRecord, judged: JudgedOnTraces) -> Iterator[str]:
     """Yield the differences between traces and record, and collect what was judged again."""
-    requirements = {requirement.id: requirement for requirement in record.head.requirements}
-    verdicts: dict[tuple[str, str], list[tuple[int, VerdictEntry]]] = defaultdict(list)
-    for number, verdict in enumerate(record.head.verdicts):
-        if verdict.requirement in requirements:  # others are reported in verify_record
-            verdicts[verdict.case, verdict.component].append((number, verdict))
+    checks = _Checks(record)
+    violating = {
+        (verdict.component, counterexample.episode)
+        for verdict in record.head.verdicts
+        for counterexample in verdict.counterexamples
+    }
     for episode in record.episodes():
-        claims = [
-            _Claim.of(number, verdict, requirements[verdict.requirement], episode)
-            for number, verdict in verdicts[episode.case, episode.component]
-            if rests_on(verdict, episode)
-        ]
-        violated = any(claim.counterexample is not None for claim in claims)
+        violated = episode.planned and (episode.component, episode.id) in violating
         for problem in _retention_problems(record, episode, violated=violated):
             yield f"{RECORD_FILE}: episode {episode.id}: {problem}"
         if episode.trace is None:
@@ -108,7 +104,7 @@ def trace_problems(record: SessionRecord, judged: JudgedOnTraces) -> Iterator[st
         name = episode.trace.file
         try:
             file = record.directory / name
-            for problem in _problems_of_trace(record, file, episode, claims, judged):
+            for problem in _problems_of_trace(record, file, episode, checks, judged):
                 yield f"{name}: {problem}"
         except Exception as error:  # whatever a damaged trace does to its readers
             yield f"{name}: cannot be read as the trace of {episode.id} ({error})"
@@ -135,46 +131,45 @@ def _retention_problems(
         yield f"its trace is {trace.file}, and that of others"
 
 
-def rests_on(verdict: VerdictEntry, episode: EpisodeEntry) -> bool:
-    """Whether a verdict may rest on an episode of its case.
+class _Checks:
+    """Formulas that judge recorded episodes, and what the record says of each.
 
-    The verdict of a campaign rests on the first runs of a case; another requirement on the same
-    case may need more of them.
+    Args:
+        record: The record.
     """
-    return bool(episode.planned and (not verdict.check or episode.spec.run < verdict.run))
+
+    def __init__(self, record: SessionRecord) -> None:
+        head = record.head
+        self._requirements = {known.id: known for known in head.requirements}
+        self._declared = {(case.id, case.component): case.requirements for case in head.cases}
+        self._asked: dict[str, list[tuple[str, str, CheckVerdictEntry]]] = defaultdict(list)
+        for judgement in head.judgements:
+            for run in judgement.runs if judgement.kind == "campaign" else ():
+                about = judgement.requirement, judgement.check
+                for digest, verdict in ((run.digest, run.verdict), (run.twin, run.twin_verdict)):
+                    if verdict is not None:
+                        self._asked[digest].append((*about, verdict))
+
+    def on(self, episode: EpisodeEntry) -> Iterator[tuple[Requirement, CheckVerdictEntry | None]]:
+        """Yield each formula that judges an episode, with the recorded verdict."""
+        for name in self._declared.get((episode.case, episode.component), ()):
+            known = self._requirements.get(name)
+            if known is not None and _is_formula(known.check):
+                yield Requirement(name, check=known.check), episode.verdicts.get(name)
+        for name, check, verdict in self._asked.get(episode.digest, ()):
+            if _is_formula(check):
+                yield Requirement(name, check=check), verdict
 
 
-@dataclass(frozen=True)
-class _Claim:
-    """Statement of a verdict on an episode: that it is a counterexample, or that it is none."""
-
-    number: int
-    requirement: Requirement | None
-    counterexample: CounterexampleEntry | None
-
-    @classmethod
-    def of(
-        cls,
-        number: int,
-        verdict: VerdictEntry,
-        requirement: RequirementEntry,
-        episode: EpisodeEntry,
-    ) -> _Claim:
-        """Make it without a requirement if the verdict cannot be made on a trace alone."""
-        listed = (e for e in verdict.counterexamples if e.episode == episode.id)
-        check = verdict.check
-        by_formula = check and not is_function_path(check) and verdict.paired is None
-        judged_by = (
-            Requirement.from_json(requirement.to_json() | {"check": check}) if by_formula else None
-        )
-        return cls(number, judged_by, next(listed, None))
+def _is_formula(check: str) -> bool:
+    return bool(check) and not is_function_path(check)
 
 
 def _problems_of_trace(
     record: SessionRecord,
     file: Path,
     episode: EpisodeEntry,
-    claims: list[_Claim],
+    checks: _Checks,
     judged: JudgedOnTraces,
 ) -> Iterator[str]:
     entry = episode.trace
@@ -198,11 +193,15 @@ def _problems_of_trace(
     for key in sorted({measure.name for measure in known} | {*_TRACED_FIGURES}):
         if computed.get(key) != stated.get(key):
             yield f"its {key} is {computed.get(key)}, and the record says {stated.get(key)}"
-    for claim in claims:
-        if claim.requirement is not None:
-            verdict = judge_episode(claim.requirement, traced)
-            judged[claim.number, episode.id] = verdict
-            yield from _rejudged_problems(verdict, claim.counterexample)
+    for requirement, recorded in checks.on(episode):
+        try:
+            verdict = judge_episode(requirement, traced)
+        except ConfigurationError:  # it names signals of another simulator
+            if recorded is not None:
+                yield f"{requirement.id} cannot be judged on it, and the record has a verdict"
+            continue
+        judged[requirement.id, requirement.check, episode.component, episode.id] = verdict
+        yield from _rejudged_problems(verdict, recorded)
 
 
 def _registered_measures(paths: Iterable[str]) -> Iterator[tuple[str, int, Measure]]:
@@ -250,18 +249,21 @@ def _measure_problems(record: SessionRecord) -> Iterator[str]:
 
 
 def _rejudged_problems(
-    verdict: EpisodeVerdict, counterexample: CounterexampleEntry | None
+    verdict: EpisodeVerdict, recorded: CheckVerdictEntry | None
 ) -> Iterator[str]:
-    if counterexample is None:
-        if verdict.verdict == "violated":
-            place = f"{verdict.requirement} at {verdict.time} s by {verdict.margin}"
-            yield f"violates {place}, and the record does not say so"
-    elif (verdict.verdict, verdict.time, verdict.margin) != (
-        "violated", counterexample.time, counterexample.margin,
-    ):  # fmt: skip
-        status = f"{verdict.verdict} at {verdict.time} s by {verdict.margin}"
-        recorded = f"violated at {counterexample.time} s by {counterexample.margin}"
-        yield f"{verdict.requirement} on it is {status}, and the record says {recorded}"
+    """Compare a verdict on a trace with the recorded one."""
+    if recorded is None:
+        yield f"{verdict.requirement} on it is {verdict.verdict}, and the record has no verdict"
+        return
+    if recorded.status == "missing" and recorded.detail.startswith(ENGINES_DISAGREE):
+        return  # only the session had both engines
+    computed = (verdict.verdict, verdict.time, verdict.margin, verdict.vacuous)
+    known = (recorded.status, recorded.time, recorded.margin, recorded.vacuous)
+    same_detail = verdict.detail == recorded.detail or holds_redaction(recorded.detail)
+    if computed != known or not same_detail:
+        place = f"{verdict.verdict} at {verdict.time} s by {verdict.margin} ({verdict.detail})"
+        stated = f"{recorded.status} at {recorded.time} s by {recorded.margin} ({recorded.detail})"
+        yield f"{verdict.requirement} on it is {place}, and the record says {stated}"
 
 
 def _trace_episode(trace: Trace, episode: EpisodeEntry) -> JudgedEpisode:
@@ -286,14 +288,9 @@ def _trace_episode(trace: Trace, episode: EpisodeEntry) -> JudgedEpisode:
     )
 
 
-def conclusion_problems(record: SessionRecord, judged: JudgedOnTraces) -> Iterator[str]:
-    """Conclude from the recorded episodes again, and yield the differences.
-
-    Args:
-        record: The record.
-        judged: Verdicts on traces, of :func:`trace_problems`.
-    """
-    for problem in (*verdict_problems(record, judged), *_measure_problems(record)):
+def conclusion_problems(record: SessionRecord) -> Iterator[str]:
+    """Conclude from the recorded episodes and judgements again, and yield the differences."""
+    for problem in _measure_problems(record):
         yield f"{RECORD_FILE}: {problem}"
     head, again = record.head.to_json(), conclude_again(record).head.to_json()
     for key in dict.fromkeys([*head, *again]):
@@ -306,7 +303,7 @@ def conclude_again(record: SessionRecord) -> SessionRecord:
     """Conclude a recorded session as it was concluded itself, from its episodes and verdicts."""
     timings = record.head.timings
     return conclude_record(
-        measure_cases(record),
+        measure_cases(with_verdicts(record)),
         finished=record.head.finished,
         gate=judge_again(record.head).to_json(),
         inputs=record.head.inputs,
@@ -447,7 +444,7 @@ def _check_sentences(
     verification.totals = record.head.totals
     problems += record_problems(record)
     problems += trace_problems(record, verification.rejudged)
-    problems += conclusion_problems(record, verification.rejudged)
+    problems += conclusion_problems(record)
     verification.not_rendered = _other_version(record)
     if verification.not_rendered is None:
         problems += rendering_problems(record)

@@ -11,17 +11,17 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from hashlib import sha256
 from pathlib import PurePosixPath, PureWindowsPath
-from typing import Any
+from typing import Any, NamedTuple
 
 from pytest_dura.core.episode import canonical, outcome_of
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
+from pytest_dura.evidence.conclusions.verdicts import question_key
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, EpisodeMetricsEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, repeat_problems
-from pytest_dura.evidence.gather import question_key
 from pytest_dura.evidence.hazards import hazard_problems
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.redaction import holds_redaction
@@ -34,8 +34,10 @@ from pytest_dura.evidence.search_model import (
 from pytest_dura.evidence.session_model import ComponentEntry, ComponentUnderTest
 from pytest_dura.evidence.sessions import reuse_problems, shard_problems
 from pytest_dura.evidence.text import one_line
-from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.evidence.verdict_model import CheckVerdictEntry, JudgementEntry, VerdictEntry
 from pytest_dura.provenance import digest_of
+from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
+from pytest_dura.requirements.episode_verdicts import EARLY_ENDS
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 
@@ -51,6 +53,7 @@ def episode_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> 
         *_input_problems(episode, case, base_seed),
         *_metric_problems(episode),
         *_chain_problems(episode),
+        *_declared_verdict_problems(episode, case),
     )
     for problem in problems:
         yield f"episode {episode.id}: {problem}"
@@ -140,6 +143,80 @@ def _chain_problems(episode: EpisodeEntry) -> Iterator[str]:
             yield f"{name}: violated, and it has no outcome"
         if outcome not in (None, expected):
             yield f"{name}: its outcome is {outcome!r}, and its chain gives {expected!r}"
+
+
+def _declared_verdict_problems(episode: EpisodeEntry, case: CaseEntry) -> Iterator[str]:
+    """Hold an episode's verdicts on the requirements of its case against the episode."""
+    for name, verdict in episode.verdicts.items():
+        if name not in case.requirements:
+            yield f"a verdict on {name}, which its case does not declare"
+        for problem in _check_verdict_problems(verdict, episode):
+            yield f"{name} is {problem}"
+
+
+def _check_verdict_problems(verdict: CheckVerdictEntry, episode: EpisodeEntry) -> Iterator[str]:
+    """Yield what a check cannot say of an episode that came to this."""
+    status, margin, time = verdict.status, verdict.margin, verdict.time
+    if status in ("satisfied", "open") and episode.validity != "valid":
+        yield f"{status}, and the run is {episode.validity}"
+    if status == "invalid" and episode.validity == "missing":
+        yield f"{status}, and the run is {episode.validity}"
+    if status == "open" and episode.termination not in EARLY_ENDS:
+        yield f"{status}, and the run ended by {episode.termination}"
+    unexplained = not verdict.detail.startswith((INFRASTRUCTURE, TEST_FAILED))
+    if status == "missing" and episode.validity != "missing" and unexplained:
+        yield f"{status}, and no error says why"
+    if time is not None and (status != "violated" or time > episode.timings.simulated_seconds):
+        yield f"{status} at {time} s of {episode.timings.simulated_seconds} s"
+    if status == "satisfied" and margin is not None and margin < 0:
+        yield f"{status} by {margin}"
+    if verdict.vacuous and status != "satisfied":
+        yield f"{status}, and vacuous"
+
+
+INFRASTRUCTURE = "infrastructure: "
+
+
+def judgement_problems(record: SessionRecord) -> Iterator[str]:
+    """Yield the contradictions between judgements and the runs that they name."""
+    cases = {(case.id, case.component): case for case in record.head.cases}
+    doubtful = {(doubt.case, doubt.component) for doubt in record.head.doubts}
+    named: dict[str, list[_NamedRun]] = {}
+    for judgement in record.head.judgements:
+        place = f"judgement {judgement.requirement} on {judgement.case} by {judgement.item}"
+        case = cases.get((judgement.case, judgement.component))
+        if case is not None and judgement.planned > case.planned:
+            yield f"{place}: {judgement.planned} runs planned, and {case.planned} of its case"
+        for run in judgement.runs:
+            named.setdefault(run.digest, []).append(_NamedRun(place, judgement, run.verdict))
+            if run.twin:
+                twin = _NamedRun(place, judgement, run.twin_verdict)
+                named.setdefault(run.twin, []).append(twin)
+    for episode in record.episodes():
+        for each in named.pop(episode.digest, ()):
+            for problem in each.problems(episode):
+                yield f"{each.place}: {episode.id} is {problem}"
+    for each in (each for entries in named.values() for each in entries):
+        if (each.judgement.case, each.judgement.component) not in doubtful:
+            yield f"{each.place}: one of its runs is not recorded"
+
+
+class _NamedRun(NamedTuple):
+    """A run that a judgement names, and what its own check says of it."""
+
+    place: str
+    judgement: JudgementEntry
+    verdict: CheckVerdictEntry | None
+
+    def problems(self, episode: EpisodeEntry) -> Iterator[str]:
+        """Yield the contradictions with the episode of the run."""
+        if self.verdict is None:
+            return
+        yield from _check_verdict_problems(self.verdict, episode)
+        own = episode.verdicts.get(self.judgement.requirement)
+        by_test = self.judgement.kind == "test" and self.verdict.status == "satisfied"
+        if by_test and own is not None and own.status != "satisfied":
+            yield f"{self.verdict.status}, and {own.status} by the check of the requirement"
 
 
 def _tally_problems(metrics: EpisodeMetricsEntry, decisions: int) -> Iterator[str]:
@@ -386,6 +463,7 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
             yield f"case {case.id}: {problem}"
     for verdict in record.head.verdicts:
         yield from _verdict_problems(verdict, cases, requirements, ids)
+    yield from judgement_problems(record)
     yield from hazard_problems(record)
     yield from _question_problems(record)
     yield from _monitor_problems(record, cases)

@@ -154,7 +154,7 @@ def _expected_items(
     """
     if not context.plan:
         return []
-    from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
+    from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT
 
     chosen_ids, requirements = set(chosen), context.library().requirements
     used = {name for planned in context.plan for name in planned.requirements}

@@ -82,7 +82,7 @@ class SessionInputs:
         for component in report.components:
             self.inputs.add_reported("component", component["files"])
             self._add_imports("component", component["path"])
-        for case in (*report.cases, *(claim.case for claim in report.claims)):
+        for case in (*report.cases, *report.claimed):
             self._add_scenario(case.scenario)
         for requirement in report.requirements:
             self._add_requirement(requirement.id, requirement.to_json())

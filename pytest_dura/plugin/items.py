@@ -141,7 +141,9 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
     campaign = dura_orchestrator.campaign(planned.case, requirement=requirement)
     try:
         verdict = campaign.judge(requirement)
-        dura_orchestrator.events.emit(VerdictReached(verdict, requirement))
+        assert campaign.judgement is not None
+        reached = VerdictReached(verdict, requirement, campaign.judgement)
+        dura_orchestrator.events.emit(reached)
     except ConfigurationError as error:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
     if verdict.verdict == "supported":
@@ -179,7 +181,7 @@ def _later_tasks(runner: Runner, item: ScenarioItem) -> Iterator[EpisodeTask]:
         campaign = runner.campaign(later.planned.case, requirement=requirement)
         try:
             cases = [campaign.case]
-            if campaign.judge_of(requirement, None).sequential:
+            if campaign.course_of(requirement).judge.sequential:
                 continue
             if requirement.paired is not None:
                 cases.append(campaign.paired(requirement.paired.without).case)

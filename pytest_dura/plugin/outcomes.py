@@ -373,8 +373,8 @@ def outcome_of_test(
     from pytest_dura.requirements.episode_verdicts import (
         EARLY_ENDS,
         EpisodeVerdict,
-        is_unseen_crash,
     )
+    from pytest_dura.requirements.runs import Run
 
     status, detail = status_of_test(episode, error)
     failed = failed if status == "violated" else ""
@@ -387,7 +387,7 @@ def outcome_of_test(
     elif judged is not None and status == "satisfied" and judged.verdict != "satisfied":
         status, detail = judged.verdict, judged.detail
     vacuous = status == "satisfied" and judged is not None and judged.vacuous
-    unseen = status != "violated" and is_unseen_crash(episode, requirements)
+    unseen = status != "violated" and Run.of(episode, requirements).is_unseen_crash
     own = EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,

@@ -6,7 +6,9 @@ It also keeps the traces of the item's episodes.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -44,12 +46,15 @@ if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
     from pytest_dura.evidence.episodes import ItemReport
+    from pytest_dura.evidence.verdict_model import JudgementEntry
     from pytest_dura.execution.store import EpisodeKey
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.language_models import LanguageModels
+    from pytest_dura.plugin.outcomes import EpisodeOutcome
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
+    from pytest_dura.requirements.judgements import Judgement
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.runner import Runner
 
@@ -101,6 +106,62 @@ def _exposure(case: Case) -> dict[str, Any]:
 def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
     """Leave out the keys of pieces, which a range of single numbers does not have."""
     return {key: value for key, value in spread.items() if value is not None}
+
+
+def _campaign_judgement(judgement: Judgement) -> JudgementEntry:
+    """Return a judgement as the evidence holds it."""
+    from pytest_dura.evidence.entry import plain_data
+    from pytest_dura.evidence.verdict_model import JudgementEntry
+
+    asked = judgement.requirement.to_json()
+    question = {key: asked[key] for key in _QUESTION_KEYS}
+    runs = []
+    for run in judgement.runs:
+        values = None if run.values is None else [_plain_number(value) for value in run.values]
+        runs.append({**asdict(run), "values": values})
+    return JudgementEntry.model_validate(
+        plain_data(
+            {
+                "kind": "campaign", "item": "", "recorded_as": "", "attempt": 0,
+                "requirement": judgement.requirement.id, "case": judgement.case,
+                "component": judgement.component, "planned": judgement.planned, **question,
+                "until_decided": judgement.until_decided, "twins": judgement.twins,
+                "runs": runs, "assertion": None,
+            }
+        )
+    )  # fmt: skip
+
+
+_QUESTION_KEYS = ("check", "paired", "at_most", "confidence", "method", "p0")
+
+
+def _plain_number(value: float | None) -> float | str | None:
+    """A number, or the name of an infinite one, which JSON does not know."""
+    if value is None or math.isfinite(value):
+        return value
+    return "Infinity" if value > 0 else "-Infinity"
+
+
+def _test_judgement(outcome: EpisodeOutcome, episode: JudgedEpisode) -> JudgementEntry:
+    """Return the outcome of a test on one episode as the evidence holds it."""
+    from pytest_dura.evidence.verdict_model import JudgementEntry
+    from pytest_dura.requirements.runs import CheckVerdict
+
+    judged = outcome.judged
+    run = {
+        "digest": episode.digest, "run": episode.spec.run, "twin": "",
+        "verdict": asdict(CheckVerdict.of(judged)), "twin_verdict": None, "values": None,
+    }  # fmt: skip
+    return JudgementEntry.model_validate(
+        {
+            "kind": "test", "item": "", "recorded_as": "", "attempt": 0,
+            "requirement": judged.requirement, "case": outcome.case,
+            "component": judged.component, "planned": outcome.planned, "check": "",
+            "paired": None, "at_most": outcome.at_most, "confidence": outcome.confidence,
+            "method": None, "p0": None, "until_decided": False, "twins": "", "runs": [run],
+            "assertion": asdict(outcome.assertion),
+        }
+    )  # fmt: skip
 
 
 REPORT_ATTRIBUTE = "dura"
@@ -181,7 +242,10 @@ class ItemRecorder:
         if use not in self._recorded:
             self._recorded.add(use)
             origin = self._runner().store.earlier.origin(key)
-            record = episode_record(episode, planned=planned > 0, origin=origin)
+            requirements = self._runner().requirements_of(case)
+            record = episode_record(
+                episode, planned=planned > 0, origin=origin, requirements=requirements
+            )
             self._report.episodes.append(record)
             known = self._report.measures
             described = map(MeasureEntry.model_validate, episode.described_measures)
@@ -214,6 +278,7 @@ class ItemRecorder:
         check = {"check": question["check"], "paired": question["paired"]}
         judged = plain_data({**verdict.to_json(), **check})
         self._report.verdicts.append(AttemptEntry.model_validate(judged))
+        self._report.judgements.append(_campaign_judgement(event.judgement))
         self._decided.add((verdict.requirement, verdict.case))
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
@@ -339,7 +404,8 @@ class ItemRecorder:
         item_report.recorded_as = item.stash.get(RECORDED_AS, "")
         item_report.attempt = item.stash.get(_ATTEMPT, 1)
         item_report = item_report.without_secrets(self.context.redact)
-        text = json.dumps(item_report.to_json(), allow_nan=False) if item_report else None
+        lines = replace(item_report, verdicts=[], outcomes=[])
+        text = json.dumps(lines.to_json(), allow_nan=False) if lines else None
         self._held.append((item.nodeid, when, text))
         return item_report
 
@@ -497,8 +563,8 @@ class ItemRecorder:
         if target is None:
             return
         campaign = given_to(item, "campaign")
-        from pytest_dura.evidence.episodes import ClaimReport
-        from pytest_dura.evidence.gather import UNKNOWN_COMPONENT
+        from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT, test_function
+        from pytest_dura.evidence.gather import claim_of
 
         component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
         override = self.context.options.runs
@@ -506,8 +572,12 @@ class ItemRecorder:
         case = _case_plan(case_record(target.case, component, target.planned, override, off))
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
-            claim = ClaimReport(requirement=requirement.id, case=case, each_run=run is not None)
-            self._report.claims.append(claim)
+            decides = test_function(item.nodeid) if run is not None else item.nodeid
+            if run is None:
+                decides = item.stash.get(RECORDED_AS, "") or decides
+            self._report.judgements.append(claim_of(decides, requirement.id, case))
+            if case not in self._report.claimed:
+                self._report.claimed.append(case)
 
     def _test_outcome(
         self, item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException] | None
@@ -531,3 +601,4 @@ class ItemRecorder:
             if outcome.judged.verdict == "violated":
                 self.traces.violated(episode)
             self._report.outcomes.append(outcome.to_json())
+            self._report.judgements.append(_test_judgement(outcome, episode))

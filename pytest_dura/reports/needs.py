@@ -18,8 +18,8 @@ from collections.abc import Iterator
 
 from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
 from pytest_dura.evidence.conclude import faults_of
+from pytest_dura.evidence.conclusions.verdicts import question_key
 from pytest_dura.evidence.entry import JsonObject
-from pytest_dura.evidence.gather import question_key
 from pytest_dura.evidence.hazards import HazardEvidence, hazard_evidence
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line

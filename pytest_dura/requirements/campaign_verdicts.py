@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 import numpy as np
 
 from pytest_dura.core.display import Shown, short_repr
-from pytest_dura.core.episode import Episode
 from pytest_dura.requirements.rate_tests import (
     ADVISED_POWER,
     EXACT_METHOD,
@@ -24,6 +23,7 @@ from pytest_dura.requirements.rate_tests import (
 
 if TYPE_CHECKING:
     from pytest_dura.requirements.model import Requirement
+    from pytest_dura.requirements.runs import Run
 
 Situation = Literal["repeated", "without effect"]
 REPEATED: Situation = "repeated"
@@ -51,16 +51,10 @@ class Situations:
         self._several: set[str] = set()
         self._differ = False
 
-    def add(self, episode: Episode) -> None:
+    def add(self, run: Run) -> None:
         """Take in a run, or its twin."""
-        spec = episode.spec
-        self.add_run(
-            spec.case,
-            spec.run,
-            episode.trajectory,
-            valid=episode.validity == "valid",
-            drawn=episode.drawn,
-        )
+        valid = run.validity == "valid"
+        self.add_run(run.case, run.number, run.trajectory, valid=valid, drawn=run.drawn)
 
     def add_run(self, case: str, number: int, trajectory: str, *, valid: bool, drawn: bool) -> None:
         """Take in a run as the record has it.

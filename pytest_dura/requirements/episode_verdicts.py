@@ -7,7 +7,7 @@ have types of their own, which neither :func:`judge_episode` nor a campaign take
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, get_args
 
@@ -210,9 +210,12 @@ def judge_episode(
             expected="a formula such as `always (gap > 0)`, or the path of a function",
             remedy="add a check, or judge it in test code",
         )
+    known = episode.known_verdicts if isinstance(episode, JudgedEpisode) else {}
+    if isinstance(check, str) and (requirement.id, check) in known:
+        return known[requirement.id, check]
     status, result = _judged_by_both(requirement, check, episode)
     early = episode.termination in EARLY_ENDS
-    return EpisodeVerdict(
+    verdict = EpisodeVerdict(
         requirement=requirement.id,
         episode=episode.id,
         component=episode.spec.component,
@@ -227,33 +230,9 @@ def judge_episode(
         without_effect=status == "violated" and episode.validity == "invalid",
         ended=episode.termination if early else "",
     )
-
-
-def is_unseen_crash(
-    episode: Episode, requirements: Iterable[Requirement], check: Check | None = None
-) -> bool:
-    """Whether an episode ended critical and violates none of the requirements of its case.
-
-    Args:
-        episode: The episode.
-        requirements: Of its case; those on pairs do not judge a single episode.
-        check: Another check that judged it alone.
-    """
-    if episode.termination != "critical":
-        return False
-    checks = [
-        requirement.check
-        for requirement in requirements
-        if requirement.check and requirement.paired is None
-    ]
-    return not any(_violates(known, episode) for known in ([check, *checks] if check else checks))
-
-
-def _violates(check: Check, episode: Episode) -> bool:
-    try:
-        return judged(check, episode)[0] == "violated"
-    except (ConfigurationError, EnginesDisagreeError):
-        return False  # reported where the requirement itself is judged
+    if isinstance(check, str):
+        known[requirement.id, check] = verdict
+    return verdict
 
 
 def _judged_by_both(
@@ -459,6 +438,12 @@ class JudgedEpisode(Episode):
         made.decisions = SealedColumns(made.decisions)
         vars(made)["_sealed"] = True
         return made
+
+    @property
+    def known_verdicts(self) -> dict[tuple[str, str], EpisodeVerdict]:
+        """Verdicts by requirement and check; each is made once."""
+        known: dict[tuple[str, str], EpisodeVerdict] = vars(self).setdefault("_known_verdicts", {})
+        return known
 
     def evaluate_also_by(self, engine: SecondEngine | None) -> None:
         """Set the second engine, which is no part of what happened in the episode."""

@@ -21,6 +21,7 @@ from pytest_dura.requirements.checks import check_name, load_function
 from pytest_dura.requirements.comparison import mcnemar
 from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.runs import Run
 
 _ROUNDING = 1e-9
 """Share of the greatest value by which a growth may miss the bound and still equals it: times are
@@ -111,8 +112,8 @@ def _as_side(
 
 def change_verdict(
     requirement: Requirement,
-    episode: Episode,
-    twin: Episode,
+    run: Run,
+    twin: Run,
     values: tuple[float | None, float | None],
 ) -> EpisodeVerdict:
     """Whether a measure grew by more than is acceptable.
@@ -123,43 +124,42 @@ def change_verdict(
 
     Args:
         requirement: A requirement on pairs with a bound on the change.
-        episode: The episode.
-        twin: The episode of the same seed without something.
+        run: The run.
+        twin: The run of the same seed without something.
         values: The measure of both; ``None`` of a run that is invalid or missing, or not whole.
     """
     assert requirement.paired is not None
     bound = requirement.paired.change_at_most
     assert bound is not None
-    status, margin, detail = _compared(episode, twin, values, bound)
+    status, margin, detail = _compared(run, twin, values, bound)
     return EpisodeVerdict(
         requirement=requirement.id,
-        episode=episode.id,
-        component=episode.spec.component,
+        episode=run.episode,
+        component=run.component,
         verdict=status,
         margin=margin,
         time=None,
         detail=detail,
-        proposals=episode.metrics.proposals,
-        valid_proposals=episode.metrics.valid_proposals,
-        not_manifested=episode.not_manifested,
+        proposals=run.proposals,
+        valid_proposals=run.valid_proposals,
+        not_manifested=run.not_manifested,
     )
 
 
 def _compared(
-    episode: Episode, twin: Episode, values: tuple[float | None, float | None], bound: float
+    run: Run, twin: Run, values: tuple[float | None, float | None], bound: float
 ) -> tuple[EpisodeStatus, float | None, str]:
     own, other = values
     if own is None or other is None:
-        pair = (episode, twin)
-        spoilt = [
-            episode
-            for episode in pair
-            if episode.validity != "valid" or episode.termination == "decided"
+        uncounted = [
+            side
+            for side in (run, twin)
+            if side.validity != "valid" or side.termination == "decided"
         ]
-        missing = [run for run in spoilt if run.failure is not None]
-        side = [*missing, *spoilt][0]
+        missing = [side for side in uncounted if side.failure is not None]
+        side = [*missing, *uncounted][0]
         why = side.failure or side.invalid_reason or "ended before its time, once all was decided"
-        detail = f"{why}, in {side.id}"
+        detail = f"{why}, in {side.episode}"
         return ("missing" if missing else "invalid"), None, detail
     if not math.isfinite(own):
         if not math.isfinite(other):

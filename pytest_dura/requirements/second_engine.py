@@ -54,6 +54,10 @@ Columns = Mapping[str, Any]
 """Samples of each signal: a list, or an array."""
 
 
+ENGINES_DISAGREE = "infrastructure: the STL engines disagree on "
+"""Beginning of the detail of an episode on which two engines differ."""
+
+
 class EnginesDisagreeError(DuraError):
     """Our evaluation of a formula and rtamt's differ: neither can be relied on.
 
@@ -65,9 +69,7 @@ class EnginesDisagreeError(DuraError):
 
     def __init__(self, subject: str, episode: str, values: str) -> None:
         self.episode, self.values = episode, values
-        super().__init__(
-            f"infrastructure: the STL engines disagree on {subject}, episode {episode}: {values}"
-        )
+        super().__init__(f"{ENGINES_DISAGREE}{subject}, episode {episode}: {values}")
 
 
 class SecondEngine:

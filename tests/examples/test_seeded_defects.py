@@ -24,6 +24,7 @@ from pytest_dura.requirements import (
     measured,
     pair_verdict,
 )
+from pytest_dura.requirements.runs import Run
 
 RULE_BASED = RoleSpec("pytest_dura.driving.roles.planners:RuleBased")
 
@@ -142,7 +143,7 @@ def judged_pair(requirement: Requirement, episode: Episode, twin: Episode) -> st
         sides = (judge_episode(requirement, run) for run in (episode, twin))
         return pair_verdict(*sides).verdict
     values = measured(measure, episode), measured(measure, twin)
-    return change_verdict(requirement, episode, twin, values).verdict
+    return change_verdict(requirement, Run.of(episode), Run.of(twin), values).verdict
 
 
 @pytest.mark.parametrize("requirement", sorted(ROWS))

@@ -120,7 +120,9 @@ pairs.require(measure='checks:farthest', change_at_most={bound})"""
     assert main(["verify", str(folder)]) == 0
     problems = {
         "/pairs/change/mean: found 1.0": lambda change: change.update(mean=1.0),
-        "and its changes give": lambda change: change.update(Change("m", *REVERSED).to_json()),
+        "/pairs/change/values/0: found": lambda change: change.update(
+            Change("m", *REVERSED).to_json()
+        ),
     }
     for problem, forge in problems.items():
         forged = shutil.copytree(folder, project.path / "forged", dirs_exist_ok=True)
@@ -130,7 +132,7 @@ pairs.require(measure='checks:farthest', change_at_most={bound})"""
         (forged / "evidence.json").write_text(json.dumps(record))
         capsys.readouterr()
         assert main(["verify", str(forged)]) == 1
-        assert (problem in capsys.readouterr().out) == (bound == "0.5" or "mean" in problem)
+        assert problem in capsys.readouterr().out
 
 
 REVERSED = (("corridor/it#0", "corridor/it#1", "corridor/it#2"), (-1.0, -1.0, -1.0))

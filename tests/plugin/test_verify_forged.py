@@ -145,7 +145,7 @@ def problems_of(made, record):
     found, rejudged = SessionRecord.of(record, made), {}
     told = list(record_problems(found))
     told += trace_problems(found, rejudged)
-    return told + list(conclusion_problems(found, rejudged))
+    return told + list(conclusion_problems(found))
 
 
 def verdict(record, **wanted):

@@ -25,6 +25,7 @@ from pytest_dura.requirements import (
     judge_pairs,
     pair_verdict,
 )
+from pytest_dura.requirements.runs import Run
 
 lawful = settings(derandomize=True, deadline=None, max_examples=100)
 
@@ -187,7 +188,7 @@ def test_a_change_is_held_against_its_bound_as_the_numbers_are_written(
     own: int, other: int, bound: int, per_unit: int
 ) -> None:
     """Tenths and thirtieths have no exact float, and a change may equal its bound."""
-    run = handmade(3, gap=[1, 1, 1])
+    run = Run.of(handmade(3, gap=[1, 1, 1]))
     for more in (own, other + bound):
         paired = Paired("recovery_planner", measure="a:b", change_at_most=bound / per_unit)
         values = (more / per_unit, other / per_unit)
@@ -214,7 +215,7 @@ def test_pairs_in_none_of_which_a_fault_manifested_support_nothing(
         spec = replace(SPEC, run=number)
         run = handmade(3, gap=[1, 1, 1], spec=spec, faults=(record,))
         if requirement is MEASURE:
-            verdicts.append(change_verdict(requirement, run, run, (1.0, 1.0)))
+            verdicts.append(change_verdict(requirement, Run.of(run), Run.of(run), (1.0, 1.0)))
         else:
             alone = judge_episode(requirement, run)
             verdicts.append(pair_verdict(alone, alone))

@@ -74,7 +74,7 @@ def episode(case="a/clear", run=0, *, validity="valid", trace=None, **changes):
             "reactions": {},
             "answer_seconds": [], "answer_ages": [], "user": {},
         },
-        "faults": faults,
+        "faults": faults, "verdicts": {},
         "events": [{"tick": 7, "time": 0.7, "kind": "alert", "subject": "V1",
                     "detail": "object_from_nowhere: appeared", "data": {}}],
         "timings": {"simulated_seconds": 2.0, "processing_seconds": {"generator": 0.002}},
@@ -178,7 +178,7 @@ def session_data(**changes):
             waived, verdict("SAF-1", "a/clear", ("satisfied", "satisfied")),
             violated, verdict("SEC-1", "a/clear+ghost", ("satisfied",) * 2, planned=4),
         ],
-        "searches": [],
+        "judgements": [], "waivers": {}, "doubts": [], "searches": [],
         "overall": [], "effectiveness": [],
         "monitors": [
             {"case": "a/clear+ghost", "monitor": "security_assessor", "target": "SAF-1",

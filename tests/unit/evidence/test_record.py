@@ -9,9 +9,9 @@ from pytest_dura.evidence import UNKNOWN_COMPONENT, CaseMetrics, PooledMetrics, 
 from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import ItemReport
+from pytest_dura.evidence.gather import claim_of
 from pytest_dura.evidence.session_model import ComponentEntry
-from pytest_dura.evidence.verdict_model import PairsEntry, VerdictEntry
-from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
+from pytest_dura.evidence.verdict_model import JudgementEntry, VerdictEntry
 
 REQUIREMENT = make(RequirementEntry, id="R", text="t", confidence=0.95).to_json()
 
@@ -22,34 +22,61 @@ def case(component="C", planned=2):
     ).to_json()
 
 
-def episode(run=0, digest="d", validity="valid", termination="goal", **outcome):
+def episode(run=0, digest=None, validity="valid", termination="goal", word="satisfied", **outcome):
     names = ("collided", "clearance_time", "gridlock")
     outcome["measures"] = {key: outcome.pop(key) for key in names if key in outcome}
     return make(
         EpisodeEntry, id=f"a/b#{run}", case="a/b", component="C", seed=run, planned=True,
-        validity=validity, digest=digest * 64, outcome=outcome, trajectory=f"{run:064d}",
-        termination=termination, spec={"run": run},
+        validity=validity, digest=(digest or DIGITS[run]) * 64, outcome=outcome,
+        trajectory=f"{run:064d}", termination=termination, spec={"run": run},
+        verdicts={"R": said(word)},
     ).to_json()  # fmt: skip
 
 
-def verdict(word="satisfied", run=0, component="C"):
-    return EpisodeVerdict("R", f"a/b#{run}", component, word, None, None, "", 1, 1)
+DIGITS = "0123456789"
 
 
-def campaign(*words):
-    verdicts = [verdict(word, run) for run, word in enumerate(words)]
-    made = judge_campaign(Requirement("R"), "a/b", verdicts, planned=len(words), component="C")
-    return {**made.to_json(), "check": "x", "paired": None}
+def said(word):
+    return {"status": word, "margin": None, "time": None, "detail": "", "vacuous": False}
+
+
+def ran(*words):
+    """The episodes of runs that the requirement finds to be as these words say."""
+    return [episode(run, word=word) for run, word in enumerate(words)]
+
+
+def judgement(kind, runs, **changes):
+    asked = {
+        "requirement": "R", "case": "a/b", "component": "C", "planned": len(runs), "check": "x",
+        "confidence": 0.95, **changes,
+    }  # fmt: skip
+    return make(JudgementEntry, kind=kind, runs=runs, **asked).to_json()
+
+
+def looked_up(run, word=None, digest=None):
+    """A run of a judgement, with the verdict of a check of the item's own if it has one."""
+    verdict = None if word is None else said(word)
+    return {"digest": (digest or DIGITS[run]) * 64, "run": run, "twin": "", "verdict": verdict}
+
+
+def campaign(count=1, **changes):
+    """The question whether so many runs satisfy the requirement of the case."""
+    return judgement("campaign", [looked_up(run) for run in range(count)], **changes)
+
+
+def own_check(*words, **changes):
+    """A question with a check of the item's own, of which each run comes to one of these words."""
+    return judgement("campaign", [looked_up(*told) for told in enumerate(words)], **changes)
 
 
 def report(item="a/b::R", **parts):
     return ItemReport.from_json({"item": item, **parts})
 
 
-def looked_at(told, planned=2):
-    rate = {"at_most": None, "confidence": 0.95}
+def looked_at(word, run=0, planned=2):
+    """What a test asserts of one episode."""
     own = {"alone": True, "by_check": False, "observed": [], "false": [], "failed": ""}
-    return {**told.to_json(), "case": "a/b", "planned": planned, **rate, "assertion": own}
+    return judgement("test", [looked_up(run, word)], planned=planned, check="", assertion=own)
 
 
 def record():
@@ -70,8 +97,7 @@ def case_metrics(episodes, planned):
 
 def test_the_same_report_may_come_twice():
     made = record()
-    told = report(cases=[case()], episodes=[episode(0), episode(1)],
-                  verdicts=[campaign("satisfied", "satisfied")])  # fmt: skip
+    told = report(cases=[case()], episodes=[episode(0), episode(1)], judgements=[campaign(2)])
     made.add(copy.deepcopy(told))
     once = copy.deepcopy(evidence(made))
     made.add(copy.deepcopy(told))
@@ -82,7 +108,7 @@ def test_the_same_report_may_come_twice():
 
 def test_the_order_of_reports_does_not_matter():
     first = report("x", cases=[case()], episodes=[episode(1)])
-    second = report("y", cases=[case()], episodes=[episode(0)], verdicts=[campaign("violated")])
+    second = report("y", cases=[case()], episodes=ran("violated"), judgements=[campaign()])
     forth, back = record(), record()
     for told in (first, second):
         forth.add(copy.deepcopy(told))
@@ -93,7 +119,7 @@ def test_the_order_of_reports_does_not_matter():
 
 def test_two_digests_of_one_episode_leave_the_claim_undecided():
     made = record()
-    made.add(report(cases=[case()], episodes=[episode(0)], verdicts=[campaign("satisfied")]))
+    made.add(report(cases=[case()], episodes=[episode(0)], judgements=[campaign()]))
     made.add(report("other", episodes=[episode(0, digest="e")]))
     (found,) = evidence(made)["verdicts"]
     assert found["verdict"] == "undecided"
@@ -103,7 +129,7 @@ def test_two_digests_of_one_episode_leave_the_claim_undecided():
 
 def test_two_digests_do_not_excuse_a_violation():
     made = record()
-    made.add(report(cases=[case()], episodes=[episode(0)], verdicts=[campaign("violated")]))
+    made.add(report(cases=[case()], episodes=ran("violated"), judgements=[campaign()]))
     made.add(report("other", episodes=[episode(0, digest="e")]))
     assert evidence(made)["verdicts"][0]["verdict"] == "violated"
 
@@ -120,8 +146,10 @@ def test_other_inputs_are_another_episode():
 def test_of_several_attempts_a_violation_counts_and_all_are_kept():
     for order in (("violated", "satisfied"), ("satisfied", "violated")):
         made = record()
-        for word in order:
-            made.add(report(cases=[case()], verdicts=[campaign(word)]))
+        for attempt, word in enumerate(order, 1):
+            asked = [own_check(word)]
+            parts = {"cases": [case()], "episodes": ran("satisfied"), "judgements": asked}
+            made.add(report(attempt=attempt, **parts))
         (found,) = evidence(made)["verdicts"]
         assert found["verdict"] == "violated"
         assert len(found["attempts"]) == 1
@@ -150,8 +178,9 @@ def test_an_expected_item_takes_the_components_name_when_it_is_known():
 def test_tests_on_single_episodes_make_one_verdict():
     made = record()
     for run, word in enumerate(["satisfied", "violated"]):
-        told = looked_at(verdict(word, run), planned=3)
-        made.add(report(f"t.py::f[a/b#{run}]", cases=[case(planned=3)], outcomes=[told]))
+        told = looked_at(word, run, planned=3)
+        parts = {"cases": [case(planned=3)], "episodes": [episode(run)], "judgements": [told]}
+        made.add(report(f"t.py::f[a/b#{run}]", **parts))
     (found,) = evidence(made)["verdicts"]
     assert (found["verdict"], found["planned"], found["run"]) == ("violated", 3, 2)
     assert found["item"] == "t.py::f"
@@ -159,7 +188,8 @@ def test_tests_on_single_episodes_make_one_verdict():
 
 
 def told_by(made, item, word, run=0):
-    made.add(report(f"{item}[a/b#{run}]", cases=[case()], outcomes=[looked_at(verdict(word, run))]))
+    told = {"cases": [case()], "episodes": [episode(run)], "judgements": [looked_at(word, run)]}
+    made.add(report(f"{item}[a/b#{run}]", **told))
 
 
 def test_what_two_tests_make_of_an_episode_is_told_apart():
@@ -175,10 +205,11 @@ def test_what_two_tests_make_of_an_episode_is_told_apart():
 def test_of_several_looks_at_an_episode_the_worst_counts_and_of_attempts_the_last():
     for words in (("invalid", "satisfied"), ("satisfied", "invalid")):
         looks, attempts = record(), record()
-        for parameter, word in enumerate(words):
-            outcomes = [looked_at(verdict(word), planned=1)]
-            looks.add(report(f"t.py::f[a/b#0-{parameter}]", cases=[case()], outcomes=outcomes))
-            attempts.add(report("t.py::f[a/b#0]", cases=[case()], outcomes=outcomes))
+        for number, word in enumerate(words, 1):
+            asked = [looked_at(word, planned=1)]
+            told = {"cases": [case()], "episodes": [episode(0)], "judgements": asked}
+            looks.add(report(f"t.py::f[a/b#0-{number}]", **told))
+            attempts.add(report("t.py::f[a/b#0]", attempt=number, **told))
         assert evidence(looks)["verdicts"][0]["verdict"] == "undecided"
         last = "supported" if words[-1] == "satisfied" else "undecided"
         assert evidence(attempts)["verdicts"][0]["verdict"] == last
@@ -198,28 +229,24 @@ def test_a_waiver_of_one_run_does_not_excuse_another():
 
 def test_several_questions_of_an_item_are_no_attempts_at_one():
     made = record()
-    one = campaign("satisfied")
-    others = [
-        one | {"paired": {"without": "faults", "measure": "", "change_at_most": None}},
-        one | {"bound": one["bound"] | {"at_most": 0.5}},
-        one | {"method": "sprt"},
-    ]
-    for told in (one, *others):
-        made.add(report(cases=[case()], verdicts=[told]))
+    others = [{"check": "y"}, {"at_most": 0.5}, {"at_most": 0.5, "method": "e-process"}]
+    for changes in ({}, *others):
+        told = own_check("satisfied", **changes)
+        made.add(report(cases=[case()], episodes=[episode(0)], judgements=[told]))
     found = evidence(made)["verdicts"]
     assert [verdict["attempts"] for verdict in found] == [[], [], [], []]
 
 
 def test_what_a_test_was_to_decide_and_did_not_is_undecided():
     made = record()
-    claims = [
-        {"requirement": "R", "case": case(), "each_run": False},
-        {"requirement": "S", "case": case(), "each_run": False},
-    ]
-    made.add(report("t.py::f[a/b]", claims=claims, requirements=[REQUIREMENT]))
-    made.add(report("t.py::f[a/b]", cases=[case()], verdicts=[campaign("satisfied")]))
-    single = {"requirement": "R", "case": case(), "each_run": True}
-    made.add(report("t.py::g[a/b#0]", claims=[single]))
+    plan = make(CasePlan, **case())
+    claims = [claim_of("t.py::f[a/b]", name, plan).to_json() for name in "RS"]
+    asked = {"judgements": claims, "claimed": [case()]}
+    made.add(report("t.py::f[a/b]", requirements=[REQUIREMENT], **asked))
+    told = {"cases": [case()], "episodes": [episode(0)], "judgements": [campaign()]}
+    made.add(report("t.py::f[a/b]", **told))
+    single = claim_of("t.py::g", "R", plan).to_json()
+    made.add(report("t.py::g[a/b#0]", judgements=[single], claimed=[case()]))
     made.waive("t.py::g[a/b#0]", "skip", "too cold")
     found = evidence(made)["verdicts"]
     assert [(one["item"], one["requirement"], one["verdict"]) for one in found] == [
@@ -244,7 +271,7 @@ def test_an_item_that_never_ran_does_not_deny_that_episodes_of_its_case_did():
 
 def test_waivers_are_recorded_beside_the_verdict():
     made = record()
-    made.add(report(cases=[case()], verdicts=[campaign("violated")]))
+    made.add(report(cases=[case()], episodes=ran("violated"), judgements=[campaign()]))
     made.waive("a/b::R", "xfail", "ticket 7")
     (found,) = evidence(made)["verdicts"]
     assert found["verdict"] == "violated"
@@ -377,8 +404,8 @@ def test_a_run_that_reported_is_not_missing_whatever_it_came_to():
 
 def test_runs_that_a_campaign_was_decided_without_are_not_missing():
     made = record()
-    decided = campaign("satisfied") | {"planned": 9, "saved": 8}
-    made.add(report(cases=[case(planned=9)], episodes=[episode(0)], verdicts=[decided]))
+    decided = campaign(1, planned=9, until_decided=True)
+    made.add(report(cases=[case(planned=9)], episodes=ran("violated"), judgements=[decided]))
     assert missing(made) == ([], 0)
     more = case(planned=10)
     made.add(report("t.py::f", cases=[more]))
@@ -387,9 +414,9 @@ def test_runs_that_a_campaign_was_decided_without_are_not_missing():
 
 def test_twins_are_missing_as_their_pairs_are():
     made = record()
-    pairs = campaign("satisfied") | {"planned": 3, "saved": 1, "case": "a/b+f"}
-    pairs["pairs"] = make(PairsEntry, case="a/b", without="faults").to_json()
-    made.add(report(cases=[case(planned=3)], episodes=[episode(0)], verdicts=[pairs]))
+    paired = {"without": "faults", "measure": "", "change_at_most": None}
+    pairs = campaign(2, case="a/b+f", twins="a/b", paired=paired)
+    made.add(report(cases=[case()], episodes=[episode(0)], judgements=[pairs]))
     assert missing(made) == ([1], 1)
 
 

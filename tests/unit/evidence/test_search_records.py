@@ -29,6 +29,8 @@ from pytest_dura.evidence import (
     plain_data,
     record_schema,
 )
+from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence.gather import claim_of
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.verdict_model import VerdictEntry
 
@@ -88,12 +90,22 @@ def test_a_search_makes_no_verdict_no_case_and_no_episode():
     assert (made.head.verdicts, made.head.cases, list(made.episodes())) == ([], [], [])
 
 
+def claiming(requirement):
+    """The report of an item that is to decide a requirement."""
+    plan = make(CasePlan, **case())
+    asked = [claim_of(ITEM, requirement, plan).to_json()]
+    return report(ITEM, judgements=asked, claimed=[plan.to_json()])
+
+
+def verdicts(record):
+    return [one.verdict for one in record.record("complete").head.verdicts]
+
+
 def test_what_an_item_searched_it_was_not_to_decide():
-    claim = {"requirement": "SAF-1", "case": case(), "each_run": False}
     asked = search("nothing found", case="a/b")
     left = RecordBuilder(HEADER)
-    left.add(report(ITEM, claims=[claim]))
-    assert [one.verdict for one in left.verdicts()] == ["undecided"]
+    left.add(claiming("SAF-1"))
+    assert verdicts(left) == ["undecided"]
     left.add(report(ITEM, searches=[asked]))
     made = left.record("complete")
     assert (made.head.verdicts, made.head.cases) == ([], [])
@@ -105,11 +117,10 @@ def test_what_an_item_searched_it_was_not_to_decide():
 def test_what_it_did_not_search_stays_undecided(changes):
     name = changes.pop("requirement", "SAF-1")
     item = changes.pop("item", ITEM)
-    claim = {"requirement": name, "case": case(), "each_run": False}
     record = RecordBuilder(HEADER)
-    record.add(report(ITEM, claims=[claim]))
+    record.add(claiming(name))
     record.add(report(item, searches=[search("nothing found", **{"case": "a/b", **changes})]))
-    assert [one.verdict for one in record.verdicts()] == ["undecided"]
+    assert verdicts(record) == ["undecided"]
 
 
 def gate(*searches, warn=False, verdicts=()):

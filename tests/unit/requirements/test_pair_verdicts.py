@@ -15,6 +15,7 @@ from pytest_dura.requirements import (
     change_verdict,
     pair_verdict,
 )
+from pytest_dura.requirements.runs import Run
 
 
 def verdict(word: Any, run: int, *, case: str = "case", **fields: Any) -> EpisodeVerdict:
@@ -78,10 +79,13 @@ def test_a_condition_that_only_the_twin_met_is_not_vacuous() -> None:
 def test_a_measure_of_a_missing_run_is_missing_whatever_the_other_is() -> None:
     unreached, broken = episode(faults=(idle(),)), episode(failure="infrastructure: simulator")
     for one, twin in ((unreached, broken), (broken, unreached)):
-        found = change_verdict(GROWTH, one, twin, (None, None))
+        found = change_verdict(GROWTH, Run.of(one), Run.of(twin), (None, None))
         assert (found.verdict, found.margin) == ("missing", None)
         assert found.detail == "infrastructure: simulator, in case#0"
-    assert change_verdict(GROWTH, episode(), unreached, (1.0, None)).verdict == "invalid"
+    assert (
+        change_verdict(GROWTH, Run.of(episode()), Run.of(unreached), (1.0, None)).verdict
+        == "invalid"
+    )
 
 
 GROWTH = Requirement("R", paired=Paired("faults", "pkg:time", 2.0))
@@ -103,12 +107,12 @@ GROWTH = Requirement("R", paired=Paired("faults", "pkg:time", 2.0))
 def test_growth_up_to_the_bound_is_accepted_and_no_value_is_more_than_any(
     values: tuple[float, float], word: str
 ) -> None:
-    one = episode()
+    one = Run.of(episode())
     assert change_verdict(GROWTH, one, one, values).verdict == word
 
 
 def test_a_growth_of_whole_ticks_equals_its_bound_wherever_it_begins() -> None:
-    one, dt = episode(), 0.1
+    one, dt = Run.of(episode()), 0.1
     times = [(tick * dt, (tick - 20) * dt) for tick in range(20, 400)]
     assert any(own - twin > 2.0 for own, twin in times)
     for values in times:

@@ -161,6 +161,8 @@ def test_a_difference_leaves_the_episode_missing_and_names_the_requirement(
     assert judge_episode(requirement, both).verdict == "satisfied"
     monkeypatch.setattr(windows, "sliding", early(windows.sliding, 3))
     plan_of.cache_clear()
+    one = episode(gap=[1, 3, 1, 3, 1, 3])
+    both = judged_by_both(one, SecondEngine())
     assert judge_episode(requirement, one).verdict == "violated"
     found = judge_episode(requirement, both)
     assert (found.verdict, found.margin) == ("missing", None)

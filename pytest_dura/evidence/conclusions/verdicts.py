@@ -1,0 +1,527 @@
+"""Verdicts: what the questions of a session come to, concluded from its judgements and its runs.
+
+The session's end, the verification of its evidence and a merge conclude them alike.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from operator import attrgetter
+from typing import Any
+
+from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
+from pytest_dura.evidence.entry import plain_data
+from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.gate import with_repeats
+from pytest_dura.evidence.verdict_model import (
+    AssertionEntry,
+    AttemptEntry,
+    CheckVerdictEntry,
+    FailedAssertion,
+    FalseCheck,
+    JudgementEntry,
+    RunJudgementEntry,
+    VerdictEntry,
+    WaiverEntry,
+)
+from pytest_dura.requirements.campaign_judge import judge_campaign
+from pytest_dura.requirements.campaign_verdicts import (
+    Situation,
+    Situations,
+    doubted,
+    varies,
+)
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
+from pytest_dura.requirements.judgements import Judgement, RunJudgement, conclude_campaign
+from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.runs import CheckVerdict, Run
+
+CaseKey = tuple[str, str]
+"""Case and component."""
+UNKNOWN_COMPONENT = "unknown"
+"""Name of a component that a conftest defines, until the first episode reports it."""
+_WORST_VERDICT_FIRST = ("violated", "undecided", "supported")
+_WORST_STATUS_FIRST = ("violated", "missing", "open", "invalid", "satisfied")
+_MAX_OBSERVED = 50
+"""Greatest number of names that a test looked at."""
+_MAX_FAILED = 10
+"""Greatest number of episodes with the assertion that failed there."""
+
+
+@dataclass
+class VerdictLines:
+    """What verdicts are concluded from, episodes apart.
+
+    Args:
+        judgements: What items asked, in any order; the same one may stand there twice.
+        cases: By id and component.
+        requirements: By id.
+        waivers: By the node id of the item that each excuses.
+        repeats: Results of repeating an episode, by case and component.
+        doubts: Why episodes of a case cannot be trusted, by case and component.
+        searched: Item, requirement and case of what was searched instead of decided.
+    """
+
+    judgements: Sequence[JudgementEntry]
+    cases: Mapping[CaseKey, CasePlan]
+    requirements: Mapping[str, RequirementEntry]
+    waivers: Mapping[str, WaiverEntry] = field(default_factory=dict)
+    repeats: Mapping[CaseKey, RepeatEntry | None] = field(default_factory=dict)
+    doubts: Mapping[CaseKey, str] = field(default_factory=dict)
+    searched: Collection[tuple[str, str, str]] = ()
+
+
+class Runs:
+    """The planned runs of a session, and whether those of a case are all equal.
+
+    Args:
+        cases: By id and component.
+        requirements: By id.
+    """
+
+    def __init__(
+        self, cases: Mapping[CaseKey, CasePlan], requirements: Mapping[str, RequirementEntry]
+    ) -> None:
+        self._cases = cases
+        self._alone = {name for name, known in requirements.items() if known.paired is None}
+        self._by_digest: dict[str, Run] = {}
+        self._by_number: dict[tuple[str, str, int], list[Run]] = defaultdict(list)
+        self._situations: dict[CaseKey, Situations] = {}
+        self.cases: set[str] = set()
+        """Ids of cases with any episode, planned or not."""
+
+    def add(self, episode: EpisodeEntry) -> None:
+        """Take in an episode of the record."""
+        key = episode.case, episode.component
+        self.cases.add(episode.case)
+        case = self._cases.get(key)
+        if not episode.planned or case is None:
+            return
+        run = _run_of(episode, self._alone.intersection(case.requirements))
+        self._by_digest[run.digest] = run
+        self._by_number[run.case, run.component, run.number].append(run)
+        if key not in self._situations:
+            faults = {fault.id for fault in case.faults}
+            self._situations[key] = Situations(varies=varies(case.variation, faults))
+        self._situations[key].add(run)
+
+    def find(self, case: str, component: str, number: int, digest: str) -> Run | None:
+        """Find a run by its digest, or by its number where one run alone has that.
+
+        An episode that was simulated twice, and came out differently, is recorded once.
+        """
+        if digest in self._by_digest:
+            return self._by_digest[digest]
+        numbered = self._by_number.get((case, component, number), [])
+        return numbered[0] if len(numbered) == 1 else None
+
+    def situation(self, case: str, component: str) -> Situation | None:
+        """What the planned runs of a case are, if all of them are equal."""
+        known = self._situations.get((case, component))
+        return None if known is None else known.situation
+
+
+def _run_of(episode: EpisodeEntry, alone: Collection[str]) -> Run:
+    """Read the run of a recorded episode.
+
+    Args:
+        episode: Of the record.
+        alone: Ids of the requirements of its case that a single run can violate.
+    """
+    verdicts = {name: _check_verdict(verdict) for name, verdict in episode.verdicts.items()}
+    metrics = episode.metrics
+    return Run(
+        episode=episode.id,
+        case=episode.case,
+        number=episode.spec.run,
+        component=episode.component,
+        digest=episode.digest,
+        validity=episode.validity,
+        termination=episode.termination,
+        failure=episode.failure,
+        invalid_reason=episode.invalid_reason,
+        proposals=metrics.proposals,
+        valid_proposals=metrics.valid_proposals,
+        not_manifested=tuple(f.id for f in episode.faults if f.manifested_at is None),
+        recovered=metrics.recoveries > 0,
+        trajectory=episode.trajectory,
+        drawn=episode.drawn,
+        verdicts=verdicts,
+        violates=any(verdicts[name].status == "violated" for name in alone if name in verdicts),
+    )
+
+
+def _check_verdict(entry: CheckVerdictEntry) -> CheckVerdict:
+    return CheckVerdict(entry.status, entry.margin, entry.time, entry.detail, entry.vacuous)
+
+
+def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[VerdictEntry]:
+    """Conclude all verdicts, also on what never reported, sorted by case and requirement.
+
+    Args:
+        lines: What was asked, and what bears on it.
+        runs: The runs of the session.
+    """
+    campaigns: dict[tuple[str, ...], list[JudgementEntry]] = defaultdict(list)
+    tests: dict[tuple[str, ...], list[JudgementEntry]] = defaultdict(list)
+    claims: dict[tuple[str, str, str], JudgementEntry] = {}
+    for judgement in lines.judgements:
+        about = judgement.requirement, judgement.case, judgement.component
+        if judgement.kind == "campaign":
+            campaigns[question_of(judgement)].append(judgement)
+        elif judgement.kind == "test":
+            # Two tests on one episode give two verdicts, not two attempts at one.
+            test = test_function(judgement.item), *about
+            tests[test].append(judgement)
+        else:
+            claims.setdefault((judgement.item, *about[:2]), judgement)
+    conclusion = _Verdicts(lines, runs)
+    verdicts = [conclusion.of_campaign(key[0], asked) for key, asked in campaigns.items()]
+    verdicts += [conclusion.of_test(key[0], asked) for key, asked in tests.items()]
+    reported = {(verdict.item, verdict.requirement, verdict.case) for verdict in verdicts}
+    for key, claim in claims.items():
+        if key not in reported and key not in lines.searched:
+            verdicts.append(conclusion.unanswered(claim))
+    ordered = sorted(verdicts, key=attrgetter("case", "requirement", "item"))
+    return [conclusion.qualified(verdict) for verdict in ordered]
+
+
+def test_function(item: str) -> str:
+    """Remove the parameters from a node id."""
+    return item.partition("[")[0]
+
+
+def question_of(judgement: JudgementEntry) -> tuple[str, ...]:
+    """Identify what a judgement asks: the item, requirement, case, component and question."""
+    paired = None if judgement.paired is None else judgement.paired.to_json()
+    question = [
+        judgement.check, paired, judgement.method, judgement.at_most, judgement.confidence,
+        judgement.until_decided,
+    ]  # fmt: skip
+    about = judgement.requirement, judgement.case, judgement.component
+    return judgement.recorded_as or judgement.item, *about, json.dumps(question, sort_keys=True)
+
+
+def question_key(item: str, verdict: AttemptEntry) -> tuple[str, ...]:
+    """Identify what a verdict answers: the item, requirement, case, component and question."""
+    paired = None if verdict.paired is None else verdict.paired.to_json()
+    bound = verdict.bound
+    question = [verdict.check, paired, verdict.method, bound.at_most, bound.confidence]
+    about = verdict.requirement, verdict.case, verdict.component
+    return item, *about, json.dumps(question, sort_keys=True)
+
+
+@dataclass
+class _Verdicts:
+    """Concludes the verdict on one question after the other."""
+
+    lines: VerdictLines
+    runs: Runs
+
+    @cached_property
+    def _first_waived(self) -> dict[str, str]:
+        """The first waived item of each test."""
+        return {test_function(item): item for item in sorted(self.lines.waivers, reverse=True)}
+
+    def of_campaign(self, item: str, asked: Sequence[JudgementEntry]) -> VerdictEntry:
+        """Conclude the verdict of one or several attempts, by one or several items.
+
+        Of several attempts at an item a violation counts before anything else, and of several items
+        the worst verdict; all of them are kept.
+        """
+        attempts: dict[str, list[AttemptEntry]] = {}
+        for judgement in _joined(asked):
+            attempts.setdefault(judgement.item, []).append(self._attempt(judgement))
+        counting = {name: _counting_attempt(entries) for name, entries in attempts.items()}
+        verdict = min(counting.values(), key=lambda one: _WORST_VERDICT_FIRST.index(one.verdict))
+        waivers = [self.lines.waivers[name] for name in attempts if name in self.lines.waivers]
+        bad = {name for name, entry in counting.items() if entry.verdict != "supported"}
+        return _verdict(
+            verdict,
+            item,
+            waiver=waivers[0] if waivers and bad <= self.lines.waivers.keys() else None,
+            attempts=[
+                entry for entries in attempts.values() for entry in entries if entry is not verdict
+            ],
+        )
+
+    def _attempt(self, entry: JudgementEntry) -> AttemptEntry:
+        """Conclude a campaign from its runs."""
+        key = entry.case, entry.component
+        case, known, judged = self.lines.cases.get(key), {}, []
+        for each in entry.runs:
+            run = self.runs.find(*key, each.run, each.digest)
+            twin = None
+            if each.twin:
+                twin = self.runs.find(entry.twins, entry.component, each.run, each.twin)
+            if run is None or (each.twin and twin is None):
+                continue
+            known[run.digest] = run
+            if twin is not None:
+                known[twin.digest] = twin
+            judged.append(_run_judgement(each, run, twin))
+        faults = set() if case is None else {fault.id for fault in case.faults}
+        judgement = Judgement(
+            Requirement.from_json(
+                {
+                    "id": entry.requirement,
+                    "check": entry.check,
+                    "at_most": entry.at_most,
+                    "confidence": entry.confidence,
+                    "method": entry.method,
+                    "p0": entry.p0,
+                    "paired": None if entry.paired is None else entry.paired.to_json(),
+                }
+            ),
+            entry.case,
+            entry.component,
+            entry.planned,
+            entry.until_decided,
+            entry.twins,
+            tuple(judged),
+        )
+        declared = () if case is None else case.variation
+        concluded = conclude_campaign(judgement, known, varies=varies(declared, faults))
+        asked = {"check": entry.check, "paired": entry.paired and entry.paired.to_json()}
+        return AttemptEntry.model_validate(plain_data({**concluded.verdict.to_json(), **asked}))
+
+    def of_test(self, test: str, asked: Sequence[JudgementEntry]) -> VerdictEntry:
+        """Conclude the verdict of a test that looks at one episode at a time."""
+        distinct = {json.dumps(entry.to_json(), sort_keys=True): entry for entry in asked}
+        # In an order of their own: they are reported in any.
+        outcomes = sorted(distinct.values(), key=lambda e: (e.runs[0].run, e.item, e.attempt))
+        final = _final_outcomes(outcomes)
+        verdict = self._judge_test(outcomes)
+        attempts = [self._judge_test(seen) for seen in _outcomes_by_attempt(outcomes)]
+        if verdict in attempts:
+            attempts.remove(verdict)
+        return _verdict(
+            verdict,
+            test,
+            waiver=self._waiver_of(final, verdict),
+            attempts=attempts,
+            assertion=_assertion_summary(final),
+        )
+
+    def _judge_test(self, outcomes: Sequence[JudgementEntry]) -> AttemptEntry:
+        first = outcomes[0]
+        # Tests are a fixed number, and run in no fixed order: no sequential method applies.
+        judged_by = replace(
+            self._requirement(first.requirement),
+            at_most=first.at_most,
+            confidence=first.confidence,
+            method=None,
+            p0=None,
+        )
+        planned = max(outcome.planned for outcome in outcomes)
+        final = self._worst_of_each_episode(_final_outcomes(outcomes))
+        # Each run is a test of its own: none is saved where all runs are equal.
+        whole = len(final) >= planned > 1
+        situation = self.runs.situation(first.case, first.component) if whole else None
+        return AttemptEntry.of(
+            judge_campaign(
+                judged_by,
+                first.case,
+                final,
+                planned=planned,
+                component=first.component,
+                situation=situation,
+            )
+        )
+
+    def _worst_of_each_episode(self, final: Iterable[JudgementEntry]) -> list[EpisodeVerdict]:
+        """Select the worst verdict on each episode, which several parameters of a test may judge.
+
+        Args:
+            final: Of :func:`_final_outcomes`.
+        """
+        worst: dict[str, EpisodeVerdict] = {}
+        ordered = sorted(final, key=lambda entry: _WORST_STATUS_FIRST.index(_status_of(entry)))
+        for outcome in ordered:
+            (each,) = outcome.runs
+            run = self.runs.find(outcome.case, outcome.component, each.run, each.digest)
+            if run is not None and each.verdict is not None:
+                verdict = run.verdict(outcome.requirement, _check_verdict(each.verdict))
+                crash = run.episode if run.is_unseen_crash else ""
+                unseen = crash if verdict.verdict != "violated" else ""
+                worst.setdefault(run.episode, replace(verdict, unseen_crash=unseen))
+        return sorted(worst.values(), key=lambda verdict: int(verdict.episode.rpartition("#")[2]))
+
+    def _waiver_of(
+        self, final: Sequence[JudgementEntry], verdict: AttemptEntry
+    ) -> WaiverEntry | None:
+        """Waiver of a verdict, if all that is bad about it comes from waived items."""
+        known = self.lines.waivers
+        waivers = [known[outcome.item] for outcome in final if outcome.item in known]
+        bad = {outcome.item for outcome in final if _status_of(outcome) != "satisfied"}
+        excused = bad <= known.keys() and verdict.run >= verdict.planned
+        return waivers[0] if waivers and excused else None
+
+    def unanswered(self, claim: JudgementEntry) -> VerdictEntry:
+        """Make the verdict on what was to be decided, and was not."""
+        item = claim.item
+        verdict = AttemptEntry.of(
+            judge_campaign(
+                self._requirement(claim.requirement),
+                claim.case,
+                [],
+                planned=claim.planned,
+                component=claim.component,
+            )
+        )
+        if item != f"{claim.case}::{claim.requirement}":
+            # Its episodes may have run: what was not made is the verdict.
+            verdict = verdict.replace(reason="the test ended without a verdict on it")
+        elif claim.case in self.runs.cases:
+            reason = "episodes of the case ran, and no verdict was made on them"
+            verdict = verdict.replace(reason=reason)
+        waivers = self.lines.waivers
+        waived = item if item in waivers else self._first_waived.get(item, "")
+        return _verdict(verdict, item, waiver=waivers.get(waived))
+
+    def _requirement(self, name: str) -> Requirement:
+        known = self.lines.requirements.get(name)
+        return Requirement.from_json({"id": name} if known is None else known.to_json())
+
+    def qualified(self, verdict: VerdictEntry) -> VerdictEntry:
+        """Apply doubts about the case's episodes."""
+        doubt = self.lines.doubts.get((verdict.case, verdict.component))
+        if doubt is not None:
+            verdict = verdict.replace(**doubted(verdict.verdict, verdict.reason, doubt))
+        cases = [verdict.case, *([verdict.pairs.case] if verdict.pairs else [])]
+        repeats = [self.lines.repeats.get((case, verdict.component)) for case in cases]
+        changed = with_repeats(verdict.verdict, verdict.reason, repeats, verdict.component)
+        return verdict.replace(**changed)
+
+
+def _joined(asked: Iterable[JudgementEntry]) -> list[JudgementEntry]:
+    """Join what one attempt asks several times, or what parts of a session say of one plan.
+
+    Where a check says two things of one run, both judgements stay.
+    """
+    joined: list[JudgementEntry] = []
+    for judgement in sorted(asked, key=_order):
+        last = joined[-1] if joined else None
+        if last is not None and (last.item, last.attempt) == (judgement.item, judgement.attempt):
+            known = {run.run: run for run in last.runs}
+            if all(known.get(run.run, run) == run for run in judgement.runs):
+                known.update({run.run: run for run in judgement.runs})
+                joined[-1] = last.replace(
+                    planned=max(last.planned, judgement.planned),
+                    runs=[known[number] for number in sorted(known)],
+                )
+                continue
+        joined.append(judgement)
+    return joined
+
+
+def _order(judgement: JudgementEntry) -> tuple[str, int, str]:
+    runs = json.dumps([run.to_json() for run in judgement.runs])
+    return judgement.item, judgement.attempt, runs
+
+
+def _run_judgement(each: RunJudgementEntry, run: Run, twin: Run | None) -> RunJudgement:
+    return RunJudgement(
+        run.digest,
+        run.number,
+        "" if twin is None else twin.digest,
+        None if each.verdict is None else _check_verdict(each.verdict),
+        None if each.twin_verdict is None else _check_verdict(each.twin_verdict),
+        None if each.values is None else (_number(each.values[0]), _number(each.values[1])),
+    )
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)
+
+
+def _verdict(
+    attempt: AttemptEntry,
+    item: str,
+    *,
+    waiver: WaiverEntry | None = None,
+    attempts: Sequence[AttemptEntry] = (),
+    assertion: AssertionEntry | None = None,
+) -> VerdictEntry:
+    return VerdictEntry(
+        **vars(attempt),
+        item=item,
+        waiver=waiver,
+        attempts=list(attempts),
+        assertion=assertion,
+        also_without=None,
+    )
+
+
+def _counting_attempt(attempts: Sequence[AttemptEntry]) -> AttemptEntry:
+    """Select the attempt at an item that counts: the first violation, else the last attempt."""
+    return next((entry for entry in attempts if entry.verdict == "violated"), attempts[-1])
+
+
+def _status_of(outcome: JudgementEntry) -> str:
+    (each,) = outcome.runs
+    assert each.verdict is not None
+    return each.verdict.status
+
+
+def _final_outcomes(outcomes: Sequence[JudgementEntry]) -> list[JudgementEntry]:
+    """Select one attempt of each item: a violation if there is one, else the last."""
+    final: dict[str, JudgementEntry] = {}
+    for outcome in outcomes:
+        before = final.get(outcome.item)
+        if before is None or _status_of(before) != "violated":
+            final[outcome.item] = outcome
+    return list(final.values())
+
+
+def _outcomes_by_attempt(outcomes: Sequence[JudgementEntry]) -> Iterator[list[JudgementEntry]]:
+    """Yield what each attempt at a test came to, where there are several.
+
+    An attempt has the outcome of each item by then: not every item is run again. Items that repeat
+    a test make an attempt of their own.
+    """
+    repeated: dict[str, list[str]] = {}
+    for outcome in sorted(outcomes, key=attrgetter("item")):
+        items = repeated.setdefault(outcome.recorded_as or outcome.item, [])
+        if outcome.item not in items:
+            items.append(outcome.item)
+    place = {item: number for items in repeated.values() for number, item in enumerate(items)}
+    numbers = sorted({(place[outcome.item], outcome.attempt) for outcome in outcomes})
+    if len(numbers) == 1:
+        return
+    for repetition, number in numbers:
+        latest = {
+            outcome.item: outcome
+            for outcome in outcomes
+            if place[outcome.item] == repetition and outcome.attempt <= number
+        }
+        yield list(latest.values())
+
+
+def _assertion_summary(final: Sequence[JudgementEntry]) -> AssertionEntry:
+    """Summarise the assertions of a test over all episodes that it looked at.
+
+    Args:
+        final: Of :func:`_final_outcomes`.
+    """
+    assertions = [
+        (f"{outcome.case}#{outcome.runs[0].run}", outcome.assertion)
+        for outcome in final
+        if outcome.assertion is not None
+    ]
+    false = Counter(check for _, assertion in assertions for check in assertion.false)
+    observed = {name for _, assertion in assertions for name in assertion.observed}
+    failed = sorted((name, entry.failed) for name, entry in assertions if entry.failed)
+    return AssertionEntry(
+        alone=all(assertion.alone for _, assertion in assertions),
+        by_check=sum(assertion.by_check for _, assertion in assertions),
+        observed=sorted(observed)[:_MAX_OBSERVED],
+        false=[
+            FalseCheck(check=name, episodes=false[name]) for name in sorted(false)[:_MAX_OBSERVED]
+        ],
+        failed=[FailedAssertion(episode=name, message=why) for name, why in failed[:_MAX_FAILED]],
+    )
