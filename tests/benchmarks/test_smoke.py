@@ -81,8 +81,8 @@ SMALLEST = {
     "two_simulators.py": ["--runs", "1", "--timed", "1", "--select", "*/nominal"],
 }
 NOT_A_SCRIPT = {"characteristics.py", "machine.py", "reads.py", "stl_alarms.py"}
-TAKES_MINUTES = {"same_results.py"}
-"""Runs whole sessions of another checkout."""
+TAKES_MINUTES = {"same_results.py", "held_sessions.py"}
+"""Run whole sessions, of another checkout and of twelve kinds."""
 NEEDS_NETCONVERT = {"sumo_network.py"}
 """Of a wheel of 440 MB; what it makes without it, ``test_sumo_network.py`` compares."""
 HEADERS = {
