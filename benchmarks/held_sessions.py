@@ -33,7 +33,6 @@ import sys
 import tempfile
 import time
 import zlib
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -142,7 +141,7 @@ def run_session(name: str, folder: Path) -> list[int]:
     """Take the steps of a session in a copy of the project; each prints into a file of its own."""
     shutil.copytree(EXAMPLE if name == "model" else PROJECT, folder)
     if name == "model":
-        (folder / "pytest.ini").write_text("[pytest]\n")
+        shutil.copy(PROJECT / "pytest.ini", folder)
     codes = []
     for number, command in enumerate(commands(name)):
         env = {key: value for key, value in os.environ.items() if key in KEPT}
@@ -203,6 +202,13 @@ MASKS = [
         (r"\b[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}\b", "<uuid>"),
         (r"^=+ (.* in )\d+\.\d\ds( \(.*\))? =+$", r"= \1<seconds> ="),
         (r'( time=")\d+\.\d+"', r'\1<seconds>"'),
+        (r'(name="hypothesis-statistics-[^"]*" value=")[^"]*"', r'\1<runtimes>"'),
+        (
+            r"((?i:wall clock)[^<]*|Gathering evidence[^<]*)(</th><td[^>]*>)\d+\.\d\d s",
+            r"\1\2<seconds>",
+        ),
+        (r"(<\w+ [\w.<>]+ at )0x[0-9a-f]+>", r"\1<address>>"),
+        (r"(&lt;\w+ (?:[\w.]|&lt;|&gt;)+ at )0x[0-9a-f]+&gt;", r"\1<address>&gt;"),
         (r'(hostname=")[^"]*"', r'\1<host>"'),
     )
 ]
@@ -225,11 +231,14 @@ class Kept:
         self.sessions = sorted(
             {file.parts[0] for file in self._names()} & {only or name for name in SESSIONS}
         )
-        for name in reversed(self._names()):
-            self.hashes[sha256(folder / name)] = _stable(name)
+        for name in self._names():
+            if name.parent.suffix != ".allure":
+                self.hashes[sha256(folder / name)] = name.name
             if name.name == "evidence.json":
                 record = json.loads((folder / name).read_text())
                 self.hashes[record["tool"]["code"]] = "the package"
+            if name.name == "manifest.json":
+                self.hashes[json.loads((folder / name).read_text())["digest"]] = "the record"
         self.prefixes: dict[str, list[str]] = {}
         for known in self.hashes:
             self.prefixes.setdefault(known[:7], []).append(known)
@@ -259,6 +268,8 @@ class Kept:
         if file.suffix == ".html":
             text = re.sub(r"(?<=octet-stream\">)[^<]+", self._unpacked, text)
             text = re.sub(r"(?<=id=\"episode\">)[^<]+", self._unpacked, text)
+        if file.suffix == ".xml":
+            text = text.replace("><", ">\n<")
         return self.text(text).splitlines()
 
     def _unpacked(self, match: re.Match[str]) -> str:
@@ -266,24 +277,25 @@ class Kept:
         return "\n" + json.dumps(self.masked(data), indent=0)
 
     def _allure(self, folder: Path) -> dict[str, Any]:
-        """Results by their names, with their attachments; containers."""
+        """Results by their names, with their attachments, and fixtures with their tests."""
+        place = str(folder.relative_to(self.folder))
+        results = [json.loads(file.read_text()) for file in folder.glob("*-result.json")]
+        results.sort(key=lambda result: result["start"])
+        names: dict[str, str] = {}
         found: dict[str, Any] = {}
-        read = [(file, json.loads(file.read_text())) for file in sorted(folder.glob("*.json"))
-                if not file.name.endswith("-attachment.json")]  # fmt: skip
-        read.sort(key=lambda pair: pair[1].get("start", 0))
-        place = f"{folder.relative_to(self.folder)}"
-        names: Counter[str] = Counter()
-        for _, data in read:
-            name = data.get("fullName") or "container"
-            name = f"{name} {[p['value'] for p in data.get('parameters', ())]}"
-            names[name] += 1
-            label = f"{place}/{name} {names[name]}"
-            found[label] = self.masked(_without_times(data))
-            for number, source in enumerate(_sources(data)):
-                found[f"{label} attachment {number}{Path(source).suffix}"] = self._view(
-                    folder / source
-                )
-        return found
+        for result in results:
+            begin = f"{place}/{result['fullName']}"
+            label = f"{begin} {sum(name.startswith(begin) for name in names.values()) + 1}"
+            names[result["uuid"]] = label
+            found[label] = self.masked(_without_times(result))
+            for number, source in enumerate(_sources(result)):
+                view = self._view(folder / source)
+                found[f"{label} attachment {number}{Path(source).suffix}"] = view
+        fixtures = [json.loads(file.read_text()) for file in folder.glob("*-container.json")]
+        for fixture in fixtures:
+            fixture["children"] = sorted(map(names.__getitem__, fixture["children"]))
+        lines = [json.dumps(self.masked(_without_times(fixture))) for fixture in fixtures]
+        return found | {f"{place}/fixtures": sorted(lines)}
 
     def text(self, text: str) -> str:
         """A text without times, drawn ids, paths and hashes of files."""
@@ -311,10 +323,6 @@ class Kept:
         return self.text(value) if isinstance(value, str) else value
 
 
-def _stable(name: Path) -> str:
-    return re.sub(r"[0-9a-f-]{36}", "<uuid>", str(name))
-
-
 def _trace(file: Path) -> Iterator[str]:
     """Messages, metadata and columns of a trace."""
     with file.open("rb") as opened:
@@ -334,6 +342,8 @@ def _without_times(value: Any) -> Any:
     if isinstance(value, dict):
         if value.get("name") in ("host", "thread") and "value" in value:
             return {"name": value["name"]}
+        if "labels" in value:  # in the order of a set
+            value["labels"].sort(key=lambda label: (label["name"], label["value"]))
         return {key: _without_times(part) for key, part in value.items()
                 if key not in ("start", "stop")}  # fmt: skip
     return [_without_times(part) for part in value] if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""Parts of the corridor that say whatever may do harm to a reader, a terminal, a page or a CI log."""
+"""Parts of the corridor that say what may do harm to a reader, a terminal, a page or a CI log."""
 
 from __future__ import annotations
 
