@@ -1,14 +1,13 @@
 """Which faults each detector of driving detects, alone and beside the plausibility checks.
 
 Run: python benchmarks/detection_table.py [--scenario NAME] [--generator rule_based] [--runs 5]
-     [--free-runs 20] [--jobs 2] [--seed 0] [--arms cusum isolation_forest ...]
+     [--free-runs 20] [--jobs 2] [--seed 0] [--arms cusum stl ...]
 
 Each fault of the catalogue acts by itself, as it is by default. Recovery is switched off: what it
 does after an alarm or without one would change what there is left to detect, whereas like this all
-arms see the very same episodes. The learned detectors are the shipped ones, which were trained on
-base seed 1. A fault is detected by the first alert from its activation
-until one second after its end. What the component does not read cannot manifest, and is told as
-such. False alarms are alerts in episodes without faults, by default of all built-in scenarios.
+arms see the very same episodes. A fault is detected by the first alert from its activation until
+one second after its end. What the component does not read cannot manifest, and is told as such.
+False alarms are alerts in episodes without faults, by default of all built-in scenarios.
 """
 
 from __future__ import annotations

@@ -22,13 +22,25 @@ from typing import Any
 import numpy as np
 from machine import machine, table
 
-from pytest_dura.core import Cusum, Orchestrator, Role, RoleSpec, RoleView
+from pytest_dura.core import Orchestrator, Role, RoleSpec, RoleView
 from pytest_dura.domains import DOMAINS
 from pytest_dura.driving import LIMITS, Snapshot, residuals
-from pytest_dura.driving.roles.learned import NOISE, noisy
+from pytest_dura.driving.roles.residuals import Cusum
 from pytest_dura.library import expand_cases, load_library
 
 PLANNERS = ("rule_based", "random")
+NOISE = {
+    "odometry": 0.05,  # m/s
+    "imu acceleration": 0.1,  # m/s2
+    "imu yaw rate": 0.005,  # rad/s
+    "localisation position": 0.05,  # m, each of x and y
+    "localisation heading": 0.002,  # rad
+    "lidar position": 0.03,  # m, each of x and y
+    "lidar velocity": 0.1,  # m/s, each of x and y
+}
+"""Standard deviations of the sensor noise that the thresholds are set for; the simulator has none.
+Independent at each tick. Radar has none."""
+
 Tape = list[tuple[Snapshot, Any]]
 """What the sensors said at each tick, and what had been commanded before it."""
 
@@ -44,6 +56,32 @@ class Recorder(Role):
     def run(self, view: RoleView) -> None:
         """Keep this tick."""
         self.tape.append((Snapshot.of(view.percept), view.command))
+
+
+def noisy(snapshot: Snapshot, random: np.random.Generator) -> Snapshot:
+    """The snapshot of sensors with the noise of :data:`NOISE`."""
+    speed, acceleration, yaw_rate, x, y, heading = random.standard_normal(6).tolist()
+    imu, pose = snapshot.imu, snapshot.pose
+    errors = random.standard_normal((len(snapshot.objects), 4))
+    errors *= [NOISE["lidar position"]] * 2 + [NOISE["lidar velocity"]] * 2
+    objects = {}
+    for (name, row), (ex, ey, evx, evy) in zip(
+        snapshot.objects.items(), errors.tolist(), strict=True
+    ):
+        objects[name] = [row[0] + ex, row[1] + ey, row[2], row[3] + evx, row[4] + evy, *row[5:]]
+    return snapshot._replace(
+        speed=snapshot.speed + NOISE["odometry"] * speed,
+        imu=imu._replace(
+            acceleration=imu.acceleration + NOISE["imu acceleration"] * acceleration,
+            yaw_rate=imu.yaw_rate + NOISE["imu yaw rate"] * yaw_rate,
+        ),
+        pose=pose._replace(
+            x=pose.x + NOISE["localisation position"] * x,
+            y=pose.y + NOISE["localisation position"] * y,
+            heading=pose.heading + NOISE["localisation heading"] * heading,
+        ),
+        objects=objects,
+    )
 
 
 def tapes(runs: int, seed: int, select: list[str]) -> Iterator[tuple[Tape, float]]:

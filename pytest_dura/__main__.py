@@ -1,4 +1,4 @@
-"""``python -m pytest_dura``: new projects; evidence, cassettes, episodes, detectors."""
+"""``python -m pytest_dura``: new projects; evidence, cassettes, episodes."""
 
 from __future__ import annotations
 
@@ -132,11 +132,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     prune.add_argument(
         "--at-most", metavar="SIZE", help="the longest unused ones beyond this size: 500M, 2G"
     )
-    _add_training(
-        commands.add_parser(
-            "train-detector", help="train a learned detector of faults on episodes without any"
-        )
-    )
     given = sys.argv[1:] if arguments is None else list(arguments)
     try:
         # Domains are loaded where one of their commands may be meant: others need none of them.
@@ -167,42 +162,6 @@ def _init(options: argparse.Namespace) -> int:
         _print(f"written: {one_line(str(options.directory / file), _MAX_LENGTH)}")
     _print("run `pytest` there")
     return 0
-
-
-def _add_training(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--detector",
-        metavar="NAME",
-        required=True,
-        help="isolation_forest, one_class_svm, or package.module:Class",
-    )
-    parser.add_argument(
-        "--output", metavar="FILE", type=Path, required=True, help="where the model goes"
-    )
-    parser.add_argument(
-        "--scenario", metavar="GLOB", nargs="+", required=True, help="scenarios; without faults"
-    )
-    parser.add_argument(
-        "--path", metavar="DIR", action="append", default=[], help="a directory with more of them"
-    )
-    parser.add_argument(
-        "--generator",
-        metavar="NAME",
-        nargs="+",
-        default=["rule_based", "random"],
-        help="components that drive (default: rule_based random)",
-    )
-    numbers: tuple[tuple[str, type, float, str], ...] = (
-        ("--runs", int, 10, "episodes of each scenario and component to learn from"),
-        ("--held-out", int, 10, "further ones, from which the threshold comes"),
-        ("--seed", int, 1, "base seed of the episodes and of all draws"),
-        ("--draws", int, 20, "times each episode is seen, with sensor noise drawn anew; 0: as is"),
-        ("--false-alarms", float, 1.0, "held-out ticks above the threshold, per simulated hour"),
-    )
-    for name, kind, default, text in numbers:
-        parser.add_argument(
-            name, metavar="N", type=kind, default=default, help=f"{text} (default: {default})"
-        )
 
 
 def _importers() -> dict[str, Importer]:
@@ -268,34 +227,6 @@ def _write_new(file: Path, text: str) -> None:
         raise ConfigurationError(
             f"the scenario cannot be written: {error}", file=str(file), key="--out"
         ) from None
-
-
-def _train(options: argparse.Namespace) -> int:
-    from pytest_dura.campaign.detector_training import Training, describe_training, train
-
-    training = Training(
-        scenarios=options.scenario,
-        generators=options.generator,
-        runs=options.runs,
-        held_out=options.held_out,
-        seed=options.seed,
-        draws=options.draws,
-        false_alarms=options.false_alarms,
-        paths=options.path,
-    )
-    model = train(options.detector, training)
-    try:
-        digest = model.write(options.output)
-    except OSError as error:
-        raise ConfigurationError(
-            f"the model cannot be written: {error.strerror}",
-            file=str(options.output),
-            key="--output",
-            remedy="name a file that can be written",
-        ) from None
-    for line in describe_training(model, options.output, digest):
-        _print(one_line(line, _MAX_LENGTH))
-    return 0
 
 
 def _use_cassette(options: argparse.Namespace) -> int:
@@ -481,7 +412,6 @@ _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "merge": _merge,
     "compare": _compare,
     "prune": _prune,
-    "train-detector": _train,
 }
 
 

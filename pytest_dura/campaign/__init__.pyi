@@ -1,4 +1,3 @@
-from .detector_training import Training, train
 from .events import (
     CausalChain,
     EpisodeUsed,
@@ -44,7 +43,5 @@ __all__ = [
     "SessionEvent",
     "Shrinking",
     "SpaceCoverage",
-    "Training",
     "VerdictReached",
-    "train",
 ]

@@ -1,4 +1,3 @@
-from .anomaly_monitor import AnomalyModel, Cusum, average_depth
 from .boundary import Boundary, TimeBudgetExceeded, call_within, lasting_guard, let_pass
 from .conformance import check_role, first_difference, leaves, mutable_parts
 from .episode import Divergence, Episode, EpisodeSpec, Policy, Termination
@@ -59,14 +58,12 @@ __all__ = [
     "STANDARD_ROLES",
     "ActionError",
     "Alert",
-    "AnomalyModel",
     "Assessed",
     "Assessment",
     "Boundary",
     "ComponentEnvironmentError",
     "ConfigurationError",
     "ConformanceError",
-    "Cusum",
     "Divergence",
     "Episode",
     "EpisodeSpec",
@@ -104,7 +101,6 @@ __all__ = [
     "WrittenFile",
     "account_columns",
     "account_problem",
-    "average_depth",
     "call_within",
     "check_role",
     "copied_account",

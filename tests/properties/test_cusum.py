@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.core import Cusum
+from pytest_dura.driving.roles.residuals import Cusum
 
 LAWS = settings(derandomize=True, deadline=None, max_examples=100)
 drifts = st.floats(0.0, 10.0)

@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pytest_dura.core.anomaly_monitor import Cusum
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.roles import Assessed, RoleContext, SecurityAssessment, SecurityAssessor
 from pytest_dura.core.state import NOTHING, Alert, RoleView
@@ -174,6 +173,67 @@ def _ahead(speed: float, slide: float) -> float:
     """The part of a speed that goes ahead; the speed itself where no such part is possible."""
     rest = speed * speed - slide * slide
     return math.copysign(math.sqrt(rest), speed) if rest > 0.0 else speed
+
+
+_ROUNDING = 1.0 - 1e-9
+"""Tolerance, so that sums that reach the threshold exactly do not miss it by rounding."""
+
+
+class Cusum:
+    """Two-sided CUSUM test: it sees a small lasting shift of the mean sooner than single values do.
+
+    E. S. Page, "Continuous inspection schemes", Biometrika 41 (1954), pp. 100-115: with the
+    residual x, which has mean 0 as long as all is well, the drift k and the threshold h, ::
+
+        upper = max(0, upper + x - k)        lower = max(0, lower - x - k)
+
+    and an alarm as soon as one of the two reaches h. Both start at 0, and again after each alarm.
+
+    Args:
+        drift: k: the deviation of a sample that does not count; in the residual's unit, at least 0.
+        threshold: h: the sum at which it alarms; in the residual's unit, above 0.
+
+    Attributes:
+        upper: Sum of the deviations upwards.
+        lower: Sum of the deviations downwards.
+
+    Raises:
+        ValueError: For a drift or threshold out of range.
+
+    A lasting shift by d > k alarms after at most ``ceil(h / (d - k))`` samples, and residuals
+    within plus or minus k never do.
+    """
+
+    __slots__ = ("drift", "lower", "threshold", "upper")
+
+    def __init__(self, drift: float, threshold: float) -> None:
+        if not (0.0 <= drift < math.inf and threshold > 0.0):
+            raise ValueError(
+                f"drift must be at least 0 and threshold above it, not {drift:g} and {threshold:g}"
+            )
+        self.drift, self.threshold = float(drift), float(threshold)
+        self.reset()
+
+    def reset(self) -> None:
+        """Set both sums to 0."""
+        self.upper = self.lower = 0.0
+
+    def update(self, residual: float) -> bool:
+        """Add one sample; returns whether it alarms. A residual that is not finite does."""
+        if not math.isfinite(residual):
+            self.reset()
+            return True
+        self.upper = max(0.0, self.upper + residual - self.drift)
+        self.lower = max(0.0, self.lower - residual - self.drift)
+        if max(self.upper, self.lower) < self.threshold * _ROUNDING:
+            return False
+        self.reset()
+        return True
+
+    @property
+    def level(self) -> float:
+        """Greater sum as a share of the threshold: 0 is no deviation, 1 an alarm."""
+        return max(self.upper, self.lower) / self.threshold
 
 
 class Limits(NamedTuple):
