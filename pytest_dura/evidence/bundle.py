@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.files import temporary_prefix
+from pytest_dura.core.mismatches import Mismatch
 from pytest_dura.core.registry import Registry
 from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -37,7 +38,6 @@ from pytest_dura.evidence.gather import SCHEMA_VERSION
 from pytest_dura.evidence.model import RecordHead, SessionRecord
 from pytest_dura.evidence.schema import (
     SCHEMA_FILE,
-    Mismatch,
     check_parts,
     check_record,
     schema_text,

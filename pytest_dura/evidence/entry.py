@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from pytest_dura.core.codec import decode, encode
+
 if TYPE_CHECKING:
     from typing_extensions import Self
 
@@ -88,7 +90,29 @@ class _NotNull:
         return schema["schema"] if schema["type"] == "nullable" else schema
 
 
+CODED = "coded"
+"""Key of a schema that stands for that of a dataclass, which :mod:`.schema` writes in its place."""
+
+
+class _Coded:
+    """Marks a field that holds a dataclass of the domain, which the codec reads and writes."""
+
+    def __get_pydantic_core_schema__(self, source: Any, _: GetCoreSchemaHandler) -> CoreSchema:
+        def read(value: Any) -> Any:
+            return value if isinstance(value, source) else decode(source, value)
+
+        return core_schema.no_info_plain_validator_function(
+            read,
+            serialization=core_schema.plain_serializer_function_ser_schema(encode),
+            metadata={CODED: source},
+        )
+
+    def __get_pydantic_json_schema__(self, schema: Any, _: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {CODED: schema["metadata"][CODED]}
+
+
 _T = TypeVar("_T")
+Coded = Annotated[_T, _Coded()]
 Absent = Annotated[_T | None, _NotNull()]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[int, Field(ge=1)]

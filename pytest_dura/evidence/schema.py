@@ -12,25 +12,33 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
 from functools import cache
-from inspect import getsource
+from inspect import cleandoc, getsource
 from itertools import islice, pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydantic import ValidationError
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
-from pytest_dura.evidence.entry import Entry, JsonObject
+from pytest_dura.core.codec import fields_of, shape_of
+from pytest_dura.core.mismatches import (
+    MAX_MISMATCHES,
+    Mismatch,
+    MismatchError,
+    key_list,
+    kind_of,
+    pointer,
+    shown,
+)
+from pytest_dura.evidence.entry import CODED, Entry, JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import WholeRecord
 
 SCHEMA_FILE = "evidence.schema.json"
-MAX_PROBLEMS = 20
-"""Problems that are reported; a record of another form would have thousands."""
-_SHOWN_CHARACTERS = 60
 
 
 @cache
@@ -63,35 +71,16 @@ def record_vocabulary() -> frozenset[str]:
     return frozenset(names)
 
 
-class Mismatch(NamedTuple):
-    """Place at which a record does not agree with its models.
-
-    Args:
-        pointer: JSON pointer of the place.
-        found: What is there, or what is wrong with it.
-        expected: What would have been accepted; empty if ``found`` says it.
-    """
-
-    pointer: str
-    found: str
-    expected: str = ""
-
-    def __str__(self) -> str:
-        """Describe it on one line."""
-        what = f"found {self.found}, expected {self.expected}" if self.expected else self.found
-        return f"{self.pointer}: {what}"
-
-
 def check_record(record: Any) -> list[Mismatch]:
     """List what is wrong with plain data that is to be a record; empty for a record.
 
-    At most :data:`MAX_PROBLEMS` are listed.
+    At most :data:`~pytest_dura.core.mismatches.MAX_MISMATCHES` are listed.
     """
     if not isinstance(record, Mapping):
-        return [Mismatch("/", _kind(record), "object")]
+        return [Mismatch("/", kind_of(record), "object")]
     episodes = record.get("episodes")
     if not isinstance(episodes, list):
-        return list(islice(_mismatches(WholeRecord, record, record_schema(), ""), MAX_PROBLEMS))
+        return list(islice(_mismatches(WholeRecord, record, record_schema(), ""), MAX_MISMATCHES))
     head = {key: value for key, value in record.items() if key != "episodes"}
     return check_parts(head, episodes)
 
@@ -103,7 +92,7 @@ def check_parts(head: Mapping[str, Any], episodes: Iterable[Any]) -> list[Mismat
         head: Every top-level key but ``episodes``.
         episodes: The episodes, as plain data.
     """
-    return list(islice(_mismatches_of_parts(head, episodes), MAX_PROBLEMS))
+    return list(islice(_mismatches_of_parts(head, episodes), MAX_MISMATCHES))
 
 
 def _mismatches_of_parts(head: Mapping[str, Any], episodes: Iterable[Any]) -> Iterator[Mismatch]:
@@ -123,18 +112,28 @@ def _mismatches(
         model.model_validate(data)
     except ValidationError as error:
         problems: dict[Mismatch, list[str]] = {}
-        for entry in error.errors(include_url=False, include_context=False, include_input=False):
+        for entry in error.errors(include_url=False, include_input=False):
             wrong_key = _WRONG_KEYS.get(entry["type"])
             location = entry["loc"][:-1] if wrong_key else entry["loc"]
             path, node, value = _place(location, schema, data)
+            refused = entry.get("ctx", {}).get("error")
+            if isinstance(refused, MismatchError):  # by the codec, from the place on
+                for mismatch in refused.mismatches:
+                    place = f"{_below(prefix, path)}{mismatch.pointer}".rstrip("/")
+                    problems.setdefault(mismatch._replace(pointer=place), [])
+                continue
             what = (wrong_key,) if wrong_key else _why(node, value) or (entry["msg"],)
-            keys = problems.setdefault(Mismatch(prefix + _pointer(path) or "/", *what), [])
+            keys = problems.setdefault(Mismatch(_below(prefix, path), *what), [])
             keys += [str(entry["loc"][-1])] if wrong_key else []
         return [
-            mismatch._replace(found=f"{mismatch.found} {_key_list(keys)}".rstrip())
+            mismatch._replace(found=f"{mismatch.found} {key_list(keys)}".rstrip())
             for mismatch, keys in problems.items()
         ]
     return ()
+
+
+def _below(prefix: str, path: Sequence[str | int]) -> str:
+    return prefix + (pointer(path) if path else "") or "/"
 
 
 def _place(
@@ -184,11 +183,11 @@ def _why(node: JsonObject, value: Any) -> tuple[str, str] | None:
     """Describe a value and what the schema expects instead; ``None`` if it accepts the value."""
     types = _listed(node.get("type", []))
     if types and not any(_is_of(value, name) for name in types):
-        return _kind(value), " or ".join(dict.fromkeys(types))
+        return kind_of(value), " or ".join(dict.fromkeys(types))
     for keyword, (words, accepts) in _LIMITS.items():
         if keyword in node and value is not None and not accepts(value, node[keyword]):
-            expected = " or ".join(map(_shown, _listed(node[keyword])))
-            return _shown(value), f"{words}{expected}"
+            expected = " or ".join(map(shown, _listed(node[keyword])))
+            return shown(value), f"{words}{expected}"
     return None
 
 
@@ -199,33 +198,9 @@ def _listed(value: Any) -> list[Any]:
 def _is_of(value: Any, name: str) -> bool:
     if name == "number" and isinstance(value, float):
         return math.isfinite(value)
-    return _kind(value) in {"boolean": ("true", "false"), "number": ("integer",)}.get(name, (name,))
-
-
-def _key_list(keys: Sequence[str]) -> str:
-    more = f" and {len(keys) - 5} more" if len(keys) > 5 else ""
-    return ", ".join(map(_shown, keys[:5])) + more
-
-
-def _kind(value: Any) -> str:
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    kinds = {str: "string", int: "integer", float: "number", dict: "object", list: "array"}
-    return kinds.get(type(value), type(value).__name__)
-
-
-def _shown(value: Any) -> str:
-    # ASCII: whatever stands in a damaged record, a terminal can show it.
-    try:
-        text = json.dumps(value)
-    except (TypeError, ValueError):
-        text = ascii(value)
-    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[: _SHOWN_CHARACTERS - 3]}..."
-
-
-def _pointer(path: Iterable[str | int]) -> str:
-    parts = (str(part).replace("~", "~0").replace("/", "~1") for part in path)
-    return "".join(f"/{part if part.isprintable() else ascii(part)[1:-1]}" for part in parts)
+    return kind_of(value) in {"boolean": ("true", "false"), "number": ("integer",)}.get(
+        name, (name,)
+    )
 
 
 class _Generator(GenerateJsonSchema):
@@ -246,17 +221,84 @@ def generate_schema() -> JsonObject:
     """Generate the JSON Schema of the record from its models."""
     made = WholeRecord.model_json_schema(schema_generator=_Generator)
     models = {model.__name__: model for model in _subclasses(Entry)}
+    coded = _class_definitions(_coded_classes(made))
     definitions = {
         _definition_name(name): _described(definition, models[name])
         for name, definition in made.pop("$defs").items()
     }
+    twice = coded.keys() & definitions.keys()
+    if twice:
+        raise TypeError(f"two classes of the record have one name: {', '.join(sorted(twice))}")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "urn:pytest-dura:evidence:1",
         "title": "Evidence record of pytest-dura",
         **_described(made, WholeRecord),
-        "$defs": definitions,
+        "$defs": {**definitions, **coded},
     }
+
+
+def json_schema(type_: Any) -> JsonObject:
+    """Generate the JSON Schema of a type that the codec reads."""
+    shape = shape_of(type_)
+    return {**_tidy(shape.schema), "$defs": _class_definitions(shape.classes)}
+
+
+def recorded_classes() -> tuple[type, ...]:
+    """List the dataclasses of the record, those inside others apart."""
+    made = WholeRecord.model_json_schema(schema_generator=_Generator)
+    return tuple(dict.fromkeys(_coded_classes(made)))
+
+
+def _coded_classes(part: Any) -> Iterator[type]:
+    """Yield the dataclasses that stand in the schema of the models."""
+    if isinstance(part, dict) and CODED in part:
+        yield part[CODED]
+    elif isinstance(part, (dict, list)):
+        for each in part.values() if isinstance(part, dict) else part:
+            yield from _coded_classes(each)
+
+
+def _class_definitions(classes: Iterable[type]) -> dict[str, JsonObject]:
+    """Write a definition of each class, and of those in its fields."""
+    definitions: dict[str, JsonObject] = {}
+    pending = list(classes)
+    while pending:
+        kind = pending.pop()
+        name = _definition_name(kind.__name__)
+        if name in definitions:
+            continue
+        shapes = fields_of(kind)
+        text, texts = _class_docs(kind)
+        definitions[name] = {
+            "description": text,
+            "type": "object",
+            "properties": {
+                field: {"description": texts[field], **_tidy(shape.schema)}
+                for field, shape in shapes.items()
+            },
+            "additionalProperties": False,
+            "required": [*shapes],
+        }
+        pending += [each for shape in shapes.values() for each in shape.classes]
+    return definitions
+
+
+def _class_docs(kind: type) -> tuple[str, dict[str, str]]:
+    """Read the docstring of a dataclass, and those of its fields, below them or in ``Args:``."""
+    texts: dict[str, str] = {}
+    for each in reversed(kind.__mro__):
+        if is_dataclass(each):
+            _, _, arguments = cleandoc(each.__doc__ or "").partition("\nArgs:\n")
+            entries = re.findall(r"^    (\w+): (.+(?:\n {5,}.+)*)", arguments, re.MULTILINE)
+            texts |= {name: _plain(text) for name, text in entries}
+            texts |= dict(_field_docstrings(sys.modules[each.__module__]).get(each.__name__, ()))
+    return _plain(cleandoc(kind.__doc__ or "").partition("\nArgs:\n")[0]), texts
+
+
+def _plain(text: str) -> str:
+    """Write a docstring on one line, without the roles of its names."""
+    return re.sub(r":\w+:`[~.]*([^`]*)`", r"`\1`", " ".join(text.split())).replace("``", "`")
 
 
 def _subclasses(model: type[Entry]) -> Iterator[type[Entry]]:
@@ -309,6 +351,8 @@ def _tidy(part: Any) -> Any:
         return [_tidy(each) for each in part]
     if not isinstance(part, dict):
         return part
+    if CODED in part:
+        return _tidy(shape_of(part[CODED]).schema)
     tidy = {
         "anyOf" if key == "oneOf" else key: _tidy(value)
         for key, value in part.items()

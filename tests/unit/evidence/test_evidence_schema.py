@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from session_records import session_record
 
+from pytest_dura.core.mismatches import MAX_MISMATCHES
 from pytest_dura.evidence import Baseline, check_record, record_schema
 from pytest_dura.evidence.schema import (
-    MAX_PROBLEMS,
     PAGE,
     TABLES_BEGIN,
     TABLES_END,
@@ -198,11 +198,13 @@ def _has_free_names(step):
     return named or step[-2:] in (("outcome", "measures"), ("metrics", "measures"))
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_number_that_json_does_not_have_is_found(value):
+@pytest.mark.parametrize(
+    "value, kind", [(math.nan, "NaN"), (math.inf, "Infinity"), (-math.inf, "-Infinity")]
+)
+def test_a_number_that_json_does_not_have_is_found(value, kind):
     timings = {**RECORD["timings"], "wall_seconds": value}
     assert problems({**RECORD, "timings": timings}) == [
-        "/timings/wall_seconds: found number, expected number"
+        f"/timings/wall_seconds: found {kind}, expected number"
     ]
 
 
@@ -224,7 +226,7 @@ def test_what_is_wrong_is_told_in_few_words():
 
 def test_the_problems_of_a_foreign_file_are_bounded():
     assert problems([]) == ["/: found array, expected object"]
-    assert len(check_record({"episodes": [{}] * 10**4})) == MAX_PROBLEMS
+    assert len(check_record({"episodes": [{}] * 10**4})) == MAX_MISMATCHES
 
 
 def test_the_words_of_a_record():
