@@ -252,10 +252,20 @@ class CampaignRuns(Shown):
         """
         if self.runner.simulator is None:  # signals of another simulator are known once it runs
             check_formula(self.case.scenario, requirement.check if check is None else check)
-        if check is not None:
-            requirement = replace(requirement, check=check_name(check))
         question = Judgement(
-            requirement, self.case.id, self.component, self.planned, self.until_decided, twins
+            "campaign",
+            requirement.id,
+            self.case.id,
+            self.component,
+            self.planned,
+            requirement.check if check is None else check_name(check),
+            requirement.paired,
+            requirement.at_most,
+            requirement.confidence,
+            requirement.method,
+            requirement.p0,
+            self.until_decided,
+            twins,
         )
         faults = {fault["id"] for fault in self.case.faults}
         return CampaignCourse(question, varies=varies(self.case.scenario.variation, faults))

@@ -9,6 +9,7 @@ from pydantic import Discriminator, Field, Tag
 from pytest_dura.evidence.entry import (
     Absent,
     Amount,
+    Coded,
     Confidence,
     Count,
     Entry,
@@ -20,17 +21,7 @@ from pytest_dura.evidence.entry import (
     Sha256,
     Share,
 )
-
-
-class PairedEntry(Entry):
-    """What the second run of each pair lacks."""
-
-    without: str
-    """`faults`, or the role that is switched off in the second run of each pair."""
-    measure: str
-    """Import path of the function whose growth is bounded; empty where the check is compared."""
-    change_at_most: Number | None
-    """Greatest acceptable growth of the measure, in its unit."""
+from pytest_dura.requirements.model import Paired
 
 
 class HazardEntry(Entry):
@@ -78,7 +69,7 @@ class RequirementEntry(Entry):
     """For `sprt`: the rate below `at_most` up to which a component is rarely rejected."""
     applies_to: list[str]
     """Globs of scenarios to which it applies besides those that name it."""
-    paired: PairedEntry | None
+    paired: Coded[Paired] | None
     """For a requirement on pairs of runs."""
     mitigates: Absent[list[str]] = None
     """Ids of the hazards that meeting it mitigates; absent where it names none."""

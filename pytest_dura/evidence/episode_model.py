@@ -10,6 +10,7 @@ from pytest_dura.evidence.case_model import FaultPlanEntry
 from pytest_dura.evidence.entry import (
     Absent,
     Amount,
+    Coded,
     Count,
     Entry,
     JsonObject,
@@ -20,7 +21,7 @@ from pytest_dura.evidence.entry import (
     Sha256,
     Share,
 )
-from pytest_dura.evidence.verdict_model import CheckVerdictEntry
+from pytest_dura.requirements.runs import CheckVerdict
 
 
 class RoleEntry(Entry):
@@ -403,7 +404,7 @@ class EpisodeEntry(Entry):
     """What the loop measured."""
     faults: list[FaultEntry]
     """What came of each planned fault."""
-    verdicts: dict[str, CheckVerdictEntry]
+    verdicts: dict[str, Coded[CheckVerdict]]
     """What the requirements that its case declares say of it, by id; none on a requirement without
     a check, and on one whose check cannot be judged on it."""
     events: list[EventEntry]

@@ -19,17 +19,19 @@ from typing import Any, TypeVar
 
 from pydantic import TypeAdapter
 
+from pytest_dura.core.codec import encode
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.measures import Measure, measured
 from pytest_dura.evidence.case_model import CasePlan, HazardEntry, RepeatEntry, RequirementEntry
-from pytest_dura.evidence.entry import Entry, JsonObject, plain_data
+from pytest_dura.evidence.entry import Coded, Entry, JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import with_chains
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import OWN_ORIGIN
-from pytest_dura.evidence.verdict_model import AttemptEntry, JudgementEntry, MonitorEntry
+from pytest_dura.evidence.verdict_model import AttemptEntry, MonitorEntry
+from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.runs import declared_verdicts
 
@@ -73,7 +75,7 @@ def episode_record(
             "metrics": episode.metrics.summary(),
             "faults": [{**asdict(fault), **fault.latencies()} for fault in episode.faults],
             "verdicts": {
-                name: asdict(verdict)
+                name: encode(verdict)
                 for name, verdict in declared_verdicts(episode, requirements).items()
             },
             "events": [event.to_json() for event in episode.events],
@@ -165,7 +167,7 @@ class ItemReport:
     hazards: list[HazardEntry] = field(default_factory=list)
     requirements: list[RequirementEntry] = field(default_factory=list)
     episodes: list[JsonObject] = field(default_factory=list)
-    judgements: list[JudgementEntry] = field(default_factory=list)
+    judgements: list[Coded[Judgement]] = field(default_factory=list)
     verdicts: list[AttemptEntry] = field(default_factory=list)
     outcomes: list[JsonObject] = field(default_factory=list)
     searches: list[JsonObject] = field(default_factory=list)
@@ -184,7 +186,7 @@ class ItemReport:
     def to_json(self) -> JsonObject:
         """Convert to plain data."""
         return {
-            name: [each.to_json() if isinstance(each, Entry) else each for each in value]
+            name: [each.to_json() if isinstance(each, Entry) else encode(each) for each in value]
             if isinstance(value, list)
             else value
             for name, value in vars(self).items()

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
@@ -26,7 +25,8 @@ from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
 from pytest_dura.evidence.search_model import SearchRecords
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import ReuseRecord
-from pytest_dura.evidence.verdict_model import JudgementEntry, MonitorEntry, WaiverEntry
+from pytest_dura.evidence.verdict_model import MonitorEntry, WaiverEntry
+from pytest_dura.requirements.judgements import Doubt, Judgement
 
 
 class Components:
@@ -127,22 +127,6 @@ def _total(model: Mapping[str, Any]) -> int:
     return sum(model.get(name, 0) for name in _COUNTS)
 
 
-def claim_of(item: str, requirement: str, case: CasePlan) -> JudgementEntry:
-    """Make the judgement of what an item is to decide, before it does.
-
-    Args:
-        item: Node id of the item; of a test on single episodes without its parameters.
-        requirement: Id of the requirement.
-        case: The case.
-    """
-    return JudgementEntry(
-        kind="claim", item=item, recorded_as="", attempt=0, requirement=requirement, case=case.id,
-        component=case.component, planned=case.planned, check="", paired=None, at_most=None,
-        confidence=0.95, method=None, p0=None, until_decided=False, twins="", runs=[],
-        assertion=None,
-    )  # fmt: skip
-
-
 SCHEMA_VERSION = "4"
 _REPEAT_KEYS = set(RepeatEntry.model_fields)
 _UNCONCLUDED: JsonObject = {
@@ -166,6 +150,25 @@ def _unmeasured(case: CasePlan) -> JsonObject:
     """Return what :func:`measure_cases` computes of a case, before it does."""
     metrics = CaseMetrics().to_json(case.planned)
     return {"metrics": metrics, "missing_runs": [], "missing_runs_total": 0}
+
+
+def claim(item: str, requirement: str, case: CasePlan) -> Judgement:
+    """Make the judgement of what an item is to decide, before it does.
+
+    Args:
+        item: Node id of the item; of a test on single episodes without its parameters.
+        requirement: Id of the requirement.
+        case: The case.
+    """
+    return Judgement("claim", requirement, case.id, case.component, case.planned, item=item)
+
+
+def _asked_by(report: ItemReport, judgement: Judgement) -> Judgement:
+    """Put the item of a report into a judgement, unless it is a claim, which has its own."""
+    if judgement.item:
+        return judgement
+    first = report.recorded_as
+    return replace(judgement, item=report.item, recorded_as=first, attempt=report.attempt)
 
 
 Status = Literal["running", "complete", "interrupted"]
@@ -197,8 +200,8 @@ class RecordBuilder:
     _components_of: dict[str, list[str]] = field(default_factory=dict)
     """Names of components by the id of a case."""
     _spool: EpisodeSpool = field(init=False)
-    _judgements: dict[str, JudgementEntry] = field(default_factory=dict)
-    """By their content, as the same report may come twice."""
+    _judgements: dict[Judgement, None] = field(default_factory=dict)
+    """Each once, as the same report may come twice."""
     _monitors: dict[tuple[str, ...], MonitorEntry] = field(default_factory=dict)
     _claimed: dict[str, CasePlan] = field(default_factory=dict)
     """Cases of what is to be decided, by id."""
@@ -224,7 +227,7 @@ class RecordBuilder:
         plan, known = CasePlan.model_validate(case), RequirementEntry.model_validate(requirement)
         self._claimed.setdefault(plan.id, plan)
         self._add_requirement(known)
-        self.add_judgement(claim_of(item, known.id, plan))
+        self.add_judgement(claim(item, known.id, plan))
 
     def add_hazards(self, hazards: Iterable[HazardEntry]) -> None:
         """Add hazards that the session has to answer for; the first of an id holds."""
@@ -263,9 +266,8 @@ class RecordBuilder:
         self._problems.update(report.problems)
         self.objections.update(dict.fromkeys(report.objections))
         self._reuse.add(report.notes, report.searched)
-        by = {"item": item, "recorded_as": report.recorded_as, "attempt": report.attempt}
         for judgement in report.judgements:
-            self.add_judgement(judgement if judgement.item else judgement.replace(**by))
+            self.add_judgement(_asked_by(report, judgement))
         self.searches.add(report.recorded_as or item, report.searches)
         for monitor in report.monitors:
             key = monitor.case, monitor.component, monitor.target, monitor.monitor
@@ -282,9 +284,9 @@ class RecordBuilder:
         for trace in traces:
             self._spool.add_trace(trace)
 
-    def add_judgement(self, judgement: JudgementEntry) -> None:
+    def add_judgement(self, judgement: Judgement) -> None:
         """Add what an item asked, or was to decide."""
-        self._judgements.setdefault(json.dumps(judgement.to_json(), sort_keys=True), judgement)
+        self._judgements.setdefault(judgement)
 
     def waive(self, item: str, kind: str, reason: str) -> None:
         """Record that an item's failure is excused: ``xfail``, ``rerun`` or ``skip``.
@@ -344,7 +346,7 @@ class RecordBuilder:
                 "judgements": judgements,
                 "waivers": {item: self._waivers[item] for item in sorted(self._waivers)},
                 "doubts": [
-                    {"case": case, "component": component, "reason": reason}
+                    Doubt(case, component, reason)
                     for (case, component), reason in sorted(self._clashes.items())
                 ],
                 "verdicts": [],
@@ -395,7 +397,7 @@ class RecordBuilder:
         What an item searched it does not decide.
         """
         searched = self.searches.answered
-        for judgement in self._judgements.values():
+        for judgement in self._judgements:
             key = judgement.item, judgement.requirement, judgement.case
             unreported = judgement.case not in self._components_of and key not in searched
             if judgement.kind == "claim" and unreported:
@@ -408,13 +410,13 @@ class RecordBuilder:
         names = self._components_of.get(case.id) or self._components.names
         return case.replace(component=names[0]) if len(names) == 1 else case
 
-    def _answerable_judgements(self) -> list[JudgementEntry]:
+    def _answerable_judgements(self) -> list[Judgement]:
         """List all judgements, sorted; claims name their component as far as it is known."""
         judgements = []
-        for judgement in self._judgements.values():
+        for judgement in self._judgements:
             if judgement.kind == "claim" and judgement.component == UNKNOWN_COMPONENT:
                 case = self._with_component(self._claimed[judgement.case])
-                judgements.append(judgement.replace(component=case.component))
+                judgements.append(replace(judgement, component=case.component))
             else:
                 judgements.append(judgement)
         return sorted(

@@ -16,7 +16,7 @@ from pytest_dura.evidence.case_model import (
     OverallEntry,
     RequirementEntry,
 )
-from pytest_dura.evidence.entry import Absent, Count, Entry, JsonObject, Positive
+from pytest_dura.evidence.entry import Absent, Coded, Count, Entry, JsonObject, Positive
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import (
@@ -41,14 +41,13 @@ from pytest_dura.evidence.session_model import (
 from pytest_dura.evidence.signing import SignedReview, read_review
 from pytest_dura.evidence.verdict_model import (
     BaselineEntry,
-    DoubtEntry,
     EffectivenessEntry,
-    JudgementEntry,
     LookEntry,
     MonitorEntry,
     VerdictEntry,
     WaiverEntry,
 )
+from pytest_dura.requirements.judgements import Doubt, Judgement
 
 
 class Totals(Entry):
@@ -140,11 +139,11 @@ class RecordHead(Entry):
     """Sorted by id."""
     cases: list[CaseEntry]
     """Sorted by id and component."""
-    judgements: list[JudgementEntry]
+    judgements: list[Coded[Judgement]]
     """What items asked, from which the verdicts follow; sorted by item, requirement and case."""
     waivers: dict[str, WaiverEntry]
     """What excuses failures, by the node id of the item."""
-    doubts: list[DoubtEntry]
+    doubts: list[Coded[Doubt]]
     """Cases whose episodes cannot be trusted."""
     verdicts: list[VerdictEntry]
     """Sorted by case and requirement."""

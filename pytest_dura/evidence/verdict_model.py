@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Tag
 
-from pytest_dura.evidence.case_model import PairedEntry
 from pytest_dura.evidence.entry import (
     Amount,
+    Coded,
     Confidence,
     Count,
     Entry,
@@ -18,6 +18,7 @@ from pytest_dura.evidence.entry import (
     Sha256,
     Share,
 )
+from pytest_dura.requirements.model import Paired
 
 if TYPE_CHECKING:
     from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
@@ -237,7 +238,7 @@ class AttemptEntry(Entry):
     `--dura-undecided=warn` excuses."""
     check: str
     """What was judged: a formula or the import path of a function; empty for test code."""
-    paired: PairedEntry | None
+    paired: Coded[Paired] | None
     """For a requirement on pairs of runs."""
 
     @classmethod
@@ -273,7 +274,7 @@ class FailedAssertion(Entry):
     """The message, and the line of the test."""
 
 
-class AssertionEntry(Entry):
+class AssertionSummary(Entry):
     """What the assertions of a test on single episodes rest on."""
 
     alone: bool
@@ -297,7 +298,7 @@ class VerdictEntry(AttemptEntry):
     """What excused its failure; null if nothing did."""
     attempts: list[AttemptEntry]
     """Other verdicts of the same test, which was retried or repeated."""
-    assertion: AssertionEntry | None
+    assertion: AssertionSummary | None
     """What the assertions of a test on single episodes rest on; null where no test decided."""
     also_without: Count | None
     """Violations that the run of the same seed without any fault shows as well: they count, and are
@@ -398,108 +399,6 @@ class MonitorEntry(Entry):
     """Of the lead times, in s."""
     delay: SpreadEntry | None
     """Of the delays, in s."""
-
-
-class CheckVerdictEntry(Entry):
-    """What a check says of one run, apart from what the run says of itself."""
-
-    status: Literal["satisfied", "violated", "open", "invalid", "missing"]
-    """`open`: the run ended before it was decided. `invalid`: it is no sample."""
-    margin: Number | None
-    """Robustness, in the unit of the check; null where there is no trace to measure it on."""
-    time: Number | None
-    """When it was violated first, in simulated seconds; null for none."""
-    detail: str
-    """Why, in words."""
-    vacuous: bool
-    """Whether it is satisfied only because its condition never held."""
-
-
-class RunJudgementEntry(Entry):
-    """A run, or a pair of runs, that a judgement rests on."""
-
-    digest: Sha256
-    """Of the run."""
-    run: Count
-    """Number of the run."""
-    twin: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")]
-    """Digest of the second run; empty without one."""
-    verdict: CheckVerdictEntry | None
-    """What the question's check says of the run; null where the run itself has the verdict on that
-    requirement, and where a measure is compared."""
-    twin_verdict: CheckVerdictEntry | None
-    """The same of the second run."""
-    values: list[Number | Literal["Infinity", "-Infinity"] | None] | None
-    """The measure of both runs; null of a run that is invalid, missing or not whole, infinite where
-    it has no value."""
-
-
-class AssertionOutcome(Entry):
-    """What the own assertions of a test on one episode came to."""
-
-    alone: bool
-    """Whether they decide, since the requirement's check does not apply."""
-    by_check: bool
-    """Whether the requirement's check is violated, whatever the test asserts."""
-    observed: list[str]
-    """What the test read of the episode."""
-    false: list[str]
-    """Checks that it asked for, and that were false although it passed."""
-    failed: str
-    """Which assertion failed; empty if none did."""
-
-
-class JudgementEntry(Entry):
-    """What an item asks of the runs of a case. Verdicts are concluded from these and the runs."""
-
-    kind: Literal["claim", "campaign", "test"]
-    """`claim`: what it is to decide, noted before it does. `campaign`: a requirement on the runs of
-    a case. `test`: what a test asserts of one episode."""
-    item: str
-    """Node id of the item; of a claim on each run that of the test, without parameters."""
-    recorded_as: str
-    """Node id of the first of several items that repeat one test; empty where nothing does."""
-    attempt: Count
-    """Number of the attempt at the item, from 1; 0 for a claim."""
-    requirement: str
-    """Id of the requirement."""
-    case: str
-    """Id of the case."""
-    component: str
-    """Name of the component under test."""
-    planned: Count
-    """Runs that are planned, or may be run at most."""
-    check: str
-    """What judges each run; empty where the test does."""
-    paired: PairedEntry | None
-    """For a requirement on pairs of runs."""
-    at_most: Share | None
-    """Greatest acceptable rate of violations; null accepts none."""
-    confidence: Confidence
-    """One-sided confidence of the bound on that rate."""
-    method: Literal["fixed", "sprt", "e-process"] | None
-    """How a rate is decided; null for the default."""
-    p0: Share | None
-    """For `sprt`: the rate below `at_most` up to which a component is rarely rejected."""
-    until_decided: bool
-    """Whether runs end as soon as the requirement is decided."""
-    twins: str
-    """Id of the case of the second runs; empty unless pairs are judged."""
-    runs: list[RunJudgementEntry]
-    """The runs that it rests on; none for a claim."""
-    assertion: AssertionOutcome | None
-    """What the assertions of a test came to; null for others."""
-
-
-class DoubtEntry(Entry):
-    """Why the episodes of a case cannot be trusted."""
-
-    case: str
-    """Id of the case."""
-    component: str
-    """Name of the component under test."""
-    reason: str
-    """Such as two digests of one episode."""
 
 
 class ComparisonEntry(Entry):

@@ -46,11 +46,11 @@ from pytest_dura.evidence.mcap import read_trace
 from pytest_dura.evidence.model import RecordHead, SessionRecord, Totals
 from pytest_dura.evidence.redaction import holds_redaction
 from pytest_dura.evidence.traces import Trace, trace_path
-from pytest_dura.evidence.verdict_model import CheckVerdictEntry
 from pytest_dura.evidence.verify_record import differences, record_problems
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.runs import CheckVerdict
 from pytest_dura.requirements.second_engine import ENGINES_DISAGREE
 
 _RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")
@@ -142,7 +142,7 @@ class _Checks:
         head = record.head
         self._requirements = {known.id: known for known in head.requirements}
         self._declared = {(case.id, case.component): case.requirements for case in head.cases}
-        self._asked: dict[str, list[tuple[str, str, CheckVerdictEntry]]] = defaultdict(list)
+        self._asked: dict[str, list[tuple[str, str, CheckVerdict]]] = defaultdict(list)
         for judgement in head.judgements:
             for run in judgement.runs if judgement.kind == "campaign" else ():
                 about = judgement.requirement, judgement.check
@@ -150,7 +150,7 @@ class _Checks:
                     if verdict is not None:
                         self._asked[digest].append((*about, verdict))
 
-    def on(self, episode: EpisodeEntry) -> Iterator[tuple[Requirement, CheckVerdictEntry | None]]:
+    def on(self, episode: EpisodeEntry) -> Iterator[tuple[Requirement, CheckVerdict | None]]:
         """Yield each formula that judges an episode, with the recorded verdict."""
         for name in self._declared.get((episode.case, episode.component), ()):
             known = self._requirements.get(name)
@@ -248,9 +248,7 @@ def _measure_problems(record: SessionRecord) -> Iterator[str]:
             yield f"measures: {measure.name} is not as its simulator declares it"
 
 
-def _rejudged_problems(
-    verdict: EpisodeVerdict, recorded: CheckVerdictEntry | None
-) -> Iterator[str]:
+def _rejudged_problems(verdict: EpisodeVerdict, recorded: CheckVerdict | None) -> Iterator[str]:
     """Compare a verdict on a trace with the recorded one."""
     if recorded is None:
         yield f"{verdict.requirement} on it is {verdict.verdict}, and the record has no verdict"

@@ -34,11 +34,13 @@ from pytest_dura.evidence.search_model import (
 from pytest_dura.evidence.session_model import ComponentEntry, ComponentUnderTest
 from pytest_dura.evidence.sessions import reuse_problems, shard_problems
 from pytest_dura.evidence.text import one_line
-from pytest_dura.evidence.verdict_model import CheckVerdictEntry, JudgementEntry, VerdictEntry
+from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.provenance import digest_of
 from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
 from pytest_dura.requirements.episode_verdicts import EARLY_ENDS
+from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.runs import CheckVerdict
 
 
 def episode_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> Iterator[str]:
@@ -154,7 +156,7 @@ def _declared_verdict_problems(episode: EpisodeEntry, case: CaseEntry) -> Iterat
             yield f"{name} is {problem}"
 
 
-def _check_verdict_problems(verdict: CheckVerdictEntry, episode: EpisodeEntry) -> Iterator[str]:
+def _check_verdict_problems(verdict: CheckVerdict, episode: EpisodeEntry) -> Iterator[str]:
     """Yield what a check cannot say of an episode that came to this."""
     status, margin, time = verdict.status, verdict.margin, verdict.time
     if status in ("satisfied", "open") and episode.validity != "valid":
@@ -205,8 +207,8 @@ class _NamedRun(NamedTuple):
     """A run that a judgement names, and what its own check says of it."""
 
     place: str
-    judgement: JudgementEntry
-    verdict: CheckVerdictEntry | None
+    judgement: Judgement
+    verdict: CheckVerdict | None
 
     def problems(self, episode: EpisodeEntry) -> Iterator[str]:
         """Yield the contradictions with the episode of the run."""

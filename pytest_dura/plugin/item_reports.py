@@ -28,7 +28,6 @@ from pytest_dura.evidence.text import markdown, name, one_line, visible
 from pytest_dura.plugin.context import draws_reason, replay_command
 from pytest_dura.plugin.markers import marked_requirements
 from pytest_dura.plugin.outcomes import (
-    Assertions,
     EpisodeOutcome,
     ItemJudged,
     ItemResult,
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
+    from pytest_dura.requirements.judgements import Assertion
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.runner import Runner
 
@@ -420,7 +420,7 @@ def _description(item: pytest.Item, results: Sequence[ItemResult], events: Seque
     return "\n\n".join(parts)
 
 
-def _looked_at(assertion: Assertions) -> str:
+def _looked_at(assertion: Assertion) -> str:
     """Describe what a test that decided by its own assertions read, and what was false."""
     if not (assertion.alone or assertion.observed):
         return ""

@@ -7,11 +7,12 @@ the requirement's own check.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.markers import Target, decides_nothing, marked_requirements
 from pytest_dura.plugin.options import LONG_NAMES
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
         EpisodeVerdict,
         JudgedEpisode,
     )
+    from pytest_dura.requirements.judgements import Assertion
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.runner import Runner
 
@@ -80,25 +82,6 @@ class UsedEpisodes:
         return f"undecided: {counts} episodes are invalid ({first}: {self._invalid[first]})"
 
 
-@dataclass(frozen=True)
-class Assertions:
-    """What the own assertions of a test on one episode came to.
-
-    Args:
-        alone: Whether they decide, since the requirement's check does not apply.
-        by_check: Whether the requirement's check is violated, whatever the test asserts.
-        observed: What the test read of the episode.
-        false: Checks that it asked for, and that were false although it passed.
-        failed: Which assertion failed; empty if none did.
-    """
-
-    alone: bool
-    by_check: bool
-    observed: list[str]
-    false: list[str]
-    failed: str
-
-
 _OWN_KEYS = ("case", "planned", "at_most", "confidence")
 
 
@@ -116,7 +99,7 @@ class EpisodeOutcome:
     """
 
     judged: EpisodeVerdict
-    assertion: Assertions
+    assertion: Assertion
     case: str
     planned: int
     at_most: float | None
@@ -125,16 +108,17 @@ class EpisodeOutcome:
     def to_json(self) -> dict[str, Any]:
         """Convert to plain data, as an item's report holds it."""
         own = {name: getattr(self, name) for name in _OWN_KEYS}
-        return {**self.judged.to_json(), "assertion": asdict(self.assertion), **own}
+        return {**self.judged.to_json(), "assertion": encode(self.assertion), **own}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EpisodeOutcome:
         """Make the outcome that an item's report holds."""
         from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
+        from pytest_dura.requirements.judgements import Assertion
 
         return cls(
             EpisodeVerdict.from_json(data),
-            Assertions(**data["assertion"]),
+            decode(Assertion, data["assertion"]),
             **{name: data[name] for name in _OWN_KEYS},
         )
 
@@ -374,6 +358,7 @@ def outcome_of_test(
         EARLY_ENDS,
         EpisodeVerdict,
     )
+    from pytest_dura.requirements.judgements import Assertion
     from pytest_dura.requirements.runs import Run
 
     status, detail = status_of_test(episode, error)
@@ -404,11 +389,11 @@ def outcome_of_test(
         ended=episode.termination if episode.termination in EARLY_ENDS else "",
         unseen_crash=episode.id if unseen else "",
     )
-    assertion = Assertions(
+    assertion = Assertion(
         alone=judged is None,
         by_check=judged is not None and judged.verdict == "violated",
-        observed=list(observations_of(episode).names),
-        false=[] if failed else list(observations_of(episode).false),
+        observed=tuple(observations_of(episode).names),
+        false=() if failed else tuple(observations_of(episode).false),
         failed=failed,
     )
     case, planned = target.case.id, target.planned

@@ -6,9 +6,8 @@ It also keeps the traces of the item's episodes.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -46,7 +45,6 @@ if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
     from pytest_dura.evidence.episodes import ItemReport
-    from pytest_dura.evidence.verdict_model import JudgementEntry
     from pytest_dura.execution.store import EpisodeKey
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
@@ -108,60 +106,24 @@ def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in spread.items() if value is not None}
 
 
-def _campaign_judgement(judgement: Judgement) -> JudgementEntry:
-    """Return a judgement as the evidence holds it."""
-    from pytest_dura.evidence.entry import plain_data
-    from pytest_dura.evidence.verdict_model import JudgementEntry
-
-    asked = judgement.requirement.to_json()
-    question = {key: asked[key] for key in _QUESTION_KEYS}
-    runs = []
-    for run in judgement.runs:
-        values = None if run.values is None else [_plain_number(value) for value in run.values]
-        runs.append({**asdict(run), "values": values})
-    return JudgementEntry.model_validate(
-        plain_data(
-            {
-                "kind": "campaign", "item": "", "recorded_as": "", "attempt": 0,
-                "requirement": judgement.requirement.id, "case": judgement.case,
-                "component": judgement.component, "planned": judgement.planned, **question,
-                "until_decided": judgement.until_decided, "twins": judgement.twins,
-                "runs": runs, "assertion": None,
-            }
-        )
-    )  # fmt: skip
-
-
-_QUESTION_KEYS = ("check", "paired", "at_most", "confidence", "method", "p0")
-
-
-def _plain_number(value: float | None) -> float | str | None:
-    """A number, or the name of an infinite one, which JSON does not know."""
-    if value is None or math.isfinite(value):
-        return value
-    return "Infinity" if value > 0 else "-Infinity"
-
-
-def _test_judgement(outcome: EpisodeOutcome, episode: JudgedEpisode) -> JudgementEntry:
-    """Return the outcome of a test on one episode as the evidence holds it."""
-    from pytest_dura.evidence.verdict_model import JudgementEntry
+def _test_judgement(outcome: EpisodeOutcome, episode: JudgedEpisode) -> Judgement:
+    """Return the outcome of a test on one episode as a line of the evidence."""
+    from pytest_dura.requirements.judgements import Judgement, RunJudgement
     from pytest_dura.requirements.runs import CheckVerdict
 
     judged = outcome.judged
-    run = {
-        "digest": episode.digest, "run": episode.spec.run, "twin": "",
-        "verdict": asdict(CheckVerdict.of(judged)), "twin_verdict": None, "values": None,
-    }  # fmt: skip
-    return JudgementEntry.model_validate(
-        {
-            "kind": "test", "item": "", "recorded_as": "", "attempt": 0,
-            "requirement": judged.requirement, "case": outcome.case,
-            "component": judged.component, "planned": outcome.planned, "check": "",
-            "paired": None, "at_most": outcome.at_most, "confidence": outcome.confidence,
-            "method": None, "p0": None, "until_decided": False, "twins": "", "runs": [run],
-            "assertion": asdict(outcome.assertion),
-        }
-    )  # fmt: skip
+    run = RunJudgement(episode.digest, episode.spec.run, verdict=CheckVerdict.of(judged))
+    return Judgement(
+        "test",
+        judged.requirement,
+        outcome.case,
+        judged.component,
+        outcome.planned,
+        at_most=outcome.at_most,
+        confidence=outcome.confidence,
+        runs=(run,),
+        assertion=outcome.assertion,
+    )
 
 
 REPORT_ATTRIBUTE = "dura"
@@ -278,7 +240,7 @@ class ItemRecorder:
         check = {"check": question["check"], "paired": question["paired"]}
         judged = plain_data({**verdict.to_json(), **check})
         self._report.verdicts.append(AttemptEntry.model_validate(judged))
-        self._report.judgements.append(_campaign_judgement(event.judgement))
+        self._report.judgements.append(event.judgement)
         self._decided.add((verdict.requirement, verdict.case))
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
@@ -564,7 +526,7 @@ class ItemRecorder:
             return
         campaign = given_to(item, "campaign")
         from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT, test_function
-        from pytest_dura.evidence.gather import claim_of
+        from pytest_dura.evidence.gather import claim
 
         component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
         override = self.context.options.runs
@@ -575,7 +537,7 @@ class ItemRecorder:
             decides = test_function(item.nodeid) if run is not None else item.nodeid
             if run is None:
                 decides = item.stash.get(RECORDED_AS, "") or decides
-            self._report.judgements.append(claim_of(decides, requirement.id, case))
+            self._report.judgements.append(claim(decides, requirement.id, case))
             if case not in self._report.claimed:
                 self._report.claimed.append(case)
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
+from pytest_dura.core.codec import Confidence, Count, Limit, Sha256, Share
 from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situations, with_doubt
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.model import Method, Paired, Requirement
 from pytest_dura.requirements.pairs import Change, Pair, change_verdict, judge_pairs, pair_verdict
 from pytest_dura.requirements.runs import CheckVerdict, Run
 
@@ -24,48 +25,115 @@ RECOVERY_ROLE = "recovery_planner"
 
 @dataclass(frozen=True, slots=True)
 class RunJudgement:
-    """A run, or a pair of runs, that a judgement rests on.
+    """A run, or a pair of runs, that a judgement rests on."""
 
-    Args:
-        digest: Of the run.
-        run: Number of the run.
-        twin: Digest of the second run; empty without one.
-        verdict: Of the question's check on the run; ``None`` where the run itself has the verdict
-            on that requirement, and where a measure is compared.
-        twin_verdict: The same of the second run.
-        values: The measure of both runs; ``None`` of a run that is invalid, missing or not whole,
-            an infinite number where it has no value.
-    """
-
-    digest: str
-    run: int
-    twin: str = ""
+    digest: Sha256
+    """Digest of the run."""
+    run: Count
+    """Number of the run."""
+    twin: Annotated[str, Limit(pattern=r"^([0-9a-f]{64})?$")] = ""
+    """Digest of the second run; empty without one."""
     verdict: CheckVerdict | None = None
+    """What the question's check says of the run; null where the run itself has the verdict on that
+    requirement, and where a measure is compared."""
     twin_verdict: CheckVerdict | None = None
+    """The same of the second run."""
     values: tuple[float | None, float | None] | None = None
+    """The measure of both runs; null of a run that is invalid, missing or not whole, infinite where
+    it has no value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Assertion:
+    """What the own assertions of a test on one episode came to."""
+
+    alone: bool
+    """Whether they decide, since the requirement's check does not apply."""
+    by_check: bool
+    """Whether the requirement's check is violated, whatever the test asserts."""
+    observed: tuple[str, ...]
+    """What the test read of the episode."""
+    false: tuple[str, ...]
+    """Checks that it asked for, and that were false although it passed."""
+    failed: str
+    """Which assertion failed; empty if none did."""
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What an item asks of the runs of a case.
+    """What an item asks of the runs of a case. Verdicts are concluded from these and the runs."""
 
-    Args:
-        requirement: As it is judged: with the check, the rate and the method that apply.
-        case: Id of the case.
-        component: Name of the component under test.
-        planned: Runs that are planned, or may be run at most.
-        until_decided: Whether runs end as soon as the requirement is decided.
-        twins: Id of the case of the second runs; empty unless pairs are judged.
-        runs: The runs, in the order in which they were judged.
-    """
-
-    requirement: Requirement
+    kind: Literal["claim", "campaign", "test"]
+    """`claim`: what an item is to decide, noted before it does. `campaign`: a requirement on the
+    runs of a case. `test`: what a test asserts of one episode."""
+    requirement: str
+    """Id of the requirement."""
     case: str
+    """Id of the case."""
     component: str
-    planned: int
-    until_decided: bool
+    """Name of the component under test."""
+    planned: Count
+    """Runs that are planned, or may be run at most."""
+    check: str = ""
+    """What judges each run: a formula or the import path of a function; empty where the test
+    does."""
+    paired: Paired | None = None
+    """For a requirement on pairs of runs."""
+    at_most: Share | None = None
+    """Greatest acceptable rate of violations; null accepts none."""
+    confidence: Confidence = 0.95
+    """One-sided confidence of the bound on that rate."""
+    method: Method | None = None
+    """How a rate is decided; null for the default."""
+    p0: Share | None = None
+    """For `sprt`: the rate below `at_most` up to which a component is rarely rejected."""
+    until_decided: bool = False
+    """Whether runs end as soon as the requirement is decided."""
     twins: str = ""
+    """Id of the case of the second runs; empty unless pairs are judged."""
     runs: tuple[RunJudgement, ...] = ()
+    """The runs that it rests on, in the order in which they were judged; none for a claim."""
+    assertion: Assertion | None = None
+    """What the assertions of a test came to; null for others."""
+    item: str = ""
+    """Node id of the item that asks; of a claim on each run that of the test, without
+    parameters."""
+    recorded_as: str = ""
+    """Node id of the first of several items that repeat one test; empty where nothing does."""
+    attempt: Count = 0
+    """Number of the attempt at the item, from 1; 0 for a claim."""
+
+    @property
+    def asked(self) -> Requirement:
+        """The requirement as far as it decides: with the check, the rate and the method."""
+        return Requirement(
+            self.requirement,
+            check=self.check,
+            at_most=self.at_most,
+            confidence=self.confidence,
+            method=self.method,
+            p0=self.p0,
+            paired=self.paired,
+        )
+
+    @property
+    def status(self) -> EpisodeStatus:
+        """What a test says of its episode."""
+        (run,) = self.runs
+        assert run.verdict is not None
+        return run.verdict.status
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Why the episodes of a case cannot be trusted, whatever their verdicts."""
+
+    case: str
+    """Id of the case."""
+    component: str
+    """Name of the component under test."""
+    reason: str
+    """Such as two digests of one episode."""
 
 
 class CampaignCourse:
@@ -81,8 +149,9 @@ class CampaignCourse:
 
     def __init__(self, judgement: Judgement, *, varies: bool) -> None:
         self.question = judgement
+        self.requirement = judgement.asked
         self.judge = CampaignJudge(
-            judgement.requirement,
+            self.requirement,
             judgement.case,
             planned=judgement.planned,
             component=judgement.component,
@@ -112,7 +181,7 @@ class CampaignCourse:
             run: The run.
             twin: Its second run.
         """
-        name = self.question.requirement.id
+        name = self.requirement.id
         sides = [run] if twin is None else [run, twin]
         if twin is None:
             verdict = run.verdict(name, judged.verdict)
@@ -130,7 +199,7 @@ class CampaignCourse:
         self.runs.append(judged)
 
     def _pair_verdict(self, judged: RunJudgement, run: Run, twin: Run) -> EpisodeVerdict:
-        requirement = self.question.requirement
+        requirement = self.requirement
         if judged.values is not None:
             self._values[run.episode] = judged.values
             return change_verdict(requirement, run, twin, judged.values)
@@ -141,7 +210,7 @@ class CampaignCourse:
 
     def verdict(self) -> CampaignVerdict:
         """Return the verdict on the runs so far, with the table of pairs if there are any."""
-        verdict, paired = self.judge.verdict(), self.question.requirement.paired
+        verdict, paired = self.judge.verdict(), self.requirement.paired
         if paired is None:
             return verdict
         table: dict[str, Any] = {"without": paired.without, "case": self.question.twins}

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
+from pytest_dura.core.codec import Number
 from pytest_dura.core.display import Shown, short_repr
 
 Kind = Literal["safety", "security", "performance", "recovery"]
@@ -24,16 +25,15 @@ class Paired:
     Without a ``measure``, a pair violates the requirement if its check is violated with it and
     satisfied without it. With one, a pair does if the measure grows by more than
     ``change_at_most``.
-
-    Args:
-        without: ``faults``, or the role that is switched off in the second run of each pair.
-        measure: Import path ``package.module:function`` of a function of an episode to a number.
-        change_at_most: Greatest acceptable growth of the measure, in its unit.
     """
 
     without: str
+    """`faults`, or the role that is switched off in the second run of each pair."""
     measure: str = ""
-    change_at_most: float | None = None
+    """Import path `package.module:function` of a function of an episode to a number; empty where
+    the check is compared."""
+    change_at_most: Number | None = None
+    """Greatest acceptable growth of the measure, in its unit."""
 
     __repr__ = short_repr
 

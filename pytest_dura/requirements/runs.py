@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from pytest_dura.core.codec import Number
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.episode_verdicts import (
@@ -22,21 +23,19 @@ from pytest_dura.requirements.model import Requirement
 
 @dataclass(frozen=True, slots=True)
 class CheckVerdict:
-    """What a check says of one run, apart from what the run says of itself.
-
-    Args:
-        status: ``satisfied``, ``violated``, ``open``, ``invalid`` or ``missing``.
-        margin: Robustness; ``None`` where there is no trace to measure it on.
-        time: Seconds at which it was violated first, for a violation.
-        detail: Why, in words.
-        vacuous: Whether it is satisfied only because its condition never held.
-    """
+    """What a check says of one run, apart from what the run says of itself."""
 
     status: EpisodeStatus
-    margin: float | None
-    time: float | None
+    """`satisfied`, `violated`, `open` (the run ended before it was decided), `invalid` (it is no
+    sample) or `missing`."""
+    margin: Number | None
+    """Robustness, in the unit of the check; null where there is no trace to measure it on."""
+    time: Number | None
+    """When it was violated first, in simulated seconds; null for none."""
     detail: str
+    """Why, in words."""
     vacuous: bool
+    """Whether it is satisfied only because its condition never held."""
 
     @classmethod
     def of(cls, verdict: EpisodeVerdict) -> CheckVerdict:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Literal
 
 import pytest
 from entries import make
 from session_records import HEADER
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import RecordBuilder
 from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.verdict_model import VerdictEntry
-from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
+from pytest_dura.requirements.judgements import Assertion, Judgement, RunJudgement
+from pytest_dura.requirements.runs import CheckVerdict
 
 Word = Literal["satisfied", "violated", "invalid"]
 WORDS: tuple[Word, ...] = ("satisfied", "violated", "invalid")
@@ -34,16 +39,22 @@ TRIED = [
 """What the attempts at an item may come to."""
 
 
-def asked(kind: str, word: Word) -> dict[str, Any]:
-    """What an attempt records: a verdict on a campaign, or on an episode."""
-    verdict = EpisodeVerdict("R", "a/b#0", "C", word, None, None, "", 1, 1)
+EPISODE = make(
+    EpisodeEntry, id="a/b#0", case="a/b", component="C", planned=True, validity="valid",
+    digest="d" * 64, trajectory="0" * 64, termination="goal",
+).to_json()  # fmt: skip
+
+
+def asked(kind: str, word: Word) -> Judgement:
+    """What an attempt asks of the runs of a case, or asserts of an episode."""
+    said = CheckVerdict(word, None, None, "", vacuous=False)
+    judgement = Judgement(
+        "campaign", "R", "a/b", "C", 1, "x", runs=(RunJudgement("d" * 64, 0, verdict=said),)
+    )
     if kind == "campaign":
-        judged = judge_campaign(Requirement("R"), "a/b", [verdict], planned=1, component="C")
-        return {"verdicts": [{**judged.to_json(), "check": "x", "paired": None}]}
-    assertion = {"alone": True, "by_check": False, "observed": [], "false": [], "failed": ""}
-    rate = {"at_most": None, "confidence": 0.95}
-    about = {"case": "a/b", "planned": 1, **rate, "assertion": assertion}
-    return {"outcomes": [{**verdict.to_json(), **about}]}
+        return judgement
+    assertion = Assertion(alone=True, by_check=False, observed=(), false=(), failed="")
+    return replace(judgement, kind="test", check="", assertion=assertion)
 
 
 def reports(kind: str, tried: Sequence[Word], item: str) -> Iterator[ItemReport]:
@@ -55,8 +66,10 @@ def reports(kind: str, tried: Sequence[Word], item: str) -> Iterator[ItemReport]
             "attempt": number,
             "retried": number > 1 and word == "satisfied",
             "cases": [CASE],
+            "episodes": [copy.deepcopy(EPISODE)],
+            "judgements": [encode(asked(kind, word))],
         }
-        yield ItemReport.from_json({**about, **asked(kind, word)})
+        yield ItemReport.from_json(about)
 
 
 def recorded(kind: str, tries: Sequence[tuple[str, Sequence[Word]]]) -> VerdictEntry:
@@ -67,7 +80,7 @@ def recorded(kind: str, tries: Sequence[tuple[str, Sequence[Word]]]) -> VerdictE
             builder.add(report)
         if tried[-1] != "satisfied":
             builder.fail(item)
-    (verdict,) = builder.verdicts()
+    (verdict,) = builder.record("complete").head.verdicts
     builder.close()
     return verdict
 

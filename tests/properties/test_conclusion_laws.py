@@ -65,8 +65,10 @@ def campaigns(draw: st.DrawFn) -> tuple[Judgement, dict[str, Run]]:
         runs.update({side.digest: side for side in sides})
     planned = draw(st.integers(1, 12))
     question = Judgement(
-        requirement, "own", "C", planned, until_decided, "twin" if requirement.paired else ""
-    )
+        "campaign", "R", "own", "C", planned, requirement.check, requirement.paired,
+        requirement.at_most, requirement.confidence, requirement.method, requirement.p0,
+        until_decided, "twin" if requirement.paired else "",
+    )  # fmt: skip
     return replace(question, runs=tuple(judged)), runs
 
 

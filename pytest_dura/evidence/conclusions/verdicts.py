@@ -11,20 +11,17 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
-from typing import Any
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import with_repeats
 from pytest_dura.evidence.verdict_model import (
-    AssertionEntry,
+    AssertionSummary,
     AttemptEntry,
-    CheckVerdictEntry,
     FailedAssertion,
     FalseCheck,
-    JudgementEntry,
-    RunJudgementEntry,
     VerdictEntry,
     WaiverEntry,
 )
@@ -36,9 +33,9 @@ from pytest_dura.requirements.campaign_verdicts import (
     varies,
 )
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-from pytest_dura.requirements.judgements import Judgement, RunJudgement, conclude_campaign
+from pytest_dura.requirements.judgements import Judgement, conclude_campaign
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.runs import CheckVerdict, Run
+from pytest_dura.requirements.runs import Run
 
 CaseKey = tuple[str, str]
 """Case and component."""
@@ -66,7 +63,7 @@ class VerdictLines:
         searched: Item, requirement and case of what was searched instead of decided.
     """
 
-    judgements: Sequence[JudgementEntry]
+    judgements: Sequence[Judgement]
     cases: Mapping[CaseKey, CasePlan]
     requirements: Mapping[str, RequirementEntry]
     waivers: Mapping[str, WaiverEntry] = field(default_factory=dict)
@@ -132,8 +129,7 @@ def _run_of(episode: EpisodeEntry, alone: Collection[str]) -> Run:
         episode: Of the record.
         alone: Ids of the requirements of its case that a single run can violate.
     """
-    verdicts = {name: _check_verdict(verdict) for name, verdict in episode.verdicts.items()}
-    metrics = episode.metrics
+    verdicts, metrics = episode.verdicts, episode.metrics
     return Run(
         episode=episode.id,
         case=episode.case,
@@ -155,10 +151,6 @@ def _run_of(episode: EpisodeEntry, alone: Collection[str]) -> Run:
     )
 
 
-def _check_verdict(entry: CheckVerdictEntry) -> CheckVerdict:
-    return CheckVerdict(entry.status, entry.margin, entry.time, entry.detail, entry.vacuous)
-
-
 def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[VerdictEntry]:
     """Conclude all verdicts, also on what never reported, sorted by case and requirement.
 
@@ -166,9 +158,9 @@ def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[VerdictEntry]:
         lines: What was asked, and what bears on it.
         runs: The runs of the session.
     """
-    campaigns: dict[tuple[str, ...], list[JudgementEntry]] = defaultdict(list)
-    tests: dict[tuple[str, ...], list[JudgementEntry]] = defaultdict(list)
-    claims: dict[tuple[str, str, str], JudgementEntry] = {}
+    campaigns: dict[tuple[str, ...], list[Judgement]] = defaultdict(list)
+    tests: dict[tuple[str, ...], list[Judgement]] = defaultdict(list)
+    claims: dict[tuple[str, str, str], Judgement] = {}
     for judgement in lines.judgements:
         about = judgement.requirement, judgement.case, judgement.component
         if judgement.kind == "campaign":
@@ -195,12 +187,11 @@ def test_function(item: str) -> str:
     return item.partition("[")[0]
 
 
-def question_of(judgement: JudgementEntry) -> tuple[str, ...]:
+def question_of(judgement: Judgement) -> tuple[str, ...]:
     """Identify what a judgement asks: the item, requirement, case, component and question."""
-    paired = None if judgement.paired is None else judgement.paired.to_json()
     question = [
-        judgement.check, paired, judgement.method, judgement.at_most, judgement.confidence,
-        judgement.until_decided,
+        judgement.check, encode(judgement.paired), judgement.method, judgement.at_most,
+        judgement.confidence, judgement.until_decided,
     ]  # fmt: skip
     about = judgement.requirement, judgement.case, judgement.component
     return judgement.recorded_as or judgement.item, *about, json.dumps(question, sort_keys=True)
@@ -208,7 +199,7 @@ def question_of(judgement: JudgementEntry) -> tuple[str, ...]:
 
 def question_key(item: str, verdict: AttemptEntry) -> tuple[str, ...]:
     """Identify what a verdict answers: the item, requirement, case, component and question."""
-    paired = None if verdict.paired is None else verdict.paired.to_json()
+    paired = encode(verdict.paired)
     bound = verdict.bound
     question = [verdict.check, paired, verdict.method, bound.at_most, bound.confidence]
     about = verdict.requirement, verdict.case, verdict.component
@@ -227,7 +218,7 @@ class _Verdicts:
         """The first waived item of each test."""
         return {test_function(item): item for item in sorted(self.lines.waivers, reverse=True)}
 
-    def of_campaign(self, item: str, asked: Sequence[JudgementEntry]) -> VerdictEntry:
+    def of_campaign(self, item: str, asked: Sequence[Judgement]) -> VerdictEntry:
         """Conclude the verdict of one or several attempts, by one or several items.
 
         Of several attempts at an item a violation counts before anything else, and of several items
@@ -249,51 +240,32 @@ class _Verdicts:
             ],
         )
 
-    def _attempt(self, entry: JudgementEntry) -> AttemptEntry:
+    def _attempt(self, judgement: Judgement) -> AttemptEntry:
         """Conclude a campaign from its runs."""
-        key = entry.case, entry.component
+        key = judgement.case, judgement.component
         case, known, judged = self.lines.cases.get(key), {}, []
-        for each in entry.runs:
+        for each in judgement.runs:
             run = self.runs.find(*key, each.run, each.digest)
-            twin = None
-            if each.twin:
-                twin = self.runs.find(entry.twins, entry.component, each.run, each.twin)
+            twin = self.runs.find(judgement.twins, key[1], each.run, each.twin)
             if run is None or (each.twin and twin is None):
                 continue
             known[run.digest] = run
-            if twin is not None:
+            if each.twin and twin is not None:
                 known[twin.digest] = twin
-            judged.append(_run_judgement(each, run, twin))
+                judged.append(replace(each, digest=run.digest, twin=twin.digest))
+            else:
+                judged.append(replace(each, digest=run.digest))
         faults = set() if case is None else {fault.id for fault in case.faults}
-        judgement = Judgement(
-            Requirement.from_json(
-                {
-                    "id": entry.requirement,
-                    "check": entry.check,
-                    "at_most": entry.at_most,
-                    "confidence": entry.confidence,
-                    "method": entry.method,
-                    "p0": entry.p0,
-                    "paired": None if entry.paired is None else entry.paired.to_json(),
-                }
-            ),
-            entry.case,
-            entry.component,
-            entry.planned,
-            entry.until_decided,
-            entry.twins,
-            tuple(judged),
-        )
-        declared = () if case is None else case.variation
-        concluded = conclude_campaign(judgement, known, varies=varies(declared, faults))
-        asked = {"check": entry.check, "paired": entry.paired and entry.paired.to_json()}
+        declared = varies(() if case is None else case.variation, faults)
+        found = replace(judgement, runs=tuple(judged))
+        concluded = conclude_campaign(found, known, varies=declared)
+        asked = {"check": judgement.check, "paired": encode(judgement.paired)}
         return AttemptEntry.model_validate(plain_data({**concluded.verdict.to_json(), **asked}))
 
-    def of_test(self, test: str, asked: Sequence[JudgementEntry]) -> VerdictEntry:
+    def of_test(self, test: str, asked: Sequence[Judgement]) -> VerdictEntry:
         """Conclude the verdict of a test that looks at one episode at a time."""
-        distinct = {json.dumps(entry.to_json(), sort_keys=True): entry for entry in asked}
         # In an order of their own: they are reported in any.
-        outcomes = sorted(distinct.values(), key=lambda e: (e.runs[0].run, e.item, e.attempt))
+        outcomes = sorted({*asked}, key=lambda each: (each.runs[0].run, each.item, each.attempt))
         final = _final_outcomes(outcomes)
         verdict = self._judge_test(outcomes)
         attempts = [self._judge_test(seen) for seen in _outcomes_by_attempt(outcomes)]
@@ -307,7 +279,7 @@ class _Verdicts:
             assertion=_assertion_summary(final),
         )
 
-    def _judge_test(self, outcomes: Sequence[JudgementEntry]) -> AttemptEntry:
+    def _judge_test(self, outcomes: Sequence[Judgement]) -> AttemptEntry:
         first = outcomes[0]
         # Tests are a fixed number, and run in no fixed order: no sequential method applies.
         judged_by = replace(
@@ -333,35 +305,33 @@ class _Verdicts:
             )
         )
 
-    def _worst_of_each_episode(self, final: Iterable[JudgementEntry]) -> list[EpisodeVerdict]:
+    def _worst_of_each_episode(self, final: Iterable[Judgement]) -> list[EpisodeVerdict]:
         """Select the worst verdict on each episode, which several parameters of a test may judge.
 
         Args:
             final: Of :func:`_final_outcomes`.
         """
         worst: dict[str, EpisodeVerdict] = {}
-        ordered = sorted(final, key=lambda entry: _WORST_STATUS_FIRST.index(_status_of(entry)))
+        ordered = sorted(final, key=lambda entry: _WORST_STATUS_FIRST.index(entry.status))
         for outcome in ordered:
             (each,) = outcome.runs
             run = self.runs.find(outcome.case, outcome.component, each.run, each.digest)
             if run is not None and each.verdict is not None:
-                verdict = run.verdict(outcome.requirement, _check_verdict(each.verdict))
+                verdict = run.verdict(outcome.requirement, each.verdict)
                 crash = run.episode if run.is_unseen_crash else ""
                 unseen = crash if verdict.verdict != "violated" else ""
                 worst.setdefault(run.episode, replace(verdict, unseen_crash=unseen))
         return sorted(worst.values(), key=lambda verdict: int(verdict.episode.rpartition("#")[2]))
 
-    def _waiver_of(
-        self, final: Sequence[JudgementEntry], verdict: AttemptEntry
-    ) -> WaiverEntry | None:
+    def _waiver_of(self, final: Sequence[Judgement], verdict: AttemptEntry) -> WaiverEntry | None:
         """Waiver of a verdict, if all that is bad about it comes from waived items."""
         known = self.lines.waivers
         waivers = [known[outcome.item] for outcome in final if outcome.item in known]
-        bad = {outcome.item for outcome in final if _status_of(outcome) != "satisfied"}
+        bad = {outcome.item for outcome in final if outcome.status != "satisfied"}
         excused = bad <= known.keys() and verdict.run >= verdict.planned
         return waivers[0] if waivers and excused else None
 
-    def unanswered(self, claim: JudgementEntry) -> VerdictEntry:
+    def unanswered(self, claim: Judgement) -> VerdictEntry:
         """Make the verdict on what was to be decided, and was not."""
         item = claim.item
         verdict = AttemptEntry.of(
@@ -398,45 +368,30 @@ class _Verdicts:
         return verdict.replace(**changed)
 
 
-def _joined(asked: Iterable[JudgementEntry]) -> list[JudgementEntry]:
+def _joined(asked: Iterable[Judgement]) -> list[Judgement]:
     """Join what one attempt asks several times, or what parts of a session say of one plan.
 
     Where a check says two things of one run, both judgements stay.
     """
-    joined: list[JudgementEntry] = []
+    joined: list[Judgement] = []
     for judgement in sorted(asked, key=_order):
         last = joined[-1] if joined else None
         if last is not None and (last.item, last.attempt) == (judgement.item, judgement.attempt):
             known = {run.run: run for run in last.runs}
             if all(known.get(run.run, run) == run for run in judgement.runs):
                 known.update({run.run: run for run in judgement.runs})
-                joined[-1] = last.replace(
+                joined[-1] = replace(
+                    last,
                     planned=max(last.planned, judgement.planned),
-                    runs=[known[number] for number in sorted(known)],
+                    runs=tuple(known[number] for number in sorted(known)),
                 )
                 continue
         joined.append(judgement)
     return joined
 
 
-def _order(judgement: JudgementEntry) -> tuple[str, int, str]:
-    runs = json.dumps([run.to_json() for run in judgement.runs])
-    return judgement.item, judgement.attempt, runs
-
-
-def _run_judgement(each: RunJudgementEntry, run: Run, twin: Run | None) -> RunJudgement:
-    return RunJudgement(
-        run.digest,
-        run.number,
-        "" if twin is None else twin.digest,
-        None if each.verdict is None else _check_verdict(each.verdict),
-        None if each.twin_verdict is None else _check_verdict(each.twin_verdict),
-        None if each.values is None else (_number(each.values[0]), _number(each.values[1])),
-    )
-
-
-def _number(value: Any) -> float | None:
-    return None if value is None else float(value)
+def _order(judgement: Judgement) -> tuple[str, int, str]:
+    return judgement.item, judgement.attempt, json.dumps(encode(judgement.runs))
 
 
 def _verdict(
@@ -445,7 +400,7 @@ def _verdict(
     *,
     waiver: WaiverEntry | None = None,
     attempts: Sequence[AttemptEntry] = (),
-    assertion: AssertionEntry | None = None,
+    assertion: AssertionSummary | None = None,
 ) -> VerdictEntry:
     return VerdictEntry(
         **vars(attempt),
@@ -462,23 +417,17 @@ def _counting_attempt(attempts: Sequence[AttemptEntry]) -> AttemptEntry:
     return next((entry for entry in attempts if entry.verdict == "violated"), attempts[-1])
 
 
-def _status_of(outcome: JudgementEntry) -> str:
-    (each,) = outcome.runs
-    assert each.verdict is not None
-    return each.verdict.status
-
-
-def _final_outcomes(outcomes: Sequence[JudgementEntry]) -> list[JudgementEntry]:
+def _final_outcomes(outcomes: Sequence[Judgement]) -> list[Judgement]:
     """Select one attempt of each item: a violation if there is one, else the last."""
-    final: dict[str, JudgementEntry] = {}
+    final: dict[str, Judgement] = {}
     for outcome in outcomes:
         before = final.get(outcome.item)
-        if before is None or _status_of(before) != "violated":
+        if before is None or before.status != "violated":
             final[outcome.item] = outcome
     return list(final.values())
 
 
-def _outcomes_by_attempt(outcomes: Sequence[JudgementEntry]) -> Iterator[list[JudgementEntry]]:
+def _outcomes_by_attempt(outcomes: Sequence[Judgement]) -> Iterator[list[Judgement]]:
     """Yield what each attempt at a test came to, where there are several.
 
     An attempt has the outcome of each item by then: not every item is run again. Items that repeat
@@ -502,7 +451,7 @@ def _outcomes_by_attempt(outcomes: Sequence[JudgementEntry]) -> Iterator[list[Ju
         yield list(latest.values())
 
 
-def _assertion_summary(final: Sequence[JudgementEntry]) -> AssertionEntry:
+def _assertion_summary(final: Sequence[Judgement]) -> AssertionSummary:
     """Summarise the assertions of a test over all episodes that it looked at.
 
     Args:
@@ -516,7 +465,7 @@ def _assertion_summary(final: Sequence[JudgementEntry]) -> AssertionEntry:
     false = Counter(check for _, assertion in assertions for check in assertion.false)
     observed = {name for _, assertion in assertions for name in assertion.observed}
     failed = sorted((name, entry.failed) for name, entry in assertions if entry.failed)
-    return AssertionEntry(
+    return AssertionSummary(
         alone=all(assertion.alone for _, assertion in assertions),
         by_check=sum(assertion.by_check for _, assertion in assertions),
         observed=sorted(observed)[:_MAX_OBSERVED],

@@ -5,13 +5,15 @@ import copy
 from entries import make
 from session_records import HEADER
 
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.evidence import UNKNOWN_COMPONENT, CaseMetrics, PooledMetrics, RecordBuilder
 from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import ItemReport
-from pytest_dura.evidence.gather import claim_of
+from pytest_dura.evidence.gather import claim
 from pytest_dura.evidence.session_model import ComponentEntry
-from pytest_dura.evidence.verdict_model import JudgementEntry, VerdictEntry
+from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.requirements.judgements import Judgement
 
 REQUIREMENT = make(RequirementEntry, id="R", text="t", confidence=0.95).to_json()
 
@@ -50,13 +52,17 @@ def judgement(kind, runs, **changes):
         "requirement": "R", "case": "a/b", "component": "C", "planned": len(runs), "check": "x",
         "confidence": 0.95, **changes,
     }  # fmt: skip
-    return make(JudgementEntry, kind=kind, runs=runs, **asked).to_json()
+    return encode(decode(Judgement, {**NOTHING_ASKED, "kind": kind, "runs": runs, **asked}))
+
+
+NOTHING_ASKED = encode(Judgement("claim", "", "", "", 0))
 
 
 def looked_up(run, word=None, digest=None):
     """A run of a judgement, with the verdict of a check of the item's own if it has one."""
     verdict = None if word is None else said(word)
-    return {"digest": (digest or DIGITS[run]) * 64, "run": run, "twin": "", "verdict": verdict}
+    return {"digest": (digest or DIGITS[run]) * 64, "run": run, "twin": "", "verdict": verdict,
+            "twin_verdict": None, "values": None}  # fmt: skip
 
 
 def campaign(count=1, **changes):
@@ -240,12 +246,12 @@ def test_several_questions_of_an_item_are_no_attempts_at_one():
 def test_what_a_test_was_to_decide_and_did_not_is_undecided():
     made = record()
     plan = make(CasePlan, **case())
-    claims = [claim_of("t.py::f[a/b]", name, plan).to_json() for name in "RS"]
+    claims = [encode(claim("t.py::f[a/b]", name, plan)) for name in "RS"]
     asked = {"judgements": claims, "claimed": [case()]}
     made.add(report("t.py::f[a/b]", requirements=[REQUIREMENT], **asked))
     told = {"cases": [case()], "episodes": [episode(0)], "judgements": [campaign()]}
     made.add(report("t.py::f[a/b]", **told))
-    single = claim_of("t.py::g", "R", plan).to_json()
+    single = encode(claim("t.py::g", "R", plan))
     made.add(report("t.py::g[a/b#0]", judgements=[single], claimed=[case()]))
     made.waive("t.py::g[a/b#0]", "skip", "too cold")
     found = evidence(made)["verdicts"]

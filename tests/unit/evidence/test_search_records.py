@@ -21,6 +21,7 @@ from pytest_dura.campaign import (
     Shrinking,
     SpaceCoverage,
 )
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import (
     Gate,
     RecordBuilder,
@@ -30,7 +31,7 @@ from pytest_dura.evidence import (
     record_schema,
 )
 from pytest_dura.evidence.case_model import CasePlan
-from pytest_dura.evidence.gather import claim_of
+from pytest_dura.evidence.gather import claim
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.verdict_model import VerdictEntry
 
@@ -93,7 +94,7 @@ def test_a_search_makes_no_verdict_no_case_and_no_episode():
 def claiming(requirement):
     """The report of an item that is to decide a requirement."""
     plan = make(CasePlan, **case())
-    asked = [claim_of(ITEM, requirement, plan).to_json()]
+    asked = [encode(claim(ITEM, requirement, plan))]
     return report(ITEM, judgements=asked, claimed=[plan.to_json()])
 
 

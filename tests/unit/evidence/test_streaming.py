@@ -8,7 +8,7 @@ import pytest
 from session_records import episode, session_record
 
 from pytest_dura.core import ConfigurationError
-from pytest_dura.evidence import bundle, open_record, write_record
+from pytest_dura.evidence import SCHEMA_VERSION, bundle, open_record, write_record
 from pytest_dura.evidence.files import stream_record
 
 HOSTILE = '}\n ],\n "episodes": [\n  {\n'
@@ -75,7 +75,9 @@ def test_it_is_as_strict(tmp_path, spoilt):
 
 def test_another_version_is_told_as_such(tmp_path):
     file = write_record(tmp_path, session_record(tmp_path))
-    file.write_text(file.read_text().replace('"schema_version": "3"', '"schema_version": "99"'))
+    file.write_text(
+        file.read_text().replace(f'"schema_version": "{SCHEMA_VERSION}"', '"schema_version": "99"')
+    )
     with pytest.raises(ConfigurationError, match="another version"):
         open_record(tmp_path / "evidence.json")
 

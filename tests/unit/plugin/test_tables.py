@@ -8,7 +8,6 @@ from entries import make
 
 from pytest_dura.evidence.case_model import CaseEntry, OverallEntry
 from pytest_dura.evidence.verdict_model import EffectivenessEntry, VerdictEntry
-from pytest_dura.evidence.verify_verdicts import pair_problems
 from pytest_dura.plugin.terminal_tables import (
     case_table,
     effectiveness_lines,
@@ -107,13 +106,6 @@ def test_pairs_have_one_rate_of_success_each_and_together() -> None:
     assert " ".join(first.split()) == "R on z/first 8 3 0 1 0 75 (4) 1 3 0.2"
     assert " ".join(second.split()) == "R on a/second 3 0 1 0 2 - 1 3 0.2"
     assert " ".join(together.split()) == "R overall 11 3 1 1 2 75 (4) - - -"
-
-
-def test_a_rate_of_success_that_its_table_does_not_give_is_no_evidence() -> None:
-    pairs = verdict("a/b", 3, 0, 1, 0, 4).pairs.to_json() | {"p_value": 0.25}
-    assert list(pair_problems(make(VerdictEntry, run=8, pairs=pairs), None)) == []
-    forged = make(VerdictEntry, run=8, pairs=pairs | {"success_rate": 1.0})
-    assert list(pair_problems(forged, None)) == ["/pairs/success_rate: found 1.0, expected 0.75"]
 
 
 def test_sentences_on_recovery_and_on_monitors_are_told_apart_and_wrapped() -> None:
