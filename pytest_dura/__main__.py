@@ -9,16 +9,12 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
 from pytest_dura import __version__
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import one_line, visible, without_commands
 
-if TYPE_CHECKING:
-    from pytest_dura.domains import Importer
-
-_IMPORT = "import-"
 _USAGE_ERROR = 2
 _NOT_RENDERED = 3
 _MAX_LENGTH = 2000
@@ -132,17 +128,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     prune.add_argument(
         "--at-most", metavar="SIZE", help="the longest unused ones beyond this size: 500M, 2G"
     )
-    given = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        # Domains are loaded where one of their commands may be meant: others need none of them.
-        importers = {} if given and given[0] in _COMMANDS else _importers()
-        for name in importers:
-            _add_import(
-                commands.add_parser(name, help="make scenarios of a file of another format")
-            )
-        options = parser.parse_args(given)
-        if options.command in importers:
-            return _import(importers[options.command], options)
+        options = parser.parse_args(arguments)
         return _COMMANDS[options.command](options)
     except BrokenPipeError:  # the reader, such as `head`, has ended
         # Flushing at exit would raise it again.
@@ -162,71 +149,6 @@ def _init(options: argparse.Namespace) -> int:
         _print(f"written: {one_line(str(options.directory / file), _MAX_LENGTH)}")
     _print("run `pytest` there")
     return 0
-
-
-def _importers() -> dict[str, Importer]:
-    """The importers of all domains, by the names of their commands.
-
-    A domain that cannot be used is left out, with its error's first line: most commands are of
-    another one.
-    """
-    from pytest_dura.domains import DOMAINS
-
-    importers: dict[str, Importer] = {}
-    for known in DOMAINS:
-        try:
-            domain = DOMAINS[known]
-        except ConfigurationError as error:
-            _print(f"left out: {one_line(error.problem, _MAX_LENGTH)}", file=sys.stderr)
-            continue
-        importers |= {f"{_IMPORT}{name}": each for name, each in domain.importers.items()}
-    return importers
-
-
-def _add_import(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", type=Path, help="the file to import")
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("scenarios"), help="default: scenarios"
-    )
-    parser.add_argument(
-        "--set", metavar="NAME=VALUE", action="append", default=[], help="an option of the format"
-    )
-
-
-def _import(importer: Importer, options: argparse.Namespace) -> int:
-    pairs = [text.partition("=") for text in options.set]
-    wrong = next((name for name, equals, _ in pairs if not (name and equals)), None)
-    if wrong is not None:
-        raise ConfigurationError(
-            "this sets no option", key="--set", found=wrong, expected="NAME=VALUE"
-        )
-    imported = importer(options.file, {name: value for name, _, value in pairs})
-    for name, text in imported.files.items():
-        _write_new(options.out / name, text)
-    _print_any_file_name()
-    for remark in imported.remarks:
-        _print(one_line(remark, _MAX_LENGTH))
-    for name in imported.files:
-        _print(f"written: {one_line(str(options.out / name), _MAX_LENGTH)}")
-    _print(f"{len(imported.remarks)} lines do not map, or not just as they are; they stand above")
-    return 0
-
-
-def _write_new(file: Path, text: str) -> None:
-    """Write a file; one with other content, which a user may have changed, stays."""
-    try:
-        if file.exists() and file.read_text("utf-8") != text:
-            raise ConfigurationError(
-                "there is such a file already, with other content",
-                file=str(file),
-                remedy="remove it, or name another directory: --out=DIR",
-            )
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, "utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(
-            f"the scenario cannot be written: {error}", file=str(file), key="--out"
-        ) from None
 
 
 def _use_cassette(options: argparse.Namespace) -> int:

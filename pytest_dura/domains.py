@@ -9,8 +9,7 @@ import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
@@ -136,23 +135,6 @@ def _check_declared(domain: str, key: str, kind: type[Any], declared: object) ->
 
 
 @dataclass(frozen=True)
-class Imported:
-    """What an importer made of a file of another format.
-
-    Args:
-        files: Scenario files as texts, by name.
-        remarks: What of the file did not map, or not just as it is, each with file and line.
-    """
-
-    files: Mapping[str, str]
-    remarks: Sequence[str]
-
-
-Importer: TypeAlias = "Callable[[Path, Mapping[str, str]], Imported]"
-"""Makes scenarios of a file, with options by name."""
-
-
-@dataclass(frozen=True)
 class Domain:
     """A kind of system.
 
@@ -173,8 +155,6 @@ class Domain:
         fault_targets: Default target of faults, by what their type acts on.
         concrete: Function of world, duration in seconds and seed that returns an equal world in
             which nothing is left to the seed, and returns such a world as it is.
-        importers: What makes scenarios of files of another format, by the format's name: the
-            command ``python -m pytest_dura import-<name>``.
 
     Raises:
         ConfigurationError: For a signal or an action without a unit, and for two of one name.
@@ -191,7 +171,6 @@ class Domain:
     channels: Mapping[str, Channel] | None = None
     fault_targets: Mapping[str, str] = field(default_factory=dict)
     concrete: Callable[[Mapping[str, Any], float, int], dict[str, Any]] | None = None
-    importers: Mapping[str, Importer] = field(default_factory=dict)
 
     __repr__ = short_repr
 

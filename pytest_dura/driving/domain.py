@@ -11,7 +11,6 @@ from pytest_dura.domains import TRUTH, Action, Domain, Signal
 from pytest_dura.driving.bodies import GAP_CAP, TTC_CAP
 from pytest_dura.driving.explanations import MEANINGS, SIGNALS
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING
-from pytest_dura.driving.openscenario import import_openscenario
 from pytest_dura.driving.scenario import DrivingWorld, concrete_world
 from pytest_dura.driving.sensors import CHANNELS, FAULT_TARGETS
 from pytest_dura.driving.signals import NAMES, PERCEPT_NAMES
@@ -86,5 +85,4 @@ DRIVING = Domain(
     channels=CHANNELS,
     fault_targets=FAULT_TARGETS,
     concrete=concrete_world,
-    importers={"openscenario": import_openscenario},
 )

@@ -13,10 +13,7 @@ from pytest_dura.driving.roads import FOUR_WAY
 __all__ = [
     "ARMS",
     "ARM_LENGTH",
-    "LANE_OFFSET",
     "SPEED_LIMIT",
-    "STOP_LINE",
-    "TURNS",
     "Route",
     "all_routes",
     "conflict",
@@ -24,13 +21,8 @@ __all__ = [
     "route_between",
 ]
 
-_SOUTH = FOUR_WAY.arms[0]
 ARMS = FOUR_WAY.names
-TURNS = ("left", "straight", "right")
-ARM_LENGTH = _SOUTH.length
-STOP_LINE = _SOUTH.stop_line
-"""Metres from the centre to a stop line; the square between them is the conflict zone."""
-LANE_OFFSET = _SOUTH.offset
+ARM_LENGTH = FOUR_WAY.arms[0].length
 SPEED_LIMIT = FOUR_WAY.speed_limit
 
 

@@ -195,14 +195,6 @@ def test_two_domains_of_one_name_are_an_error_that_names_both(python, tmp_path):
     assert "Traceback" not in text
 
 
-def test_a_clash_of_two_packages_leaves_the_commands_of_other_domains(python, tmp_path):
-    other = other_package(tmp_path / "other", "CRANE = Domain('lift')", domain="lift")
-    (python.project / "some.xosc").write_text("no XML")
-    done = python("pytest_dura", "import-openscenario", "some.xosc", beside=other)
-    assert "left out: two packages register the domain 'lift'" in done.stderr
-    assert "some.xosc:1: this is no well-formed XML" in done.stderr
-
-
 @pytest.mark.parametrize("declared", ["'load'", "Signal('load')", "Signal('load', meaning='it')"])
 def test_a_signal_without_a_unit_is_refused_where_its_domain_is_used(python, tmp_path, declared):
     code = f"CRANE = Domain('crane', signals=({declared},))"
