@@ -305,7 +305,7 @@ def _stream_identity(stream: IO[bytes]) -> tuple[int, ...]:
 
 InputKind = Literal[
     "scenario", "requirements", "hazards", "faults", "test", "conftest", "component", "check",
-    "role", "configuration", "baseline", "argument", "cassette",
+    "role", "configuration", "baseline", "cassette",
 ]  # fmt: skip
 
 

@@ -64,7 +64,6 @@ def _merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]
         "execution": first.execution,
         **_merged_second_engine(parts),
         **({} if first.llm_price is None else {"llm_price": first.llm_price}),
-        "argument": first.argument,
         **({} if first.looks is None else {"looks": first.looks}),
         "reuse": merged_reuse(part.record.head.reuse for part in parts),
         "shard": None,

@@ -352,7 +352,7 @@ def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
 
 
 def _session(record: SessionRecord) -> NamedValues:
-    options = {"base_seed", "evidence_level", "require_repeatable", "argument", "selection"}
+    options = {"base_seed", "evidence_level", "require_repeatable", "selection"}
     yield from record.head.to_json(include=options).items()
     yield "llm_price", record.head.llm_price
     engine = record.head.second_engine

@@ -20,7 +20,6 @@ from pytest_dura.evidence.entry import Absent, Coded, Count, Entry, JsonObject, 
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import (
-    ArgumentEntry,
     ComponentEntry,
     ComponentUnderTest,
     EnvironmentEntry,
@@ -111,8 +110,6 @@ class RecordHead(Entry):
     second_engine: Absent[SecondEngineEntry] = None
     """What a second engine for formulas was compared on (ini `dura_stl_engine`); of merged shards
     their sums. Absent without one."""
-    argument: ArgumentEntry | None
-    """The user's own argument, over which the assurance case is built; null without."""
     reuse: ReuseEntry
     """What was taken over from earlier sessions (`--dura-resume`, `--dura-reuse`), fault-free twins
     apart."""

@@ -269,7 +269,6 @@ class InputEntry(Entry):
         "role",
         "configuration",
         "baseline",
-        "argument",
         "cassette",
     ]
     """What it is to the session."""
@@ -457,19 +456,6 @@ class GateEntry(Entry):
     """Test items that failed."""
     reasons: list[str]
     """Why it did not pass; empty if it did."""
-
-
-class ArgumentEntry(Entry):
-    """As it was read."""
-
-    path: str
-    """Its file, relative to the project's root."""
-    sha256: Sha256
-    """SHA-256 of that file."""
-    elements: dict[str, JsonObject]
-    """Its elements by id, under the keys of gsn2x."""
-    lines: dict[str, int | None]
-    """The line of each id, and of each key of it."""
 
 
 class SessionTimings(Entry):

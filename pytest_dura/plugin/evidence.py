@@ -1,7 +1,7 @@
 """SessionEvidence: the record of a session, kept and written by the controller only.
 
-With it: the baseline and the argument that the user gives, what scenario items are expected
-to decide, what waives an item, and the exit codes that the gate regards as regular.
+With it: the baseline that the user gives, what scenario items are expected to decide, what waives
+an item, and the exit codes that the gate regards as regular.
 """
 
 from __future__ import annotations
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.files import DirectoryLock
     from pytest_dura.evidence.gather import RecordBuilder, Status
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.evidence.session_model import ArgumentEntry
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.inputs import SessionInputs
@@ -69,8 +68,8 @@ def _waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
     return None
 
 
-class GivenFiles:
-    """Baseline and argument that the user gives, read once by the controller.
+class GivenBaseline:
+    """The baseline that the user gives, read once by the controller.
 
     Args:
         context: The session's context.
@@ -80,14 +79,12 @@ class GivenFiles:
         self.context = context
         self.baseline: Baseline | None = None
         """The earlier evidence that the session is compared with."""
-        self.argument: ArgumentEntry | None = None
-        """Over which the assurance case is built; as the record has it."""
 
     def read(self) -> None:
-        """Read both, before the session's own record replaces an earlier one.
+        """Read it, before the session's own record replaces an earlier one.
 
         Raises:
-            ConfigurationError: If one cannot be used.
+            ConfigurationError: If it cannot be used.
         """
         options, config = self.context.options, self.context.config
         if self.context.is_worker:
@@ -96,30 +93,6 @@ class GivenFiles:
             from pytest_dura.evidence.baseline import Baseline
 
             self.baseline = Baseline.read(options.baseline, config.invocation_params.dir)
-        if options.argument is not None:
-            from pytest_dura.provenance import recorded_path
-            from pytest_dura.reports.gsn.user_argument import read_user_argument
-
-            name = recorded_path(options.argument, config.rootpath)
-            argument = read_user_argument(options.argument)
-            self.argument = argument.model_copy(update={"path": name})
-
-    def check_argument(self) -> None:
-        """Check that the requirements to which the user's argument refers are in the session.
-
-        Raises:
-            ConfigurationError: If one is not.
-        """
-        if self.argument is None:
-            return
-        from pytest_dura.reports.gsn.user_argument import check_requirements
-
-        known = set(self.context.named_requirements)
-        known.update(name for planned in self.context.plan for name in planned.requirements)
-        if self.context.config.getoption("numprocesses", None):
-            # Only the workers know which of them the tests claim.
-            known.update(self.context.library().requirements)
-        check_requirements(self.argument, known - {""})
 
     def with_baseline(self, record: SessionRecord) -> SessionRecord:
         """Add the comparison with the baseline to a record."""
@@ -214,7 +187,7 @@ class SessionEvidence:
         self.record: RecordBuilder | None = None
         self.file: Path | None = None
         self.final: SessionRecord | None = None
-        self.given = GivenFiles(context)
+        self.given = GivenBaseline(context)
         self.objections: list[str] = []
         """What the terminal says against the session beside its verdicts."""
         self._lock: DirectoryLock | None = None
@@ -275,7 +248,6 @@ class SessionEvidence:
                         files_of_roles(self.context, self._roles.chosen_simulator()),
                     ),
                     "execution": self._executor.to_json(),
-                    "argument": self.given.argument and self.given.argument.to_json(),
                     "reuse": self._shared.to_json(),
                     "shard": self._shard_json(),
                     "merged_from": None,

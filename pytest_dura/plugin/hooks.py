@@ -33,7 +33,6 @@ from pytest_dura.plugin.messages import (
     print_lines,
     redact_error,
     redact_report,
-    usage_errors,
 )
 from pytest_dura.plugin.options import LONG_NAMES, WAITING, send_options
 from pytest_dura.plugin.property_tests import explained_fixtures, register_profile
@@ -278,8 +277,6 @@ class SessionHooks:
         if self.session.evidence.record is not None:
             marked = [item.nodeid for item in own_items if item.get_closest_marker("dura")]
             self.session.evidence.note_tests(node_ids, marked)
-        with usage_errors():
-            self.session.evidence.given.check_argument()
         self.session.evidence.expect([item.nodeid for item in session.items])
 
     def pytest_report_collectionfinish(self, items: Sequence[pytest.Item]) -> list[str]:

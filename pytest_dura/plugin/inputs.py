@@ -50,8 +50,6 @@ class SessionInputs:
         for text in Options.faults.given(config) or ():
             if text.endswith((".yaml", ".yml")):
                 self.inputs.add("faults", here / text)
-        if options.argument is not None:
-            self.inputs.add("argument", options.argument)
         if options.llm == "replay" and options.cassette is not None:
             self.inputs.add("cassette", options.cassette)
         if self._baseline is not None:

@@ -179,11 +179,6 @@ def seconds_or_never(setting: Setting) -> float:
     return math.inf if setting.value == "never" else seconds(setting)
 
 
-def file(setting: Setting) -> Path:
-    """Read the path of a file, which is opened later."""
-    return setting.path
-
-
 def directories(setting: Setting) -> tuple[Path, ...]:
     """Read directories of scenario files, each of which has to exist."""
     paths = [setting.config.invocation_params.dir / path for path in setting.given or ()]

@@ -29,7 +29,6 @@ from pytest_dura.plugin.option_values import (
     executor_limit,
     fails_if_worse,
     fault_campaigns,
-    file,
     folder,
     is_choice,
     llm_limits,
@@ -527,14 +526,6 @@ class Options:
         default="warn",
         choices=("fail", "warn"),
         example="fail",
-        same_in_shards=False,
-    )
-    argument: Option[Path | None] = Option(
-        "--dura-argument",
-        "your own argument on top of the generated assurance case, as gsn2x-style YAML",
-        file,
-        metavar="FILE",
-        example="argument.yaml",
         same_in_shards=False,
     )
     llm: Option[Mode] = Option(

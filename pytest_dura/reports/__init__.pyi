@@ -20,7 +20,6 @@ from .failure_modes import (
 )
 from .gsn.argument import generated_argument
 from .gsn.element import root_ids, rule_problems
-from .gsn.user_argument import check_requirements, read_user_argument
 from .html.player import pack_data, player_assets, player_data, player_page
 from .html.twins import Twin
 from .scene import frame_svg
@@ -39,7 +38,6 @@ __all__ = [
     "case_anchor",
     "case_columns",
     "causes_of",
-    "check_requirements",
     "decision_age_lines",
     "decision_at",
     "decision_time_lines",
@@ -57,7 +55,6 @@ __all__ = [
     "player_assets",
     "player_data",
     "player_page",
-    "read_user_argument",
     "root_ids",
     "rule_problems",
     "shard_text",

@@ -13,7 +13,7 @@ KEYS = {
     "schema_version", "status",
     "measures", "created", "tool", "command", "base_seed", "environment",
     "component_under_test", "requirements", "cases", "episodes", "verdicts", "searches", "monitors",
-    "argument", "baseline", "finished", "evidence_level", "gate", "inputs", "coverage", "timings",
+    "baseline", "finished", "evidence_level", "gate", "inputs", "coverage", "timings",
     "require_repeatable", "selection",
     "redacted", "totals", "models", "shard", "merged_from",
     "reuse", "execution", "overall", "effectiveness",

@@ -1,14 +1,16 @@
 """Whatever a record holds: the argument keeps the rules and states the record's counts."""
 
 import re
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from printed import blocks_of
 from session_records import REQUIREMENTS, episode, session_record, verdict
 from stated_counts import dead_references, elements_of, stated_counts
 
-from pytest_dura.reports import rule_problems
+from pytest_dura.reports import root_ids, rule_problems
 from pytest_dura.reports.gsn import svg_file, yaml_file
 
 HOSTILE = st.sampled_from(
@@ -19,6 +21,9 @@ HOSTILE = st.sampled_from(
         "\ufffe\uffff", "1e3", "語" * 300, "\x85\u2028", "'; rm -rf /", "%s{}", "💥",
     ]
 )  # fmt: skip
+PAGE = Path(__file__).parents[2] / "docs/evidence.md"
+(OWN,) = (block.text for block in blocks_of(PAGE) if block.file == "argument.gsn.yaml")
+"""The argument of an assessor, as the documentation has it."""
 CASE = session_record().head.cases[0]
 TEXTS = HOSTILE | st.text(max_size=40)
 WORDS = st.lists(st.sampled_from(["satisfied", "violated", "invalid", "missing"]), max_size=4)
@@ -26,7 +31,8 @@ WORDS = st.lists(st.sampled_from(["satisfied", "violated", "invalid", "missing"]
 
 @st.composite
 def records(draw):
-    names = draw(st.lists(TEXTS, min_size=1, max_size=4, unique=True))
+    names = draw(st.lists(TEXTS | st.sampled_from(["SAF-1", "PERF-2"]), min_size=1, max_size=4,
+                          unique=True))  # fmt: skip
     requirements = [
         {
             **REQUIREMENTS[draw(st.sampled_from(sorted(REQUIREMENTS)))].to_json(),
@@ -72,6 +78,23 @@ def test_the_rules_hold_and_the_counts_are_the_records(record):
     assert dead_references(text, record) == []
     assert yaml_file.render(record) == text
     assert text.encode()
+
+
+@settings(derandomize=True, deadline=None, max_examples=15)
+@given(record=records())
+def test_an_argument_of_ones_own_takes_the_module_up_by_its_public_ids(record):
+    own, module = elements_of(OWN), elements_of(yaml_file.render(record))
+    assert own.keys().isdisjoint(module)
+    problems, tops = rule_problems(own | module), root_ids(own | module)
+    if record.head.status == "complete" and record.head.gate.result != "incomplete":
+        assert (problems, tops) == ([], ["G1"])
+    else:  # the module has a top element that tells so, beside that of the argument
+        assert [problem[:3] for problem in problems] == ["C01"]
+        assert tops == ["G1", "GIncomplete"]
+    for id_, element in module.items():
+        kind, _, named = element.get("alias", "").partition(":")
+        if kind == "requirement" and re.fullmatch(r"[A-Z]+-\d", named):
+            assert id_ == f"G-{named}"
 
 
 @settings(derandomize=True, deadline=None, max_examples=15)

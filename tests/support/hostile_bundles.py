@@ -41,7 +41,6 @@ from pytest_dura.evidence import (
     trace_path,
     write_trace,
 )
-from pytest_dura.evidence import name as shown
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.search_model import SearchEntry
@@ -127,11 +126,6 @@ import pytest
 def test_each(episode):
     assert episode.collided is None
 """
-ARGUMENT = """
-G1: {text: The whole is safe., supportedBy: S1, inContextOf: C1, layer1: a remark}
-S1: {text: Argue over hazards., supportedBy: ["requirement:GAP-1"]}
-C1: {text: The campus., url: "https://example.org"}
-"""
 
 
 def real_session(folder):
@@ -141,13 +135,12 @@ def real_session(folder):
     for file, text in {
         "scenarios/corridor/free.yaml": FREE, "scenarios/corridor/broken.yaml": BROKEN,
         "scenarios/requirements.yaml": REQUIREMENTS, "scenarios/hazards.yaml": HAZARDS,
-        "test_it.py": TESTS,
-        "argument.gsn.yaml": ARGUMENT, "own.py": OWN,
+        "test_it.py": TESTS, "own.py": OWN,
     }.items():  # fmt: skip
         (folder / file).write_text(text)
     arguments = [
         "-p", "no:cacheprovider", "--assert=plain", "--dura-scenarios", "--dura-select=corridor/*",
-        "--dura-argument=argument.gsn.yaml", "test_it.py",
+        "test_it.py",
     ]  # fmt: skip
     before, modules, path = Path.cwd(), set(sys.modules), list(sys.path)
     os.chdir(folder)
@@ -218,8 +211,6 @@ class Spoiler:
         known = part.get("properties", {})
         if name == "roles":
             return name, {role: self._role(one) for role, one in value.items()}
-        if name == "elements":
-            return name, {self.id(one): self._element(told) for one, told in value.items()}
         if name == "sources":
             return name, {
                 digest: {self(file): sha256 for file, sha256 in named.items()}
@@ -236,25 +227,6 @@ class Spoiler:
 
     def _role(self, told):
         return {**told, "path": told["path"], "params": self.record({"a parameter": "x"}, {})}
-
-    def _element(self, told):
-        """An element of a user's argument; its references lead where they led."""
-        lists = ("supportedBy", "inContextOf")
-        return {
-            name if name in ("text", "url", *lists) else self(name): (
-                list(map(self.id, value)) if name in lists else self(value)
-            )
-            for name, value in told.items()
-        }
-
-    def id(self, name):
-        """An id in a user's argument: the prefix of its kind, and after it what can be seen."""
-        kind, mark, requirement = name.partition(":")
-        if mark:
-            return f"{kind}:{self(requirement)}"
-        plain = "".join(char for char in self(name[1:])[:40] if char.isprintable())
-        # Neither the prefix of another kind nor a relation, which would be refused.
-        return shown(f"{name[0]}.{plain.replace('-', '.')}{name[1:]}").partition(" (#")[0]
 
 
 def _resolved(part, value):

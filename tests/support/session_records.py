@@ -190,7 +190,7 @@ def session_data(**changes):
              "lead_time": {"min": 0.2, "median": 0.2, "max": 0.2},
              "delay": {"min": 0.1, "median": 0.1, "max": 0.1}},
         ],
-        "baseline": None, "argument": None, "shard": None, "merged_from": None,
+        "baseline": None, "shard": None, "merged_from": None,
         "selection": {"planned": 3, "asked": 3, "left_out": [], "runs": None, "declared_runs": []},
         "execution": {"executor": "in-process", "processes": None},
         "reuse": {"mode": "none", "session": "5" * 32, "problems": [], "taken_over": 0,
@@ -224,7 +224,7 @@ HEADER = {
     for name, session_value in make(RecordHead, base_seed=0, status="complete").to_json().items()
     if name in (
         "created", "tool", "command", "base_seed", "evidence_level", "require_repeatable",
-        "environment", "execution", "argument", "shard", "merged_from", "selection",
+        "environment", "execution", "shard", "merged_from", "selection",
     )
 } | {"reuse": {"mode": "none", "session": None, "searched": None}}  # fmt: skip
 """Header of a session, as a :class:`RecordBuilder` takes it."""

@@ -186,8 +186,6 @@ def _of_argument(text):
             drawn = "undecided" if element.get("undeveloped") else drawn
             assert element["verdict"] == drawn
             counted[drawn] += 1
-        elif what == "unused":
-            counted.update({key: int(element.get(key, 0)) for key in _COUNTED})
     stated = {key: int(session[key]) for key in ("cases", *EPISODES)}
     return {"gate": session["gate"], **stated, **{key: counted[key] for key in _COUNTED}}
 

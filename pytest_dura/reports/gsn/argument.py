@@ -234,14 +234,10 @@ _KIND_IDS = {
 }
 
 
-def generated_argument(record: SessionRecord, *, over_kinds: bool = False) -> Argument:
-    """The generated argument, root first; a user's own is not yet in it.
+def generated_argument(record: SessionRecord) -> Argument:
+    """The argument of a record, root first.
 
     It argues over hazards where the record has any, and else over kinds of requirements.
-
-    Args:
-        record: Of the session.
-        over_kinds: Whether it argues over kinds beside hazards as well.
 
     Raises:
         ValueError: If a verdict is on a requirement that the record does not list.
@@ -258,11 +254,15 @@ def generated_argument(record: SessionRecord, *, over_kinds: bool = False) -> Ar
     around = _argument_contexts(record, facts)
     domain = list(_scenario_contexts(record))
     hazards = hazard_evidence(record)
-    legs = [[*hazard_elements(hazards, requirements, domain)]] if hazards else []
-    if over_kinds or not hazards:
-        legs.append([*_kinds_strategy(requirements, domain)])
+    leg = [
+        *(
+            hazard_elements(hazards, requirements, domain)
+            if hazards
+            else _kinds_strategy(requirements, domain)
+        )
+    ]
     below = [
-        *(element for leg in legs for element in leg),
+        *leg,
         *(element for requirement in requirements for element in requirement.elements),
         *(element for judged in verdicts for element in judged.elements),
         *_monitor_elements(record.head.monitors),
@@ -270,7 +270,7 @@ def generated_argument(record: SessionRecord, *, over_kinds: bool = False) -> Ar
         *around,
     ]
     names = components or [str(record.head.component_under_test.name)]
-    support = (*(leg[0].id for leg in legs), *([_MONITORS_ID] if record.head.monitors else ()))
+    support = (leg[0].id, *([_MONITORS_ID] if record.head.monitors else ()))
     surrounding = tuple(element.id for element in around)
     top = _top_goal(names, sorted(facts.policies), requirements, shard_text(record))
     if is_incomplete(record):

@@ -282,8 +282,6 @@ def _counts(element: Element) -> Counter[str]:
         return Counter({str(element.layers["verdict"]): 1})
     if kind in {"requirement", "waiver"}:
         return Counter({"requirements" if kind == "requirement" else "waived": 1})
-    if kind == "unused":
-        return Counter({key: int(element.layers.get(key, 0)) for key in _COUNTED})
     return Counter()
 
 
@@ -396,10 +394,7 @@ class _Layout:
         self.drawn: set[str] = set()
 
     def tree(self, id_: str, x: float, y: float) -> float:
-        """Draw an element with all that belongs to it, and return where the next may begin.
-
-        Not recursive: a user's argument may be deeper than Python's stack.
-        """
+        """Draw an element with all that belongs to it, and return where the next may begin."""
         waiting: list[tuple[str, float, Shape | None]] = [(id_, x, None)]
         while waiting:
             current, x, parent = waiting.pop()

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-PREFIXES = {
+_PREFIXES = {
     "CG": "CounterGoal",
     "G": "Goal",
     "CSn": "CounterSolution",
@@ -29,7 +29,7 @@ _READABLE = 60
 
 def kind_of(identifier: str) -> str | None:
     """The kind of an element by its id, ``None`` if the id begins with no known prefix."""
-    return next((kind for start, kind in PREFIXES.items() if identifier.startswith(start)), None)
+    return next((kind for start, kind in _PREFIXES.items() if identifier.startswith(start)), None)
 
 
 def derived_id(prefix: str, *parts: str, apart: tuple[str, ...] = ()) -> str:
@@ -116,9 +116,9 @@ _ALLOWED_SUPPORT = {
     "Strategy": frozenset({"Goal", "Strategy", "Solution"}) | _COUNTER,
     "CounterGoal": _COUNTER,
 }
-LIST_KEYS = ("supportedBy", "inContextOf", "defeatedRelation")
-FLAG_KEYS = ("undeveloped", "defeated")
-TEXT_KEYS = ("text", "url", "challenges")
+_LIST_KEYS = ("supportedBy", "inContextOf", "defeatedRelation")
+_FLAG_KEYS = ("undeveloped", "defeated")
+_TEXT_KEYS = ("text", "url", "challenges")
 _MODULE_KEY = "name"
 """gsn2x takes whatever has this key for the description of a module, and not for an element."""
 
@@ -162,17 +162,17 @@ def _shape_problems(id_: str, node: Any) -> Iterator[str]:
         return
     if _MODULE_KEY in node:
         yield f"{id_}: the key `{_MODULE_KEY}` makes gsn2x take it for a module"
-    for key in LIST_KEYS:
+    for key in _LIST_KEYS:
         value = node.get(key, [])
         references = [value] if isinstance(value, str) else value
         if not isinstance(references, list) or not all(
             isinstance(reference, str) for reference in references
         ):
             yield f"{id_}: {key} is a list of ids"
-    for key in FLAG_KEYS:
+    for key in _FLAG_KEYS:
         if not isinstance(node.get(key, False), bool):
             yield f"{id_}: {key} is true or false"
-    for key in TEXT_KEYS:
+    for key in _TEXT_KEYS:
         if not isinstance(node.get(key, ""), str):
             yield f"{id_}: {key} is text"
     if not node.get("text"):
@@ -263,11 +263,11 @@ def _argument_problems(elements: Mapping[str, Node]) -> Iterator[str]:
     cycle = _first_cycle(elements)
     if cycle:
         yield f"C04: {' -> '.join(cycle)} is a circle"
-    for element in sorted(set(elements) - reachable_ids(elements, top)):
+    for element in sorted(set(elements) - _reachable_ids(elements, top)):
         yield f"C08 {element}: it cannot be reached from the top"
 
 
-def reachable_ids(elements: Mapping[str, Node], start: list[str]) -> set[str]:
+def _reachable_ids(elements: Mapping[str, Node], start: list[str]) -> set[str]:
     """Ids that are reached from others: what they refer to, and what challenges them."""
     challengers: dict[str, list[str]] = {}
     for id_, node in elements.items():
@@ -287,7 +287,7 @@ def reachable_ids(elements: Mapping[str, Node], start: list[str]) -> set[str]:
 
 
 def _first_cycle(elements: Mapping[str, Node]) -> list[str]:
-    """The first circle of ``supportedBy``; not recursive, as a user's argument may be deep."""
+    """The first circle of ``supportedBy``; not recursive, as an argument may be deep."""
     done: set[str] = set()
     for start in elements:
         path: list[str] = []

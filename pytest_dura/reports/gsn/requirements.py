@@ -26,8 +26,6 @@ from pytest_dura.reports.searches import (
 )
 from pytest_dura.reports.verdicts import MAX_TEXT, requirement_text
 
-COUNTEREXAMPLE_PREFIX = "found:"
-"""Beginning of the alias of a counterexample of a search."""
 _MAX_SEARCH_ELEMENTS = 5
 """Counterexamples of a requirement that are elements; the record has all."""
 _MAX_SEARCH_TEXT = 300
@@ -92,7 +90,7 @@ def _counter_solution(
         derived_id("CSn", "search", outcome.requirement, search.case, apart=apart),
         text,
         url=f"evidence.json#/searches/{number}/outcomes/{place}",
-        alias=f"{COUNTEREXAMPLE_PREFIX}{name(outcome.requirement)}@{case} ({number}.{place})",
+        alias=f"found:{name(outcome.requirement)}@{case} ({number}.{place})",
         layers=layers,
         brief=("search", name(outcome_status(search, outcome))),
     )

@@ -6,7 +6,7 @@ from collections import Counter
 
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line
-from pytest_dura.reports.gsn.argument import REVIEW_ID, SESSION_ID
+from pytest_dura.reports.gsn.argument import REVIEW_ID, SESSION_ID, generated_argument
 from pytest_dura.reports.gsn.drawing import (
     MARGIN,
     MARKERS,
@@ -19,7 +19,6 @@ from pytest_dura.reports.gsn.drawing import (
     layout_argument,
     wrap_text,
 )
-from pytest_dura.reports.gsn.user_argument import session_argument
 from pytest_dura.reports.svg import Svg, document, joined, tag
 from pytest_dura.reports.wording import is_incomplete, review_text
 
@@ -30,12 +29,8 @@ _KINDS = ("Goal", "Strategy", "Solution", "Context", "Assumption", "CounterGoal"
 
 
 def render(record: SessionRecord) -> str:
-    """The file's text.
-
-    Raises:
-        ConfigurationError: If the user's argument does not fit.
-    """
-    argument = session_argument(record)
+    """The file's text."""
+    argument = generated_argument(record)
     session = argument[SESSION_ID]
     view = drawn_argument(argument)
     view.counts[SESSION_ID] = Counter({key: session.layers[key] for key in ("gate", *_STATED)})

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.reports.gsn.argument import generated_argument
 from pytest_dura.reports.gsn.element import rule_problems
-from pytest_dura.reports.gsn.user_argument import session_argument
 from pytest_dura.reports.wording import review_text
 
 FILE = "assurance-case.gsn.yaml"
@@ -25,10 +25,9 @@ def render(record: SessionRecord) -> str:
     """The file's text.
 
     Raises:
-        ConfigurationError: If the user's argument refers to what the session does not have.
         ValueError: If the argument breaks a rule, which would be a fault of this package.
     """
-    elements = {id_: element.to_yaml() for id_, element in session_argument(record).items()}
+    elements = {id_: element.to_yaml() for id_, element in generated_argument(record).items()}
     problems = rule_problems(elements)
     if problems:
         raise ValueError(f"the argument breaks a rule: {problems[0]}")

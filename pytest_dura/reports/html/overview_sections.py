@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import FORMATS, RECORD_FILE
 from pytest_dura.evidence.files import MANIFEST_FILE, REVIEW_FILE
 from pytest_dura.evidence.model import SessionRecord
@@ -20,8 +19,8 @@ from pytest_dura.reports.contents import (
     requirement_anchor,
     verdict_anchor,
 )
+from pytest_dura.reports.gsn.argument import generated_argument
 from pytest_dura.reports.gsn.element import Element, root_ids
-from pytest_dura.reports.gsn.user_argument import session_argument
 from pytest_dura.reports.svg import Svg
 from pytest_dura.reports.wording import (
     conclusion_sentences,
@@ -158,10 +157,7 @@ def argument_section(
     record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
     """The tree of the argument, from the same elements as the files."""
-    try:
-        argument = session_argument(record)
-    except ConfigurationError as error:  # the files of the argument are broken, this page is not
-        return {"roots": [], "problem": str(error), "left_out": 0}
+    argument = generated_argument(record)
     # Elements on verdicts of folded cases lead to their requirement, since they have no row.
     requirements = {f"{_PAGE}#{requirement_anchor(each.id)}" for each in record.head.requirements}
     challenges: dict[str, list[str]] = {}
@@ -191,7 +187,7 @@ def argument_section(
         branch.contexts = [argument[id_] for id_ in element.in_context_of if id_ in argument]
         branch.branches = sorted((Branch(argument[id_]) for id_ in taken), key=lambda b: b.weight)
         waiting.extend((each, depth + 1) for each in branch.branches)
-    return {"roots": roots, "problem": "", "left_out": left_out}
+    return {"roots": roots, "left_out": left_out}
 
 
 def _is_folded(element: Element, requirements: Collection[str]) -> bool:

@@ -78,7 +78,7 @@ def _file_address(file: str) -> str:
 def _bundle_reference(url: str) -> str:
     """Where an element's evidence lies: within this page, or a file of the bundle.
 
-    Empty for any other address, which a user's argument may have: nothing here leads outside.
+    Empty for any other address: nothing here leads outside.
     """
     file, mark, anchor = url.partition("#")
     if file == FILE and mark:

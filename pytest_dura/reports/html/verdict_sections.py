@@ -282,7 +282,6 @@ def provenance_section(
         "packages": sorted(record.head.environment.packages.items()),
         "redacted": sorted(record.head.redacted.items()),
         "inputs": record.head.inputs,
-        "argument": record.head.argument,
         "timings": record.head.timings,
         "processing": sorted(record.head.timings.processing_seconds.items()),
         "baseline": record.head.baseline,

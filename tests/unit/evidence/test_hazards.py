@@ -13,9 +13,8 @@ from stated_counts import dead_references, elements_of, stated_counts
 from pytest_dura.evidence import record_problems
 from pytest_dura.library import parse_yaml
 from pytest_dura.library.hazards import read_hazards
-from pytest_dura.reports import cyclonedx, needs, rule_problems, summary
+from pytest_dura.reports import cyclonedx, generated_argument, needs, rule_problems, summary
 from pytest_dura.reports.gsn import svg_file, yaml_file
-from pytest_dura.reports.gsn.user_argument import session_argument
 from pytest_dura.reports.hazards import hazard_line
 from pytest_dura.reports.html import page
 from pytest_dura.reports.wording import limitation_sentences
@@ -126,23 +125,10 @@ def test_without_hazards_the_argument_goes_over_kinds():
     assert "hazard" not in json.dumps(found)
 
 
-@pytest.mark.parametrize(
-    "taken, left", [("kind:safety", True), ("strategy:hazards", False), ("hazard:H-1", True)]
-)
-def test_a_users_argument_takes_up_kinds_or_hazards(taken, left):
-    argument = {
-        "path": "argument.gsn.yaml", "lines": {},
-        "elements": {"GUser": {"text": "Ours is safe.", "supportedBy": ["SUser"]},
-                     "SUser": {"text": "Argue.", "supportedBy": [taken]}},
-    }  # fmt: skip
-    if taken.startswith("strategy"):
-        argument["elements"] = {"GUser": {"text": "Ours is safe.", "supportedBy": [taken]}}
-    found = elements_of(yaml_file.render(record(argument=argument)))
-    assert rule_problems(found) == []
-    unused = [node["text"] for node in found.values() if node.get("alias") == "unused-hazards"]
-    assert bool(unused) == left
-    if taken == "hazard:H-1":
-        assert unused == ["Not used by the argument: the hazards H-2, H-3, H-4, H-5."]
+def test_ids_that_others_may_refer_to_are_the_same_with_hazards():
+    public = {"GTop", "GMonitors", *(f"G-{requirement}" for requirement in MITIGATES)}
+    for made in (record(), session_record()):
+        assert public <= elements_of(yaml_file.render(made)).keys()
 
 
 def test_the_picture_has_every_hazard_and_each_requirement_once():
@@ -233,7 +219,7 @@ def test_an_incomplete_session_does_not_read_as_one_that_passed():
         "result": "incomplete", "exit_code": 2, "warn_undecided": False, "failed": 0, "reasons": []
     })  # fmt: skip
     assert needs_of(made)["SESSION"]["title"] == "Session incomplete: this is no pass"
-    assert session_argument(made)["GTop"].undeveloped
+    assert generated_argument(made)["GTop"].undeveloped
 
 
 PAGE = (Path(__file__).parents[3] / "docs/standards.md").read_text("utf-8")

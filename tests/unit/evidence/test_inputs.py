@@ -158,7 +158,7 @@ def test_inputs_are_named_from_the_root_and_never_by_the_machine(tmp_path):
     found = told(
         [
             ("scenario", root / "scenarios/../scenarios/a.yaml"),
-            ("argument", outer),
+            ("cassette", outer),
             ("scenario", builtin / "deep/c.yaml"),
         ],
         root,
@@ -167,7 +167,7 @@ def test_inputs_are_named_from_the_root_and_never_by_the_machine(tmp_path):
     assert [(one["path"], one["kind"], one["sha256"], one["changed"]) for one in found] == [
         ("pytest_dura/scenarios/deep/c.yaml", "scenario", sha256("c"), False),
         ("scenarios/a.yaml", "scenario", sha256("a"), False),
-        (f"{tmp_path.name}/elsewhere.yaml", "argument", sha256("b"), False),
+        (f"{tmp_path.name}/elsewhere.yaml", "cassette", sha256("b"), False),
     ]
 
 

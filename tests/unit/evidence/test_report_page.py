@@ -510,15 +510,12 @@ def test_provenance_tells_inputs_that_changed_and_over_what_a_digest_is():
         {"path": "a.py", "kind": "test", "sha256": None, "changed": False},
         {"path": "b.py", "kind": "test", "sha256": "ab" * 32, "changed": True},
     ]
-    argument = {"path": "top.yaml", "sha256": "cd" * 32, "elements": {}, "lines": {}}
-    argument["elements"] = {"GOwn": {"text": "ours", "undeveloped": True}}
     under_test = record.head.component_under_test.replace(digest="ef" * 32, file_count=12)
-    html = render(session_record(inputs=inputs, argument=argument, component_under_test=under_test))
+    html = render(session_record(inputs=inputs, component_under_test=under_test))
     words = section(html, "provenance")
     assert "a.py test could not be read" in words
     assert f"{'ab' * 32} changed while the session ran" in words
     assert f"{'ef' * 32} 12 files" in words
-    assert f"top.yaml, SHA-256 {'cd' * 32}" in words
     assert record.head.environment.blas in words
 
 

@@ -7,17 +7,14 @@ import re
 
 import pytest
 import yaml
-from entries import make
 from report_pages import Page
 from searches import entry
 from session_records import session_record, verdict
 from stated_counts import elements_of, stated_counts
 
 from pytest_dura.evidence import all_formats, write_record
-from pytest_dura.evidence.session_model import ArgumentEntry
-from pytest_dura.reports import generated_argument, intoto, outcome_headline, rule_problems, summary
+from pytest_dura.reports import intoto, outcome_headline, rule_problems, summary
 from pytest_dura.reports.gsn import yaml_file
-from pytest_dura.reports.gsn.user_argument import merge_user_argument
 from pytest_dura.reports.html.page import render
 from pytest_dura.reports.searches import failure_lines, outcome_entries, simulations_text
 
@@ -198,15 +195,6 @@ def test_what_found_nothing_is_a_context_and_supports_no_goal():
     ids = {id_ for id_, one in found.items() if one is context}
     assert ids <= set(found["G-SAF-1"]["inContextOf"])
     assert not any(ids & set(one.get("supportedBy", ())) for one in found.values())
-
-
-def test_a_users_argument_cannot_leave_out_what_a_search_found():
-    generated = generated_argument(record_of(entry("falsified"), verdicts=SUPPORTED))
-    elements = {"G1": {"text": "All is well.", "supportedBy": ["monitors"]}}
-    user = make(ArgumentEntry, path="a.yaml", elements=elements)
-    found = merge_user_argument(generated, user)
-    assert found["CGUnused"].challenges == "G1"
-    assert "SAF-1@a/clear" in found["CGUnused"].text
 
 
 def result(tmp_path, *searches):
