@@ -17,7 +17,6 @@ from pytest_dura.evidence.entry import (
     Number,
     OpenEntry,
     Positive,
-    PositiveNumber,
     Sha256,
     Share,
 )
@@ -396,18 +395,6 @@ class RepeatEntry(Entry):
     session. Then the runs of the case count as draws. Empty if nothing does."""
 
 
-class ExposurePlan(Entry):
-    """How often a situation occurs in the operating domain, as the scenario file declares it."""
-
-    weight: PositiveNumber
-    """How often, in a unit that the scenarios of a session share."""
-    source: str
-    """Where the figure is from; empty where nothing says."""
-    parameters: dict[str, list[Amount]]
-    """Weights of equal parts of a varied range, from its least value on, or of choices, by dotted
-    path."""
-
-
 class CasePlan(Entry):
     """A scenario with faults, for one component, before it is run."""
 
@@ -431,8 +418,6 @@ class CasePlan(Entry):
     """Ids of the requirements that apply to the scenario."""
     variation: dict[str, Variation]
     """What differs between runs, by dotted path: `world.x`, `faults.id.x`."""
-    exposure: Absent[ExposurePlan] = None
-    """How often its situation occurs in the operating domain; absent where nothing is declared."""
     planned: Count
     """Planned episodes, or the most that may be run."""
     runs_override: Count | None
@@ -553,75 +538,6 @@ class CombinationsEntry(Entry):
     """The pairs, those with the least share of cells first; the first thousand."""
 
 
-class ExposedParameter(Entry):
-    """A parameter whose parts have weights of exposure."""
-
-    parameter: str
-    """Dotted path: `world.x`, `faults.id.x`."""
-    weights: list[Amount]
-    """As declared: of equal parts of the range, or of the choices."""
-    runs: list[Count]
-    """Valid runs that drew from each."""
-    exercised: Share
-    """Weights of the parts with any run, as a share of all."""
-
-
-class ExposedScenario(Entry):
-    """A scenario with a declared exposure."""
-
-    scenario: str
-    """Name of the scenario."""
-    weight: PositiveNumber
-    """As declared."""
-    source: str
-    """Where the figure is from; empty where nothing says."""
-    share: Share
-    """Its weight as a share of all that is declared."""
-    runs: Count
-    """Valid planned runs of its cases, reference arms left out."""
-    exercised: Share
-    """0 without a valid run; otherwise the least of its parameters' shares, 1 where none has
-    weights."""
-    parameters: list[ExposedParameter]
-    """Those with weights."""
-
-
-class WeighedViolations(Entry):
-    """Runs that violated requirements of a kind, weighed by the exposure of their scenarios."""
-
-    kind: Literal["safety", "security", "performance", "recovery"]
-    """Kind of the requirements."""
-    runs: Count
-    """Valid planned runs that a verdict on such a requirement looked at, the n of both shares."""
-    violating: Count
-    """Those among them that violated any."""
-    scenarios: Count
-    """Scenarios that these runs are of."""
-    of_exposure: Share
-    """The share of the declared exposure that is theirs."""
-    weighed: Share | None
-    """Shares of violating runs of these scenarios, weighed by their exposures, and within a
-    scenario by the parts that a run drew from; null where no weight is above 0. It weighs by
-    declared figures and estimates no probability."""
-
-
-class ExposureEntry(Entry):
-    """The declared exposure of a component's scenarios: how much of it was exercised."""
-
-    component: str
-    """Name of the component under test."""
-    declared: PositiveNumber
-    """Sum of the weights."""
-    exercised: Share
-    """Weights of scenarios, each times its exercised share, as a share of their sum."""
-    undeclared: list[str]
-    """Scenarios that declare none, and enter no weighing."""
-    scenarios: list[ExposedScenario]
-    """Those that do, the greatest weight first."""
-    violations: list[WeighedViolations]
-    """By kind of requirement: safety, security, recovery, performance."""
-
-
 class CoverageEntry(Entry):
     """What was tried of what there is."""
 
@@ -633,5 +549,3 @@ class CoverageEntry(Entry):
     """Ranges that scenarios vary."""
     combinations: Absent[CombinationsEntry] = None
     """Pairs of them; absent where no scenario varies two."""
-    exposure: Absent[list[ExposureEntry]] = None
-    """Declared exposure, for each component; absent where no scenario declares any."""

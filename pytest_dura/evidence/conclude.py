@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from typing import Any, TypeAlias
 
-from pytest_dura.evidence.case_model import CaseEntry, CasePlan, RequirementEntry
+from pytest_dura.evidence.case_model import CaseEntry, CasePlan
 from pytest_dura.evidence.conclusions.verdicts import Runs, VerdictLines, conclude_verdicts
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -25,11 +25,7 @@ from pytest_dura.evidence.metrics import (
     verdicts_on_cases,
 )
 from pytest_dura.evidence.model import SessionRecord, Totals
-from pytest_dura.evidence.operating_domain import (
-    CombinationCoverage,
-    ExposureCoverage,
-    ParameterCoverage,
-)
+from pytest_dura.evidence.operating_domain import CombinationCoverage, ParameterCoverage
 from pytest_dura.evidence.redaction import count_redactions
 from pytest_dura.evidence.search_model import searched_claims
 from pytest_dura.evidence.session_model import InputEntry
@@ -49,7 +45,6 @@ def coverage(
     cases: Sequence[CasePlan],
     verdicts: Sequence[VerdictEntry],
     episodes: Iterable[EpisodeEntry],
-    requirements: Iterable[RequirementEntry] = (),
 ) -> dict[str, Any]:
     """Compute the record's key ``coverage``.
 
@@ -66,15 +61,13 @@ def coverage(
         cases: The record's cases.
         verdicts: The record's verdicts.
         episodes: The record's episodes.
-        requirements: The record's requirements, by whose kinds violations are weighed.
     """
     grid = _Grid(cases, verdicts)
     untested = grid.untested_count()
     shown = list(grid.untested() if untested <= MAX_CELLS else grid.first_untested())
     parameters, combinations = ParameterCoverage(cases), CombinationCoverage(cases)
-    exposure = ExposureCoverage(cases, verdicts, requirements)
     for episode in episodes:
-        for counted in (parameters, combinations, exposure):
+        for counted in (parameters, combinations):
             counted.add(episode)
     cells = map(grid.cell, (*grid.statuses, *shown))
     return {
@@ -82,7 +75,6 @@ def coverage(
         "left_out": untested - len(shown),
         "parameters": parameters.to_json(),
         **combinations.to_json(),
-        **exposure.to_json(),
     }
 
 
@@ -469,9 +461,7 @@ def conclude_record(
         gate=gate,
         inputs=inputs,
         reuse=record.head.reuse.replace(**origins._asdict()),
-        coverage=coverage(
-            record.head.cases, record.head.verdicts, record.episodes(), record.head.requirements
-        ),
+        coverage=coverage(record.head.cases, record.head.verdicts, record.episodes()),
         timings=timings(
             record.episodes(), wall_seconds=wall_seconds, evidence_seconds=evidence_seconds
         ),

@@ -1,4 +1,4 @@
-"""Coverage of what scenarios vary: single parameters, their pairs, and declared exposure.
+"""Coverage of what scenarios vary: single parameters, and their pairs.
 
 All of it is counted over the draws of valid planned episodes, of which each adds a few numbers.
 """
@@ -6,20 +6,12 @@ All of it is counted over the draws of valid planned episodes, of which each add
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
 from typing import Any
 
-from pytest_dura.evidence.case_model import (
-    CasePlan,
-    ChoicesEntry,
-    ExposurePlan,
-    RangeEntry,
-    RequirementEntry,
-)
+from pytest_dura.evidence.case_model import CasePlan, ChoicesEntry, RangeEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry, SpecEntry
-from pytest_dura.evidence.verdict_model import VerdictEntry
 
 _BINS = 10
 """Equal parts of a range, in which values are counted."""
@@ -186,14 +178,13 @@ class _Parts:
 
     Args:
         variation: Of one parameter.
-        parts: Parts of a range; choices have a part each.
     """
 
-    def __init__(self, variation: RangeEntry | ChoicesEntry, parts: int) -> None:
+    def __init__(self, variation: RangeEntry | ChoicesEntry) -> None:
         self._range = variation if isinstance(variation, RangeEntry) else None
         self._values = [] if isinstance(variation, RangeEntry) else _Choices(variation).values
         flat = self._range is not None and not self._range.max > self._range.min
-        self.number = len(self._values) if self._range is None else 1 if flat else parts
+        self.number = len(self._values) if self._range is None else 1 if flat else PAIR_PARTS
 
     def part_of(self, value: Any) -> int | None:
         """Return the number of the part; ``None`` for what is no single value of it."""
@@ -223,7 +214,7 @@ class CombinationCoverage:
         for case in cases:
             known = by_scenario.setdefault(case.scenario, {})
             for path, variation in case.variation.items():
-                parts = _Parts(variation, PAIR_PARTS)
+                parts = _Parts(variation)
                 over_time = isinstance(variation, RangeEntry) and variation.pieces is not None
                 if over_time or parts.number > max(MAX_PAIRED_CHOICES, PAIR_PARTS):
                     self._unpaired.add((case.scenario, path))
@@ -286,190 +277,3 @@ class CombinationCoverage:
                 "counts": counts,
                 "covered": met / len(cells),
             }
-
-
-KINDS = ("safety", "security", "recovery", "performance")
-"""Kinds of requirements, the gravest first."""
-
-
-class ExposureCoverage:
-    """Counts which part of the declared exposure was exercised, and weighs violations by it.
-
-    Reference arms, and runs without the fault that no verdict is on, do not count.
-
-    Args:
-        cases: The record's cases; ``exposure`` holds what is declared.
-        verdicts: The record's verdicts.
-        requirements: The record's requirements, for their kinds.
-    """
-
-    def __init__(
-        self,
-        cases: Iterable[CasePlan],
-        verdicts: Sequence[VerdictEntry],
-        requirements: Iterable[RequirementEntry],
-    ) -> None:
-        kinds = {requirement.id: requirement.kind for requirement in requirements}
-        judged = {verdict.case for verdict in verdicts}
-        twins = {verdict.pairs.case for verdict in verdicts if verdict.pairs} - judged
-        self._declared: dict[tuple[str, str], _DeclaredExposure] = {}
-        """By component and scenario."""
-        self._undeclared: dict[str, set[str]] = {}
-        self._scenario_of: dict[tuple[str, str], tuple[str, str]] = {}
-        for case in cases:
-            if case.without or case.id in twins:
-                continue
-            key = case.component, case.scenario
-            if case.exposure is None:
-                self._undeclared.setdefault(case.component, set()).add(case.scenario)
-                continue
-            self._declared.setdefault(key, _DeclaredExposure(case, case.exposure))
-            self._scenario_of[case.id, case.component] = key
-        self._kinds: dict[tuple[str, str], set[str]] = {}
-        """Kinds of the requirements that are judged on each case."""
-        self._violated: dict[tuple[str, str], set[str]] = {}
-        """Kinds that each episode violates."""
-        for verdict in verdicts if self._declared else ():
-            kind = kinds.get(verdict.requirement)
-            if kind is None:
-                continue
-            self._kinds.setdefault((verdict.case, verdict.component), set()).add(kind)
-            for counterexample in verdict.counterexamples:
-                if counterexample.valid:
-                    key = counterexample.episode, verdict.component
-                    self._violated.setdefault(key, set()).add(kind)
-
-    def add(self, episode: EpisodeEntry) -> None:
-        """Add an episode, if it is a planned and valid one of a case that counts."""
-        key = episode.case, episode.component
-        place = self._scenario_of.get(key)
-        if place is None or not episode.planned or episode.validity != "valid":
-            return
-        violated = self._violated.get((episode.id, episode.component), set())
-        self._declared[place].add(episode.spec, self._kinds.get(key, set()), violated)
-
-    def to_json(self) -> dict[str, Any]:
-        """Convert to the key ``exposure``; to nothing where no scenario declares any."""
-        components = sorted({component for component, _ in self._declared})
-        return {"exposure": list(map(self._of_component, components))} if components else {}
-
-    def _of_component(self, component: str) -> dict[str, Any]:
-        own = [exposure for (whose, _), exposure in self._declared.items() if whose == component]
-        own.sort(key=lambda exposure: (-exposure.weight, exposure.scenario))
-        whole = math.fsum(exposure.weight for exposure in own)
-        exercised = math.fsum(exposure.weight * exposure.exercised() for exposure in own)
-        undeclared = self._undeclared.get(component, set()) - {each.scenario for each in own}
-        weighed = (_weighed_violations(kind, own, whole) for kind in KINDS)
-        return {
-            "component": component,
-            "declared": whole,
-            "exercised": _share_of(exercised, whole),
-            "undeclared": sorted(undeclared),
-            "scenarios": [exposure.to_json(whole) for exposure in own],
-            "violations": [entry for entry in weighed if entry["runs"]],
-        }
-
-
-class _DeclaredExposure:
-    """Runs of a scenario with a declared exposure, by the weighted parts that they drew from."""
-
-    def __init__(self, case: CasePlan, exposure: ExposurePlan) -> None:
-        self.scenario, self.weight = case.scenario, float(exposure.weight)
-        self._source = exposure.source
-        self._weights = {
-            path: weights
-            for path, weights in exposure.parameters.items()
-            if weights and path in case.variation
-        }
-        self._parts = {
-            path: _Parts(case.variation[path], len(weights))
-            for path, weights in self._weights.items()
-        }
-        self._runs: Counter[tuple[int | None, ...]] = Counter()
-        self._of_kind: Counter[tuple[str, bool, tuple[int | None, ...]]] = Counter()
-        """Runs by kind, whether they violate it, and parts."""
-
-    def add(self, spec: SpecEntry, kinds: Iterable[str], violated: set[str]) -> None:
-        """Add a run that is judged by requirements of some kinds."""
-        values = ((parts, _drawn_value(spec, path)) for path, parts in self._parts.items())
-        drawn = tuple(None if value is _ABSENT else parts.part_of(value) for parts, value in values)
-        self._runs[drawn] += 1
-        self._of_kind.update((kind, kind in violated, drawn) for kind in kinds)
-
-    def exercised(self) -> float:
-        """Return the share that was exercised."""
-        return min((each["exercised"] for each in self._parameters()), default=1.0) * bool(
-            self._runs
-        )
-
-    def _parameters(self) -> Iterator[dict[str, Any]]:
-        for place, (path, weights) in enumerate(self._weights.items()):
-            runs = [0] * len(weights)
-            for drawn, count in self._runs.items():
-                part = drawn[place]
-                if part is not None and part < len(runs):
-                    runs[part] += count
-            hit = math.fsum(weight for weight, count in zip(weights, runs, strict=True) if count)
-            yield {
-                "parameter": path,
-                "weights": weights,
-                "runs": runs,
-                "exercised": _share_of(hit, math.fsum(weights)),
-            }
-
-    def of_kind(self, kind: str) -> tuple[int, int, float | None]:
-        """Count the runs judged by a kind, and the violating ones, and weigh their share."""
-        counts, weights = [0, 0], [0.0, 0.0]
-        # In an order of their own, so that the sums do not depend on that of the episodes.
-        known = [(key[1:], count) for key, count in self._of_kind.items() if key[0] == kind]
-        for (violates, drawn), count in sorted(known, key=repr):
-            counts[violates] += count
-            weights[violates] += count * self._weight_of(drawn)
-        whole = sum(weights)
-        return sum(counts), counts[True], weights[True] / whole if whole > 0 else None
-
-    def _weight_of(self, drawn: tuple[int | None, ...]) -> float:
-        """Multiply the weights of the parts that a run drew from; what it did not draw is 1."""
-        weight = 1.0
-        for part, weights in zip(drawn, self._weights.values(), strict=True):
-            if part is not None and part < len(weights):
-                weight *= _share_of(weights[part], math.fsum(weights))
-        return weight
-
-    def to_json(self, whole: float) -> dict[str, Any]:
-        """Convert to plain data.
-
-        Args:
-            whole: Sum of all weights of the component's scenarios.
-        """
-        return {
-            "scenario": self.scenario,
-            "weight": self.weight,
-            "source": self._source,
-            "share": _share_of(self.weight, whole),
-            "runs": self._runs.total(),
-            "exercised": self.exercised(),
-            "parameters": list(self._parameters()),
-        }
-
-
-def _weighed_violations(
-    kind: str, scenarios: Sequence[_DeclaredExposure], whole: float
-) -> dict[str, Any]:
-    counted = [(each.weight, *each.of_kind(kind)) for each in scenarios]
-    known = [(weight, share) for weight, _, _, share in counted if share is not None]
-    exposed = math.fsum(weight for weight, _ in known)
-    violated = math.fsum(weight * share for weight, share in known)
-    return {
-        "kind": kind,
-        "runs": sum(runs for _, runs, _, _ in counted),
-        "violating": sum(violating for _, _, violating, _ in counted),
-        "scenarios": sum(runs > 0 for _, runs, _, _ in counted),
-        "of_exposure": _share_of(exposed, whole),
-        "weighed": _share_of(violated, exposed) if known else None,
-    }
-
-
-def _share_of(part: float, whole: float) -> float:
-    """Divide; sums of numbers may be above 1 by a rounding, which no share is."""
-    return min(part / whole, 1.0) if whole > 0 else 0.0

@@ -438,7 +438,7 @@ def make_searched_case(
     given = [_writable_fault(fault) for fault in planned]
     own |= {"world": dict(world), "faults": given, "seed": seed, "runs": 1}
     own["requirements"] = list(case.requirements)
-    for key in ("variation", "campaigns", "exposure"):
+    for key in ("variation", "campaigns"):
         own.pop(key, None)
     digest = hashlib.sha256(canonical([own, list(case.without)])).hexdigest()[:10]
     return SearchedCase(

@@ -21,9 +21,6 @@ from pytest_dura.library.planned_faults import (
     without_injector,
 )
 from pytest_dura.library.scenario import (
-    MAX_EXPOSURE_PARTS,
-    Choice,
-    Range,
     Scenario,
     channel_aliases,
     check_world,
@@ -70,8 +67,6 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
         world = attempt("world", check_world, scenario, simulator, scenario.world)
     for role in scenario.roles:
         attempt(f"roles.{role}", _check_role, scenario, role, domain)
-    for path in () if scenario.exposure is None else scenario.exposure.parameters:
-        attempt(f"exposure.parameters.{path}", _check_exposure, scenario, path)
     read, faults = _check_faults(scenario, simulator, attempt)
     if world is None or faults is None:
         return errors, read
@@ -290,42 +285,6 @@ def _check_variation(
             check_world(scenario, simulator, varied)
         except ConfigurationError as error:
             raise _impossible(path, value, error) from None
-
-
-def _check_exposure(scenario: Scenario, path: str) -> None:
-    """Check the weights of a parameter against what the scenario varies."""
-    assert scenario.exposure is not None  # its parameters are asked about
-    weights = scenario.exposure.parameters[path]
-    spread = scenario.variation.get(path)
-    if spread is None:
-        raise ConfigurationError(
-            f"{path!r} has weights of exposure, and does not vary",
-            found=path,
-            expected="one of " + ", ".join(scenario.variation)
-            if scenario.variation
-            else "a path under `variation`; there is none",
-            remedy=did_you_mean(path, scenario.variation),
-        )
-    if isinstance(spread, Choice) and len(weights) != len(spread.choice):
-        problem, expected = "a choice has a weight for each value", f"{len(spread.choice)} weights"
-    elif isinstance(spread, Choice) and any(
-        value in spread.choice[:i] for i, value in enumerate(spread.choice)
-    ):
-        problem, expected = "a value stands twice among the choices", "each value once"
-    elif isinstance(spread, Range) and spread.pieces is not None:
-        problem, expected = "an input over time has no weights", "a range without `pieces`"
-    elif len(weights) > MAX_EXPOSURE_PARTS:
-        problem, expected = "too many weights", f"at most {MAX_EXPOSURE_PARTS}"
-    elif not any(weights):
-        problem, expected = "no part of it ever occurs", "a weight above 0"
-    else:
-        return
-    raise ConfigurationError(
-        f"the weights of {path} cannot be used: {problem}",
-        found=list(weights),
-        expected=expected,
-        remedy="give a weight of 0 or more to each equal part of the range, or to each choice",
-    )
 
 
 def _check_together(scenario: Scenario, fault: dict[str, Any]) -> None:

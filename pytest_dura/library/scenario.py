@@ -135,41 +135,6 @@ Variation = Annotated[
 ]
 
 
-MAX_EXPOSURE_PARTS = 100
-"""Parts of a range that may have weights of their own."""
-
-
-class Exposure(Entry):
-    """How often a situation occurs in the operating domain, as its author declares it."""
-
-    weight: float = Field(gt=0)
-    """How often, above 0, in a unit that the scenarios of a session share: times per 1000 km, or a
-    share. Only its ratio to those of other scenarios matters."""
-    source: str = ""
-    """Where the figure is from."""
-    parameters: dict[
-        str,
-        Annotated[
-            tuple[Annotated[float, Field(ge=0)], ...],
-            Field(strict=False),
-            AfterValidator(not_empty),
-        ],
-    ] = Field(default_factory=dict)
-    """Weights within the scenario, by a path under `variation`: of equal parts of its range, from
-    its least value on, or of its choices, in their order."""
-
-
-def _weight_alone(value: object) -> object:
-    plain = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return {"weight": value} if plain else value
-
-
-ExposureField = Annotated[
-    Exposure | None,
-    BeforeValidator(_weight_alone, json_schema_input_type=float | Exposure | None),
-]
-
-
 class FaultEntry(Entry):
     """One planned fault. The catalogue checks activation and parameters, which differ by type."""
 
@@ -245,9 +210,6 @@ class Scenario(Entry):
     """The world, as the simulator reads it."""
     variation: dict[str, Variation] = Field(default_factory=dict)
     """What differs between runs: `world.x` or `faults.id.x` to a range or a choice."""
-    exposure: ExposureField = None
-    """How often the situation occurs in the operating domain: a weight above 0, or `weight`,
-    `source` and weights of `parameters`. It weighs figures of the report; no run depends on it."""
     roles: dict[str, OptionalRoleField] = Field(default_factory=dict)
     """Roles that differ from the domain's defaults; null switches a role off."""
     faults: Annotated[tuple[FaultEntry, ...], Field(strict=False)] = ()

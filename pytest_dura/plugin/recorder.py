@@ -82,7 +82,6 @@ def case_record(
             path: _without_none(spread.model_dump(mode="json"))
             for path, spread in case.scenario.variation.items()
         },
-        **_exposure(case),
         "planned": planned,
         "runs_override": runs_override,
     }
@@ -93,12 +92,6 @@ def _case_plan(data: dict[str, Any]) -> CasePlan:
     from pytest_dura.evidence.entry import plain_data
 
     return CasePlan.model_validate(plain_data(data))
-
-
-def _exposure(case: Case) -> dict[str, Any]:
-    """Return the key ``exposure`` of a case whose scenario declares it."""
-    declared = case.scenario.exposure
-    return {} if declared is None else {"exposure": declared.model_dump(mode="json")}
 
 
 def _without_none(spread: dict[str, Any]) -> dict[str, Any]:

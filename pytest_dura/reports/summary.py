@@ -37,12 +37,7 @@ from pytest_dura.reports.failure_modes import (
     uncovered_lines,
 )
 from pytest_dura.reports.hazards import HAZARD_COLUMNS, hazards_by_need
-from pytest_dura.reports.operating_domain import (
-    combination_text,
-    exposure_text,
-    pair_text,
-    weighed_texts,
-)
+from pytest_dura.reports.operating_domain import combination_text, pair_text
 from pytest_dura.reports.role_tables import FailureModeRow, failure_mode_columns
 from pytest_dura.reports.searches import ordered_outcomes, outcome_headline
 from pytest_dura.reports.tables import (
@@ -431,15 +426,11 @@ _MAX_PAIRS = 5
 
 
 def _operating_domain_lines(record: SessionRecord) -> Iterator[str]:
-    """Pairs of parameters, those least covered by name, and what the declared exposure comes to."""
-    combinations, exposure = record.head.coverage.combinations, record.head.coverage.exposure
+    """Pairs of parameters, those least covered by name."""
+    combinations = record.head.coverage.combinations
     if combinations is not None:
         yield from ["", combination_text(combinations)]
         for pair in combinations.worst[:_MAX_PAIRS]:
             names = f"{_name(pair.first)} with {_name(pair.second)} of {_name(pair.scenario)}"
             if pair.covered < 1:
                 yield f"- {names}: {pair_text(pair)}"
-    for entry in exposure or []:
-        yield from ["", f"With {_name(entry.component)}, {exposure_text(entry)}"]
-        yield from (f"- {text}" for text in weighed_texts(entry))
-        yield "- weighed by what scenario files declare; no probability follows"

@@ -8,7 +8,6 @@ from typing import Any
 
 from pytest_dura.evidence.case_model import PairEntry
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.operating_domain import KINDS
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.evidence.verdict_model import MarginsEntry, VerdictEntry
@@ -19,12 +18,8 @@ from pytest_dura.reports.contents import (
     split_folded,
     verdict_key,
 )
-from pytest_dura.reports.operating_domain import (
-    combination_text,
-    exposure_text,
-    pair_text,
-    weighed_texts,
-)
+from pytest_dura.reports.incidents import KINDS
+from pytest_dura.reports.operating_domain import combination_text, pair_text
 from pytest_dura.reports.plot_data import (
     ACTED,
     ALERT,
@@ -77,7 +72,7 @@ MAX_LISTED_PAIRS = 20
 
 
 def plot_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """The plots, each with what it leaves out, and the tables of pairs and exposure.
+    """The plots, each with what it leaves out, and the table of pairs.
 
     Empty where there is nothing to be drawn.
     """
@@ -104,10 +99,6 @@ def plot_section(record: SessionRecord, contents: ReportContents, _links: Episod
         "detection": _detection_plot(data),
         **_flows(data),
         **_pair_maps(record),
-        "exposure": [
-            {"entry": entry, "text": exposure_text(entry), "weighed": list(weighed_texts(entry))}
-            for entry in record.head.coverage.exposure or []
-        ],
     }
     return plots if any(plots.values()) else {}
 

@@ -67,47 +67,6 @@ CASES = {
         "min is above max",
         "correct",
     ),
-    "an exposure of nothing": Bad(
-        HEAD + "exposure: 0\n", 5, "exposure.weight", "greater than 0", "correct"
-    ),
-    "an exposure without its weight": Bad(
-        HEAD + "exposure:\n  source: road census\n", 5, "exposure.weight", "missing", "add"
-    ),
-    "an exposure as a word": Bad(HEAD + "exposure: often\n", 5, "exposure", "no mapping", "write"),
-    "weights of what does not vary": Bad(
-        HEAD + "exposure:\n  weight: 3\n  parameters:\n    world.start: [1, 2]\n",
-        8,
-        "exposure.parameters.world.start",
-        "does not vary",
-        "remove it",
-    ),
-    "weights of another number than choices": Bad(
-        HEAD
-        + "variation:\n  world.start: {choice: [1, 2, 3]}\n"
-        + "exposure: {weight: 3, parameters: {world.start: [1, 2]}}\n",
-        7,
-        "exposure.parameters.world.start",
-        "a weight for each value",
-        "each choice",
-    ),
-    "weights of nothing": Bad(
-        HEAD
-        + "variation:\n  world.start: {min: 1, max: 2}\n"
-        + "exposure:\n  weight: 3\n  parameters:\n    world.start: [0, 0]\n",
-        10,
-        "exposure.parameters.world.start",
-        "no part of it ever occurs",
-        "0 or more",
-    ),
-    "a negative weight of a part": Bad(
-        HEAD
-        + "variation:\n  world.start: {min: 1, max: 2}\n"
-        + "exposure:\n  weight: 3\n  parameters:\n    world.start: [1, -1]\n",
-        10,
-        "exposure.parameters.world.start.1",
-        "greater than or equal to 0",
-        "correct",
-    ),
     "half an interval": Bad(
         HEAD + "variation:\n  world.start: {min: 3}\n",
         6,

@@ -10,7 +10,7 @@ import pytest
 from entries import make
 from session_records import episode, session_data, session_record, verdict
 
-from pytest_dura.evidence import SessionRecord, coverage
+from pytest_dura.evidence import SessionRecord
 from pytest_dura.evidence.episode_model import FaultEntry
 from pytest_dura.reports import plot_data
 from pytest_dura.reports.html import plot_sections
@@ -268,21 +268,3 @@ def test_thousands_of_verdicts_give_a_page_of_bounded_size():
 
     assert size(few)[0] == pytest.approx(size(many)[0], rel=0.05)
     assert size(many)[1] == 2_000 - plot_sections.MAX_MARGIN_ROWS
-
-
-def test_declared_exposure_stands_in_page_with_its_n():
-    data = session_data()
-    plan = {"weight": 3.0, "source": "a census <b>", "parameters": {}}
-    data["cases"] = [{**case, "exposure": plan} for case in data["cases"]]
-    record = SessionRecord.of(data, Path("nowhere"))
-    head = record.head
-    record = record.changed(
-        coverage=coverage(head.cases, head.verdicts, record.episodes(), head.requirements)
-    )
-    html = section(record)
-    assert "100.0 % of the declared exposure was exercised" in html
-    assert "a census &lt;b&gt;" in html
-    assert re.search(
-        r"safety: [0-9]+ of [0-9]+ valid runs violate a requirement, [0-9.]+ % when", html
-    )
-    assert "is no probability" in html
