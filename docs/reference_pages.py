@@ -53,7 +53,7 @@ GROUPS = {
 
 
 def public_names() -> dict[str, str]:
-    """Return each public name and the module that has it, without deprecated ones."""
+    """Return each public name and the module that has it."""
     stub = ast.parse((ROOT / "pytest_dura" / "__init__.pyi").read_text("utf-8"))
     return {
         alias.name: node.module

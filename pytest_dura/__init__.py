@@ -8,19 +8,12 @@ PYTEST_DONT_REWRITE
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 __version__ = "0.2.0.dev0"
-RENAMED = {"Bench": "Runner"}
-"""Public names of version 0.1 and what they are now; they go with version 0.3."""
 
 
 def __getattr__(name: str) -> Any:
-    new = RENAMED.get(name, name)
-    if new != name:
-        text = f"pytest_dura.{name} has been renamed to pytest_dura.{new}"
-        warnings.warn(text, DeprecationWarning, stacklevel=2)
     # Python asks for many names that no module has, such as those of its parts.
     if name.startswith("__") and name != "__all__":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -30,9 +23,9 @@ def __getattr__(name: str) -> Any:
     if name == "__all__":
         globals()["__all__"] = [*names, "__version__"]
         return globals()["__all__"]
-    if new not in names:
+    if name not in names:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return public_name(new)
+    return public_name(name)
 
 
 def __dir__() -> list[str]:

@@ -63,7 +63,6 @@ from .requirements.monitoring.stl_monitor import StlSafetyMonitor
 from .runner import Runner
 from .search.falsify import Falsified
 
-Bench = Runner  # deprecated
 __version__: str
 
 __all__ = [

@@ -9,7 +9,6 @@ from pytest_dura.campaign.campaign import Campaign
 from pytest_dura.campaign.events import CausalChain
 from pytest_dura.campaign.fault_tracing import FaultTracer
 from pytest_dura.campaign.runner import EpisodeRunner
-from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
@@ -28,7 +27,6 @@ class Runner(EpisodeRunner):
     """
 
     counterexamples: CounterexampleStore | None = None
-    keep = renamed("keep", "counterexamples")
     _tracer: FaultTracer = field(init=False)
 
     def __post_init__(self) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.errors import ConfigurationError
 
@@ -163,8 +162,6 @@ class SearchOutcome:
     best: float | None
     counterexample: FoundCounterexample | None = None
 
-    word = renamed("word", "status")
-
 
 @dataclass(frozen=True, slots=True)
 class SearcherReport:
@@ -241,8 +238,6 @@ class Falsification(Shown):
     coverage: SpaceCoverage
     outcomes: tuple[SearchOutcome, ...]
 
-    idle = renamed("idle", "not_manifested")
-    found = renamed("found", "violations")
     __repr__ = short_repr
 
     def _figures(self) -> Iterator[tuple[str, object]]:

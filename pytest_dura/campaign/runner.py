@@ -13,7 +13,6 @@ from pytest_dura.campaign.events import (
     SearchedEpisodeUsed,
 )
 from pytest_dura.core.boundary import ROLE_TIMEOUT
-from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
@@ -164,8 +163,6 @@ class EpisodeRunner:
             raise error.with_traceback(None) from None
         self.events.emit(EpisodeUsed(case, episode, planned if seed is None else 0))
         return episode
-
-    again = renamed("again", "fetch")
 
     def fetch(
         self, case: Case, run: int = 0, seed: int | None = None, ahead: Iterable[EpisodeTask] = ()

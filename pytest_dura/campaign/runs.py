@@ -10,7 +10,6 @@ from typing import Any
 from pytest_dura.campaign.events import VerdictReached
 from pytest_dura.campaign.fault_tracing import FaultTracer
 from pytest_dura.campaign.runner import EpisodeRunner
-from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.display import Shown
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, DuraError
@@ -150,8 +149,6 @@ class CampaignRuns(Shown):
     def __post_init__(self) -> None:
         """Make a tracer, unless one is given."""
         self._tracer = self.tracer or FaultTracer(self.runner)
-
-    bench = renamed("bench", "runner")
 
     def __repr__(self) -> str:
         return f"Campaign({one_line(repr(self.case.id), 80)}, {self.planned} runs planned)"

@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 import re
-import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -328,13 +327,6 @@ class Episode(Shown):
     def read_by(self) -> dict[str, tuple[str, ...]]:
         """Names of the roles that read what a fault changed, by fault."""
         return {fault.id: fault.read_by for fault in self.faults}
-
-    @property
-    def idle_faults(self) -> tuple[str, ...]:
-        """Deprecated name of :attr:`not_manifested`."""
-        message = "Episode.idle_faults is deprecated: use not_manifested"
-        warnings.warn(message, DeprecationWarning, stacklevel=2)
-        return self.not_manifested
 
     @property
     def ended_early(self) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -147,27 +146,6 @@ class Role(ABC):
             ConfigurationError: If they cannot be resolved. The default returns them as they are.
         """
         return params
-
-    settled = resolve_parameters
-    """Deprecated name of :meth:`resolve_parameters`."""
-
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Let a class that defines the deprecated ``settled`` resolve its parameters by that."""
-        super().__init_subclass__(**kwargs)
-        if "resolve_parameters" in vars(cls):
-            cls.settled = vars(cls)["resolve_parameters"]
-            return
-        for base in cls.__mro__:
-            if "resolve_parameters" in vars(base):
-                return
-            if isinstance(vars(base).get("settled"), classmethod):
-                warnings.warn(
-                    f"{cls.__qualname__}.settled is deprecated: name it resolve_parameters",
-                    DeprecationWarning,
-                    stacklevel=2,
-                )
-                cls.resolve_parameters = vars(base)["settled"]  # type: ignore[method-assign]
-                return
 
     def reset(self, context: RoleContext) -> None:  # noqa: B027 - stateless roles need none
         """Begin an episode; forget everything of the previous one."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import typing
-import warnings
 from collections.abc import Mapping
-from dataclasses import InitVar, dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import lru_cache
 from typing import Annotated, Any, Literal
 
@@ -55,7 +54,6 @@ class Span:
         low: Least value.
         high: Greatest value.
         neutral: Value of least effect, between them: 0 of an offset, 1 of a factor.
-        mildest: Deprecated name of ``neutral``.
 
     Raises:
         ConfigurationError: If they are not in order.
@@ -64,14 +62,9 @@ class Span:
     low: float
     high: float
     neutral: float = 0.0
-    mildest: InitVar[float | None] = None
 
-    def __post_init__(self, mildest: float | None) -> None:
+    def __post_init__(self) -> None:
         """Refuse a span that does not hold its neutral value, or has no width."""
-        if mildest is not None:
-            message = "Span(mildest=...) is deprecated: use neutral"
-            warnings.warn(message, DeprecationWarning, stacklevel=3)
-            object.__setattr__(self, "neutral", mildest)
         if not self.low <= self.neutral <= self.high or self.low == self.high:
             raise ConfigurationError(
                 "a span is not in order",

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.boundary import Boundary
-from pytest_dura.core.deprecated import renamed
 from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
@@ -151,7 +150,6 @@ class EpisodeVerdict(Shown):
     ended: str = ""
     unseen_crash: str = ""
 
-    idle = renamed("idle", "not_manifested")
     __repr__ = short_repr
 
     def _figures(self) -> Iterator[tuple[str, object]]:

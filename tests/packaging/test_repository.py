@@ -100,11 +100,6 @@ def test_every_public_name_of_the_stub_can_be_imported() -> None:
         assert getattr(pytest_dura, name) is getattr(importlib.import_module(module), name)
 
 
-def test_a_renamed_public_name_works_and_warns() -> None:
-    with pytest.warns(DeprecationWarning, match="renamed to pytest_dura.Runner"):
-        assert pytest_dura.Bench is pytest_dura.Runner
-
-
 def test_an_unknown_public_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="'pytest_dura' has no attribute 'Generater'"):
         _ = pytest_dura.Generater

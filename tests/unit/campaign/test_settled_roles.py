@@ -51,25 +51,6 @@ class NoMapping(Asking):
         return ["model"]
 
 
-def test_a_role_that_resolves_by_the_deprecated_name_still_does(settled):
-    with pytest.warns(DeprecationWarning, match="Former.settled is deprecated"):
-
-        class Former(Asking):
-            @classmethod
-            def settled(cls, params):
-                return {**super().settled(params), "power": 3.0}
-
-    assert settled(LocalRole("conftest.py:Former", Former)).params == {
-        "model": "model-1",
-        "power": 3.0,
-    }
-
-    class Derived(Former):
-        pass
-
-    assert Derived.resolve_parameters({})["power"] == 3.0
-
-
 def make(power=1.0):
     return Asking(power)
 
