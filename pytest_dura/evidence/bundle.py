@@ -36,12 +36,7 @@ from pytest_dura.evidence.files import (
 )
 from pytest_dura.evidence.gather import SCHEMA_VERSION
 from pytest_dura.evidence.model import RecordHead, SessionRecord
-from pytest_dura.evidence.schema import (
-    SCHEMA_FILE,
-    check_parts,
-    check_record,
-    schema_text,
-)
+from pytest_dura.evidence.schema import check_parts, check_record
 from pytest_dura.evidence.traces import TRACE_FOLDER, is_trace_name
 
 
@@ -60,7 +55,7 @@ FORMATS: Registry[Format] = Registry(
     lambda value: callable(getattr(value, "render", None)),
     "a module or an object with a function render(record)",
     names=r"[A-Za-z0-9][\w-]*(\.[\w-]+)+",
-    reserved=(RECORD_FILE, MANIFEST_FILE, SCHEMA_FILE, *SIGNED_FILES),
+    reserved=(RECORD_FILE, MANIFEST_FILE, *SIGNED_FILES),
 )
 """Formats by the names of their files."""
 _EPISODES_KEY = "episodes"
@@ -73,7 +68,7 @@ def all_formats() -> Iterator[Format]:
 
 def rendered_files() -> tuple[str, ...]:
     """Names of the other files of a bundle; the manifest is the first to be removed."""
-    return (MANIFEST_FILE, *FORMATS, SCHEMA_FILE)
+    return (MANIFEST_FILE, *FORMATS)
 
 
 STREAMED_BYTES = 8 << 20
@@ -456,8 +451,7 @@ def _write_all(record: SessionRecord) -> SessionRecord:
                 _write_format(name, written, broken)
         if len(broken) == before:
             break
-    write_file(written.directory / SCHEMA_FILE, [schema_text()])
-    names = [RECORD_FILE, SCHEMA_FILE, *(name for name in FORMATS if name not in broken)]
+    names = [RECORD_FILE, *(name for name in FORMATS if name not in broken)]
     # A trace is listed with the digest that its writer computed, which may reveal a later change.
     files = {name: file_entry(written.directory / name) for name in names} | traces
     write_file(written.directory / MANIFEST_FILE, [manifest_text(files)])

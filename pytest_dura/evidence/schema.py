@@ -1,7 +1,7 @@
 """Checks of a record by its models, and the JSON Schema and tables generated from them.
 
 ``python -m pytest_dura.evidence.schema`` writes ``evidence.schema.json``, which lies beside this
-module and in every bundle, and the tables of ``docs/record.md``.
+module, and the tables of ``docs/record.md``.
 """
 
 from __future__ import annotations
@@ -42,15 +42,9 @@ SCHEMA_FILE = "evidence.schema.json"
 
 
 @cache
-def schema_text() -> str:
-    """Read the published schema, which lies beside this module and in every bundle."""
-    return Path(__file__).with_name(SCHEMA_FILE).read_text("utf-8")
-
-
-@cache
 def record_schema() -> JsonObject:
-    """Read the schema as data, which callers must not change."""
-    data: JsonObject = json.loads(schema_text())
+    """Read the published schema, which lies beside this module; callers must not change it."""
+    data: JsonObject = json.loads(Path(__file__).with_name(SCHEMA_FILE).read_text("utf-8"))
     return data
 
 

@@ -102,7 +102,7 @@ def test_the_command_lists_differences(bundle, capsys):
 
 
 def test_the_command_counts_a_single_difference(bundle, capsys):
-    (bundle / "evidence.schema.json").write_text("{}\n")
+    (bundle / "evidence.schema.json").write_text("{}\n")  # not a file of a bundle
     assert main(["verify", str(bundle)]) == 1
     assert capsys.readouterr().out.endswith("\nNOT INTACT: 1 difference\n")
 

@@ -10,7 +10,6 @@ from typing import Any
 from pytest_dura.evidence.bundle import FORMATS, RECORD_FILE
 from pytest_dura.evidence.files import MANIFEST_FILE, REVIEW_FILE
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.schema import SCHEMA_FILE
 from pytest_dura.reports.causes import Cause
 from pytest_dura.reports.contents import (
     EpisodeLinks,
@@ -198,7 +197,6 @@ def _is_folded(element: Element, requirements: Collection[str]) -> bool:
 
 _PURPOSES: Mapping[str, str] = {
     RECORD_FILE: "the record: every figure of all other files follows from it",
-    SCHEMA_FILE: "JSON Schema of the record, with the meaning of each key",
     MANIFEST_FILE: "size and SHA-256 of each file; `python -m pytest_dura verify DIR` checks them",
     _PAGE: "this page",
     "summary.md": "the session in Markdown, for the page of a CI job or a pull request",
@@ -214,7 +212,7 @@ def files_section(record: SessionRecord, _contents: ReportContents, links: Episo
     """Every file of the bundle: what it is for, and of those that the record knows, the size."""
     # Formats of other packages are not on every machine that renders the page again.
     names = [RECORD_FILE, *(name for name in FORMATS if FORMATS.is_ours(name))]
-    names += [SCHEMA_FILE, MANIFEST_FILE, *([REVIEW_FILE] if record.review else [])]
+    names += [MANIFEST_FILE, *([REVIEW_FILE] if record.review else [])]
     return {
         "files": [(name, _PURPOSES.get(name, "")) for name in names],
         "traces": list(_traces(record, links)),

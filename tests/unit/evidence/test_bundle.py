@@ -118,7 +118,7 @@ def test_a_record_without_episodes_is_none(tmp_path):
 
 
 def test_every_file_of_a_bundle_is_known_to_whoever_clears_it():
-    known = {MANIFEST_FILE, "evidence.schema.json", *(one.FILE for one in all_formats())}
+    known = {MANIFEST_FILE, *(one.FILE for one in all_formats())}
     assert set(bundle.rendered_files()) == known
 
 

@@ -580,7 +580,7 @@ def test_a_large_argument_is_cut_off_below_and_says_so(monkeypatch):
 def test_every_file_of_a_bundle_is_linked(tmp_path):
     html = render(record_with_trace(tmp_path))
     links = set(Page(section_html(html, "files")).links)
-    files = {"evidence.json", "evidence.schema.json", "manifest.json", *FORMATS}
+    files = {"evidence.json", "manifest.json", *FORMATS}
     assert links >= {f"./{file}" for file in [*files, "episodes/one.mcap"]}
     assert "summary.md the session in Markdown" in section(html, "files")
 
