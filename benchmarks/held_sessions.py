@@ -117,7 +117,8 @@ SESSIONS = {
 }
 """Steps of each. ``run NAME`` is a pytest session with its evidence in NAME, which is verified."""
 NEEDS = {"violated": "passed"}
-KEPT = ("PATH", "HOME", "TMPDIR", "LANG", "LC_ALL", "VIRTUAL_ENV", "SYSTEMROOT", "LD_LIBRARY_PATH")
+KEPT = ["PATH", "PYTHONPATH", "HOME", "TMPDIR", "LANG", "LC_ALL", "VIRTUAL_ENV", "LD_LIBRARY_PATH"]
+"""What a session is given of the environment; ``PYTHONPATH`` may name another checkout."""
 
 
 def run(out: Path, only: str | None) -> None:
@@ -209,6 +210,7 @@ MASKS = [
         ),
         (r"(<\w+ [\w.<>]+ at )0x[0-9a-f]+>", r"\1<address>>"),
         (r"(&lt;\w+ (?:[\w.]|&lt;|&gt;)+ at )0x[0-9a-f]+&gt;", r"\1<address>&gt;"),
+        (r"^process \d+ on \S+$", "process <id> on <host>"),
         (r'(hostname=")[^"]*"', r'\1<host>"'),
     )
 ]
@@ -260,8 +262,6 @@ class Kept:
     def _view(self, file: Path) -> Any:
         if file.suffix == ".mcap":
             return [self.text(line) for line in _trace(file)]
-        if file.suffix in (".lock", ".sqlite"):
-            return [file.name]
         text = file.read_bytes().decode(errors="backslashreplace")
         if file.suffix == ".json":
             return self.masked(json.loads(text))
