@@ -189,10 +189,15 @@ def judgement_problems(record: SessionRecord) -> Iterator[str]:
         case = cases.get((judgement.case, judgement.component))
         if case is not None and judgement.planned > case.planned:
             yield f"{place}: {judgement.planned} runs planned, and {case.planned} of its case"
+        if (judgement.twins, judgement.component) not in {*cases, ("", judgement.component)}:
+            yield f"{place}: the case of its second runs is not listed"
+        yield from (f"{place}: {problem}" for problem in _form_problems(judgement))
         for run in judgement.runs:
-            named.setdefault(run.digest, []).append(_NamedRun(place, judgement, run.verdict))
+            named.setdefault(run.digest, []).append(
+                _NamedRun(place, judgement, run.run, run.verdict)
+            )
             if run.twin:
-                twin = _NamedRun(place, judgement, run.twin_verdict)
+                twin = _NamedRun(place, judgement, run.run, run.twin_verdict)
                 named.setdefault(run.twin, []).append(twin)
     for episode in record.episodes():
         for each in named.pop(episode.digest, ()):
@@ -203,15 +208,33 @@ def judgement_problems(record: SessionRecord) -> Iterator[str]:
             yield f"{each.place}: one of its runs is not recorded"
 
 
+def _form_problems(judgement: Judgement) -> Iterator[str]:
+    """Yield what a judgement of its kind does not have."""
+    kind = judgement.kind
+    by_test, is_claim = kind == "test", kind == "claim"
+    asked = judgement.until_decided or judgement.twins or judgement.paired or judgement.check
+    if is_claim and (judgement.runs or asked):
+        yield "a claim, and it asks something of runs"
+    if is_claim != (judgement.attempt == 0):
+        yield f"a {kind} of attempt {judgement.attempt}"
+    if by_test != (judgement.assertion is not None) or (by_test and len(judgement.runs) != 1):
+        yield f"a {kind} on {len(judgement.runs)} runs, with the assertion {judgement.assertion}"
+    if bool(judgement.twins) != (judgement.paired is not None):
+        yield f"second runs of {judgement.twins!r}, and pairs as in {judgement.paired}"
+
+
 class _NamedRun(NamedTuple):
     """A run that a judgement names, and what its own check says of it."""
 
     place: str
     judgement: Judgement
+    number: int
     verdict: CheckVerdict | None
 
     def problems(self, episode: EpisodeEntry) -> Iterator[str]:
         """Yield the contradictions with the episode of the run."""
+        if self.number != episode.spec.run:
+            yield f"run {episode.spec.run}, and not {self.number}"
         if self.verdict is None:
             return
         yield from _check_verdict_problems(self.verdict, episode)

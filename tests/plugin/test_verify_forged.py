@@ -26,7 +26,7 @@ from pytest_dura.evidence import (
     totals,
     verify_bundle,
 )
-from pytest_dura.evidence.verify import conclusion_problems, trace_problems
+from pytest_dura.evidence.verify import conclude_again, conclusion_problems, trace_problems
 from pytest_dura.requirements import upper_bound
 
 PROJECT = Path(__file__).with_name("project")
@@ -301,6 +301,61 @@ def test_what_follows_from_the_rest_is_computed_again(made, change):
     assert not [problem for problem in problems if problem.endswith(cut_short)]
 
 
+def said_of(record, validity, **changes):
+    """Change what a requirement of its case says of an episode of this validity."""
+    found = episode(record, lambda one: one["validity"] == validity and one["verdicts"])
+    next(iter(found["verdicts"].values())).update(changes)
+
+
+def ask_more(record):
+    asked = next(one for one in record["judgements"] if one["kind"] == "campaign")
+    case = next(one for one in record["cases"] if one["id"] == asked["case"])
+    asked["planned"] = case["planned"] + 1
+
+
+def pass_what_its_check_violates(record):
+    """A test that passed on an episode that violates the requirement's own check."""
+    for judgement in record["judgements"]:
+        if judgement["kind"] == "test":
+            (run,) = judgement["runs"]
+            found = episode(record, lambda one, run=run: one["digest"] == run["digest"])
+            found["verdicts"][judgement["requirement"]] = {
+                "status": "violated", "margin": -1.0, "time": 0.0, "detail": "", "vacuous": False,
+            }  # fmt: skip
+            run["verdict"] |= {"status": "satisfied", "margin": None, "time": None}
+            return
+
+
+INPUTS = {
+    "more runs than its case has": ask_more,
+    "an invalid run satisfies": lambda r: said_of(r, "invalid", status="satisfied"),
+    "a run that came to its end is open": lambda r: said_of(r, "valid", status="open"),
+    "a whole run is missing": lambda r: said_of(r, "valid", status="missing", detail=""),
+    "a violation after the end": lambda r: said_of(r, "valid", status="violated", time=1e6),
+    "satisfied by less than nothing": lambda r: said_of(
+        r, "valid", status="satisfied", margin=-1.0
+    ),
+    "violated, and vacuous": lambda r: said_of(r, "valid", status="violated", vacuous=True),
+    "a requirement that its case does not declare": lambda r: episode(
+        r, lambda one: one["verdicts"]
+    )["verdicts"].update(NEW=next(iter(r["episodes"][0]["verdicts"].values()))),
+    "a run that is not recorded": lambda r: next(one for one in r["judgements"] if one["runs"])[
+        "runs"
+    ][0].update(digest="0" * 64),
+    "a test that passes what its check violates": pass_what_its_check_violates,
+}
+
+
+@pytest.mark.parametrize("change", INPUTS.values(), ids=list(INPUTS))
+def test_inputs_may_not_contradict_each_other_though_all_else_follows_from_them(made, change):
+    record = json.loads((made / "evidence.json").read_text())
+    change(record)
+    again = conclude_again(SessionRecord.of(record, made))
+    # Reasons of the gate other than verdicts are kept, so that they stay there twice.
+    assert [each for each in conclusion_problems(again) if "json: /gate/" not in each] == []
+    assert list(record_problems(again)) != []
+
+
 FREE = {
     "who wrote it, where, when and how fast, which nothing else in it repeats": """
         created, finished, command, tool, environment, execution, reuse.session, selection,
@@ -310,7 +365,7 @@ FREE = {
     "what was asked for, in the words of its own file": """
         requirements[].text, requirements[].kind, requirements[].source, requirements[].reason,
         requirements[].method, requirements[].p0, requirements[].at_most (null),
-        requirements[].paired, verdicts[].paired, verdicts[].item,
+        requirements[].paired,
         cases[].without[], cases[].faults[].duration, cases[].faults[].by_chance,
         cases[].faults[].activation, cases[].faults[].parameters
     """,
@@ -338,11 +393,16 @@ FREE = {
         episodes[].faults[].manifest_ticks, episodes[].faults[].by_chance,
         episodes[].faults[].read_by,
         episodes[].faults[].propagation, episodes[].faults[].propagated_at,
-        episodes[].faults[].unknown, monitors[].untimed, monitors[].invalid, monitors[].missing,
+        episodes[].faults[].unknown, judgements[].runs[].twin_verdict.margin,
+        judgements[].runs[].twin_verdict.time, judgements[].runs[].twin_verdict.detail,
+        monitors[].untimed, monitors[].invalid, monitors[].missing,
         monitors[].false_alarms, monitors[].horizon (other)
     """,
     "what a test asserted: running it tells": """
-        verdicts[].assertion, verdicts[].spoilt.detail
+        judgements[].assertion.alone, judgements[].assertion.observed
+    """,
+    "what was to be decided, where it was": """
+        judgements (fewer)
     """,
     "what a search did, of which no verdict is made: searching again tells": """
         searches[].seed, searches[].budget, searches[].refused, searches[].rule,
@@ -387,7 +447,7 @@ def is_refuted(made, record, on_traces):
     read = read.changed(totals=totals(read))
     checks = (
         lambda: record_problems(read),
-        lambda: conclusion_problems(read, on_traces),
+        lambda: conclusion_problems(read),
         lambda: trace_problems(read, {}),
     )
     try:
