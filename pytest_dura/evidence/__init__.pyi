@@ -29,7 +29,7 @@ from .metrics import UNTRACED_FAULT, CaseMetrics, FailureModes, PooledMetrics
 from .model import SessionRecord
 from .redaction import Redactor, count_redactions, holds_redaction
 from .schema import check_record, record_schema
-from .sessions import ShardUnit, plan_digest, split_units
+from .shard_units import ShardUnit, plan_digest, split_units
 from .text import LINE, code, markdown, name, one_line, visible
 from .traces import Trace, episode_name, first_difference, is_trace_path, trace_path
 from .verify import verify_bundle

@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -34,6 +35,7 @@ from pytest_dura.evidence.files import (
     stream_record,
     write_file,
 )
+from pytest_dura.evidence.gate import GateResult
 from pytest_dura.evidence.gather import SCHEMA_VERSION
 from pytest_dura.evidence.model import RecordHead, SessionRecord
 from pytest_dura.evidence.schema import check_parts, check_record
@@ -538,10 +540,10 @@ def _with_broken_files(record: SessionRecord, broken: Mapping[str, str]) -> Sess
     return _with_gate(record, "failed" if result == "passed" else result, reasons)
 
 
-def _with_gate(record: SessionRecord, result: str, reasons: Sequence[str]) -> SessionRecord:
+def _with_gate(record: SessionRecord, result: GateResult, reasons: Sequence[str]) -> SessionRecord:
     """Change the gate of a record, which then has not passed."""
     gate = record.head.gate
-    changed = gate.replace(
-        result=result, exit_code=gate.exit_code or 1, reasons=[*gate.reasons, *reasons]
+    changed = replace(
+        gate, result=result, exit_code=gate.exit_code or 1, reasons=(*gate.reasons, *reasons)
     )
     return record.changed(gate=changed, totals=record.head.totals.replace(gate=result))

@@ -23,25 +23,6 @@ from pytest_dura.evidence.entry import (
 from pytest_dura.requirements.model import Paired
 
 
-class HazardEntry(Entry):
-    """A state of the system that leads to a loss in worst-case conditions, as its author says."""
-
-    id: str
-    """Unique name."""
-    text: str
-    """The state of the system, in words."""
-    loss: str
-    """What it may lead to that somebody does not want to lose."""
-    severity: Literal["S0", "S1", "S2", "S3"] | None
-    """Class of severity as its author declares it, by the names of ISO 26262-3; null for none."""
-    operating_condition: str
-    """Under which conditions of operation it leads to the loss."""
-    triggering_condition: str
-    """Which conditions of a scene, or which attacks, may bring it about."""
-    source: str
-    """Which analysis it comes from."""
-
-
 class RequirementEntry(Entry):
     """A requirement."""
 

@@ -16,6 +16,7 @@ from pytest_dura.evidence.case_model import CaseEntry, CasePlan
 from pytest_dura.evidence.conclusions.verdicts import Runs, VerdictLines, conclude_verdicts
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.gate import Gate
 from pytest_dura.evidence.metrics import (
     CaseMetrics,
     PooledMetrics,
@@ -438,7 +439,7 @@ def conclude_record(
     record: SessionRecord,
     *,
     finished: str | None,
-    gate: JsonObject,
+    gate: Gate,
     inputs: Sequence[InputEntry | JsonObject],
     wall_seconds: float,
     evidence_seconds: float,

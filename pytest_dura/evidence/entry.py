@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -127,6 +127,8 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 def plain_data(value: Any) -> Any:
     """Convert a value to builtins; tuples become lists, numbers that are not finite ``None``.
 
+    Dataclasses are those of the codec, which writes them.
+
     Raises:
         TypeError: For an object that is no data.
     """
@@ -134,8 +136,8 @@ def plain_data(value: Any) -> Any:
         return value
     if isinstance(value, float):  # numpy's doubles are such; before the slower questions
         return float(value) if math.isfinite(value) else None
-    if isinstance(value, Entry):
-        return value.to_json()
+    if isinstance(value, Entry) or is_dataclass(value):
+        return value.to_json() if isinstance(value, Entry) else encode(value)
     if isinstance(value, Mapping):
         return {str(key): plain_data(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

@@ -12,7 +12,7 @@ import weakref
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,13 +24,14 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.measures import Measure, measured
-from pytest_dura.evidence.case_model import CasePlan, HazardEntry, RepeatEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
 from pytest_dura.evidence.entry import Coded, Entry, JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import with_chains
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import OWN_ORIGIN
 from pytest_dura.evidence.verdict_model import AttemptEntry, MonitorEntry
+from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.runs import declared_verdicts
@@ -164,7 +165,7 @@ class ItemReport:
     sources: dict[str, dict[str, str]] = field(default_factory=dict)
     cases: list[CasePlan] = field(default_factory=list)
     measures: list[MeasureEntry] = field(default_factory=list)
-    hazards: list[HazardEntry] = field(default_factory=list)
+    hazards: list[Coded[Hazard]] = field(default_factory=list)
     requirements: list[RequirementEntry] = field(default_factory=list)
     episodes: list[JsonObject] = field(default_factory=list)
     judgements: list[Coded[Judgement]] = field(default_factory=list)
@@ -186,9 +187,7 @@ class ItemReport:
     def to_json(self) -> JsonObject:
         """Convert to plain data."""
         return {
-            name: [each.to_json() if isinstance(each, Entry) else encode(each) for each in value]
-            if isinstance(value, list)
-            else value
+            name: [_plain(each) for each in value] if isinstance(value, list) else value
             for name, value in vars(self).items()
         }
 
@@ -230,6 +229,13 @@ class ItemReport:
         self.episodes, self.chains = [], []
         text = json.dumps(part.without_secrets(redact).to_json(), allow_nan=False)
         return base64.b64encode(zlib.compress(text.encode(), 1)).decode()
+
+
+def _plain(part: Any) -> Any:
+    """Convert an entry or a dataclass of the domain to plain data."""
+    if isinstance(part, Entry):
+        return part.to_json()
+    return encode(part) if is_dataclass(part) else part
 
 
 @cache

@@ -10,9 +10,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from pytest_dura.core.codec import Count
+
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry, RepeatEntry
-    from pytest_dura.evidence.model import RecordHead
     from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
     from pytest_dura.evidence.verdict_model import VerdictEntry
     from pytest_dura.requirements.campaign_verdicts import CampaignStatus
@@ -183,7 +184,7 @@ NO_TESTS = 5
 
 @dataclass(frozen=True)
 class Gate:
-    """Result of the session. It fails closed.
+    """Whether the session passed. It fails closed.
 
     Args:
         result: ``incomplete`` where the session did not come to its end.
@@ -195,14 +196,10 @@ class Gate:
     """
 
     result: GateResult
-    exit_code: int
+    exit_code: Count
     warn_undecided: bool
-    failed: int
+    failed: Count
     reasons: tuple[str, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Convert to plain data."""
-        return {**vars(self), "reasons": list(self.reasons)}
 
     @classmethod
     def running(cls, *, warn_undecided: bool) -> Gate:
@@ -249,35 +246,6 @@ class Gate:
             reasons = reasons or [f"pytest ended with exit code {exit_code}"]
             return cls("failed", exit_code, warn_undecided, failed, tuple(reasons))
         return cls("passed", exit_code, warn_undecided, failed, ())
-
-
-def judge_again(head: RecordHead) -> Gate:
-    """Judge a recorded session again.
-
-    Reasons besides its verdicts, its searches and its tests are taken as recorded.
-    """
-    others = other_objections(head)
-    if head.gate.result == "passed" and head.require_repeatable:
-        others += repeat_objections(head.cases)
-    return _gate_of(head, others)
-
-
-def other_objections(head: RecordHead) -> list[str]:
-    """List reasons against a recorded session besides its verdicts, its searches and its tests."""
-    by_rule = _gate_of(head, ()).reasons
-    return [reason for reason in head.gate.reasons if reason not in by_rule]
-
-
-def _gate_of(head: RecordHead, objections: Sequence[str]) -> Gate:
-    return Gate.of(
-        head.verdicts,
-        objections,
-        searches=head.searches,
-        interrupted=head.status != "complete",
-        exit_code=head.gate.exit_code,
-        failed=head.gate.failed,
-        warn_undecided=head.gate.warn_undecided,
-    )
 
 
 def verdict_objections(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.core.episode import canonical
-from pytest_dura.evidence.case_model import CasePlan, HazardEntry, RepeatEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
 from pytest_dura.evidence.conclude import measure_cases, with_verdicts
 from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT
 from pytest_dura.evidence.entry import JsonObject
@@ -26,6 +26,7 @@ from pytest_dura.evidence.search_model import SearchRecords
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import ReuseRecord
 from pytest_dura.evidence.verdict_model import MonitorEntry, WaiverEntry
+from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
 
 
@@ -134,7 +135,7 @@ _UNCONCLUDED: JsonObject = {
     "effectiveness": [],
     "baseline": None,
     "finished": None,
-    "gate": Gate.running(warn_undecided=False).to_json(),
+    "gate": Gate.running(warn_undecided=False),
     "inputs": [],
     "coverage": {"cells": [], "left_out": 0, "parameters": []},
     "timings": {"wall_seconds": 0, "evidence_seconds": 0, "simulated_seconds": 0,
@@ -194,7 +195,7 @@ class RecordBuilder:
     """Reasons of items why the session does not pass, in order."""
     _components: Components = field(default_factory=Components)
     _measures: dict[str, MeasureEntry] = field(default_factory=dict)
-    _hazards: dict[str, HazardEntry] = field(default_factory=dict)
+    _hazards: dict[str, Hazard] = field(default_factory=dict)
     _requirements: dict[str, RequirementEntry] = field(default_factory=dict)
     _cases: dict[tuple[str, str], CasePlan] = field(default_factory=dict)
     _components_of: dict[str, list[str]] = field(default_factory=dict)
@@ -229,7 +230,7 @@ class RecordBuilder:
         self._add_requirement(known)
         self.add_judgement(claim(item, known.id, plan))
 
-    def add_hazards(self, hazards: Iterable[HazardEntry]) -> None:
+    def add_hazards(self, hazards: Iterable[Hazard]) -> None:
         """Add hazards that the session has to answer for; the first of an id holds."""
         for hazard in hazards:
             self._hazards.setdefault(hazard.id, hazard)

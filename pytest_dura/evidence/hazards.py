@@ -10,9 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from pytest_dura.evidence.case_model import HazardEntry, RequirementEntry
+from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.requirements.hazards import Hazard
 
 HazardStatus = Literal[
     "violated", "no requirement", "no verdict", "none supported", "partly supported", "supported"
@@ -31,7 +32,7 @@ class HazardEvidence:
         verdicts: On these, in the record's order.
     """
 
-    hazard: HazardEntry
+    hazard: Hazard
     requirements: tuple[RequirementEntry, ...]
     verdicts: tuple[VerdictEntry, ...]
 

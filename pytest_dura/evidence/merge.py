@@ -21,7 +21,7 @@ from pytest_dura.evidence.conclude import conclude_record
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.episodes import ItemReport, RepeatReport
 from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
-from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate, other_objections
+from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate
 from pytest_dura.evidence.gather import RecordBuilder
 from pytest_dura.evidence.merge_checks import (
     KEYS_OF_ALL_COMPONENTS,
@@ -32,6 +32,7 @@ from pytest_dura.evidence.merge_checks import (
 )
 from pytest_dura.evidence.metrics import UNTRACED_FAULT
 from pytest_dura.evidence.model import SessionRecord, Totals, components_under_test
+from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import LanguageModelEntry, MergedShard
 from pytest_dura.evidence.sessions import merged_reuse
@@ -449,7 +450,7 @@ def _conclude_merged(
     return conclude_record(
         record,
         finished=None if record.head.status == "running" else finished,
-        gate=gate.to_json(),
+        gate=gate,
         inputs=[*_merged_inputs(parts), *comparison.inputs()],
         wall_seconds=sum(timing.wall_seconds for timing in timings),
         evidence_seconds=sum(timing.evidence_seconds for timing in timings),

@@ -20,7 +20,7 @@ from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import ShardEntry, ToolEntry
-from pytest_dura.evidence.sessions import ShardUnit, plan_digest
+from pytest_dura.evidence.shard_units import ShardUnit, plan_digest
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.verify import verify_bundle
 from pytest_dura.provenance import describe_tool
@@ -61,7 +61,7 @@ class ShardBundle:
     @property
     def units(self) -> list[ShardUnit]:
         """Units that it holds."""
-        return [ShardUnit.from_json(hold.to_json()) for hold in self.shard.holds]
+        return self.shard.holds
 
     @property
     def name(self) -> str:

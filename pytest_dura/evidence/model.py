@@ -12,19 +12,18 @@ from pytest_dura.core.display import Shown
 from pytest_dura.evidence.case_model import (
     CaseEntry,
     CoverageEntry,
-    HazardEntry,
     OverallEntry,
     RequirementEntry,
 )
 from pytest_dura.evidence.entry import Absent, Coded, Count, Entry, JsonObject, Positive
 from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.gate import Gate
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import (
     ComponentEntry,
     ComponentUnderTest,
     EnvironmentEntry,
     ExecutionEntry,
-    GateEntry,
     InputEntry,
     LanguageModelEntry,
     MeasureEntry,
@@ -46,6 +45,7 @@ from pytest_dura.evidence.verdict_model import (
     VerdictEntry,
     WaiverEntry,
 )
+from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
 
 
@@ -129,7 +129,7 @@ class RecordHead(Entry):
     """The language models that components asked; empty if none did."""
     measures: list[MeasureEntry]
     """The figures that simulators declare for their episodes, in the order of tables."""
-    hazards: Absent[list[HazardEntry]] = None
+    hazards: Absent[list[Coded[Hazard]]] = None
     """Sorted by id: those of the user's files, and of the built-in ones those that a requirement of
     the session mitigates. Absent where there are none."""
     requirements: list[RequirementEntry]
@@ -162,7 +162,7 @@ class RecordHead(Entry):
     bound holds with its confidence for one look. Absent where there are none."""
     finished: str | None
     """When it ended, in ISO 8601; null as long as it runs."""
-    gate: GateEntry
+    gate: Coded[Gate]
     """Whether the session passed. It fails closed."""
     inputs: list[InputEntry]
     """The files that the session was run from."""

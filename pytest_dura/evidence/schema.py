@@ -228,7 +228,7 @@ def generate_schema() -> JsonObject:
         "$id": "urn:pytest-dura:evidence:1",
         "title": "Evidence record of pytest-dura",
         **_described(made, WholeRecord),
-        "$defs": {**definitions, **coded},
+        "$defs": dict(sorted({**definitions, **coded}.items())),
     }
 
 

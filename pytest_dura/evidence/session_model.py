@@ -6,7 +6,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pytest_dura.evidence.entry import Absent, Amount, Count, Entry, JsonObject, Positive, Sha256
+from pytest_dura.evidence.entry import (
+    Absent,
+    Amount,
+    Coded,
+    Count,
+    Entry,
+    JsonObject,
+    Positive,
+    Sha256,
+)
+from pytest_dura.evidence.shard_units import ShardUnit
 
 
 class ToolEntry(Entry):
@@ -168,24 +178,6 @@ class ReuseEntry(Entry):
     """Episodes that were simulated again, by the reason."""
 
 
-class UnitEntry(Entry):
-    """What no two shards share.
-
-    The items of cases whose episodes hang together, or a test without a case.
-    """
-
-    kind: Literal["case", "test"]
-    """Whether it is named by its first case, or by the node id of its test."""
-    name: str
-    """Its name."""
-    items: Positive
-    """How many items it has."""
-    episodes: Count
-    """How many episodes are planned for it, by which shards are balanced."""
-    digest: Sha256
-    """SHA-256 over the node ids of its items."""
-
-
 class ShardEntry(Entry):
     """A part of a session, and what the whole is. All shards of a session have the same plan."""
 
@@ -199,7 +191,7 @@ class ShardEntry(Entry):
     """SHA-256 over all units of the whole session; null until they are known."""
     units: Count | None
     """Units of the whole session; null until they are known."""
-    holds: list[UnitEntry]
+    holds: list[Coded[ShardUnit]]
     """The units of this shard, sorted."""
 
 
@@ -441,21 +433,6 @@ class LanguageModelEntry(Entry):
     """Requests in replay to which the cassette has no answer."""
     cassette: CassetteEntry | None
     """Where exchanges were recorded, or replayed from; null in a live session."""
-
-
-class GateEntry(Entry):
-    """Whether the session passed. It fails closed."""
-
-    result: Literal["passed", "failed", "incomplete"]
-    """`incomplete` where the session did not come to its end."""
-    exit_code: Count
-    """Of the session."""
-    warn_undecided: bool
-    """Whether undecided verdicts were accepted."""
-    failed: Count
-    """Test items that failed."""
-    reasons: list[str]
-    """Why it did not pass; empty if it did."""
 
 
 class SessionTimings(Entry):

@@ -40,10 +40,10 @@ from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import outcome_figures
 from pytest_dura.evidence.files import file_entry, files_below, listed_files, manifest_problems
-from pytest_dura.evidence.gate import judge_again
 from pytest_dura.evidence.junit import junit_problems
 from pytest_dura.evidence.mcap import read_trace
 from pytest_dura.evidence.model import RecordHead, SessionRecord, Totals
+from pytest_dura.evidence.objections import judge_again
 from pytest_dura.evidence.redaction import holds_redaction
 from pytest_dura.evidence.traces import Trace, trace_path
 from pytest_dura.evidence.verify_record import differences, record_problems
@@ -303,7 +303,7 @@ def conclude_again(record: SessionRecord) -> SessionRecord:
     return conclude_record(
         measure_cases(with_verdicts(record)),
         finished=record.head.finished,
-        gate=judge_again(record.head).to_json(),
+        gate=judge_again(record.head),
         inputs=record.head.inputs,
         wall_seconds=timings.wall_seconds,
         evidence_seconds=timings.evidence_seconds,

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from pytest_dura.evidence.baseline import Baseline
-    from pytest_dura.evidence.case_model import HazardEntry
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.evidence.files import DirectoryLock
     from pytest_dura.evidence.gather import RecordBuilder, Status
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.plugin.property_tests import PropertyTests
     from pytest_dura.plugin.roles import SessionRoles
+    from pytest_dura.requirements.hazards import Hazard
 
 
 _REGULAR_EXIT_CODES = (
@@ -294,14 +294,14 @@ class SessionEvidence:
         if expected:
             self.record.add_hazards(self._expected_hazards(expected))
 
-    def _expected_hazards(self, expected: Sequence[Expected]) -> list[HazardEntry]:
+    def _expected_hazards(self, expected: Sequence[Expected]) -> list[Hazard]:
         """List the hazards of the user, and those that expected requirements mitigate."""
-        from pytest_dura.evidence.case_model import HazardEntry
+        from pytest_dura.core.codec import decode, encode
+        from pytest_dura.requirements.hazards import Hazard
 
         named = {name for _, known, _ in expected for name in known.get("mitigates", ())}
         hazards = self.context.library().hazards_of(named)
-        plain = self.context.redact([hazard.to_json() for hazard in hazards])
-        return [HazardEntry.model_validate(entry) for entry in plain]
+        return [decode(Hazard, self.context.redact(encode(hazard))) for hazard in hazards]
 
     def note_tests(self, items: list[str], claiming: Iterable[str] = ()) -> None:
         """Note the tests that will run, and hash their files close to when they were read.
@@ -517,7 +517,7 @@ class SessionEvidence:
         return conclude_record(
             record,
             finished=None if status == "running" else _now(),
-            gate=gate.to_json(),
+            gate=gate,
             inputs=self._sources().to_json(),
             wall_seconds=perf_counter() - self._started,
             evidence_seconds=self._seconds_spent,

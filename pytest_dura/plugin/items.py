@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pluggy
     from xdist.workermanage import WorkerController
 
-    from pytest_dura.evidence.sessions import ShardUnit
+    from pytest_dura.evidence.shard_units import ShardUnit
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import Planned, SessionContext
@@ -372,7 +372,8 @@ class ShardHooks:
         self, config: pytest.Config, items: list[pytest.Item]
     ) -> Generator[None, Any, Any]:
         """Deselect the items of other shards."""
-        from pytest_dura.evidence.sessions import plan_digest, split_units
+        from pytest_dura.core.codec import encode
+        from pytest_dura.evidence.shard_units import plan_digest, split_units
 
         result = yield
         units = _units_of(self.context, items)
@@ -385,7 +386,7 @@ class ShardHooks:
         self._split = {
             "plan": plan_digest(units),
             "units": len(units),
-            "holds": [unit.to_json() for unit in holds],
+            "holds": [*map(encode, holds)],
         }
         if self.context.is_worker:
             config.workeroutput[_SHARD_KEY] = json.dumps(self._split)  # type: ignore[attr-defined]
@@ -459,7 +460,7 @@ def _units_of(
         context: The session's context.
         items: Those that the whole session would run.
     """
-    from pytest_dura.evidence.sessions import ShardUnit
+    from pytest_dura.evidence.shard_units import ShardUnit
 
     groups = _Groups()
     tests: dict[str, list[pytest.Item]] = defaultdict(list)

@@ -502,15 +502,13 @@ class ItemRecorder:
 
     def _hazards_named(self, names: Sequence[str]) -> None:
         """Record the named hazards, and once in each process all those of the user's files."""
-        from pytest_dura.evidence.case_model import HazardEntry
-
         library = self.context.library()
         own = () if self._own_hazards_reported else library.own_hazards
         self._own_hazards_reported = True
         for name in sorted({*names, *own}):
-            entry = HazardEntry.model_validate(library.hazards[name].to_json())
-            if entry not in self._report.hazards:
-                self._report.hazards.append(entry)
+            hazard = library.hazards[name]
+            if hazard not in self._report.hazards:
+                self._report.hazards.append(hazard)
 
     def _add_claims(self, item: pytest.Item) -> None:
         """Record what a test is to decide: if it ends before it does, that is undecided."""

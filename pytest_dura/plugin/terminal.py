@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
-from pytest_dura.evidence.gate import other_objections
+from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.episodes import show_repeats
 from pytest_dura.plugin.messages import (

@@ -15,8 +15,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from pytest_dura.evidence.case_model import RequirementEntry
-from pytest_dura.evidence.gate import other_objections
 from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.incidents import (

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from pytest_dura.evidence.case_model import HazardEntry
 from pytest_dura.evidence.hazards import (
     WITHOUT_EVIDENCE,
     HazardEvidence,
@@ -15,7 +14,7 @@ from pytest_dura.evidence.hazards import (
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.columns import Column, name_cell, prose_cell
-from pytest_dura.requirements.hazards import SEVERITIES
+from pytest_dura.requirements.hazards import SEVERITIES, Hazard
 
 _MOST_NAMES = 8
 _WITHOUT = {
@@ -25,7 +24,7 @@ _WITHOUT = {
 }
 
 
-def condition_lines(hazard: HazardEntry) -> Iterator[tuple[str, str]]:
+def condition_lines(hazard: Hazard) -> Iterator[tuple[str, str]]:
     """Yield label and text of what is stated of a hazard beside its own text."""
     yield "Loss", hazard.loss
     yield "Severity, as declared", hazard.severity or "none"
@@ -95,7 +94,7 @@ def without_evidence_sentences(record: SessionRecord) -> Iterator[str]:
         )
 
 
-def _with_severity(hazard: HazardEntry) -> str:
+def _with_severity(hazard: Hazard) -> str:
     return f"{name(hazard.id)} ({hazard.severity})" if hazard.severity else name(hazard.id)
 
 

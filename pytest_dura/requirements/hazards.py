@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Literal, get_args
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 Severity = Literal["S0", "S1", "S2", "S3"]
 SEVERITIES: tuple[str, ...] = get_args(Severity)
@@ -33,7 +33,3 @@ class Hazard:
     operating_condition: str = ""
     triggering_condition: str = ""
     source: str = ""
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for files and the evidence record."""
-        return asdict(self)

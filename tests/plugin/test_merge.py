@@ -564,7 +564,7 @@ def test_a_verdict_that_two_shards_reached_is_refused(made, tmp_path):
                for one in pair}  # fmt: skip
     units = json.loads(held)
     others = [{**one, "name": f"{one['name']}-2"} for one in units]
-    plan = plan_digest(map(ShardUnit.from_json, [*units, *others]))
+    plan = plan_digest(ShardUnit(**unit) for unit in [*units, *others])
     for index, (one, holds) in enumerate(zip(pair, (units, others), strict=True), 1):
         told = {"index": index, "count": 2, "plan": plan, "units": 2 * len(units), "holds": holds}
         rewritten(one, lambda record, told=told: record["shard"].update(told))

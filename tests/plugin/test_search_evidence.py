@@ -99,9 +99,9 @@ def test_a_search_leaves_a_record_that_verifies_and_counts_in_no_verdict(searche
     found = next(one for one in evidence.searches if "test_found" in one.item)
     assert found.scenario == "corridor/searched"
     assert found.roles["generator"] == "corridor:Reckless"
-    assert evidence.gate.reasons == [
+    assert evidence.gate.reasons == (
         "GAP-1 on corridor/searched is falsified by a search", "1 test item failed",
-    ]  # fmt: skip
+    )  # fmt: skip
     hashed = {(one.kind, one.path) for one in evidence.inputs}
     assert ("scenario", "scenarios/corridor/searched.yaml") in hashed
     assert str(searched.path) not in str(evidence.searches)

@@ -30,6 +30,7 @@ from pytest_dura.core.codec import (
     fields_of,
 )
 from pytest_dura.core.mismatches import Mismatch, MismatchError, pointer
+from pytest_dura.evidence.schema import recorded_classes
 
 lawful = settings(
     derandomize=True,
@@ -75,7 +76,8 @@ class Tree:
     length: int = 7
 
 
-TYPES = [Tree, Twig]
+TYPES = [Tree, Twig, *recorded_classes()]
+"""Types for the codec itself, and those that the record is made of."""
 
 
 def read(type_, value):

@@ -73,9 +73,3 @@ def test_whatever_changes_is_another_plan(all_units, data):
     rest = all_units[:place] + all_units[place + 1 :]
     assert plan_digest([*rest, replace(one, **{key: value})]) != plan_digest(all_units)
     assert plan_digest(rest) != plan_digest(all_units)
-
-
-@lawful
-@given(units)
-def test_units_survive_the_record(all_units):
-    assert [ShardUnit.from_json(one.to_json()) for one in all_units] == all_units

@@ -313,7 +313,7 @@ def session(real, directory, spoil):
     )  # fmt: skip
     return conclude_record(
         SessionRecord.of(plain_data(told), directory), finished=told["finished"],
-        gate=gate.to_json(),
+        gate=gate,
         inputs=told["inputs"], wall_seconds=2.0, evidence_seconds=1.0, redact=lambda same: same,
     )  # fmt: skip
 

@@ -12,10 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from pydantic import ValidationError
 from session_records import session_record
 
 from pytest_dura.core.mismatches import MAX_MISMATCHES
-from pytest_dura.evidence import Baseline, check_record, record_schema
+from pytest_dura.evidence import Baseline, SessionRecord, check_record, record_schema
 from pytest_dura.evidence.schema import (
     PAGE,
     TABLES_BEGIN,
@@ -220,6 +221,19 @@ def test_what_is_wrong_is_told_in_few_words():
         '/episodes/1/validity: found "fine", expected "valid" or "invalid" or "missing"',
         f'/episodes/1/digest: found "{"x" * 56}..., expected a text like "^[0-9a-f]{{64}}$"',
     ]
+
+
+def test_what_is_wrong_within_a_dataclass_of_the_record_has_its_place():
+    broken = copy.deepcopy(RECORD)
+    broken["gate"] |= {"exit_code": -1, "reasons": ["why", 3], "more": 1}
+    assert problems(broken) == [
+        '/gate: unknown key "more"',
+        "/gate/exit_code: found -1, expected at least 0",
+        "/gate/reasons/1: found integer, expected string",
+    ]
+    assert problems({**RECORD, "gate": None}) == ["/gate: found null, expected object"]
+    with pytest.raises(ValidationError):
+        SessionRecord.of({**RECORD, "gate": broken["gate"]}, DOCS)
 
 
 def test_the_problems_of_a_foreign_file_are_bounded():

@@ -8,8 +8,9 @@ import pytest
 from searches import entry
 from session_records import CASES, session_record
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import record_problems
-from pytest_dura.evidence.gate import judge_again
+from pytest_dura.evidence.objections import judge_again
 from pytest_dura.evidence.verify_record import differences, search_problems
 
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
@@ -227,8 +228,8 @@ def test_a_verdict_on_what_a_search_chose():
 def gate_problems(*searches, **gate):
     verdicts = [one for one in session_record().head.verdicts if one.verdict == "supported"]
     record = session_record(searches=list(searches), verdicts=verdicts, gate={**PASSED, **gate})
-    again = judge_again(record.head).to_json()
-    return list(differences("/gate", record.head.gate.to_json(), again))
+    again = encode(judge_again(record.head))
+    return list(differences("/gate", encode(record.head.gate), again))
 
 
 AGAINST = "SAF-1 on a/clear is falsified by a search"

@@ -28,7 +28,7 @@ PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed":
 def shard(**changes):
     told = {
         "index": 2, "count": 5, "plan": "a" * 64, "units": 9, "options": {},
-        "holds": [one.to_json() for one in HELD],
+        "holds": [vars(one) for one in HELD],
     }  # fmt: skip
     return {"shard": told | changes}
 
@@ -84,8 +84,8 @@ def test_a_whole_one_is_no_part():
         (shard(units=1), ["holds 2 units, and the whole session 1"]),
         (shard(units=2), ["they are not its plan"]),
         (shard(plan=None), ["units of no plan"]),
-        (shard(holds=[HELD[1].to_json(), HELD[0].to_json()]), ["not sorted"]),
-        (shard(holds=[HELD[0].to_json()] * 2), ["listed twice"]),
+        (shard(holds=[vars(HELD[1]), vars(HELD[0])]), ["not sorted"]),
+        (shard(holds=[vars(HELD[0])] * 2), ["listed twice"]),
         (shard(index=1, count=1), ["the only one holds 2 of 9"]),
         (shard() | parts(), ["it is a shard, and merged from shards"]),
         (parts(), []),
