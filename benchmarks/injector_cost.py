@@ -18,6 +18,7 @@ from typing import Any
 
 from machine import machine, table
 
+from pytest_dura import Fault
 from pytest_dura.core import Episode, EpisodeSpec, Orchestrator
 from pytest_dura.driving import FAULT_TARGETS
 from pytest_dura.faults import CampaignInjector, parse_fault
@@ -69,7 +70,7 @@ class TimedInjector(CampaignInjector):
         return self._timed(super().corrupt_command, action, time)
 
 
-def planned(names: list[str]) -> tuple[dict[str, Any], ...]:
+def planned(names: list[str]) -> tuple[Fault, ...]:
     """Faults of several types, activated as these names say."""
     return tuple(
         parse_fault(

@@ -38,7 +38,7 @@ GROUPS = {
     "What roles see and say": ("core.state",),
     "Simulators": ("core.simulator", "core.simulator_conformance", "adapters.black_box"),
     "Domains": ("domains", "core.measures"),
-    "Faults": ("faults",),
+    "Faults": ("core.fault", "faults"),
     "Running episodes": (
         "runner", "core.orchestrator", "core.seeding", "library", "execution",
     ),

@@ -12,6 +12,7 @@ from .core.errors import (
     DuraError,
     InfrastructureError,
 )
+from .core.fault import Fault
 from .core.measures import Measure
 from .core.metrics import DependabilityMetrics, FaultRecord
 from .core.orchestrator import Orchestrator
@@ -52,7 +53,7 @@ from .domains import DOMAINS, ROLES, Action, Domain, Signal
 from .evidence.bundle import FORMATS
 from .execution.executors import EXECUTORS, ExecutorKind
 from .faults.catalogue import FAULT_TYPES
-from .faults.model import Channel, Fault, Moment
+from .faults.model import Channel, FaultEffect, Moment
 from .faults.parts import FaultPart
 from .library.cases import Case, SearchedCase
 from .requirements.campaign_verdicts import CampaignVerdict
@@ -96,6 +97,7 @@ __all__ = [
     "Falsification",
     "Falsified",
     "Fault",
+    "FaultEffect",
     "FaultInjector",
     "FaultPart",
     "FaultRecord",

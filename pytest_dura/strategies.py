@@ -139,9 +139,7 @@ def fault_campaigns(
 
 def _planned(case: SearchedCase) -> list[dict[str, Any]]:
     """Return the case's faults as in a scenario file, each with its id."""
-    from pytest_dura.faults.catalogue import BY_CHANCE
-
-    return [{key: fault[key] for key in fault if key != BY_CHANCE} for fault in case.faults]
+    return [fault.in_file() for fault in case.faults]
 
 
 @st.composite

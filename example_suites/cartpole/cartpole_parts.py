@@ -139,7 +139,7 @@ class StuckSensor(FaultInjector):
     def reset(self, context: RoleContext) -> None:
         """Read the plan."""
         self._plan = {
-            fault["id"]: (fault["activation"]["at"], fault["duration"]) for fault in context.faults
+            fault.id: (fault.activation["at"], fault.duration) for fault in context.faults
         }
         self._held: dict[str, Pole] = {}
         self._active: tuple[str, ...] = ()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pytest_dura import (
+    Fault,
     GeneratorView,
     Orchestrator,
     RoleContext,
@@ -17,8 +18,8 @@ from pytest_dura import (
     check_simulator,
 )
 
-GLITCH = {"id": "stuck", "target": "pole", "activation": {"at": 1.0}, "duration": 0.06}
-OUTAGE = GLITCH | {"duration": 0.5}
+GLITCH = Fault("bias", "stuck", "pole", {"at": 1.0}, 0.06)
+OUTAGE = replace(GLITCH, duration=0.5)
 STUBBORN = {"generator": RoleSpec("cartpole_parts:Stubborn")}
 
 
@@ -108,5 +109,5 @@ def test_the_adapter_keeps_the_contract_of_a_simulator(spec):
     [parts.Balancer, parts.Stubborn, parts.AngleMonitor, parts.StuckSensor, parts.CatchThePole],
 )
 def test_the_roles_keep_their_contracts(role, spec):
-    context = RoleContext(0, 0.02, spec.scenario, (GLITCH | {"activation": {"at": 0.1}},))
+    context = RoleContext(0, 0.02, spec.scenario, (replace(GLITCH, activation={"at": 0.1}),))
     check_role(role, simulator=spec.simulator, scenario=spec.scenario, context=context)

@@ -264,7 +264,7 @@ class CampaignRuns(Shown):
             self.until_decided,
             twins,
         )
-        faults = {fault["id"] for fault in self.case.faults}
+        faults = {fault.id for fault in self.case.faults}
         return CampaignCourse(question, varies=varies(self.case.scenario.variation, faults))
 
     def is_declared(self, requirement: Requirement, check: Check | None) -> bool:

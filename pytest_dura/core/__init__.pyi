@@ -11,6 +11,7 @@ from .errors import (
     report_environment_error,
     shorten,
 )
+from .fault import Fault
 from .files import WrittenFile, replace_file, temporary_prefix
 from .loop_signals import LOOP_SIGNALS, account_columns, account_problem, copied_account, switching
 from .metrics import DISCOMFORT, REACTIONS, FaultRecord, Tally
@@ -68,6 +69,7 @@ __all__ = [
     "Episode",
     "EpisodeSpec",
     "Event",
+    "Fault",
     "FaultRecord",
     "Generator",
     "GeneratorView",

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.display import LONGEST_REPR, Shown, short_repr
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.measures import Measure, Value
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.role_spec import RoleSpec
@@ -135,9 +136,7 @@ class EpisodeSpec:
         simulator: How to build the simulator.
         roles: How to build each role, by role name.
         scenario: The scenario as the simulator and the roles read it.
-        faults: The planned faults; each has at least ``id`` and ``target``. ``activation`` may
-            hold the planned time ``at``. ``by_chance`` marks one whose activation or effect is
-            drawn: the episode is valid also if it never manifests.
+        faults: The planned faults.
         policy: The policy for a refused proposal.
         termination: When the episode ends.
         time_step: Simulated seconds per tick.
@@ -154,7 +153,7 @@ class EpisodeSpec:
     simulator: RoleSpec
     roles: Mapping[str, RoleSpec]
     scenario: Mapping[str, Any] = field(default_factory=dict)
-    faults: tuple[Mapping[str, Any], ...] = ()
+    faults: tuple[Fault, ...] = ()
     policy: Policy = Policy()
     termination: Termination = Termination()
     time_step: float = 0.1
@@ -199,7 +198,7 @@ class EpisodeSpec:
             "simulator": self.simulator.to_json(),
             "roles": {name: role.to_json() for name, role in sorted(self.roles.items())},
             "scenario": dict(self.scenario),
-            "faults": [dict(fault) for fault in self.faults],
+            "faults": [fault.plain() for fault in self.faults],
             "policy": str(self.policy),
             "termination": self.termination.to_json(),
             "time_step": self.time_step,
@@ -217,7 +216,7 @@ class EpisodeSpec:
             simulator=RoleSpec.from_json(data["simulator"]),
             roles={name: RoleSpec.from_json(role) for name, role in data["roles"].items()},
             scenario=data["scenario"],
-            faults=tuple(data["faults"]),
+            faults=tuple(map(Fault.of, data["faults"])),
             policy=Policy.parse(data["policy"]),
             termination=Termination(**data["termination"]),
             time_step=data["time_step"],

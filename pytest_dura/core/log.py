@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,15 +48,7 @@ class EpisodeLog:
         self.metrics = DependabilityMetrics()
         self.events: list[Event] = []
         self.timeouts: list[int] = []
-        self.metrics.faults = {
-            fault["id"]: FaultRecord(
-                fault["id"],
-                fault["target"],
-                (fault.get("activation") or {}).get("at"),
-                by_chance=bool(fault.get("by_chance", False)),
-            )
-            for fault in spec.faults
-        }
+        self.metrics.faults = {fault.id: FaultRecord.of(fault) for fault in spec.faults}
         self._columns: dict[str, list[Any]] = {
             name: [] for name in ("verdict", "source", "proposed", "executed", "attempts")
         }
@@ -134,14 +127,13 @@ class EpisodeLog:
         """Log activated and deactivated faults."""
         for fault in output.activated:
             record = self._record(fault)
-            record.activations += 1
-            if record.activated_at is None:
-                record.activated_at = tick.time
-            record.deactivated_at = None
+            first = tick.time if record.activated_at is None else record.activated_at
+            count = record.activations + 1
+            self._update(record, activated_at=first, deactivated_at=None, activations=count)
             self._reached.discard(fault)
             self.event(tick, "fault_activated", fault)
         for fault in output.deactivated:
-            self._record(fault).deactivated_at = tick.time
+            self._update(self._record(fault), deactivated_at=tick.time)
             self.event(tick, "fault_deactivated", fault)
 
     def manifested(
@@ -174,10 +166,12 @@ class EpisodeLog:
         first_time = []
         for fault in sorted(perceived.union(command)):
             record = self._record(fault)
-            record.manifest_ticks += 1
-            record.flagged_ticks += verdict is Assessed.UNSAFE
-            if record.manifested_at is None:
-                record.manifested_at = tick.time
+            self._update(
+                record,
+                manifest_ticks=record.manifest_ticks + 1,
+                flagged_ticks=record.flagged_ticks + (verdict is Assessed.UNSAFE),
+                manifested_at=tick.time if record.manifested_at is None else record.manifested_at,
+            )
             if fault not in self._reached:
                 self._reached.add(fault)
                 first_time.append(fault)
@@ -190,20 +184,22 @@ class EpisodeLog:
         """Log detection and recovery of this tick, for the faults that can have caused them."""
         for alert, role in list(self._alerts.items())[:1]:
             self._detected(tick, alert, role, late)
-        for record in self.metrics.faults.values():
-            first = record.manifested_at
-            if first is not None and record.detected_at is None and record.id in self._detections:
-                detection = self._detections[record.id]
-                record.detected_at, record.detected_by, record.pattern = detection
-            if first is None or (record.id in late and first == tick.time):
+        acceptable = self._recovery is None and verdict is not Assessed.UNSAFE
+        for record in list(self.metrics.faults.values()):
+            first, known = record.manifested_at, dict[str, Any]()
+            if first is None:
                 continue
-            acceptable = self._recovery is None and verdict is not Assessed.UNSAFE
-            if acceptable and record.recovery_at is not None and record.recovered_at is None:
-                record.recovered_at = tick.time
-            if not _in_time(record, tick.time):
-                continue
-            if self._recovery is not None and record.recovery_at is None:
-                record.recovery_at, record.recovery = tick.time, self._recovery
+            if record.detected_at is None and record.id in self._detections:
+                names = ("detected_at", "detected_by", "pattern")
+                known |= zip(names, self._detections[record.id], strict=True)
+            if record.id not in late or first != tick.time:
+                if acceptable and record.recovery_at is not None and record.recovered_at is None:
+                    known["recovered_at"] = tick.time
+                acts = self._recovery is not None and _in_time(record, tick.time)
+                if acts and record.recovery_at is None:
+                    known |= {"recovery_at": tick.time, "recovery": self._recovery}
+            if known:
+                self._update(record, **known)
         self._alerts.clear()
         self._recovery = None
 
@@ -255,12 +251,17 @@ class EpisodeLog:
 
     def _read(self, fault: str, roles: set[str]) -> None:
         record = self._record(fault)
-        record.read_by = tuple(sorted(roles.union(record.read_by)))
+        if not roles.issubset(record.read_by):
+            self._update(record, read_by=tuple(sorted(roles.union(record.read_by))))
 
     def _record(self, fault: str) -> FaultRecord:
         if fault not in self.metrics.faults:
             self.metrics.faults[fault] = FaultRecord(fault, "unplanned")
         return self.metrics.faults[fault]
+
+    def _update(self, record: FaultRecord, **known: Any) -> None:
+        """Keep the record of a fault with what has become known of it."""
+        self.metrics.faults[record.id] = replace(record, **known)
 
     def _violation(self, tick: Tick, kind: str) -> None:
         """Count a violation, once per tick however often its proposal is refined."""

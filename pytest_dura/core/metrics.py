@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.display import short_repr
+from pytest_dura.core.fault import Fault
 
 REACTIONS = ("unaffected", "erratic", "frozen", "follows the fake")
 """Classes of a component's reaction to a suspected attack; an assessor may have others."""
@@ -21,7 +22,7 @@ COMMAND = "command"
 """Channel of the command on its way to the actuators."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class FaultRecord:
     """One fault from plan to recovery; times in s, ``None`` for what did not happen.
 
@@ -70,6 +71,11 @@ class FaultRecord:
     read_by: tuple[str, ...] = ()
 
     __repr__ = short_repr
+
+    @classmethod
+    def of(cls, fault: Fault) -> FaultRecord:
+        """Make the record of a planned fault, of which nothing has happened."""
+        return cls(fault.id, fault.target, fault.planned_at, by_chance=fault.by_chance)
 
     @property
     def success(self) -> bool:

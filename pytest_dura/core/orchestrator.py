@@ -35,6 +35,7 @@ from pytest_dura.core.errors import (
     describe_error,
     environment_errors,
 )
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.log import Decision, EpisodeLog
 from pytest_dura.core.loop_signals import declared_seconds
 from pytest_dura.core.metrics import FaultRecord
@@ -290,7 +291,7 @@ class Orchestrator:
                 if problem is not None:
                     self.log.early_event("component_failure", spec.component, problem)
             else:
-                faults = tuple(plain_copy(fault) for fault in spec.faults)
+                faults = tuple(Fault.of(plain_copy(fault.plain())) for fault in spec.faults)
                 context = RoleContext(spec.seed, spec.time_step, scenario, faults)
                 self._guard(name, role.reset, context)
         self._guard("simulator", self.simulator.set_time_step, spec.time_step)

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.state import NOTHING, Alert, GeneratorView, Proposal, RoleView
 
 
@@ -99,7 +100,7 @@ class RoleContext:
     seed: int
     dt: float
     scenario: Mapping[str, Any] = NOTHING
-    faults: tuple[Mapping[str, Any], ...] = ()
+    faults: tuple[Fault, ...] = ()
     time_budget: float | None = None
 
     __repr__ = short_repr

@@ -13,7 +13,7 @@ from pydantic import Field
 from pytest_dura.driving.object_faults import PoseFault
 from pytest_dura.driving.scene import HALF
 from pytest_dura.driving.sensors import Pose, Sign
-from pytest_dura.faults.model import Fault, Kind, Moment
+from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Span
 
 _LEAP = Span(-20.0, 20.0)
@@ -38,7 +38,6 @@ class JumpParameters(FaultPart):
 class GnssJump(PoseFault):
     """The position is off by a fixed vector at once, as after a spoofer has taken the receiver."""
 
-    type: Literal["gnss-jump"]
     parameters: JumpParameters = JumpParameters()
 
     @classmethod
@@ -84,7 +83,6 @@ class GnssDragOff(PoseFault):
     The offset is the rate times the seconds since it began, and so nothing at its first tick.
     """
 
-    type: Literal["gnss-drag-off"]
     parameters: DragOffParameters = DragOffParameters()
 
     def begin(self, value: Pose, moment: Moment) -> tuple[float, float]:
@@ -113,7 +111,6 @@ class GnssJam(PoseFault):
     Jammed from the very beginning, a receiver shows its first fix.
     """
 
-    type: Literal["gnss-jam"]
     parameters: JamParameters = JamParameters()
 
     @property
@@ -156,14 +153,13 @@ class PromptTextParameters(FaultPart):
     )
 
 
-class PromptText(Fault):
+class PromptText(FaultEffect):
     """A text that somebody put up beside the road: prompt injection through the scene.
 
     It is one sign more on the channel ``controls``, of kind ``text``. It reaches components that
     put the texts of signs before a language model; others do not look at it.
     """
 
-    type: Literal["prompt-text"]
     parameters: PromptTextParameters = PromptTextParameters()
 
     acts_on: ClassVar[Kind] = "signs"

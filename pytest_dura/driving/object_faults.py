@@ -22,7 +22,7 @@ from pytest_dura.driving.bodies import (
     BodyList,
 )
 from pytest_dura.driving.sensors import RANGE
-from pytest_dura.faults.model import Fault, Kind, Moment
+from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Share, Span
 
 Ids = Annotated[tuple[str, ...], Field(strict=False)]
@@ -50,7 +50,7 @@ def distance(body: Body, pose: Any) -> tuple[float, str]:
     return math.hypot(body.x - pose.x, body.y - pose.y), body.id
 
 
-class ObjectFault(Fault):
+class ObjectFault(FaultEffect):
     """Base of the faults that tamper with a list of objects, which only lidar reports."""
 
     acts_on: ClassVar[Kind] = "objects"
@@ -62,7 +62,7 @@ class ObjectFault(Fault):
         return {"activation": {"at": 2.0}, "duration": 5.0}
 
 
-class PoseFault(Fault):
+class PoseFault(FaultEffect):
     """Base of the faults that tamper with a pose, which only ``localisation`` reports."""
 
     acts_on: ClassVar[Kind] = "pose"
@@ -85,7 +85,6 @@ class MissParameters(Selection):
 class ObjectMiss(ObjectFault):
     """Objects are not reported, each at each tick with the same probability (false negatives)."""
 
-    type: Literal["object-miss"]
     parameters: MissParameters = MissParameters()
 
     @property
@@ -116,7 +115,6 @@ class PositionNoise(ObjectFault):
     Headings, velocities and sizes are reported as they are.
     """
 
-    type: Literal["position-noise"]
     parameters: PositionNoiseParameters = PositionNoiseParameters()
 
     def apply(self, memory: Any, value: BodyList, moment: Moment) -> BodyList:
@@ -141,7 +139,6 @@ class RangeCutParameters(FaultPart):
 class RangeCut(ObjectFault):
     """Nothing beyond some distance is reported, as in fog. From 80 m on, it cuts nothing."""
 
-    type: Literal["range-cut"]
     parameters: RangeCutParameters = RangeCutParameters()
 
     def apply(self, memory: Any, value: BodyList, moment: Moment) -> BodyList:
@@ -168,7 +165,6 @@ class ClassChange(ObjectFault):
     Sensors report sizes, not classes. A mistaken object stays so until the fault ends.
     """
 
-    type: Literal["class-change"]
     parameters: ClassChangeParameters = ClassChangeParameters()
 
     @property
@@ -220,7 +216,6 @@ class IdSwitch(ObjectFault):
     Whoever follows objects by their ids sees both leap. It waits until there are two.
     """
 
-    type: Literal["id-switch"]
     parameters: IdSwitchParameters = IdSwitchParameters()
 
     def begin(self, value: BodyList, moment: Moment) -> dict[str, str] | None:
@@ -265,7 +260,6 @@ class MovedObstacle(ObjectFault):
     It waits until the object is in sight.
     """
 
-    type: Literal["moved-obstacle"]
     parameters: MovedParameters = MovedParameters()
 
     @classmethod
@@ -335,7 +329,6 @@ class GhostParameters(FaultPart):
 class GhostObstacle(ObjectFault):
     """An object that is not there: lidar reports a car on the ego's route, standing by default."""
 
-    type: Literal["ghost-obstacle"]
     parameters: GhostParameters = GhostParameters()
 
     @classmethod
@@ -408,7 +401,6 @@ class TrajectorySpoof(ObjectFault):
     still sees the vehicle where it is.
     """
 
-    type: Literal["trajectory-spoof"]
     parameters: SpoofParameters = SpoofParameters()
 
     def begin(self, value: BodyList, moment: Moment) -> Any:

@@ -270,8 +270,7 @@ def missing_episode(spec: EpisodeSpec, cause: str) -> Episode:
     """
     failure = f"infrastructure: {cause}"
     faults = tuple(
-        FaultRecord(fault["id"], fault["target"], by_chance=bool(fault.get("by_chance", False)))
-        for fault in spec.faults
+        FaultRecord(fault.id, fault.target, by_chance=fault.by_chance) for fault in spec.faults
     )
     return Episode(
         spec=spec,

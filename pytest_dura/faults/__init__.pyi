@@ -1,9 +1,16 @@
 from .activation import Activation, AttackPlan, parse_condition
-from .catalogue import FAULT_TYPES, default_fault, fault_class, load_fault, parse_fault, plain_fault
+from .catalogue import (
+    FAULT_TYPES,
+    default_fault,
+    fault_class,
+    fault_effect,
+    fault_form,
+    parse_fault,
+)
 from .injector import CampaignInjector
 from .model import (
     Channel,
-    Fault,
+    FaultEffect,
     Kind,
     Moment,
     check_condition_targets,
@@ -20,7 +27,7 @@ __all__ = [
     "CampaignInjector",
     "Channel",
     "Choices",
-    "Fault",
+    "FaultEffect",
     "FaultPart",
     "Finite",
     "Kind",
@@ -32,10 +39,10 @@ __all__ = [
     "check_target",
     "default_fault",
     "fault_class",
-    "load_fault",
+    "fault_effect",
+    "fault_form",
     "parse_condition",
     "parse_fault",
-    "plain_fault",
     "possible_targets",
     "spans_of",
 ]

@@ -1,7 +1,7 @@
-"""Activation and duration of faults: times, conditions on the channels, how long a fault acts.
+"""Activation and duration of faults: what triggers a fault, and how long it acts.
 
-The FaultInjector activates faults by it; an :class:`AttackPlan` says when a SecurityAssessor
-directs its attacks.
+A :class:`Trigger` decides when a fault is due, for the FaultInjector and for an
+:class:`AttackPlan`, which says when a SecurityAssessor directs its attacks.
 """
 
 from __future__ import annotations
@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 import operator
 import re
+from bisect import bisect_left
 from collections import ChainMap
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
@@ -20,7 +21,9 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.roles import Injection
+from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import Lazy, RoleView
 from pytest_dura.faults.parts import (
     PROPOSAL,
@@ -344,11 +347,6 @@ class Activation(FaultPart):
 TRIGGERS = ("at", "when", "probability", "rate", "after")
 
 
-def planned_at(activation: Any) -> float | None:
-    """Planned time of an activation in plain data, if it has one."""
-    return (activation or {}).get("at")
-
-
 class Sampled(FaultPart):
     """Drawn uniformly from an interval, anew for each activation."""
 
@@ -458,6 +456,139 @@ class Lifetime:
         return True
 
 
+BLOCK = 256
+"""Ticks that are drawn at once."""
+
+
+class Chance:
+    """Hits of a probability, one draw per tick from one stream, made in advance.
+
+    Whether a tick is hit depends on its index alone, not on the ticks of the calls.
+
+    Args:
+        probability: Probability of a hit at a tick.
+        rng: The stream, for these draws alone.
+    """
+
+    __slots__ = ("_drawn", "_hits", "_probability", "_rng")
+
+    def __init__(self, probability: float, rng: np.random.Generator) -> None:
+        self._probability, self._rng = probability, rng
+        self._hits: list[int] = []
+        self._drawn = 0
+
+    def hits(self, tick: int) -> bool:
+        """Whether this tick, counted from 0, is hit."""
+        return self.next(tick) == tick
+
+    def next(self, tick: int) -> int:
+        """First tick from this one on that is hit, or that is not drawn yet."""
+        while self._drawn <= tick:
+            hits = np.flatnonzero(self._rng.random(BLOCK) < self._probability)
+            self._hits += (hits + self._drawn).tolist()
+            self._drawn += BLOCK
+        place = bisect_left(self._hits, tick)
+        return self._hits[place] if place < len(self._hits) else self._drawn
+
+
+NEVER, NOW = math.inf, -math.inf
+
+
+class Trigger:
+    """Decides at which ticks of an episode a fault falls due, whether or not it can begin then.
+
+    Args:
+        activation: What triggers it.
+        fault: Id of the fault.
+        dt: Seconds per tick.
+        seed: Seed of the episode; all draws come from a stream of the fault's own, so that adding
+            or removing another fault shifts none of them.
+    """
+
+    def __init__(self, activation: Activation, fault: str, dt: float, seed: int = 0) -> None:
+        self.activation, self._dt = activation, dt
+        self.condition = parse_condition(activation.when) if activation.when else None
+        self.final = NEVER if activation.not_after is None else activation.not_after + TOLERANCE
+        self._first = activation.not_before - TOLERANCE
+        probability = activation.probability
+        if activation.rate is not None:
+            probability = -math.expm1(-activation.rate * dt)
+        self._chance: Chance | None = None
+        if probability is not None:
+            self._chance = Chance(probability, stream(seed, f"fault:activation:{fault}"))
+        self._last = -1.0
+        self._held = False
+        self._pending: list[float] = []
+
+    def follow(self, time: float) -> None:
+        """Fall due at this time, after an event of another fault."""
+        self._pending.append(time)
+
+    def due(
+        self, time: float, channels: Mapping[str, Any] | None, effect: float | None = None
+    ) -> bool:
+        """Whether it falls due at this tick. Call it at each tick at which it may.
+
+        Args:
+            time: Simulated time, at which a condition is read.
+            channels: What a condition reads; without any, it does not hold.
+            effect: When the fault would take effect, if that is not at this time.
+        """
+        effect = time if effect is None else effect
+        since, self._last = self._last, effect
+        if self._chance is not None:
+            return self._in_window(time) and self._chance.hits(round(time / self._dt))
+        if self.condition is not None:
+            held = self._held
+            self._held = (
+                channels is not None
+                and self._in_window(time)
+                and self.condition.holds(channels, time)
+            )
+            return self._held and not held
+        if self._pending:
+            waiting = [at for at in self._pending if at > effect + TOLERANCE]
+            reached, self._pending = len(waiting) < len(self._pending), waiting
+            return reached
+        return self.activation.due(effect, since)
+
+    def next_due(self) -> float:
+        """Time before which it does not fall due, unless an event that it follows happens."""
+        if self._pending:
+            return min(self._pending)
+        if self._chance is None and self.condition is None:
+            return self.activation.next_planned(self._last)
+        following = max(self._first, self._last + self._dt / 2)
+        if self._chance is not None:
+            index = math.ceil(following / self._dt - TOLERANCE)
+            following = self._chance.next(max(index, 0)) * self._dt
+        return following if following <= self.final else NEVER
+
+    def _in_window(self, time: float) -> bool:
+        return self._first <= time <= self.final
+
+
+@contextmanager
+def refusing(fault: str, key: str, found: object = None) -> Iterator[None]:
+    """Name the fault and its key in an error of what it reads.
+
+    Args:
+        fault: Id of the fault.
+        key: The key of the fault that names what it reads.
+        found: What is found there; by default what the error has found.
+    """
+    try:
+        yield
+    except ConfigurationError as error:
+        raise ConfigurationError(
+            f"the fault {fault!r} cannot be used: {error.problem}",
+            key=key,
+            found=error.found if found is None else found,
+            expected=error.expected,
+            remedy=error.remedy,
+        ) from None
+
+
 class AttackPlan:
     """Plan of the faults of an episode with ``by: security_assessor``.
 
@@ -471,8 +602,8 @@ class AttackPlan:
         role: Name of the assessor's role.
     """
 
-    def __init__(self, faults: Sequence[Mapping[str, Any]], role: str) -> None:
-        self._attacks = [_Attack(fault) for fault in faults if fault["activation"]["by"] == role]
+    def __init__(self, faults: Sequence[Fault], role: str) -> None:
+        self._attacks = [_Attack(fault) for fault in faults if fault.activation["by"] == role]
         self._unchecked = True
 
     def due(self, view: RoleView, proposal: Callable[[], Mapping[str, float]]) -> tuple[str, ...]:
@@ -500,61 +631,39 @@ class AttackPlan:
 
 
 class _Attack:
-    def __init__(self, fault: Mapping[str, Any]) -> None:
-        self.id: str = fault["id"]
-        self.activation = Activation.model_validate(fault["activation"])
-        when = self.activation.when
-        self.condition: Condition | None = parse_condition(when) if when else None
-        targets = self.condition.targets if self.condition else ()
+    def __init__(self, fault: Fault) -> None:
+        self.id = fault.id
+        activation = Activation.model_validate(fault.activation)
+        self._after = activation.after
+        # Nothing that a SecurityAssessor directs by is drawn, and so neither dt nor seed matters.
+        self.trigger = Trigger(activation, fault.id, 0.0)
+        condition = self.trigger.condition
+        targets = condition.targets if condition else ()
         self.reads_proposal = any(target.channel == PROPOSAL for target in targets)
-        self._on_command = Target.parse(fault["target"]).is_command
-        self._last = -1.0
-        self._held = False
-        self._pending: list[float] = []
+        self._on_command = Target.parse(fault.target).is_command
         self._reports = 0
 
     def check(self, percept: Mapping[str, Any]) -> None:
         """Refuse a condition before anything has moved, also one whose window comes later."""
-        if self.condition is None or self.reads_proposal:
-            return
-        try:
-            self.condition.check(percept)
-        except ConfigurationError as error:
-            raise ConfigurationError(
-                f"the fault {self.id!r} cannot be used: {error.problem}",
-                key="activation.when",
-                found=self.activation.when,
-                expected=error.expected,
-                remedy=error.remedy,
-            ) from None
+        condition = self.trigger.condition
+        if condition is not None and not self.reads_proposal:
+            with refusing(self.id, "activation.when", condition.text):
+                condition.check(percept)
 
     def due(self, view: RoleView, channels: Mapping[str, Any]) -> bool:
+        """Whether it is to be directed at this tick."""
+        if self._after is not None:
+            self._follow(view, self._after)
+        readable = view.proposal is not None or not self.reads_proposal
         effect = view.time if self._on_command else view.time + view.dt
-        since, self._last = self._last, effect
-        activation = self.activation
-        if activation.after is not None:
-            self._follow(view)
-            waiting = [time for time in self._pending if time > effect + TOLERANCE]
-            is_due, self._pending = len(waiting) < len(self._pending), waiting
-            return is_due
-        if self.condition is not None:
-            last = math.inf if activation.not_after is None else activation.not_after
-            held = self._held
-            self._held = (
-                (view.proposal is not None or not self.reads_proposal)
-                and activation.not_before - TOLERANCE <= view.time <= last + TOLERANCE
-                and self.condition.holds(channels, view.time)
-            )
-            return self._held and not held
-        return activation.due(effect, since)
+        return self.trigger.due(view.time, channels if readable else None, effect)
 
-    def _follow(self, view: RoleView) -> None:
+    def _follow(self, view: RoleView, after: After) -> None:
         """Schedule activations after the events that the injector reported since the last tick."""
-        after = self.activation.after
         reports = view.history.get("fault_injector", ())
         for time, report in reports[self._reports :]:
-            if after is not None and isinstance(report, Injection):
+            if isinstance(report, Injection):
                 names = report.activated if after.event == "activated" else report.deactivated
                 if after.fault in names:
-                    self._pending.append(time + after.delay)
+                    self.trigger.follow(time + after.delay)
         self._reports = len(reports)

@@ -1,20 +1,22 @@
-"""Catalogue of faults: types by name, and faults from plain data, with errors that name the key."""
+"""Catalogue of faults: types by name, faults from files with errors that name the key, effects."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, get_args
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any, ClassVar, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError, create_model
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING
-from pytest_dura.faults.activation import DURATIONS, TRIGGERS
-from pytest_dura.faults.model import Fault
-from pytest_dura.faults.parts import RefusedError
+from pytest_dura.faults.activation import DURATIONS, TRIGGERS, Activation, Duration
+from pytest_dura.faults.model import FaultEffect
+from pytest_dura.faults.parts import PARAMETERS, FaultPart, RefusedError
 
 _PREFIX = "Input should be "
 _OF_ANOTHER_TYPE = ("float_type", "literal_error", "model_type", "model_attributes_type")
@@ -23,7 +25,7 @@ _TAGGED = 2
 
 
 def _fault_error(
-    kind: type[Fault], data: Mapping[str, Any], error: ValidationError
+    kind: type[BaseModel], data: Mapping[str, Any], error: ValidationError
 ) -> ConfigurationError:
     """Convert the most helpful of pydantic's errors; ``key`` is the path within the fault."""
     errors = error.errors()
@@ -64,7 +66,7 @@ def _has_part(value: Any, part: object) -> bool:
     return isinstance(value, (list, tuple)) and isinstance(part, int) and part < len(value)
 
 
-def _described(kind: type[Fault], error: Any, name: str) -> tuple[str, str | None, str]:
+def _described(kind: type[BaseModel], error: Any, name: str) -> tuple[str, str | None, str]:
     """Problem, expected values, and remedy."""
     sort, path = error["type"], error["loc"]
     holder = _holder(kind, path[:-1])
@@ -94,7 +96,7 @@ def _described(kind: type[Fault], error: Any, name: str) -> tuple[str, str | Non
 
 
 def _missing(
-    kind: type[Fault], path: Sequence[Any], name: str, meaning: str
+    kind: type[BaseModel], path: Sequence[Any], name: str, meaning: str
 ) -> tuple[str, str | None, str]:
     if list(path) == ["target"]:
         problem = f"it has no target, and nothing says where a fault of type {kind.__name__} acts"
@@ -137,11 +139,11 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models(inner)
 
 
-FAULT_TYPES: Registry[type[Fault]] = Registry(
+FAULT_TYPES: Registry[type[FaultEffect]] = Registry(
     "pytest_dura.faults",
     "fault",
-    lambda value: isinstance(value, type) and issubclass(value, Fault),
-    "a subclass of pytest_dura.Fault",
+    lambda value: isinstance(value, type) and issubclass(value, FaultEffect),
+    "a subclass of pytest_dura.FaultEffect",
     reserved=("none", "catalogue"),
 )
 
@@ -149,11 +151,11 @@ BY_CHANCE = "by_chance"
 """Key of a fault's plain data that says whether chance decides its effect; derived, not given."""
 
 
-def fault_class(name: str) -> type[Fault]:
+def fault_class(name: str) -> type[FaultEffect]:
     """Import the class of a fault type: a registered name, or ``package.module:Class``.
 
     Raises:
-        ConfigurationError: For an unknown type, and for a class that is no fault.
+        ConfigurationError: For an unknown type, and for a class that is not a type of fault.
     """
     if not isinstance(name, str) or ":" not in name:
         if name not in FAULT_TYPES:
@@ -167,50 +169,92 @@ def fault_class(name: str) -> type[Fault]:
             found=name,
             expected=FAULT_TYPES.expected,
         )
-    fault_type: type[Fault] = kind
+    fault_type: type[FaultEffect] = kind
     return fault_type
 
 
-def load_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> Fault:
-    """Make a fault of plain data, with defaults for ``id`` (the type) and ``target``.
+class FaultForm(FaultPart):
+    """Form of a fault in a file, in its types; that of a type of fault adds its ``parameters``."""
+
+    type: str
+    id: str = Field(min_length=1)
+    target: str = Field(description="A channel, a field such as `odometry.speed`, or `command`.")
+    activation: Activation
+    duration: Duration | None = Field(
+        None,
+        description="In s; `once` (one tick); {min, max} (drawn); {until, at_most};"
+        " {on, off, lasting} (intermittent); null for permanent.",
+    )
+
+    effect_class: ClassVar[Callable[..., FaultEffect]]
+
+    @property
+    def effect(self) -> FaultEffect:
+        """What it does while it acts."""
+        given = {PARAMETERS: getattr(self, PARAMETERS)} if hasattr(self, PARAMETERS) else {}
+        return self.effect_class(**given)
+
+    @property
+    def fault(self) -> Fault:
+        """The fault as plain data, in which its type has a name that other processes know."""
+        by_chance = self.activation.by_chance or self.effect.hits_by_chance
+        plain = {**self.model_dump(mode="json"), "type": FAULT_TYPES.portable(self.type)}
+        return Fault(**plain, by_chance=by_chance)
+
+
+@cache
+def form_of(kind: type[FaultEffect]) -> type[FaultForm]:
+    """Make the form of a type's faults, with the name of the type's class."""
+    fields: Any = {name: (field.annotation, field) for name, field in kind.model_fields.items()}
+    form = create_model(kind.__name__, __base__=FaultForm, **fields)
+    form.effect_class = kind
+    return form
+
+
+def fault_form(data: Mapping[str, Any] | Fault, targets: Mapping[str, str] = NOTHING) -> FaultForm:
+    """Validate a fault, with defaults for ``id`` (the type) and ``target``.
 
     Args:
-        data: As in a scenario file; or the result of :func:`parse_fault`.
+        data: As in a scenario file; or a fault.
         targets: Default target of each kind that a type can act on.
 
     Raises:
         ConfigurationError: For an unknown type or key, or a value out of range; ``key`` is the
             dotted path within the fault.
     """
-    kind = fault_class(data.get("type", ""))
-    filled = {"id": data["type"], **data, "type": _declared_type(kind, data["type"])}
+    given = data.plain() if isinstance(data, Fault) else data
+    kind = fault_class(given.get("type", ""))
+    filled = {"id": given["type"], **given, "type": _registered_type(given["type"])}
     filled.pop(BY_CHANCE, None)
     target = targets.get(kind.acts_on, kind.default_target)
     if target is not None:
         filled.setdefault("target", target)
+    form = form_of(kind)
     try:
-        return kind.model_validate(filled)
+        return form.model_validate(filled)
     except ValidationError as error:
-        raise _fault_error(kind, filled, error) from None
+        raise _fault_error(form, filled, error) from None
 
 
-def _declared_type(kind: type[Fault], given: str) -> str:
-    """Return the name that a class itself declares as its type, or the one that is given."""
-    names = get_args(kind.model_fields["type"].annotation)
-    return given if not names or given in names else str(names[0])
+def _registered_type(given: str) -> str:
+    """Return the name of the catalogue for an import path that it has."""
+    return (FAULT_TYPES.name_of(given) or given) if ":" in given else given
 
 
-def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:
-    """Fill every default into plain data; see :func:`load_fault`."""
-    return plain_fault(load_fault(data, targets))
+def parse_fault(data: Mapping[str, Any], targets: Mapping[str, str] = NOTHING) -> Fault:
+    """Read a fault of a file, defaults filled in; see :func:`fault_form`."""
+    return fault_form(data, targets).fault
 
 
-def plain_fault(fault: Fault) -> dict[str, Any]:
-    """Dump a fault as plain data, from which :func:`load_fault` makes an equal one."""
-    kind = FAULT_TYPES.portable(fault.type)
-    return {**fault.model_dump(mode="json"), "type": kind, BY_CHANCE: fault.by_chance}
+def fault_effect(fault: Fault) -> FaultEffect:
+    """Make the effect of a fault, which its type's class says.
+
+    Raises:
+        ConfigurationError: See :func:`fault_form`.
+    """
+    return fault_form(fault).effect
 
 
-def default_fault(name: str, targets: Mapping[str, str] = NOTHING) -> dict[str, Any]:
-    """Plain data of a type of the catalogue, with its default activation and parameters."""
+def default_fault(name: str, targets: Mapping[str, str] = NOTHING) -> Fault:
+    """Make a fault of a type of the catalogue, with its default activation and parameters."""
     return parse_fault({"type": name, **fault_class(name).example()}, targets)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -15,47 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.roles import FaultInjector, Injection, RoleContext
 from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import NOTHING, RoleView
-from pytest_dura.faults.activation import TOLERANCE, Lifetime, Until, parse_condition
-from pytest_dura.faults.catalogue import load_fault
-from pytest_dura.faults.model import Fault, Moment
-from pytest_dura.faults.parts import AbsentRowError, resolved
-
-BLOCK = 256
-"""Ticks that are drawn at once."""
-
-
-class Chance:
-    """Hits of a probability, one draw per tick from one stream, made in advance.
-
-    Whether a tick is hit depends on its index alone, not on the ticks of the calls.
-
-    Args:
-        probability: Probability of a hit at a tick.
-        rng: The stream, for these draws alone.
-    """
-
-    __slots__ = ("_drawn", "_hits", "_probability", "_rng")
-
-    def __init__(self, probability: float, rng: np.random.Generator) -> None:
-        self._probability, self._rng = probability, rng
-        self._hits: list[int] = []
-        self._drawn = 0
-
-    def hits(self, tick: int) -> bool:
-        """Whether this tick, counted from 0, is hit."""
-        return self.next(tick) == tick
-
-    def next(self, tick: int) -> int:
-        """First tick from this one on that is hit, or that is not drawn yet."""
-        while self._drawn <= tick:
-            hits = np.flatnonzero(self._rng.random(BLOCK) < self._probability)
-            self._hits += (hits + self._drawn).tolist()
-            self._drawn += BLOCK
-        place = bisect_left(self._hits, tick)
-        return self._hits[place] if place < len(self._hits) else self._drawn
+from pytest_dura.faults.activation import (
+    NEVER,
+    NOW,
+    TOLERANCE,
+    Lifetime,
+    Trigger,
+    Until,
+    parse_condition,
+    refusing,
+)
+from pytest_dura.faults.catalogue import fault_form
+from pytest_dura.faults.model import Moment
+from pytest_dura.faults.parts import AbsentRowError, Target, resolved
 
 
 def is_same_value(before: Any, after: Any) -> bool:
@@ -98,9 +73,6 @@ def _same_arrays(before: NDArray[Any], after: NDArray[Any]) -> bool:
     return np.array_equal(before, after, equal_nan=before.dtype.kind in "fc")
 
 
-NEVER, NOW = math.inf, -math.inf
-
-
 class FaultLife:
     """Activations of one fault in an episode, independent of the effects of other faults.
 
@@ -112,31 +84,21 @@ class FaultLife:
     """
 
     def __init__(self, fault: Fault, seed: int, dt: float) -> None:
-        self.fault = fault
-        self.target = fault.place
+        form = fault_form(fault)
+        self.id, self.activation, self.effect = fault.id, form.activation, form.effect
+        self.target = Target.parse(fault.target)
         self.lifetime: Lifetime | None = None
-        self._seed, self._dt = seed, dt
-        self._count = 0
-        self._last = -1.0
-        self._held = False
-        self._pending: list[float] = []
+        self._duration, self._seed, self._dt = form.duration, seed, dt
+        self._trigger: Trigger | None = None
+        if not self.activation.directed:
+            self._trigger = Trigger(self.activation, fault.id, dt, seed)
+        self._count, self._limit = 0, self.activation.limit
         self._memory: Any = None
         self._began = 0.0
-        activation = fault.activation
-        when = None if activation.directed else activation.when
-        self._condition = parse_condition(when) if when else None
-        probability = activation.probability
-        if activation.rate is not None:
-            probability = -math.expm1(-activation.rate * dt)
-        self._chance: Chance | None = None
-        if probability is not None:
-            self._chance = Chance(probability, stream(seed, f"fault:activation:{fault.id}"))
-        self._limit = activation.limit
-        self._first = activation.not_before - TOLERANCE
-        self._final = NEVER if activation.not_after is None else activation.not_after + TOLERANCE
-        self.keeps_history = fault.memory > 0.0
+        reach = self.effect.memory
+        self.keeps_history = reach > 0.0
         self._history: deque[tuple[float, Any]] = deque(
-            maxlen=math.ceil(fault.memory / dt - TOLERANCE) + 1 if self.keeps_history else 1
+            maxlen=math.ceil(reach / dt - TOLERANCE) + 1 if self.keeps_history else 1
         )
         self.wake = self._next()
 
@@ -146,25 +108,15 @@ class FaultLife:
         Raises:
             ConfigurationError: With the fault's id.
         """
-        place = "target"
-        try:
-            if not (self.target.is_command or self.target.is_message):
-                with suppress(AbsentRowError):
-                    self.target.read(channels)
-            place = "activation.when"
-            if self._condition is not None:
-                self._condition.check(channels)
-            place = "duration.until"
-            if isinstance(self.fault.duration, Until):
-                parse_condition(self.fault.duration.until).check(channels)
-        except ConfigurationError as error:
-            raise ConfigurationError(
-                f"the fault {self.fault.id!r} cannot be used: {error.problem}",
-                key=place,
-                found=error.found,
-                expected=error.expected,
-                remedy=error.remedy,
-            ) from None
+        if not (self.target.is_command or self.target.is_message):
+            with refusing(self.id, "target"), suppress(AbsentRowError):
+                self.target.read(channels)
+        if self._trigger is not None and self._trigger.condition is not None:
+            with refusing(self.id, "activation.when"):
+                self._trigger.condition.check(channels)
+        if isinstance(self._duration, Until):
+            with refusing(self.id, "duration.until"):
+                parse_condition(self._duration.until).check(channels)
 
     @property
     def active(self) -> bool:
@@ -178,10 +130,10 @@ class FaultLife:
 
     def follow(self, time: float) -> None:
         """Schedule the activation after an event that the fault follows."""
-        after = self.fault.activation.after
-        delay = after.delay if after is not None else 0.0
-        self._pending.append(time + max(delay, self._dt))
-        self.wake = self._next()
+        after = self.activation.after
+        if self._trigger is not None and after is not None:
+            self._trigger.follow(time + max(after.delay, self._dt))
+            self.wake = self._next()
 
     def ends(self, time: float, channels: Mapping[str, Any]) -> bool:
         """End the activation if its duration is over; returns whether it was."""
@@ -192,11 +144,13 @@ class FaultLife:
 
     def begins(self, time: float, channels: Mapping[str, Any]) -> bool:
         """Activate it if it is due; returns whether it was. Call it once per tick."""
-        due = self._due(time, channels)
-        self._last = time
-        began = due and self.activate(time)
+        trigger = self._trigger
+        if trigger is None:
+            self.wake = self._next()
+            return False
+        began = trigger.due(time, channels) and self.activate(time)
         # Within its window, a condition is checked at each tick, so that `wake` stays.
-        if self._condition is None or began or self._spent or time > self._final:
+        if trigger.condition is None or began or self._spent or time > trigger.final:
             self.wake = self._next()
         return began
 
@@ -204,8 +158,8 @@ class FaultLife:
         """Activate it from this time on, unless it is active or spent; returns whether it was."""
         if self.active or self._spent:
             return False
-        drawn = stream(self._seed, f"fault:duration:{self._count}:{self.fault.id}")
-        self.lifetime = Lifetime(self.fault.duration, time, self._dt, drawn)
+        drawn = stream(self._seed, f"fault:duration:{self._count}:{self.id}")
+        self.lifetime = Lifetime(self._duration, time, self._dt, drawn)
         self._count += 1
         self.wake = NOW
         return True
@@ -228,59 +182,25 @@ class FaultLife:
         if self._memory is None:
             # One moment, and so one stream, lest `apply` draw the numbers of `begin` again.
             moment = self._moment(time, time, channels)
-            self._memory = self.fault.begin(value, moment)
+            self._memory = self.effect.begin(value, moment)
             self._began = time
             if self._memory is None:
                 return whole
-        after = self.fault.apply(self._memory, value, moment)
+        after = self.effect.apply(self._memory, value, moment)
         return whole if is_same_value(value, after) else self.target.written(whole, after)
 
     @property
     def _spent(self) -> bool:
         return self._limit is not None and self._count >= self._limit
 
-    def _due(self, time: float, channels: Mapping[str, Any]) -> bool:
-        if self._chance is not None:
-            return self._in_window(time) and self._chance.hits(self._index(time))
-        if self._condition is not None:
-            held = self._held
-            self._held = self._in_window(time) and self._condition.holds(channels, time)
-            return self._held and not held
-        if self._pending:
-            waiting = [at for at in self._pending if at > time + TOLERANCE]
-            reached = len(waiting) < len(self._pending)
-            self._pending = waiting
-            return reached
-        activation = self.fault.activation
-        return not activation.directed and activation.due(time, self._last)
-
-    def _in_window(self, time: float) -> bool:
-        return self._first <= time <= self._final
-
     def _next(self) -> float:
         """Time before which it neither ends nor begins by itself."""
         if self.lifetime is not None:
             return NOW
-        if self._spent:
-            return NEVER
-        if self._pending:
-            return min(self._pending)
-        if self._chance is not None or self._condition is not None:
-            following = max(self._first, self._last + self._dt / 2)
-            if self._chance is not None:
-                index = math.ceil(following / self._dt - TOLERANCE)
-                following = self._chance.next(max(index, 0)) * self._dt
-            return following if following <= self._final else NEVER
-        activation = self.fault.activation
-        if activation.directed:
-            return NEVER
-        return activation.next_planned(self._last)
-
-    def _index(self, time: float) -> int:
-        return round(time / self._dt)
+        return NEVER if self._spent or self._trigger is None else self._trigger.next_due()
 
     def _moment(self, time: float, began: float, channels: Mapping[str, Any]) -> Moment:
-        draws = partial(stream, self._seed, f"fault:tick:{self._index(time)}:{self.fault.id}")
+        draws = partial(stream, self._seed, f"fault:tick:{round(time / self._dt)}:{self.id}")
         return Moment(time, self._dt, time - began, channels, self._history, draws)
 
 
@@ -300,8 +220,7 @@ class CampaignInjector(FaultInjector):
             ConfigurationError: For two faults of one id.
         """
         self._lives: dict[str, FaultLife] = {}
-        for data in context.faults:
-            fault = load_fault(data)
+        for fault in context.faults:
             if fault.id in self._lives:
                 raise ConfigurationError(
                     f"two faults have the id {fault.id!r}",
@@ -317,8 +236,8 @@ class CampaignInjector(FaultInjector):
         self._followers: dict[tuple[str, str], list[FaultLife]] = {}
         for life in self._lives.values():
             self._lives_at(life).append(life)
-            after = life.fault.activation.after
-            if after is not None and not life.fault.activation.directed:
+            after = life.activation.after
+            if after is not None and not life.activation.directed:
                 self._followers.setdefault((after.fault, after.event), []).append(life)
         self._directed: set[str] = set()
         self._started: list[str] = []
@@ -382,7 +301,7 @@ class CampaignInjector(FaultInjector):
             before = value
             value = life.act(before, time, self._channels)
             if value is not before:
-                tampered.append(life.fault.id)
+                tampered.append(life.id)
         if len(tampered) > 1 and is_same_value(sent, value):
             return sent, ()
         return value, tuple(tampered)
@@ -427,7 +346,7 @@ class CampaignInjector(FaultInjector):
             before = life.target.channel_of(changed)
             changed[channel] = life.act(before, time, changed)
             if changed[channel] is not before:
-                tampered[channel] = (*tampered.get(channel, ()), life.fault.id)
+                tampered[channel] = (*tampered.get(channel, ()), life.id)
         for channel in [name for name, faults in tampered.items() if len(faults) > 1]:
             if is_same_value(channels[channel], changed[channel]):  # they cancel each other
                 changed[channel] = channels[channel]

@@ -1,4 +1,4 @@
-"""Fault: type x target x activation x duration x parameters, and the targets of each type."""
+"""Effects of faults: what each type of the catalogue does to a value, and where it can act."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
-from pytest_dura.core.display import LONGEST_REPR, short_repr
+from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.metrics import COMMAND
-from pytest_dura.core.text import one_line
-from pytest_dura.faults.activation import Activation, Duration
-from pytest_dura.faults.parts import MESSAGES, PROPOSAL, FaultPart, Target
+from pytest_dura.faults.parts import MESSAGES, PARAMETERS, PROPOSAL, FaultPart, Target
 
 Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs", "prompt", "model"]
 """Kind of value that a type of fault acts on: a number in a channel or command, any value, a number
@@ -35,7 +33,7 @@ class Moment:
         channels: All channels, after the faults that were declared earlier. For a command fault,
             as the component saw them.
         history: The target's values at earlier ticks, as ``(time, value)``, the present tick last;
-            as far back as :attr:`Fault.memory` says.
+            as far back as :attr:`FaultEffect.memory` says.
         random: Makes the fault's random numbers of this tick. Each tick has a stream of its own,
             so that draws at one tick do not shift those of another.
     """
@@ -55,42 +53,36 @@ class Moment:
         return self.random()
 
 
-class Fault(FaultPart, ABC):
-    """Entry of the catalogue. Subclasses add ``parameters`` and implement :meth:`apply`.
+class FaultEffect(FaultPart, ABC):
+    """Type of the catalogue: what a fault does while it acts, made of its data once an episode.
+
+    Subclasses implement :meth:`apply`, and may add ``parameters``, a :class:`FaultPart` in which
+    each has its default, bounds, and a description with its unit.
 
     ``acts_on`` is the kind of value that the type acts on, ``default_target`` its target if none is
     given (``None``: the domain has one), and ``reference`` the corresponding entry of a threat or
     failure catalogue, if any.
     """
 
-    type: str
-    id: str = Field(min_length=1)
-    target: str = Field(description="A channel, a field such as `odometry.speed`, or `command`.")
-    activation: Activation
-    duration: Duration | None = Field(
-        None,
-        description="In s; `once` (one tick); {min, max} (drawn); {until, at_most};"
-        " {on, off, lasting} (intermittent); null for permanent.",
-    )
-
     acts_on: ClassVar[Kind]
     default_target: ClassVar[str | None] = None
     reference: ClassVar[str] = ""
 
-    def __repr__(self) -> str:
-        return one_line(
-            f"{type(self).__name__}(id={self.id!r}, target={self.target!r})", LONGEST_REPR
-        )
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Refuse fields other than ``parameters``, which no file could give a value."""
+        super().__pydantic_init_subclass__(**kwargs)
+        others = [name for name in cls.model_fields if name != PARAMETERS]
+        if others:
+            raise TypeError(
+                f"{cls.__name__} has the field {others[0]!r}; a type of fault has `parameters`"
+                " alone: declare it in their class, or as a ClassVar"
+            )
 
     @classmethod
     @abstractmethod
     def example(cls) -> dict[str, Any]:
         """Return activation and duration of the fault if only its name is given."""
-
-    @property
-    def by_chance(self) -> bool:
-        """Whether chance decides if the fault has any effect."""
-        return self.activation.by_chance or self.hits_by_chance
 
     @property
     def hits_by_chance(self) -> bool:
@@ -102,13 +94,12 @@ class Fault(FaultPart, ABC):
         """Seconds of the target's earlier values that it needs; 0 for none."""
         return 0.0
 
-    @property
-    def place(self) -> Target:
-        """Parsed target."""
-        return Target.parse(self.target)
+    def check_parameters(self, fault: Fault, channel: Channel) -> None:
+        """Refuse parameters that do not suit the fault's target.
 
-    def check_parameters(self, channel: Channel) -> None:
-        """Refuse parameters that do not suit the channel of the target.
+        Args:
+            fault: The fault as it is planned.
+            channel: The channel of its target.
 
         Raises:
             ConfigurationError: With the values that do.
@@ -182,8 +173,13 @@ _MESSAGE_CHANNELS: Mapping[str, Channel] = {"prompt": Channel("prompt"), "model"
 _COUNTED = ("objects", "array", "signs")
 
 
-def check_target(fault: Fault, channels: Mapping[str, Channel]) -> Channel:
+def check_target(fault: Fault, effect: FaultEffect, channels: Mapping[str, Channel]) -> Channel:
     """Refuse a target that does not exist, or that does not suit the fault's type or parameters.
+
+    Args:
+        fault: The fault.
+        effect: Made of it.
+        channels: The channels of its domain.
 
     Returns:
         The target's channel.
@@ -192,21 +188,20 @@ def check_target(fault: Fault, channels: Mapping[str, Channel]) -> Channel:
         ConfigurationError: With the targets that it can act on, or the parameters that it takes.
     """
     channels = {**channels, **_MESSAGE_CHANNELS}
-    target, possible = fault.place, possible_targets(fault.acts_on, channels)
+    target, acts_on = Target.parse(fault.target), effect.acts_on
+    possible = possible_targets(acts_on, channels)
     channel = channels.get(target.channel)
-    if channel is not None and (
-        _acts_on_rows(fault.acts_on, target, channel) or str(target) in possible
-    ):
-        fault.check_parameters(channel)
+    if channel is not None and (_acts_on_rows(acts_on, target, channel) or str(target) in possible):
+        effect.check_parameters(fault, channel)
         return channel
-    if fault.acts_on in ("number", "any"):
+    if acts_on in ("number", "any"):
         possible = [*possible, *_rows(channels)]
     if channel is None:
         why = f"there is no channel {target.channel!r}"
     elif target.field and target.field not in channel.fields and channel.kind != "array":
         why = f"{target.channel!r} has no part {target.field!r} that holds a number"
     else:
-        why = f"it acts on {_KIND_MEANINGS[fault.acts_on]}"
+        why = f"it acts on {_KIND_MEANINGS[acts_on]}"
     raise ConfigurationError(
         f"the fault {fault.id!r} cannot act on {str(target)!r}: {why}",
         key="target",
@@ -214,7 +209,7 @@ def check_target(fault: Fault, channels: Mapping[str, Channel]) -> Channel:
         expected="one of " + ", ".join(possible) if possible else "another type of fault",
         remedy=did_you_mean(str(target), possible, "choose a target that it can act on")
         if possible
-        else f"choose another type: no channel here holds {_KIND_MEANINGS[fault.acts_on]}",
+        else f"choose another type: no channel here holds {_KIND_MEANINGS[acts_on]}",
     )
 
 

@@ -16,12 +16,12 @@ from typing import Any
 from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.episode import EpisodeSpec, Policy, Termination, canonical
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, list_names
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.core.state import NOTHING
 from pytest_dura.domains import DEFAULT_INJECTOR, check_role_name, role_spec
-from pytest_dura.faults.catalogue import BY_CHANCE
 from pytest_dura.library.fault_campaigns import (
     NO_FAULTS,
     FaultCampaign,
@@ -93,14 +93,14 @@ class Case(Shown):
     Args:
         id: ``scenario``, ``scenario+fault+fault`` or ``scenario+none``.
         scenario: The scenario.
-        faults: The planned faults as plain data, defaults filled in.
+        faults: The planned faults, defaults filled in.
         requirements: Ids of the requirements that apply.
         without: Roles that are switched off, for the second run of each pair.
     """
 
     id: str
     scenario: Scenario
-    faults: tuple[dict[str, Any], ...]
+    faults: Faults
     requirements: tuple[str, ...]
     without: tuple[str, ...] = ()
 
@@ -111,7 +111,7 @@ class Case(Shown):
         yield "case", self.id
         yield "description", self.scenario.description
         yield "file", self.scenario.file
-        yield "faults", [str(fault.get("id") or fault["type"]) for fault in self.faults] or None
+        yield "faults", [fault.id for fault in self.faults] or None
         yield "without", self.without
         yield "requirements", self.requirements
 
@@ -268,13 +268,11 @@ class Case(Shown):
         order = [*STANDARD_ROLES, *sorted(set(roles) - set(STANDARD_ROLES))]
         return {role: roles[role] for role in order if role in roles}
 
-    def _varied(
-        self, simulator: RoleSpec, seed: int
-    ) -> tuple[dict[str, Any], tuple[dict[str, Any], ...]]:
+    def _varied(self, simulator: RoleSpec, seed: int) -> tuple[dict[str, Any], Faults]:
         """Draw the world and the faults of the run with this seed."""
         world = check_world(self.scenario, simulator, self.scenario.world)
-        faults = {fault["id"]: fault for fault in self.faults}
-        varied: set[str] = set()
+        faults = {fault.id: fault for fault in self.faults}
+        varied: dict[str, Any] = {}
         for path, spread in self.scenario.variation.items():
             # Each path has a stream of its own: a fault that this case leaves out shifts no other.
             fault, inner = split_path(path)
@@ -282,11 +280,11 @@ class Case(Shown):
             if not fault:
                 world = replace_value(world, inner, value, create=True)
             elif fault in faults:
-                faults[fault] = replace_value(faults[fault], inner, value)
-                # Values that are possible on their own may contradict each other.
-                varied.add(fault)
-        for fault in sorted(varied):
-            faults[fault] = parse_fault(self.scenario, faults[fault])
+                before = varied.get(fault) or faults[fault].plain()
+                varied[fault] = replace_value(before, inner, value)
+        for fault, plain in sorted(varied.items()):
+            # Values that are possible on their own may contradict each other.
+            faults[fault] = parse_fault(self.scenario, plain)
         return copy.deepcopy(world), tuple(copy.deepcopy(list(faults.values())))
 
 
@@ -319,7 +317,7 @@ def expand_cases(
             own = tuple(parse_scenario_fault(scenario, i) for i in range(len(scenario.faults)))
         else:
             own = known.own
-        by_id = {fault["id"]: fault for fault in own}
+        by_id = {fault.id: fault for fault in own}
         for planned in _planned(scenario, own, faults, known):
             case = _case(scenario, by_id, planned)
             before = cases.setdefault(case.id, case)
@@ -371,8 +369,8 @@ def _planned(
     return planned
 
 
-def _case(scenario: Scenario, own: Mapping[str, dict[str, Any]], planned: Faults) -> Case:
-    by_id = {fault["id"]: fault for fault in planned}
+def _case(scenario: Scenario, own: Mapping[str, Fault], planned: Faults) -> Case:
+    by_id = {fault.id: fault for fault in planned}
     if by_id == own:
         name, planned = scenario.name, tuple(own.values())
     else:
@@ -398,7 +396,7 @@ class SearchedCase(Case):
     def __repr__(self) -> str:
         """Show what differs between the searched cases of a scenario."""
         faults = [
-            {key: _without_none(part) for key, part in fault.items() if key != BY_CHANCE}
+            {key: _without_none(part) for key, part in fault.in_file().items()}
             for fault in self.faults
         ]
         scenario = self.scenario
@@ -425,7 +423,7 @@ def make_searched_case(
     Args:
         case: Gives everything else: simulator, roles, duration, requirements.
         world: The world, with nothing left to draw but what follows from the seed.
-        faults: The planned faults as plain data.
+        faults: The planned faults, as in a scenario file.
         seed: Seed of the episode.
 
     Raises:
@@ -450,10 +448,12 @@ def make_searched_case(
     )
 
 
-def _writable_fault(fault: Mapping[str, Any]) -> dict[str, Any]:
+def _writable_fault(fault: Fault) -> dict[str, Any]:
     """Remove what a file cannot hold: an id that is the fault's type need not be a valid name."""
-    named = fault["id"] != fault["type"]
-    return {key: fault[key] for key in fault if key != BY_CHANCE and (named or key != "id")}
+    written = fault.in_file()
+    if fault.id == fault.type:
+        del written["id"]
+    return written
 
 
 def _without_none(value: Any) -> Any:

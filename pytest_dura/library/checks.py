@@ -8,6 +8,7 @@ from itertools import islice, product
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.roles import STANDARD_ROLES, Role
 from pytest_dura.core.simulator import CHANNELS, SIMULATORS
@@ -80,7 +81,7 @@ def check_scenario(scenario: Scenario) -> tuple[list[ConfigurationError], Scenar
 
 def _check_faults(
     scenario: Scenario, simulator: RoleSpec | None, attempt: Callable[..., Any]
-) -> tuple[ScenarioFaults | None, dict[str, dict[str, Any]] | None]:
+) -> tuple[ScenarioFaults | None, dict[str, Fault] | None]:
     """Check the scenario's own faults and its campaigns; return both as far as they can be used."""
     faults = _own_faults(scenario, attempt)
     if faults is None:
@@ -122,7 +123,7 @@ def check_simulator_fits(case: Case, simulator: RoleSpec) -> None:
     check_channels(simulator, case.faults)
 
 
-def check_channels(simulator: RoleSpec, faults: Iterable[Mapping[str, Any]]) -> None:
+def check_channels(simulator: RoleSpec, faults: Iterable[Fault]) -> None:
     """Refuse faults of sensor channels that a simulator lacks.
 
     Raises:
@@ -131,16 +132,14 @@ def check_channels(simulator: RoleSpec, faults: Iterable[Mapping[str, Any]]) -> 
     factory = simulator_class(simulator)
     lacks: Mapping[str, str] = getattr(factory, "lacks", {})
     for index, fault in enumerate(faults):
-        channel = str(fault["target"]).partition(".")[0]
+        channel = fault.target.partition(".")[0]
         reason = lacks.get(f"{CHANNELS}{channel}")
         if reason is not None:
             key = f"faults.{index}.target"
-            raise lacks_error(factory, f"{CHANNELS}{channel}", fault["target"], reason, key=key)
+            raise lacks_error(factory, f"{CHANNELS}{channel}", fault.target, reason, key=key)
 
 
-def _own_faults(
-    scenario: Scenario, attempt: Callable[..., Any]
-) -> dict[str, dict[str, Any]] | None:
+def _own_faults(scenario: Scenario, attempt: Callable[..., Any]) -> dict[str, Fault] | None:
     """Read the scenario's faults by id; ``None`` if one of them cannot be used."""
     faults = {
         entry.name: attempt(f"faults.{index}", parse_scenario_fault, scenario, index)
@@ -262,7 +261,7 @@ def _check_variation(
     scenario: Scenario,
     simulator: RoleSpec,
     world: dict[str, Any],
-    faults: dict[str, dict[str, Any]],
+    faults: dict[str, Fault],
     path: str,
 ) -> None:
     fault, inner = split_path(path)
@@ -276,7 +275,8 @@ def _check_variation(
                 remedy=did_you_mean(fault, faults),
             )
         for value in values:
-            _try_fault(scenario, replace_value(faults[fault], inner, value), path, value)
+            varied = replace_value(faults[fault].plain(), inner, value)
+            _try_fault(scenario, varied, path, value)
         return
     create = world_checker(simulator) is not None
     for value in values:
@@ -287,13 +287,13 @@ def _check_variation(
             raise _impossible(path, value, error) from None
 
 
-def _check_together(scenario: Scenario, fault: dict[str, Any]) -> None:
+def _check_together(scenario: Scenario, fault: Fault) -> None:
     """Refuse values of a fault that are possible on their own and contradict each other."""
-    prefix = f"faults.{fault['id']}."
+    prefix = f"faults.{fault.id}."
     paths = [path for path in scenario.variation if path.startswith(prefix)]
     corners = product(*(extreme_values(scenario.variation[path]) for path in paths))
     for values in islice(corners, 256) if len(paths) > 1 else ():
-        varied = fault
+        varied: Any = fault.plain()
         for path, value in zip(paths, values, strict=True):
             varied = replace_value(varied, path.removeprefix(prefix), value)
         try:

@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypeAlias
 from pydantic import AfterValidator, Field, JsonValue, ValidationError
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
+from pytest_dura.core.fault import Fault
 from pytest_dura.domains import Domain
 from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.faults.model import possible_targets
@@ -50,8 +51,8 @@ class FaultSample(Entry):
     """From which all draws follow."""
 
 
-def expand_grid(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the faults of a :class:`FaultGrid` in plain data, the last key varying fastest.
+def expand_grid(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[Fault]:
+    """Yield the faults of a :class:`FaultGrid`, the last key varying fastest.
 
     Raises:
         ConfigurationError: For too many of them, and for one that cannot be used.
@@ -62,8 +63,8 @@ def expand_grid(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[st
     yield from _combinations(given, FaultReader(scenario))
 
 
-def _expand_sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the faults of a :class:`FaultSample` in plain data; each value has its own stream.
+def _expand_sample(scenario: Scenario, data: Mapping[str, Any]) -> Iterator[Fault]:
+    """Yield the faults of a :class:`FaultSample`; each value has its own stream.
 
     Raises:
         ConfigurationError: For one that cannot be used.
@@ -132,7 +133,7 @@ def _check_keys(kind: str, keys: Iterable[str]) -> None:
             )
 
 
-def _combinations(given: FaultGrid, reader: FaultReader) -> Iterator[dict[str, Any]]:
+def _combinations(given: FaultGrid, reader: FaultReader) -> Iterator[Fault]:
     base = _with_id(given.fault)
     paths = [path.split(".") for path in given.grid]
     names = _short_names(list(given.grid))
@@ -185,12 +186,12 @@ SingleFault: TypeAlias = str | Mapping[str, Any]
 FaultCampaign: TypeAlias = SingleFault | Sequence[SingleFault]
 """An entry of a list of fault campaigns: a name, a fault as data, a list of these, a grid or a
 sample; see :func:`expand_campaign`."""
-Faults: TypeAlias = tuple[dict[str, Any], ...]
+Faults: TypeAlias = tuple[Fault, ...]
 
 
 @dataclass(frozen=True)
 class ScenarioFaults:
-    """The checked faults of a scenario as plain data with defaults filled in.
+    """The checked faults of a scenario, with defaults filled in.
 
     Args:
         own: Those of its key ``faults``.
@@ -249,7 +250,7 @@ def read_campaigns(path: Path) -> list[FileEntry]:
 
 
 def expand_campaign(scenario: Scenario, own: Faults, campaign: object) -> list[Faults]:
-    """List the faults of each case of an entry, as plain data with defaults filled in.
+    """List the faults of each case of an entry, with defaults filled in.
 
     Args:
         scenario: Gives the domain of the faults.
@@ -287,20 +288,20 @@ def _are_faults(campaign: Sequence[Any]) -> bool:
     return bool(campaign) and all(isinstance(fault, (str, Mapping)) for fault in campaign)
 
 
-def _single_fault(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> Faults:
+def _single_fault(scenario: Scenario, own: Faults, fault: Fault) -> Faults:
     check_chains([fault])
     _check_not_varied(scenario, own, fault)
     return (fault,)
 
 
-def _check_not_varied(scenario: Scenario, own: Faults, fault: dict[str, Any]) -> None:
+def _check_not_varied(scenario: Scenario, own: Faults, fault: Fault) -> None:
     """Refuse a fault whose values the variation of the scenario's own fault would overwrite."""
-    paths = [path for path in scenario.variation if path.startswith(f"faults.{fault['id']}.")]
+    paths = [path for path in scenario.variation if path.startswith(f"faults.{fault.id}.")]
     if paths and fault not in own:
         raise ConfigurationError(
-            f"the scenario varies a fault of its own with the id {fault['id']!r}",
+            f"the scenario varies a fault of its own with the id {fault.id!r}",
             key="id",
-            found=fault["id"],
+            found=fault.id,
             expected=f"an id that the scenario's variation does not name ({paths[0]})",
             remedy="give it another `id`, or name the scenario's own fault",
         )
@@ -363,18 +364,18 @@ def _matching(scenario: Scenario, text: str) -> list[str] | None:
 
 
 def _joint_faults(scenario: Scenario, own: Faults, names: Sequence[SingleFault]) -> Faults:
-    chosen: dict[str, dict[str, Any]] = {}
+    chosen: dict[str, Fault] = {}
     for name in names:
         fault = (
             parse_fault(scenario, name)
             if isinstance(name, Mapping)
             else _fault_of_name(scenario, own, name)
         )
-        if chosen.setdefault(fault["id"], fault) != fault:
+        if chosen.setdefault(fault.id, fault) != fault:
             raise ConfigurationError(
-                f"two faults of one campaign have the id {fault['id']!r}",
+                f"two faults of one campaign have the id {fault.id!r}",
                 key="faults",
-                found=fault["id"],
+                found=fault.id,
                 expected="an id of its own for each fault",
                 remedy="give one of them another `id`",
             )
@@ -383,13 +384,13 @@ def _joint_faults(scenario: Scenario, own: Faults, names: Sequence[SingleFault])
     return tuple(chosen.values())
 
 
-def _fault_of_name(scenario: Scenario, own: Faults, name: str) -> dict[str, Any]:
+def _fault_of_name(scenario: Scenario, own: Faults, name: str) -> Fault:
     for fault in own:
-        if fault["id"] == name:
+        if fault.id == name:
             return fault
     if name in FAULT_TYPES:
         return parse_fault(scenario, {"type": name, **fault_class(name).example()})
-    known = {*FAULT_TYPES, *(fault["id"] for fault in own)}
+    known = {*FAULT_TYPES, *(fault.id for fault in own)}
     if name in (NO_FAULTS, _CATALOGUE) or set(name) & set(GLOB):
         raise ConfigurationError(
             f"{name!r} is a campaign by itself, and no fault among others",

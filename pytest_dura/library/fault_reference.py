@@ -20,8 +20,8 @@ from pytest_dura.faults.activation import (
     Until,
     parse_condition,
 )
-from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
-from pytest_dura.faults.model import Fault, Kind
+from pytest_dura.faults.catalogue import FAULT_TYPES, FaultForm, fault_class
+from pytest_dura.faults.model import FaultEffect, Kind
 from pytest_dura.faults.parts import (
     PARAMETERS,
     Span,
@@ -96,7 +96,7 @@ def _family(module: str, names: list[str], targets: Mapping[str, str]) -> Iterat
         yield from rows
 
 
-def _parameters(name: str, kind: type[Fault]) -> Iterator[str]:
+def _parameters(name: str, kind: type[FaultEffect]) -> Iterator[str]:
     model: Any = parameters_of(kind)
     for (parameter, field), row in zip(model.model_fields.items(), _fields(model), strict=True):
         search = _search(declared_span(field), f"{PARAMETERS}.{parameter}" in spans_of(kind))
@@ -157,11 +157,11 @@ def _range(schema: Mapping[str, Any]) -> str:
 def _when_and_where() -> Iterator[str]:
     """Describe activation, duration, targets and conditions from their models."""
     yield from ("## Targets", "")
-    yield _text(Fault.model_fields["target"].description)
+    yield _text(FaultForm.model_fields["target"].description)
     yield _text(Target.__doc__)
     yield from ("", "## Activation", "", _text(Activation.__doc__), "", *_table(Activation))
     yield from ("", "`after`: " + _text(After.__doc__), "", *_table(After))
-    yield from ("", "## Duration", "", _text(Fault.model_fields["duration"].description))
+    yield from ("", "## Duration", "", _text(FaultForm.model_fields["duration"].description))
     for model in _DURATIONS:
         keys = ", ".join(model.model_fields)
         yield from ("", f"`{{{keys}}}`: " + _text(model.__doc__), "", *_table(model))

@@ -8,12 +8,13 @@ from typing import Any
 
 from pytest_dura.core.episode import Termination
 from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.trust import check_registered
 from pytest_dura.faults.activation import TOLERANCE, Until, by_channels, parse_condition
-from pytest_dura.faults.catalogue import FAULT_TYPES, load_fault, plain_fault
+from pytest_dura.faults.catalogue import FaultForm, fault_form
 from pytest_dura.faults.model import (
     Channel,
-    Fault,
+    FaultEffect,
     check_condition_targets,
     check_target,
     with_proposal,
@@ -50,8 +51,8 @@ class FaultReader:
         self._conditions: set[tuple[str, str, bool]] = set()
         """Keys and texts of valid conditions, and whether they may read a proposal."""
 
-    def read(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Read a fault as plain data, with the defaults of its type and of the domain.
+    def read(self, data: Mapping[str, Any]) -> Fault:
+        """Read a fault, with the defaults of its type and of the domain.
 
         Channels have their own names in it, also where the fault uses an alias.
 
@@ -63,34 +64,33 @@ class FaultReader:
         """
         if ":" in str(data.get("type")):
             check_registered(str(data["type"]))
-        fault = load_fault(self.by_channels(data), self._targets)
-        filled = plain_fault(fault)
-        if fault.type not in FAULT_TYPES:
-            # The plain data of a user's own type need not make a fault again.
-            fault = load_fault(filled)
+        form = fault_form(self.by_channels(data), self._targets)
+        fault = form.fault
         if self._channels is not None:
-            self._check_place(fault, self._channels)
-            if fault.activation.when is not None:
+            self._check_place(fault, form.effect, self._channels)
+            if form.activation.when is not None:
                 known = self._channels
-                if fault.activation.directed:
+                if form.activation.directed:
                     known = with_proposal(known)
-                self._check_condition(fault.activation.when, known, "activation.when")
-            if isinstance(fault.duration, Until):
-                self._check_condition(fault.duration.until, self._channels, "duration.until")
+                self._check_condition(form.activation.when, known, "activation.when")
+            if isinstance(form.duration, Until):
+                self._check_condition(form.duration.until, self._channels, "duration.until")
         _check_id(fault.id)
-        self._check_times(fault)
-        return filled
+        self._check_times(form)
+        return fault
 
     def by_channels(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Copy a fault's plain data, with each channel under its own name."""
         return by_channels(data, self._aliases)
 
-    def _check_place(self, fault: Fault, channels: Mapping[str, Channel]) -> None:
+    def _check_place(
+        self, fault: Fault, effect: FaultEffect, channels: Mapping[str, Channel]
+    ) -> None:
         place = fault.type, fault.target
         if place in self._places:
-            fault.check_parameters(self._places[place])
+            effect.check_parameters(fault, self._places[place])
         else:
-            self._places[place] = check_target(fault, channels)
+            self._places[place] = check_target(fault, effect, channels)
 
     def _check_condition(self, text: str, channels: Mapping[str, Channel], key: str) -> None:
         checked = key, text, PROPOSAL in channels
@@ -98,7 +98,7 @@ class FaultReader:
             check_condition_targets(parse_condition(text).targets, channels, key)
             self._conditions.add(checked)
 
-    def _check_times(self, fault: Fault) -> None:
+    def _check_times(self, fault: FaultForm) -> None:
         """Refuse faults that can only begin after the last decision of the episode."""
         activation, end = fault.activation, self._end
         times = {"at": activation.at, "not_before": activation.not_before or None}
@@ -118,7 +118,7 @@ class FaultReader:
                 )
 
 
-def parse_fault(scenario: Scenario, data: Mapping[str, Any]) -> dict[str, Any]:
+def parse_fault(scenario: Scenario, data: Mapping[str, Any]) -> Fault:
     """Read one fault; see :meth:`FaultReader.read`."""
     return FaultReader(scenario).read(data)
 
@@ -138,7 +138,7 @@ def _check_id(name: str) -> None:
         )
 
 
-def parse_scenario_fault(scenario: Scenario, index: int) -> dict[str, Any]:
+def parse_scenario_fault(scenario: Scenario, index: int) -> Fault:
     """Read one of the scenario's own faults; see :meth:`FaultReader.read`.
 
     Raises:
@@ -173,7 +173,7 @@ def without_injector(scenario: Scenario, planned_in: str) -> ConfigurationError:
     )
 
 
-def check_chains(faults: Sequence[Mapping[str, Any]]) -> None:
+def check_chains(faults: Sequence[Fault]) -> None:
     """Refuse faults that wait for an event that cannot happen.
 
     That is: an event of a fault that is not planned, the end of a permanent one, or each other's.
@@ -181,8 +181,8 @@ def check_chains(faults: Sequence[Mapping[str, Any]]) -> None:
     Raises:
         ConfigurationError: With the key ``faults.<index>.activation.after.fault``, or ``.event``.
     """
-    by_id = {fault["id"]: fault for fault in faults}
-    after = {name: fault["activation"].get("after") for name, fault in by_id.items()}
+    by_id = {fault.id: fault for fault in faults}
+    after: Any = {name: fault.activation.get("after") for name, fault in by_id.items()}
     waits = {name: event["fault"] for name, event in after.items() if event is not None}
     for index, name in enumerate(by_id):
         if name not in waits:
@@ -229,9 +229,9 @@ def _check_circle(waits: Mapping[str, str], name: str, key: str) -> None:
         )
 
 
-def _can_end(fault: Mapping[str, Any]) -> bool:
-    """Whether a fault's duration, in plain data, has an end."""
-    duration = fault["duration"]
+def _can_end(fault: Fault) -> bool:
+    """Whether a fault's duration has an end."""
+    duration = fault.duration
     if isinstance(duration, Mapping) and "on" in duration:
         return duration.get("lasting") is not None
     return duration is not None

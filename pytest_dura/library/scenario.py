@@ -34,7 +34,7 @@ from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.text import one_line
 from pytest_dura.core.trust import check_registered
 from pytest_dura.domains import DOMAINS, Domain, domain_of, simulator_spec
-from pytest_dura.faults.catalogue import FAULT_TYPES
+from pytest_dura.faults.catalogue import FAULT_TYPES, form_of
 from pytest_dura.library.documents import Document, translate, validate
 
 SCHEMA_FILE = "scenario.schema.json"
@@ -480,7 +480,7 @@ def scenario_schema() -> dict[str, Any]:
     worlds: dict[str, type[BaseModel]] = {
         name: domain.world for name, domain in DOMAINS.items() if domain.world is not None
     }
-    faults = dict(FAULT_TYPES.items())
+    faults = {name: form_of(kind) for name, kind in FAULT_TYPES.items()}
     models: list[type[BaseModel]] = [Scenario, FaultEntry, *worlds.values(), *faults.values()]
     references, combined = models_json_schema([(model, "validation") for model in models])
     definitions = combined["$defs"]

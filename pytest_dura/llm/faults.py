@@ -36,13 +36,12 @@ class ModelFailure(ListedFault):
     The failure is made where the client meets the network, so that it is read as a real one.
     """
 
-    type: Literal["model-failure"]
     parameters: ModelFailureParameters = ModelFailureParameters()
 
     acts_on: ClassVar[Kind] = "model"
     default_target: ClassVar[str | None] = "model"
 
-    def apply(self, memory: Any, value: Delivery, moment: Moment) -> Delivery:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Delivery, moment: Moment) -> Delivery:  # noqa: ARG002 - as FaultEffect has it
         """The delivery, failing in this way; what failed before stays as it failed."""
         how: ServerFault = self.parameters.how
         return value if value.fault else replace(value, fault=how)
@@ -60,13 +59,12 @@ class ModelDelayParameters(FaultPart):
 class ModelDelay(ListedFault):
     """The model's answers take longer; past the time budget they are none."""
 
-    type: Literal["model-delay"]
     parameters: ModelDelayParameters = ModelDelayParameters()
 
     acts_on: ClassVar[Kind] = "model"
     default_target: ClassVar[str | None] = "model"
 
-    def apply(self, memory: Any, value: Delivery, moment: Moment) -> Delivery:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Delivery, moment: Moment) -> Delivery:  # noqa: ARG002 - as FaultEffect has it
         """The delivery, so much later; delays add up."""
         seconds = self.parameters.seconds
         return replace(value, delay=value.delay + seconds) if seconds else value
@@ -113,12 +111,11 @@ class PromptDrop(PromptFault):
     subclass, by its import path, whose parameters have its own names as ``KNOWN``.
     """
 
-    type: Literal["prompt-drop"]
     parameters: DropParameters = DropParameters()
 
     typical: ClassVar[Mapping[str, Any]] = {"blocks": ["LIDAR"]}
 
-    def apply(self, memory: Any, value: Prompt, moment: Moment) -> Prompt:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Prompt, moment: Moment) -> Prompt:  # noqa: ARG002 - as FaultEffect has it
         """The prompt without them."""
         dropped = set(self.parameters.blocks)
         kept = tuple(block for block in value.blocks if block.name not in dropped)
@@ -139,10 +136,9 @@ class PromptReorder(PromptFault):
     drawn anew for each prompt.
     """
 
-    type: Literal["prompt-reorder"]
     parameters: ReorderParameters = ReorderParameters()
 
-    def apply(self, memory: Any, value: Prompt, moment: Moment) -> Prompt:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Prompt, moment: Moment) -> Prompt:  # noqa: ARG002 - as FaultEffect has it
         """The prompt in another order."""
         if self.parameters.objects:
             value = reordered(value, moment.rng)
@@ -162,10 +158,9 @@ class ParaphraseParameters(FaultPart):
 class PromptParaphrase(PromptFault):
     """The prompt says the same in other words, in the system's message and in every block."""
 
-    type: Literal["prompt-paraphrase"]
     parameters: ParaphraseParameters = ParaphraseParameters()
 
-    def apply(self, memory: Any, value: Prompt, moment: Moment) -> Prompt:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Prompt, moment: Moment) -> Prompt:  # noqa: ARG002 - as FaultEffect has it
         """The prompt with the other wording."""
         wording = self.parameters.wording
         if wording in ("own", value.wording):

@@ -292,7 +292,7 @@ def _write_reduced(
     assert episode is not None
     key = recorded.spec.case, recorded.spec.component
     (original,) = [case for case in record.head.cases if (case.id, case.component) == key]
-    faults = [dict(fault) for fault in episode.spec.faults]
+    faults = [fault.plain() for fault in episode.spec.faults]
     case = original.replace(id=episode.spec.case, planned=1, faults=faults)
     untraced = with_chains(episode_record(episode, planned=True), {})
     entry = EpisodeEntry.model_validate(untraced)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from pytest_dura.evidence.redaction import Redactor
     from pytest_dura.library.cases import Case
+    from pytest_dura.library.fault_campaigns import Faults
     from pytest_dura.library.loading import Library
     from pytest_dura.library.roles import ParameterResolver
     from pytest_dura.requirements.model import Requirement
@@ -55,7 +56,7 @@ class SessionContext:
         """Ids that the markers of collected tests name."""
         self.marked: dict[str, Requirement] = {}
         """Requirements that are defined by markers alone."""
-        self._faults_of: dict[str, tuple[dict[str, Any], ...]] = {}
+        self._faults_of: dict[str, Faults] = {}
         self._library: Library | ConfigurationError | None = None
         self._redactor: Redactor | None = None
 

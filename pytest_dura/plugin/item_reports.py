@@ -311,7 +311,7 @@ def _labels(requirements: Sequence[Requirement], case: Case | None) -> Iterator[
 
 
 def _story_of(case: Case) -> str:
-    faults = " + ".join(str(fault["id"]) for fault in case.faults) or "no faults"
+    faults = " + ".join(fault.id for fault in case.faults) or "no faults"
     return ", ".join([faults, *(f"without {role}" for role in case.without)])
 
 

@@ -73,7 +73,7 @@ def case_record(
         "order": case.scenario.order,
         "id": case.id,
         "scenario": case.scenario.name,
-        "faults": [dict(fault) for fault in case.faults],
+        "faults": [fault.plain() for fault in case.faults],
         "component": component,
         "without": list(case.without),
         "off": off,

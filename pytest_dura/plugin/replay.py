@@ -172,7 +172,7 @@ def _recorded_episode(
         )
     spec = EpisodeSpec.from_json(given)
     paths = [spec.simulator.path, *(role.path for role in spec.roles.values())]
-    for path in [*paths, *(str(fault.get("type")) for fault in spec.faults)]:
+    for path in [*paths, *(fault.type for fault in spec.faults)]:
         if ":" in path:
             check_registered(path)
     roles = {name: _local_role(config, role, option) for name, role in spec.roles.items()}

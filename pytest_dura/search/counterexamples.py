@@ -15,8 +15,8 @@ import yaml
 
 from pytest_dura.campaign.falsification import FoundCounterexample, Shrinking
 from pytest_dura.core.errors import ConfigurationError, combine_errors
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.files import replace_file
-from pytest_dura.faults.catalogue import BY_CHANCE
 from pytest_dura.library.cases import SEARCHED_MARK, SearchedCase, expand_cases
 from pytest_dura.library.checks import scenario_problems
 from pytest_dura.library.documents import read_yaml
@@ -151,14 +151,13 @@ def _plain_scenario(case: SearchedCase) -> dict[str, Any]:
     data["world"] = _without_defaults(
         dict(scenario.world), lambda world: check_world(scenario, simulator, world)
     )
-    data["faults"] = [_plain_fault(scenario, fault) for fault in case.faults]
+    data["faults"] = [_written_fault(scenario, fault) for fault in case.faults]
     return {key: value for key, value in data.items() if key == "world" or value not in ([], {})}
 
 
-def _plain_fault(scenario: Scenario, fault: Mapping[str, Any]) -> dict[str, Any]:
-    given = {key: value for key, value in fault.items() if key != BY_CHANCE}
+def _written_fault(scenario: Scenario, fault: Fault) -> dict[str, Any]:
     return _without_defaults(
-        given, lambda data: parse_fault(scenario, data), fixed=("type", "target")
+        fault.in_file(), lambda data: parse_fault(scenario, data), fixed=("type", "target")
     )
 
 

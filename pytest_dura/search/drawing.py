@@ -201,7 +201,7 @@ def omissions(case: Case, world: Mapping[str, Any]) -> tuple[Omission, ...]:
         case: The case.
         world: Its world, defaults filled in.
     """
-    faults = [Omission(f"faults.{fault['id']}") for fault in case.faults]
+    faults = [Omission(f"faults.{fault.id}") for fault in case.faults]
     simulator = case.scenario.simulator_spec()
     if world_checker(simulator) is None:
         return tuple(faults)
@@ -397,7 +397,7 @@ class CaseDrawing:
             return case
         assert seed is not None
         paths = {omission.path for omission in left_out}
-        faults = [fault for fault in case.faults if f"faults.{fault['id']}" not in paths]
+        faults = [fault.plain() for fault in case.faults if f"faults.{fault.id}" not in paths]
         return make_searched_case(self.space.case, world, faults, seed)
 
 

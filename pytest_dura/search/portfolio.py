@@ -391,7 +391,7 @@ def parameter_report(parameter: Parameter) -> dict[str, Any]:
         return report | {"choice": list(parameter.values)}
     assert isinstance(parameter, FaultSlot)
     faults = {
-        choice.fault["id"]: [parameter_report(inner) for inner in choice.inner]
+        choice.fault.id: [parameter_report(inner) for inner in choice.inner]
         for choice in parameter.choices
     }
     return report | {"faults": faults}

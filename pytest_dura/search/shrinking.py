@@ -218,7 +218,8 @@ def _concrete(nominal: Nominal, case: SearchedCase) -> SearchedCase:
     concrete = nominal.checked(nominal.concrete(world, seed))
     if concrete == world:
         return case
-    return make_searched_case(nominal.case, concrete, case.faults, seed)
+    faults = [fault.plain() for fault in case.faults]
+    return make_searched_case(nominal.case, concrete, faults, seed)
 
 
 def _minimise_case(start: Simplification, accept: Violates) -> None:
@@ -290,7 +291,7 @@ def reduce_faults(
         on_run: Called with each run's faults, and the requirements that it violated.
     """
     trials = _FaultSets(spec, requirements, run, Budget(budget), on_run)
-    whole = trials.connected([fault["id"] for fault in spec.faults])
+    whole = trials.connected([fault.id for fault in spec.faults])
     reproduced: bool | None = None
     with suppress(BudgetUsedUp):
         reproduced = trials.violates(whole)
@@ -353,9 +354,9 @@ class _FaultSets:
         """The set without faults that wait for one that is not in it: they never become active."""
         planned = self.spec.faults
         awaited = {
-            fault["id"]: (fault["activation"].get("after") or {}).get("fault") for fault in planned
+            fault.id: (fault.activation.get("after") or {}).get("fault") for fault in planned
         }
-        connected = [fault["id"] for fault in planned if fault["id"] in faults]
+        connected = [fault.id for fault in planned if fault.id in faults]
         while orphans := [
             fault for fault in connected if awaited[fault] and awaited[fault] not in connected
         ]:
@@ -388,7 +389,7 @@ class _FaultSets:
 
 def with_faults(spec: EpisodeSpec, faults: FaultSet) -> EpisodeSpec:
     """The spec with these of its faults only: all else, their draws included, stays as it was."""
-    remaining = tuple(fault for fault in spec.faults if fault["id"] in faults)
+    remaining = tuple(fault for fault in spec.faults if fault.id in faults)
     if remaining == spec.faults:
         return replace(spec, timeouts=None)
     scenario = spec.case.partition("+")[0].partition("~")[0]

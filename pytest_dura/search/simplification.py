@@ -16,6 +16,7 @@ from typing import Any
 
 from pytest_dura.campaign.falsification import ParameterChange
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.domains import domain_of
 from pytest_dura.faults.catalogue import BY_CHANCE, fault_class
@@ -181,13 +182,13 @@ class Nominal:
         except ConfigurationError:
             return _REQUIRED
 
-    def fault(self, fault: Mapping[str, Any]) -> tuple[dict[str, Any], bool]:
+    def fault(self, fault: Mapping[str, Any]) -> tuple[Fault, bool]:
         """Return the fault that a fault is compared with, and whether it is the case's own.
 
         That is the case's own fault of the same id and type, else the example of its type.
         """
         for own in self.case.faults:
-            if (own["id"], own["type"]) == (fault["id"], fault["type"]):
+            if (own.id, own.type) == (fault["id"], fault["type"]):
                 return own, True
         kind = fault["type"]
         example = {"type": kind, "id": fault["id"], **fault_class(kind).example()}
@@ -229,7 +230,7 @@ def changes_of(
         _reduced(nominal, world, difference)
         for difference in _differences(world, nominal.world, ())
     ]
-    changes += _fault_changes(nominal, searched.faults)
+    changes += _fault_changes(nominal, [fault.plain() for fault in searched.faults])
     seed = searched.scenario.seed or 0
     if seed != nominal.seed:
         changes.append(ParameterChange("seed", seed, nominal.seed))
@@ -260,9 +261,10 @@ def _leaves(value: Any) -> int:
 def _fault_changes(
     nominal: Nominal, faults: Iterable[Mapping[str, Any]]
 ) -> Iterator[ParameterChange]:
-    removed = {fault["id"]: fault for fault in nominal.case.faults}
+    removed = {fault.id: fault.plain() for fault in nominal.case.faults}
     for fault in faults:
-        nominal_fault, own = nominal.fault(fault)
+        compared, own = nominal.fault(fault)
+        nominal_fault = compared.plain()
         path = f"faults.{fault['id']}"
         if own:
             del removed[fault["id"]]
@@ -424,7 +426,7 @@ class Simplification:
         scenario = self.case.scenario
         return {
             "world": self.nominal.checked(scenario.world),
-            "faults": [dict(fault) for fault in self.case.faults],
+            "faults": [fault.plain() for fault in self.case.faults],
             "seed": scenario.seed or 0,
         }
 
@@ -456,7 +458,8 @@ class Simplification:
         fault = self.data["faults"][index]
         place: Keys = ("faults", index)
         yield Knob("fault", place, (ABSENT, fault))
-        nominal_fault, own = self.nominal.fault(fault)
+        compared, own = self.nominal.fault(fault)
+        nominal_fault = compared.plain()
         spans = spans_of(fault_class(fault["type"]))
         for key in fault:
             if key in _NOT_PARAMETERS:

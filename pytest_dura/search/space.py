@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.campaign.falsification import SpaceCoverage
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.faults.catalogue import fault_class
 from pytest_dura.faults.parts import Choices, spans_of
@@ -214,16 +215,16 @@ class FaultChoice:
     """A fault that may be added to a case, and its parameters.
 
     Args:
-        fault: The fault as plain data, defaults filled in.
+        fault: The fault, defaults filled in.
         inner: Its parameters; their paths are within the fault, such as ``activation.at``.
     """
 
-    fault: Data
+    fault: Fault
     inner: tuple[Parameter, ...]
 
     def fault_with(self, values: Data) -> dict[str, Any]:
-        """Return the fault with values of its parameters by path."""
-        fault: Any = self.fault
+        """Return the fault as plain data, with values of its parameters by path."""
+        fault: Any = self.fault.plain()
         for path in (parameter.path for parameter in self.inner if parameter.path in values):
             fault = replace_value(fault, path, values[path], create=True)
         return dict(fault)
@@ -307,7 +308,7 @@ def _fault_choices(
                 raise ConfigurationError(
                     "a search adds faults one by one",
                     key="faults",
-                    found="+".join(fault["id"] for fault in planned),
+                    found="+".join(fault.id for fault in planned),
                     expected="single faults, and `at_most` for how many may act together",
                     remedy="name each of them as an entry of its own",
                 )
@@ -322,32 +323,31 @@ def _fault_choices(
 
 def _add(choices: dict[str, FaultChoice], choice: FaultChoice) -> None:
     """Add a choice once; a number behind the id tells other faults of the same id apart."""
-    for name in _ids(choice.fault):
-        named = replace(choice, fault={**choice.fault, "id": name})
+    for name in _ids(choice.fault.id):
+        named = replace(choice, fault=replace(choice.fault, id=name))
         if choices.setdefault(name, named) == named:
             return
 
 
-def _ids(fault: Data) -> Iterator[str]:
-    """Yield the fault's id, then names that are made of it."""
-    yield fault["id"]
+def _ids(name: str) -> Iterator[str]:
+    """Yield the id of a fault, then names that are made of it."""
+    yield name
     for number in itertools.count(2):
-        yield f"{fault['id'].replace(':', '-').replace('.', '-')}-{number}"
+        yield f"{name.replace(':', '-').replace('.', '-')}-{number}"
 
 
 def _inner(
-    step: float, begin_within: float, fault: Mapping[str, Any], given: Mapping[str, Any]
+    step: float, begin_within: float, fault: Fault, given: Mapping[str, Any]
 ) -> Iterable[Parameter]:
     """Yield a fault's parameters that the user did not fix, in the order of simplification."""
     latest = max(begin_within - step, step)
-    activation = fault["activation"]
-    if activation.get("at") is not None and "activation" not in given:
+    if fault.planned_at is not None and "activation" not in given:
         yield Interval("activation.at", 0.0, latest, latest)
-    if isinstance(fault["duration"], (int, float)) and "duration" not in given:
+    if isinstance(fault.duration, (int, float)) and "duration" not in given:
         longest = max(_MAX_DURATION_SHARE * begin_within, 2 * step)
         yield Interval("duration", step, longest, step)
     fixed = given.get("parameters", {})
-    for path, span in spans_of(fault_class(fault["type"])).items():
+    for path, span in spans_of(fault_class(fault.type)).items():
         if path.rpartition(".")[2] in fixed:
             continue
         if isinstance(span, Choices):
@@ -400,7 +400,7 @@ class SearchSpace:
         scenario = case.scenario
         simulator = simulator or scenario.simulator_spec()
         world = check_world(scenario, simulator, scenario.world)
-        planned = {fault["id"]: fault for fault in case.faults}
+        planned = {fault.id: fault.plain() for fault in case.faults}
         parameters: list[Parameter] = []
         for path, spread in scenario.variation.items():
             fault, inner = split_path(path)
@@ -452,7 +452,7 @@ class SearchSpace:
             ConfigurationError: If the values contradict each other.
         """
         world: Any = self.world
-        planned: dict[str, Any] = {fault["id"]: dict(fault) for fault in self.case.faults}
+        planned: dict[str, Any] = {fault.id: fault.plain() for fault in self.case.faults}
         added: list[dict[str, Any]] = []
         for path, value in values.items():
             if _is_slot(path):
@@ -464,7 +464,7 @@ class SearchSpace:
             else:
                 planned[name] = replace_value(planned[name], inner, value)
         for fault in added:
-            name = next(name for name in _ids(fault) if name not in planned)
+            name = next(name for name in _ids(fault["id"]) if name not in planned)
             planned[name] = {**fault, "id": name}
         return make_searched_case(self.case, world, planned.values(), seed)
 

@@ -85,7 +85,8 @@ class Trials:
             simulator=self.runner.simulator,
             resolver=self.runner.resolver,
         )
-        return make_searched_case(case, spec.scenario["world"], spec.faults, spec.seed)
+        faults = [fault.plain() for fault in spec.faults]
+        return make_searched_case(case, spec.scenario["world"], faults, spec.seed)
 
     def evaluate(self, batch: Batch) -> Iterator[Outcome]:
         """Yield the outcomes of a batch; an executor with room begins the next ones ahead."""

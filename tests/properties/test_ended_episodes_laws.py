@@ -20,6 +20,7 @@ from pytest_dura import (
     Assessment,
     ConfigurationError,
     Episode,
+    Fault,
     Proposal,
     Recovery,
     RecoveryPlanner,
@@ -123,13 +124,14 @@ def situations(draw: st.DrawFn) -> dict[str, Any]:
     step = draw(st.sampled_from(STEPS))
     ticks = draw(st.integers(1, 40))
     faults = [
-        {
-            "id": f"f{i}",
-            "target": draw(st.sampled_from(NAMES)),
-            "activation": {"at": draw(st.integers(0, 30)) * step},
-            "duration": draw(st.integers(1, 5)) * step,
-            "by_chance": draw(st.booleans()),
-        }
+        Fault(
+            type="bias",
+            id=f"f{i}",
+            target=draw(st.sampled_from(NAMES)),
+            activation={"at": draw(st.integers(0, 30)) * step},
+            duration=draw(st.integers(1, 5)) * step,
+            by_chance=draw(st.booleans()),
+        )
         for i in range(draw(st.integers(0, 2)))
     ]
     return {

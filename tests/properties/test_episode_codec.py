@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from roads import run, spec_of_drive
 from thermostat import Bias, Controller, HeatMonitor, JumpWatch, Meter, SwitchOff, Thermostat
 
-from pytest_dura import DependabilityMetrics, FaultRecord
+from pytest_dura import DependabilityMetrics, Fault, FaultRecord
 from pytest_dura.core import EpisodeSpec, Event, Orchestrator, RoleSpec, Tally, Termination
 from pytest_dura.evidence import episode_record
 from pytest_dura.execution import missing_episode, pack
@@ -26,7 +26,7 @@ from pytest_dura.execution.codec import DamagedEpisodeError, unpack
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60, database=None)
 GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}
 SIMULATOR = RoleSpec("thermostat:Thermostat")
-FAULT = {"id": "bias", "target": "thermometer", "activation": {"at": 0.3}, "duration": 0.4}
+FAULT = Fault("bias", "bias", "thermometer", {"at": 0.3}, 0.4)
 
 
 def fresh(episode):

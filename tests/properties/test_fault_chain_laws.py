@@ -30,7 +30,7 @@ from pytest_dura import (
     SecurityAssessor,
     Termination,
 )
-from pytest_dura.core import Divergence, GeneratorView
+from pytest_dura.core import Divergence, Fault, GeneratorView
 from pytest_dura.faults import CampaignInjector
 from pytest_dura.requirements import RequirementJudge
 
@@ -39,13 +39,13 @@ GRACE = 10
 """Ticks after a fault's end in which an alert or a recovery still answers it."""
 
 
-def bias(name: str, offset: float, **plan: Any) -> dict[str, Any]:
+def bias(name: str, offset: float, **plan: Any) -> Fault:
     """A planned bias of the channel ``level``, or of another target."""
     plan = {"target": "level", **plan}
     return fault(name, type="bias", parameters={"offset": offset}, **plan)
 
 
-def weak(name: str, **plan: Any) -> dict[str, Any]:
+def weak(name: str, **plan: Any) -> Fault:
     """A planned fault by which no command reaches the plant."""
     parameters = {"percent": 100.0}
     return fault(
@@ -210,9 +210,7 @@ def test_faults_that_cancel_each_other_manifest_nowhere(changes: list[float], tu
         fault_injector=CampaignInjector(),
     )
     reached = {record.id for record in episode.faults if record.manifested_at is not None}
-    shown = {each["id"] for each in biases if sum(changes)} | {
-        each["id"] for each in turns if turned % 2
-    }
+    shown = {each.id for each in biases if sum(changes)} | {each.id for each in turns if turned % 2}
     assert reached == shown
     assert (episode.validity == "valid") == (len(shown) == len(biases) + len(turns))
 

@@ -13,10 +13,10 @@ from injecting import Bench, Drawing, fault
 from roads import run, spec_of_drive
 
 from pytest_dura import Episode
-from pytest_dura.core import RoleSpec
+from pytest_dura.core import Fault, RoleSpec
 from pytest_dura.driving import Aggressive
 from pytest_dura.faults import CampaignInjector
-from pytest_dura.faults.injector import NOW
+from pytest_dura.faults.activation import NOW
 
 TICKS = 60
 NAMES = ("a", "b", "c", "d", "e")
@@ -71,12 +71,12 @@ types = st.sampled_from(["injecting:Drawing", "injecting:Drawing", "injecting:Re
 
 
 @st.composite
-def plans(draw: st.DrawFn) -> list[dict[str, Any]]:
+def plans(draw: st.DrawFn) -> list[Fault]:
     """Some faults, of which later ones may follow earlier ones."""
-    planned: list[dict[str, Any]] = []
+    planned: list[Fault] = []
     for name in NAMES[: draw(st.integers(2, 5))]:
         # Whether a recalled value differs rests on the faults before it: manifestation is theirs.
-        followed = [one["id"] for one in planned if one["type"] != "injecting:Recall"]
+        followed = [one.id for one in planned if one.type != "injecting:Recall"]
         parts = {"type": draw(types), "target": draw(st.sampled_from(TARGETS))}
         activation = draw(activations(followed))
         planned.append(fault(name, **parts, duration=draw(durations), **activation))
@@ -114,14 +114,14 @@ class Sleepless(CampaignInjector):
 
 
 def ran(
-    faults: Sequence[dict[str, Any]],
+    faults: Sequence[Fault],
     directed: dict[int, str],
     seed: int,
     injector: type[CampaignInjector] = CampaignInjector,
 ) -> tuple[Bench, list[tuple[str, int, float]]]:
     """A run of all ticks, and what was drawn in it."""
     Drawing.noted.clear()
-    names = {one["id"] for one in faults}
+    names = {one.id for one in faults}
     bench = Bench(*faults, channels=world, seed=seed, injector=injector)
     for tick in range(TICKS):
         name = directed.get(tick)
@@ -136,13 +136,13 @@ def of(found: Sequence[tuple[Any, ...]], names: set[str], place: int) -> list[tu
 @given(plans(), directives, st.integers(0, 2**32), st.integers(0, 4))
 @settings(derandomize=True, deadline=None, max_examples=60)
 def test_without_one_fault_the_others_begin_draw_and_end_the_same(
-    faults: list[dict[str, Any]], directed: dict[int, str], seed: int, which: int
+    faults: list[Fault], directed: dict[int, str], seed: int, which: int
 ) -> None:
-    left_out = faults[which % len(faults)]["id"]
-    followed = {one["activation"]["after"]["fault"] for one in faults if one["activation"]["after"]}
+    left_out = faults[which % len(faults)].id
+    followed = {one.activation["after"]["fault"] for one in faults if one.activation["after"]}
     assume(left_out not in followed)
-    fewer = [one for one in faults if one["id"] != left_out]
-    names = {one["id"] for one in fewer}
+    fewer = [one for one in faults if one.id != left_out]
+    names = {one.id for one in fewer}
     (many, drawn), (few, drawn_then) = ran(faults, directed, seed), ran(fewer, directed, seed)
     assert of(many.activated, names, 1) == of(few.activated, names, 1)
     assert of(many.ended, names, 1) == of(few.ended, names, 1)
@@ -152,7 +152,7 @@ def test_without_one_fault_the_others_begin_draw_and_end_the_same(
 @given(plans(), directives, st.integers(0, 2**32))
 @settings(derandomize=True, deadline=None, max_examples=30)
 def test_their_order_changes_no_draw(
-    faults: list[dict[str, Any]], directed: dict[int, str], seed: int
+    faults: list[Fault], directed: dict[int, str], seed: int
 ) -> None:
     (one, drawn), (other, drawn_then) = (
         ran(faults, directed, seed),
@@ -166,7 +166,7 @@ def test_their_order_changes_no_draw(
 @given(plans(), directives, st.integers(0, 2**32))
 @settings(derandomize=True, deadline=None, max_examples=70)
 def test_the_early_exit_skips_nothing_that_is_due(
-    faults: list[dict[str, Any]], directed: dict[int, str], seed: int
+    faults: list[Fault], directed: dict[int, str], seed: int
 ) -> None:
     quick, drawn = ran(faults, directed, seed)
     slow, drawn_then = ran(faults, directed, seed, Sleepless)

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura.core import Lazy
-from pytest_dura.faults import FAULT_TYPES, fault_class
+from pytest_dura.faults import FAULT_TYPES
 
 law = settings(derandomize=True, deadline=None, max_examples=40)
 
@@ -498,61 +498,6 @@ def test_perturbation_is_what_its_function_makes_of_the_picture(picture, level, 
 
 
 # All of them
-
-
-def neutral() -> list[str]:
-    return [name for name in FAULT_TYPES if ".faults.types." in FAULT_TYPES.path(name)]
-
-
-def stream_for(name: str) -> list[Any]:
-    """Values on which a type can act, none of which may be written into."""
-    if fault_class(name).acts_on != "image":
-        return [math.sin(index) + 0.01 * index for index in range(TICKS)]
-    found = []
-    for index in range(6):
-        picture = np.random.default_rng(index).integers(0, 256, (4, 5, 3), dtype=np.uint8)
-        picture.flags.writeable = False
-        found.append(picture)
-    return found
-
-
-def example(name: str, **changed: Any) -> dict[str, Any]:
-    data = fault_class(name).example()
-    parameters = dict(data.get("parameters", {}))
-    return fault(name, **parameters, **changed)
-
-
-def plain(values: list[Any]) -> list[Any]:
-    return [one.tolist() if isinstance(one, np.ndarray) else one for one in values]
-
-
-@pytest.mark.parametrize("name", neutral())
-def test_the_same_seed_gives_the_same_and_inputs_are_not_written_into(name: str) -> None:
-    values = stream_for(name)
-    before = plain(values)
-    one = plain(through(values, example(name, at=0.2)))
-    assert one == plain(through(values, example(name, at=0.2)))
-    assert plain(values) == before
-    assert one[:2] == before[:2], "nothing before the activation"
-    assert one != before, "the example does something"
-    assert all(math.isfinite(value) for value in np.ravel(one))
-
-
-@pytest.mark.parametrize("name", neutral())
-def test_the_draws_do_not_depend_on_other_faults(name: str) -> None:
-    values = stream_for(name)
-    other = example("loss", id="other", p=0.5, at=10.0)  # keeps a history, and never acts
-    alone = plain(through(values, example(name)))
-    assert plain(through(values, other, example(name))) == alone
-    assert plain(through(values, example(name), other)) == alone
-
-
-@pytest.mark.parametrize("name", neutral())
-def test_between_its_turns_a_fault_rests(name: str) -> None:
-    values = stream_for(name)
-    found = through(values, example(name, duration={"on": 0.1, "off": 0.2}))
-    for index, (value, shown) in enumerate(zip(values, found, strict=True)):
-        assert index % 3 == 0 or shown is value
 
 
 def test_after_a_rest_the_last_message_is_that_of_the_rest() -> None:

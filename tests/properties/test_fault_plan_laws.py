@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from injecting import Bench, Drawing, fault
 
-from pytest_dura.faults import load_fault
+from pytest_dura.core import Fault
 
 STEPS = (0.1, 0.05, 0.02, 1 / 15, 0.3)
 TICKS = 40
@@ -140,13 +140,13 @@ def test_a_fault_is_by_chance_exactly_if_seeds_differ_in_whether_it_has_an_effec
     reached = {
         bool(Bench(planned, channels=world, seed=seed).ticks(4).when()) for seed in range(60)
     }
-    assert load_fault(planned).by_chance == planned["by_chance"] == (len(reached) == 2)
+    assert planned.by_chance == (len(reached) == 2)
     if p in (0.0, 1.0):
         assert reached == {p == 1.0 and kind != "corruption of no bits"}
 
 
 def test_a_rate_is_by_chance() -> None:
-    assert load_fault(fault(rate=0.1)).by_chance
+    assert fault(rate=0.1).by_chance
 
 
 @pytest.mark.parametrize("rate, dt", [(0.5, 0.1), (5.0, 0.1), (20.0, 0.1), (5.0, 0.3)])
@@ -161,13 +161,13 @@ def test_activations_at_a_rate_are_those_of_a_poisson_process(rate: float, dt: f
 # Draws
 
 
-def drawn(*plans: dict[str, Any], ticks: int = 150) -> dict[str, list[Any]]:
+def drawn(*plans: Fault, ticks: int = 150) -> dict[str, list[Any]]:
     """What each fault came to: its activations, how long each lasted, and the numbers it drew."""
     Drawing.noted.clear()
     bench = Bench(*plans).ticks(ticks)
     came: dict[str, list[Any]] = {}
     for plan in plans:
-        name = plan["id"]
+        name = plan.id
         begun = bench.begun(name)
         ends = [tick for tick, ended in bench.ended if ended == name]
         lasted = [end - start for start, end in zip(begun, ends, strict=False)]
@@ -187,7 +187,7 @@ def test_each_fault_draws_numbers_of_its_own_which_adding_another_does_not_shift
     plans = [fault(name, type="injecting:Drawing", **BY_CHANCE[kind]) for name in ("a", "b", "c")]
     together = drawn(*plans)
     for plan in plans:
-        assert drawn(plan)[plan["id"]] == together[plan["id"]], "alone and among others"
+        assert drawn(plan)[plan.id] == together[plan.id], "alone and among others"
     assert drawn(*plans[::-1]) == together, "in any order"
     for i, name in enumerate("ab"):
         for other in "abc"[i + 1 :]:

@@ -7,7 +7,7 @@ from typing import get_args
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura.faults import default_fault, load_fault
+from pytest_dura.faults import default_fault, fault_effect, parse_fault
 from pytest_dura.llm import Delivery, ServerFault
 
 WAYS = [one for one in get_args(ServerFault) if one]
@@ -17,8 +17,8 @@ few = settings(derandomize=True, deadline=None, max_examples=60)
 
 
 def applied(kind, delivery, **parameters):
-    fault = load_fault({**default_fault(kind), "parameters": parameters})
-    return fault.apply(True, delivery, None)
+    fault = parse_fault({**default_fault(kind).plain(), "parameters": parameters})
+    return fault_effect(fault).apply(True, delivery, None)
 
 
 @few

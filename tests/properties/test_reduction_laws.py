@@ -11,7 +11,7 @@ from handmade import handmade
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura import Episode, EpisodeSpec, Requirement, RoleSpec
+from pytest_dura import Episode, EpisodeSpec, Fault, Requirement, RoleSpec
 from pytest_dura.search import reduce_faults
 
 lawful = settings(derandomize=True, deadline=None, max_examples=60)
@@ -30,12 +30,12 @@ def spec(names: list[str], waits: dict[str, str | None]) -> EpisodeSpec:
     for name in names:
         after = waits.get(name) and {"fault": waits[name], "event": "activated", "delay": 0.0}
         activation: dict[str, Any] = {"at": 1.0, "after": after}
-        faults.append({"id": name, "target": "lidar", "activation": activation})
+        faults.append(Fault("bias", name, "lidar", activation))
     return EpisodeSpec("road/free+all", 3, 7, RoleSpec("a:Simulator"), {}, faults=tuple(faults))
 
 
 def ids(spec: EpisodeSpec) -> frozenset[str]:
-    return frozenset(fault["id"] for fault in spec.faults)
+    return frozenset(fault.id for fault in spec.faults)
 
 
 def can_begin(names: frozenset[str], waits: dict[str, str | None]) -> bool:

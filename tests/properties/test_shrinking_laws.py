@@ -39,11 +39,11 @@ def violations(draw: st.DrawFn) -> tuple[SearchedCase, Any]:
     """A case, and a property of cases that it has."""
     start = draw(starts())
     needed = {name for name in ids(start) if draw(st.booleans())}
-    faults = {one["type"] for one in start.faults if draw(st.booleans())}
+    faults = {one.type for one in start.faults if draw(st.booleans())}
     slowest = draw(st.sampled_from([0.0, start.scenario.world["ego"]["speed"] - 0.05]))
 
     def violates(one: SearchedCase) -> bool:
-        there = {each["type"] for each in one.faults}
+        there = {each.type for each in one.faults}
         return (
             needed <= ids(one)
             and faults <= there

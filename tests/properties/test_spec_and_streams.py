@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pytest_dura import (
     ConfigurationError,
     EpisodeSpec,
+    Fault,
     Orchestrator,
     Policy,
     RoleSpec,
@@ -44,7 +45,19 @@ specs = st.builds(
     simulator=role_specs,
     roles=st.dictionaries(st.text(max_size=8), role_specs, max_size=4),
     scenario=objects,
-    faults=st.lists(objects, max_size=3).map(tuple),
+    faults=st.lists(
+        st.builds(
+            Fault,
+            type=st.text(max_size=8),
+            id=st.text(max_size=8),
+            target=st.text(max_size=8),
+            activation=objects,
+            duration=st.none() | positive | objects,
+            parameters=st.none() | objects,
+            by_chance=st.booleans(),
+        ),
+        max_size=3,
+    ).map(tuple),
     policy=policies,
     termination=st.builds(
         Termination, positive, st.booleans(), st.booleans(), st.none() | st.integers(1, 999)

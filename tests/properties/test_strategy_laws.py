@@ -13,7 +13,8 @@ import pytest
 from hypothesis import HealthCheck, Phase, find, given, settings
 
 from pytest_dura import strategies
-from pytest_dura.faults import load_fault
+from pytest_dura.core import Fault
+from pytest_dura.faults import parse_fault
 from pytest_dura.library import SearchedCase, current_library
 
 NAME = "intersection/congested"
@@ -37,8 +38,8 @@ def speed(case: SearchedCase) -> float:
     return case.scenario.world["ego"]["speed"]
 
 
-def fault(case: SearchedCase, kind: str) -> dict[str, Any] | None:
-    return next((one for one in case.faults if one["type"] == kind), None)
+def fault(case: SearchedCase, kind: str) -> Fault | None:
+    return next((one for one in case.faults if one.type == kind), None)
 
 
 @law
@@ -68,9 +69,9 @@ def test_what_is_drawn_lies_in_the_declared_ranges(case: SearchedCase) -> None:
         elif value is not None:
             assert value in spread.choice
     assert len(case.faults) <= 2
-    assert len({one["id"] for one in case.faults}) == len(case.faults)
+    assert len({one.id for one in case.faults}) == len(case.faults)
     for one in case.faults:
-        assert 0.0 <= one["activation"]["at"] <= scenario.duration - scenario.time_step
+        assert 0.0 <= one.activation["at"] <= scenario.duration - scenario.time_step
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -82,9 +83,9 @@ def test_a_planted_failure_shrinks_to_the_simplest_case(seed: int) -> None:
         seed,
     )
     (only,) = found.faults
-    assert only["type"] == "delay"
-    assert (only["activation"]["at"], only["duration"]) == (89.9, 0.1)
-    assert only["parameters"] == {"s": 0.0}
+    assert only.type == "delay"
+    assert (only.activation["at"], only.duration) == (89.9, 0.1)
+    assert only.parameters == {"s": 0.0}
     world = found.scenario.world
     assert speed(found) == 8.3
     assert (world["ego"]["distance"], world["ego"]["turn"]) == (50.0, "straight")
@@ -97,15 +98,15 @@ def test_times_and_magnitudes_shrink_to_round_numbers_next_to_the_threshold() ->
         one = fault(case, "gnss-jump")
         return (
             one is not None
-            and one["parameters"]["along"] <= -3.217
-            and one["activation"]["at"] <= 41.55
-            and one["duration"] >= 2.34
+            and one.parameters["along"] <= -3.217
+            and one.activation["at"] <= 41.55
+            and one.duration >= 2.34
         )
 
     (one,) = shrunk(fails, strategies.cases(NAME, NAMED)).faults
-    assert one["activation"]["at"] == 41.0
-    assert one["duration"] == 3.0
-    assert one["parameters"] == {"east": 0.0, "north": 0.0, "along": -4.0, "across": 0.0}
+    assert one.activation["at"] == 41.0
+    assert one.duration == 3.0
+    assert one.parameters == {"east": 0.0, "north": 0.0, "along": -4.0, "across": 0.0}
 
 
 def test_where_no_coarse_number_fails_one_digit_more_is_found() -> None:
@@ -125,11 +126,11 @@ def test_an_activation_is_late_before_a_magnitude_is_small() -> None:
     def fails(case: SearchedCase) -> bool:
         one = fault(case, "delay")
         # The later it begins, the more it takes: 1 s at 50 s, 2 s at 80 s.
-        return one is not None and one["parameters"]["s"] >= (one["activation"]["at"] - 20.0) / 30.0
+        return one is not None and one.parameters["s"] >= (one.activation["at"] - 20.0) / 30.0
 
     (one,) = shrunk(fails, strategies.cases(NAME, ["delay"])).faults
-    assert one["activation"]["at"] == 89.9
-    assert one["parameters"]["s"] == pytest.approx(2.4)
+    assert one.activation["at"] == 89.9
+    assert one.parameters["s"] == pytest.approx(2.4)
 
 
 @law
@@ -144,7 +145,7 @@ def test_scenarios_are_plain_ones_without_variation(scenario: Any) -> None:
 @law
 @given(strategies.faults("gnss-*", "delay", scenario=NAME))
 def test_faults_are_data_that_the_catalogue_loads(one: dict[str, Any]) -> None:
-    assert load_fault(one).type == one["type"]
+    assert parse_fault(one).type == one["type"]
     assert one["type"] == "delay" or one["type"].startswith("gnss-")
 
 

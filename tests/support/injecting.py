@@ -5,8 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
-from pytest_dura.core import Percept, RoleContext, SecurityAssessment, StateManager, Tick
-from pytest_dura.faults import CampaignInjector, Fault, FaultPart, Finite, Kind, Moment, parse_fault
+from pytest_dura.core import Fault, Percept, RoleContext, SecurityAssessment, StateManager, Tick
+from pytest_dura.faults import (
+    CampaignInjector,
+    FaultEffect,
+    FaultPart,
+    Finite,
+    Kind,
+    Moment,
+    parse_fault,
+)
 
 DT = 0.1
 
@@ -19,10 +27,9 @@ class AddParameters(FaultPart):
     sigma: Finite = 0.0
 
 
-class Add(Fault):
+class Add(FaultEffect):
     """``factor * value + amount``, plus noise, so that the order of two of them shows."""
 
-    type: str
     parameters: AddParameters = AddParameters()
     acts_on: ClassVar[Kind] = "number"
 
@@ -39,9 +46,16 @@ class Add(Fault):
         return changed
 
 
-class Drawing(Add):
-    """Adds a number that it draws, and notes each draw as ``(id, tick, number)``."""
+class DrawingParameters(FaultPart):
+    """Whose draws they are."""
 
+    of: str = ""
+
+
+class Drawing(Add):
+    """Adds a number that it draws, and notes each draw as ``(of, tick, number)``."""
+
+    parameters: DrawingParameters = DrawingParameters()  # type: ignore[assignment]
     noted: ClassVar[list[tuple[str, int, float]]] = []
 
     def begin(self, value: Any, moment: Moment) -> Any:
@@ -54,14 +68,13 @@ class Drawing(Add):
 
     def _draw(self, moment: Moment) -> float:
         number = float(moment.rng.random())
-        self.noted.append((self.id, round(moment.time / moment.dt), number))
+        self.noted.append((self.parameters.of, round(moment.time / moment.dt), number))
         return number
 
 
-class Recall(Fault):
+class Recall(FaultEffect):
     """Shows what stood there half a second ago; waits until there is that much."""
 
-    type: str
     acts_on: ClassVar[Kind] = "any"
 
     @classmethod
@@ -79,11 +92,13 @@ class Recall(Fault):
         return moment.history[0][1]
 
 
-def fault(id: str = "f", /, **fields: Any) -> dict[str, Any]:  # noqa: A002 - as in a file
-    """A planned fault in plain data; activation's keys may stand beside its own."""
+def fault(id: str = "f", /, **fields: Any) -> Fault:  # noqa: A002 - as in a file
+    """A planned fault; activation's keys may stand beside its own."""
     keys = ("at", "every", "when", "probability", "rate", "after", "not_before", "not_after")
     activation = {key: fields.pop(key) for key in (*keys, "times", "by") if key in fields}
     data = {"type": "injecting:Add", "id": id, "target": "gauge", "duration": 0.3}
+    if fields.get("type") == "injecting:Drawing":
+        fields["parameters"] = {"of": id}
     return parse_fault({**data, "activation": activation, **fields})
 
 
@@ -97,7 +112,7 @@ class Bench:
 
     def __init__(
         self,
-        *faults: Mapping[str, Any],
+        *faults: Fault,
         channels: Callable[[int], dict[str, Any]] = constant,
         seed: int = 3,
         dt: float = DT,

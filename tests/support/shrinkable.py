@@ -39,7 +39,7 @@ def crossing(*, world: Mapping[str, Any] = WORLD, **more: Any) -> Case:
 
 def fault(kind: str, target: str, **changes: Any) -> dict[str, Any]:
     """The example of a type, with other values by path, such as ``activation__at``."""
-    made: Any = default_fault(kind, {"number": target, "any": target})
+    made: Any = default_fault(kind, {"number": target, "any": target}).plain()
     for path, value in changes.items():
         made = replace_value(made, path.replace("__", "."), value, create=True)
     return dict(made)

@@ -182,7 +182,7 @@ class Bias(FaultInjector):
 
     def reset(self, context: RoleContext) -> None:
         """Read the plan."""
-        self._plan = {fault["id"]: fault for fault in context.faults}
+        self._plan = {fault.id: fault for fault in context.faults}
         self._active: set[str] = set()
         self._told: set[str] = set()
 
@@ -200,13 +200,13 @@ class Bias(FaultInjector):
         self._active = {
             name
             for name, fault in self._plan.items()
-            if (start := fault["activation"]["at"]) <= now < start + fault["duration"]
+            if (start := fault.activation["at"]) <= now < start + fault.duration
         }
         if not self._active:
             return channels, NOTHING
         changed, tampered = dict(channels), {}
         for name in sorted(self._active):
-            target = self._plan[name]["target"]
+            target = self._plan[name].target
             changed[target] = changed[target] + self.bias
             tampered[target] = (*tampered.get(target, ()), name)
         return changed, tampered

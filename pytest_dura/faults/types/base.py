@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.state import NOTHING, Lazy
-from pytest_dura.faults.model import Fault, Kind, Moment
+from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart
 
 Change: TypeAlias = Callable[[Any, np.random.Generator], Any]
@@ -178,7 +178,7 @@ class NoParameters(FaultPart):
     """No parameters."""
 
 
-class ListedFault(Fault):
+class ListedFault(FaultEffect):
     """Base of the types that know no domain.
 
     ``lasting`` and ``typical`` are the duration in s and the parameters of the fault if only its
@@ -200,7 +200,7 @@ class NumberFault(ListedFault):
 
     acts_on: ClassVar[Kind] = "number"
 
-    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as FaultEffect has it
         """Return the changed number."""
         return as_channel_value(self.changed(numeric_value(value), moment))
 

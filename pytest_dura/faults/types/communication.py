@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, ClassVar, Literal, NoReturn, TypeAlias
+from typing import Annotated, Any, ClassVar, NoReturn, TypeAlias
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.fault import Fault
 from pytest_dura.faults.activation import TOLERANCE
 from pytest_dura.faults.model import Channel, Kind, Moment, is_number
 from pytest_dura.faults.parts import (
@@ -54,7 +55,6 @@ class Latency(ReceiverFault):
     the identity.
     """
 
-    type: Literal["latency"]
     parameters: LatencyParameters = LatencyParameters()
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
@@ -76,8 +76,6 @@ class Loss(Dropping):
     With ``p`` 0 it is the identity, with ``p`` 1 it is ``denial``.
     """
 
-    type: Literal["loss"]
-
 
 class ReorderParameters(FaultPart):
     """Probability of a late message."""
@@ -94,7 +92,6 @@ class Reorder(ReceiverFault):
     message is one tick late.
     """
 
-    type: Literal["reorder"]
     parameters: ReorderParameters = ReorderParameters()
 
     @property
@@ -133,7 +130,6 @@ class Duplicate(ReceiverFault):
     i // (n + 1), until the queue is full. From then on what is shown is ``queue_s`` old.
     """
 
-    type: Literal["duplicate"]
     parameters: DuplicateParameters = DuplicateParameters()
 
     @property
@@ -167,7 +163,6 @@ class Corruption(ListedFault):
     stays as it is.
     """
 
-    type: Literal["corruption"]
     parameters: CorruptionParameters = CorruptionParameters()
 
     acts_on: ClassVar[Kind] = "any"
@@ -177,7 +172,7 @@ class Corruption(ListedFault):
         """Whether some messages are altered, and some are not."""
         return 0.0 < self.parameters.p < 1.0 and self.parameters.bits > 0
 
-    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as FaultEffect has it
         """Return the message, altered or not."""
         bits, rng = self.parameters.bits, moment.rng
         if rng.random() >= self.parameters.p or not bits:
@@ -196,7 +191,6 @@ def _corrupted(message: Any, bits: int, rng: np.random.Generator) -> Any:
 class Denial(ReceiverFault):
     """Nothing is delivered; the last message that arrived before the activation stays."""
 
-    type: Literal["denial"]
     parameters: NoParameters = NoParameters()
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as ReceiverFault has it
@@ -237,7 +231,6 @@ class Replay(ListedFault):
     the first.
     """
 
-    type: Literal["replay"]
     parameters: ReplayParameters = ReplayParameters()
 
     acts_on: ClassVar[Kind] = "any"
@@ -247,11 +240,11 @@ class Replay(ListedFault):
         """Length of the record, in s."""
         return self.parameters.s
 
-    def begin(self, value: Any, moment: Moment) -> list[Any] | None:  # noqa: ARG002 - as Fault has it
+    def begin(self, value: Any, moment: Moment) -> list[Any] | None:  # noqa: ARG002 - as FaultEffect has it
         """Return the record; ``None`` while there is none."""
         return [message for _, message in moment.history][:-1] or None
 
-    def apply(self, memory: list[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: list[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as FaultEffect has it
         """Return the recorded message whose turn it is."""
         return memory[round(moment.elapsed / moment.dt) % len(memory)]
 
@@ -280,57 +273,26 @@ class Masquerade(ListedFault):
     it; or ``value``. With neither it is ``freeze``.
     """
 
-    type: Literal["masquerade"]
     parameters: MasqueradeParameters = MasqueradeParameters()
 
     acts_on: ClassVar[Kind] = "any"
 
-    def check_parameters(self, channel: Channel) -> None:
+    def check_parameters(self, fault: Fault, channel: Channel) -> None:
         """Refuse what no message of the channel holds.
 
         What is in its objects, pictures and signs, and in other values, is not known beforehand.
         """
-        given, place = self.parameters, self.place
+        given, place = self.parameters, Target.parse(fault.target)
         if given.value is not None:
             if is_number(place, channel):
-                self._check_number("value", given.value)
+                _check_number(fault, "value", given.value)
             elif channel.kind in _HOLD_MORE and not place.field:
                 remedy = "name one field as the target, or give `forged`"
-                self._refuse("value", given.value, "is a whole message", "`forged`", remedy)
+                _refuse(fault, "value", given.value, "is a whole message", "`forged`", remedy)
         for name, forged in given.forged.items():
-            self._check_field(channel, name, forged)
+            _check_field(fault, place, channel, name, forged)
 
-    def _check_field(self, channel: Channel, name: str, forged: object) -> None:
-        field = self.place.field
-        if is_number(self.place, channel):
-            self._refuse("forged", name, "is a part of a number", "`value`", "give `value`")
-        path = f"{field}.{name}" if field else name
-        if channel.kind in _COLUMNS and is_number(Target(self.place.channel, path), channel):
-            self._check_number("forged", forged)
-        elif channel.kind in (*_COLUMNS, "objects"):
-            known = ", ".join(channel.fields) or ("<row>.<column>" if channel.columns else "")
-            remedy = did_you_mean(name, channel.fields, "name a number of the message")
-            expected = f"one of {known}" if known else "another target, with fields"
-            self._refuse(
-                "forged", name, f"is no number in {self.place.channel!r}", expected, remedy
-            )
-
-    def _check_number(self, key: str, forged: object) -> None:
-        if isinstance(forged, (bool, str)):
-            self._refuse(
-                key, forged, "is no number, where one belongs", "a number", "give a number"
-            )
-
-    def _refuse(self, key: str, found: object, why: str, expected: str, remedy: str) -> NoReturn:
-        raise ConfigurationError(
-            f"the fault {self.id!r} cannot be used: what is forged {why}",
-            key=f"parameters.{key}",
-            found=found,
-            expected=expected,
-            remedy=remedy,
-        )
-
-    def begin(self, value: Any, moment: Moment) -> tuple[Any]:  # noqa: ARG002 - as Fault has it
+    def begin(self, value: Any, moment: Moment) -> tuple[Any]:  # noqa: ARG002 - as FaultEffect has it
         """Return the forged message.
 
         Raises:
@@ -344,6 +306,37 @@ class Masquerade(ListedFault):
             message = with_part(message, field, forged)
         return (message,)
 
-    def apply(self, memory: tuple[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: tuple[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as FaultEffect has it
         """Return the forged message."""
         return memory[0]
+
+
+def _check_field(fault: Fault, place: Target, channel: Channel, name: str, forged: object) -> None:
+    if is_number(place, channel):
+        _refuse(fault, "forged", name, "is a part of a number", "`value`", "give `value`")
+    path = f"{place.field}.{name}" if place.field else name
+    if channel.kind in _COLUMNS and is_number(Target(place.channel, path), channel):
+        _check_number(fault, "forged", forged)
+    elif channel.kind in (*_COLUMNS, "objects"):
+        known = ", ".join(channel.fields) or ("<row>.<column>" if channel.columns else "")
+        remedy = did_you_mean(name, channel.fields, "name a number of the message")
+        expected = f"one of {known}" if known else "another target, with fields"
+        _refuse(fault, "forged", name, f"is no number in {place.channel!r}", expected, remedy)
+
+
+def _check_number(fault: Fault, key: str, forged: object) -> None:
+    if isinstance(forged, (bool, str)):
+        why = "is no number, where one belongs"
+        _refuse(fault, key, forged, why, "a number", "give a number")
+
+
+def _refuse(  # noqa: PLR0917 - the parts of one message
+    fault: Fault, key: str, found: object, why: str, expected: str, remedy: str
+) -> NoReturn:
+    raise ConfigurationError(
+        f"the fault {fault.id!r} cannot be used: what is forged {why}",
+        key=f"parameters.{key}",
+        found=found,
+        expected=expected,
+        remedy=remedy,
+    )

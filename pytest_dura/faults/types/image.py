@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,12 +59,12 @@ class ImageFault(ListedFault):
 
     acts_on: ClassVar[Kind] = "image"
 
-    def begin(self, value: Any, moment: Moment) -> bool:  # noqa: ARG002 - as Fault has it
+    def begin(self, value: Any, moment: Moment) -> bool:  # noqa: ARG002 - as FaultEffect has it
         """Check one picture now, lest a wrong one fail in the component that reads it."""
         as_picture(value)
         return True
 
-    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as FaultEffect has it
         """Return the changed picture, made when it is read."""
         return value if self.has_no_effect else change_lazily(value, moment.rng, self._changed)
 
@@ -100,7 +100,6 @@ class BrightnessParameters(FaultPart):
 class Brightness(ImageFault):
     """Over- or underexposure: each level times ``gain`` plus ``levels``, clipped to 0 to 255."""
 
-    type: Literal["brightness"]
     parameters: BrightnessParameters = BrightnessParameters()
 
     @property
@@ -126,7 +125,6 @@ class SaltAndPepperParameters(FaultPart):
 class SaltAndPepper(ImageFault):
     """Dead pixels: a ``share`` of them is white or black, each as likely."""
 
-    type: Literal["salt-and-pepper"]
     parameters: SaltAndPepperParameters = SaltAndPepperParameters()
 
     @property
@@ -163,7 +161,6 @@ class PatchParameters(FaultPart):
 class Patch(ImageFault):
     """A square patch of one colour, cut off at the edges: dirt on the lens, or a sticker."""
 
-    type: Literal["patch"]
     parameters: PatchParameters = PatchParameters()
 
     @property

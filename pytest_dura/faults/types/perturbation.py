@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -46,7 +46,6 @@ class Perturbation(ListedFault):
     failures are not laid at the door of the component that reads the picture.
     """
 
-    type: Literal["perturbation"]
     parameters: PerturbationParameters
 
     acts_on: ClassVar[Kind] = "image"
@@ -55,7 +54,7 @@ class Perturbation(ListedFault):
         "params": {"sigma": 25.0},
     }
 
-    def apply(self, memory: Any, value: Any, moment: Moment) -> Picture:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Picture:  # noqa: ARG002 - as FaultEffect has it
         """Return the perturbed picture.
 
         Raises:

@@ -40,7 +40,6 @@ class Bias(NumberFault):
     With both at 0 it is the identity.
     """
 
-    type: Literal["bias"]
     parameters: BiasParameters = BiasParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
@@ -59,7 +58,6 @@ class DriftParameters(FaultPart):
 class Drift(NumberFault):
     """An error that grows from 0 at the activation: the number plus ``rate`` times the seconds."""
 
-    type: Literal["drift"]
     parameters: DriftParameters = DriftParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:
@@ -81,7 +79,6 @@ class NoiseParameters(FaultPart):
 class Noise(NumberFault):
     """A random error of mean 0, drawn anew at each tick. With ``sigma`` 0 it is the identity."""
 
-    type: Literal["noise"]
     parameters: NoiseParameters = NoiseParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:
@@ -106,7 +103,6 @@ class GainParameters(FaultPart):
 class Gain(NumberFault):
     """A wrong scale: the number times ``factor``. The identity is at 1."""
 
-    type: Literal["gain"]
     parameters: GainParameters = GainParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
@@ -125,7 +121,6 @@ class StuckAtParameters(FaultPart):
 class StuckAt(NumberFault):
     """The number is ``value``, whatever is true."""
 
-    type: Literal["stuck-at"]
     parameters: StuckAtParameters = StuckAtParameters()
 
     def changed(self, value: Numeric, moment: Moment) -> Numeric:  # noqa: ARG002 - as NumberFault has it
@@ -149,12 +144,11 @@ class BitFlip(ListedFault):
     from the sign and the mantissa. A channel that keeps shorter floats has those flipped.
     """
 
-    type: Literal["bit-flip"]
     parameters: BitFlipParameters = BitFlipParameters()
 
     acts_on: ClassVar[Kind] = "number"
 
-    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as FaultEffect has it
         """Return the number with its bits flipped."""
         bits, rng = self.parameters.bits, moment.rng
         given = numeric_value(value)
@@ -192,7 +186,6 @@ class OutOfRangeParameters(FaultPart):
 class OutOfRange(NumberFault):
     """A value that cannot be: ``high + excess``, or ``low - excess`` with side ``below``."""
 
-    type: Literal["out-of-range"]
     parameters: OutOfRangeParameters
 
     typical: ClassVar[Mapping[str, Any]] = {"low": 0.0, "high": 100.0}
@@ -214,7 +207,6 @@ class LossOfEffectivenessParameters(FaultPart):
 class LossOfEffectiveness(NumberFault):
     """The actuator does less than it is told: the command times ``1 - percent / 100``."""
 
-    type: Literal["loss-of-effectiveness"]
     parameters: LossOfEffectivenessParameters = LossOfEffectivenessParameters()
 
     acts_on: ClassVar[Kind] = "command"
@@ -238,7 +230,6 @@ class Lag(ReceiverFault):
     After t seconds of a constant command, exp(-t / s) of the way to it is left.
     """
 
-    type: Literal["lag"]
     parameters: LagParameters = LagParameters()
 
     acts_on: ClassVar[Kind] = "command"
@@ -257,15 +248,12 @@ class Lag(ReceiverFault):
 class StuckCommand(Held):
     """The command of the activation stays, whatever is commanded then."""
 
-    type: Literal["stuck-command"]
-
     acts_on: ClassVar[Kind] = "command"
 
 
 class Inversion(NumberFault):
     """The actuator does the opposite: the command with its sign inverted."""
 
-    type: Literal["inversion"]
     parameters: NoParameters = NoParameters()
 
     acts_on: ClassVar[Kind] = "command"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
@@ -80,7 +80,7 @@ class ReceiverFault(ListedFault):
         """One tick: the previous message stays if none arrives."""
         return _ONE_TICK
 
-    def begin(self, value: Any, moment: Moment) -> Receiver:  # noqa: ARG002 - as Fault has it
+    def begin(self, value: Any, moment: Moment) -> Receiver:  # noqa: ARG002 - as FaultEffect has it
         """Return a new receiver."""
         return Receiver()
 
@@ -124,19 +124,17 @@ class Held(ListedFault):
 
     parameters: NoParameters = NoParameters()
 
-    def begin(self, value: Any, moment: Moment) -> tuple[Any]:  # noqa: ARG002 - as Fault has it
+    def begin(self, value: Any, moment: Moment) -> tuple[Any]:  # noqa: ARG002 - as FaultEffect has it
         """Return the value that stays, as it is now."""
         return (resolved(value),)
 
-    def apply(self, memory: tuple[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: tuple[Any], value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as FaultEffect has it
         """Return the remembered value."""
         return memory[0]
 
 
 class Freeze(Held):
     """The value of the activation stays; it shows from the next tick on."""
-
-    type: Literal["freeze"]
 
     acts_on: ClassVar[Kind] = "any"
 
@@ -146,8 +144,6 @@ class Omission(Dropping):
 
     With ``p`` 0 it is the identity.
     """
-
-    type: Literal["omission"]
 
 
 class DelayParameters(FaultPart):
@@ -165,7 +161,6 @@ class Delay(ListedFault):
     oldest value stands.
     """
 
-    type: Literal["delay"]
     parameters: DelayParameters = DelayParameters()
 
     acts_on: ClassVar[Kind] = "any"
@@ -175,7 +170,7 @@ class Delay(ListedFault):
         """Delay, in s."""
         return self.parameters.s
 
-    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as Fault has it
+    def apply(self, memory: Any, value: Any, moment: Moment) -> Any:  # noqa: ARG002 - as FaultEffect has it
         """Return the remembered value."""
         late = _ticks_of(self.parameters.s, moment.dt)
         return value_at(moment, moment.time - late * moment.dt) if late else value
@@ -193,7 +188,6 @@ class SlowParameters(FaultPart):
 class Slow(ReceiverFault):
     """The value is refreshed ``hz`` times per second only, first at the activation."""
 
-    type: Literal["slow"]
     parameters: SlowParameters = SlowParameters()
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:
@@ -222,7 +216,6 @@ class Intermittent(ReceiverFault):
     While it is off, the last value delivered stays.
     """
 
-    type: Literal["intermittent"]
     parameters: IntermittentParameters = IntermittentParameters()
 
     def received(self, receiver: Receiver, value: Any, moment: Moment) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 from corridor import Careful, Corridor, Watch
 
@@ -18,7 +18,7 @@ from pytest_dura import (
     RecoveryPlanner,
     SafetyMonitor,
 )
-from pytest_dura.faults import Fault
+from pytest_dura.faults import FaultEffect
 
 
 class Stumbles(Careful):
@@ -123,16 +123,15 @@ class Nudge(FaultInjector):
         return Injection()
 
     def corrupt(self, channels, time):
-        due = [fault["id"] for fault in self.faults if time > fault["activation"]["at"] + 1e-9]
+        due = [fault.id for fault in self.faults if time > fault.activation["at"] + 1e-9]
         if not due:
             return channels, {}
         return {**channels, "gap": channels["gap"] + 0.001}, {"gap": tuple(due)}
 
 
-class Drizzle(Fault):
+class Drizzle(FaultEffect):
     """A fault that is there by chance, and never is."""
 
-    type: Literal["oddities:Drizzle"]
     acts_on: ClassVar[str] = "any"
     default_target: ClassVar[str] = "gap"
 

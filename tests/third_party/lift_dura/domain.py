@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -133,7 +133,6 @@ class SlipParameters(FaultPart):
 class Slip(NumberFault):
     """The encoder slipped: it shows ``metres`` too little."""
 
-    type: Literal["slip"]
     parameters: SlipParameters = SlipParameters()
 
     def changed(self, value: Any, moment: Moment) -> Any:

@@ -369,7 +369,7 @@ def test_in_an_unknown_domain_a_fault_needs_a_target_and_no_more_is_known(tmp_pa
     file.write_text(room + one(AT, rest="target: thermomter"))
     (case,) = expand_cases(load_scenarios([file]))
     spec = case.spec(0, 1, simulator=RoleSpec.of(Room))
-    assert spec.faults[0]["target"] == "thermomter"
+    assert spec.faults[0].target == "thermomter"
 
 
 def scenario(tmp_path: Path) -> Any:
@@ -393,7 +393,7 @@ def test_a_campaign_that_leaves_out_what_a_fault_waits_for_is_refused(
 
 def test_a_campaign_that_has_both_is_fine(tmp_path: Path) -> None:
     (case,) = expand_cases(scenario(tmp_path), ["second+first"])
-    assert [fault["id"] for fault in case.faults] == ["first", "second"]
+    assert [fault.id for fault in case.faults] == ["first", "second"]
 
 
 VARIED = """\
@@ -414,7 +414,7 @@ def test_values_that_are_possible_each_and_not_together_are_refused(tmp_path: Pa
     file.write_text(HEAD + fault + VARIED.replace("max: 3.0", "max: 2.0"))
     (case,) = expand_cases(load_scenarios([file]))
     for run in range(20):
-        duration = case.spec(run, 0).faults[0]["duration"]
+        duration = case.spec(run, 0).faults[0].duration
         assert 1.0 <= duration["min"] <= 2.0 <= duration["max"] <= 4.0
 
 
@@ -424,7 +424,7 @@ def test_whether_a_fault_is_by_chance_follows_what_was_drawn(tmp_path: Path) -> 
     file.write_text(HEAD + one("{probability: 0.5}") + vary)
     (case,) = expand_cases(load_scenarios([file]))
     found = {
-        spec.faults[0]["activation"]["probability"]: spec.faults[0]["by_chance"]
+        spec.faults[0].activation["probability"]: spec.faults[0].by_chance
         for spec in (case.spec(run, 0) for run in range(20))
     }
     assert found == {0.5: True, 1.0: False}

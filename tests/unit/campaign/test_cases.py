@@ -79,16 +79,16 @@ def test_cases_are_sorted_by_scenario_and_keep_the_order_of_campaigns() -> None:
 def test_a_case_carries_faults_with_defaults_and_requirements() -> None:
     case = only(make(faults=[GHOST], requirements=["SAF-1"]))
     (fault,) = case.faults
-    assert fault["id"] == "ghost-obstacle"
-    assert fault["target"] == "lidar"
-    assert fault["parameters"]["ahead"] > 0
+    assert fault.id == "ghost-obstacle"
+    assert fault.target == "lidar"
+    assert fault.parameters["ahead"] > 0
     assert case.requirements == ("SAF-1",)
 
 
 def test_a_name_means_the_scenarios_own_fault_before_the_catalogues() -> None:
     own = {**GHOST, "duration": 1.25}
     case = only(make(faults=[own, SPOOF]), ["ghost-obstacle"])
-    assert case.faults[0]["duration"] == 1.25
+    assert case.faults[0].duration == 1.25
 
 
 def test_an_unknown_fault() -> None:
@@ -152,7 +152,7 @@ def test_variation_differs_between_runs_and_stays_in_its_range() -> None:
     scenario = make(faults=[GHOST], variation=VARIATION, world={"traffic": {}})
     specs = [only(scenario).spec(run, 1) for run in range(20)]
     headways = [spec.scenario["world"]["traffic"]["headway"] for spec in specs]
-    times = [spec.faults[0]["activation"]["at"] for spec in specs]
+    times = [spec.faults[0].activation["at"] for spec in specs]
     assert len(set(headways)) == len(set(times)) == 20
     assert all(20.0 <= value <= 24.0 for value in headways)
     assert all(1.5 <= value <= 3.0 for value in times)
@@ -186,10 +186,10 @@ def test_specs_do_not_share_mutable_data() -> None:
     case = only(make(faults=[GHOST], world={"traffic": {}}))
     spec = case.spec(0, 1)
     spec.scenario["world"]["traffic"]["headway"] = -1  # type: ignore[index]
-    spec.faults[0]["activation"]["at"] = -1
+    spec.faults[0].activation["at"] = -1
     again = case.spec(0, 1)
     assert again.scenario["world"]["traffic"]["headway"] > 0
-    assert again.faults[0]["activation"]["at"] == 2.0
+    assert again.faults[0].activation["at"] == 2.0
 
 
 def test_a_seed_and_a_policy_can_be_given() -> None:

@@ -66,7 +66,7 @@ def test_a_varied_target_is_drawn_as_the_same_channel() -> None:
     cases = [cases_of(name, faults=[late], variation=varied)[0] for name in ("lidar", "objects")]
     keys = [[case.spec(number, 5).key for number in range(6)] for case in cases]
     assert keys[0] == keys[1]
-    targets = {case.spec(number, 5).faults[0]["target"] for case in cases for number in range(6)}
+    targets = {case.spec(number, 5).faults[0].target for case in cases for number in range(6)}
     assert targets == {"lidar", "radar"}
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from pytest_dura.core import EpisodeSpec, Policy, RoleSpec, Termination
+from pytest_dura.core import EpisodeSpec, Fault, Policy, RoleSpec, Termination
 from pytest_dura.execution import Addresses, EpisodeTask, describe_machine
 from pytest_dura.execution import address as module
 from pytest_dura.library import LocalRole
@@ -50,7 +50,7 @@ def task(**changes):
         "case": "a/b", "run": 1, "seed": 5,
         "simulator": RoleSpec("thermostat:Thermostat", {"gain": 1.0}),
         "roles": {"generator": RoleSpec(GENERATOR, {"x": 1}), "safety_monitor": RoleSpec(MONITOR)},
-        "scenario": {"world": {"wall": 3.0}}, "faults": ({"id": "f", "target": "t"},),
+        "scenario": {"world": {"wall": 3.0}}, "faults": (Fault("bias", "f", "t"),),
     }  # fmt: skip
     own = {name: changes.pop(name) for name in list(changes) if name in EpisodeTask.__match_args__}
     return EpisodeTask(EpisodeSpec(**{**spec, **changes}), **own)

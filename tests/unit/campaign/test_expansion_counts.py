@@ -36,12 +36,12 @@ def test_each_fault_of_a_grid_is_read_and_validated_once(
         monkeypatch.setattr(owner, name, counted)
 
     count(FaultReader, "read")
-    count(planned_faults, "load_fault")
+    count(planned_faults, "fault_form")
     count(planned_faults, "check_target")
     values = [5.0 + step for step in range(number)]
     (tmp_path / "grid.yaml").write_text(SCENARIO.format(values=values), encoding="utf-8")
     library = load_library([tmp_path], builtin=False)
     cases = expand_cases(library.scenarios, read=library.faults)
     assert len({case.id for case in cases}) == number
-    assert done == {"read": number, "load_fault": number, "check_target": 1}
+    assert done == {"read": number, "fault_form": number, "check_target": 1}
     assert cases == expand_cases(library.scenarios)

@@ -13,7 +13,7 @@ from handmade import handmade
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pytest_dura import Episode, EpisodeSpec, RoleSpec
+from pytest_dura import Episode, EpisodeSpec, Fault, RoleSpec
 from pytest_dura.requirements import Requirement
 from pytest_dura.search import Reduction, reduce_faults
 from pytest_dura.search.shrinking import with_faults
@@ -24,7 +24,7 @@ NAMES = tuple("abcdefgh")
 
 def planned(name: str, after: str | None = None) -> dict[str, Any]:
     waits = None if after is None else {"fault": after, "event": "activated", "delay": 0.0}
-    return {"id": name, "target": "lidar", "activation": {"at": 1.0, "after": waits}}
+    return Fault("bias", name, "lidar", {"at": 1.0, "after": waits})
 
 
 def spec(*faults: dict[str, Any]) -> EpisodeSpec:
@@ -44,7 +44,7 @@ def reduced(
     tried = []
 
     def run(one: EpisodeSpec) -> Episode:
-        ids = frozenset(fault["id"] for fault in one.faults)
+        ids = frozenset(fault.id for fault in one.faults)
         tried.append(ids)
         return episode(one, gap=-1.0 if violates(ids) else 1.0)
 
@@ -61,7 +61,7 @@ def test_the_smallest_set_is_found_whatever_the_causes(causes: set[frozenset[str
     assert any(cause == frozenset(found.faults) for cause in causes)
     assert found.violated == ("SAF-1",)
     assert found.episode is not None
-    assert {fault["id"] for fault in found.episode.spec.faults} == set(found.faults)
+    assert {fault.id for fault in found.episode.spec.faults} == set(found.faults)
 
 
 def test_not_even_monotone_causes_lead_it_astray() -> None:

@@ -100,7 +100,7 @@ def test_a_searched_case_is_fixed_whatever_the_sessions_seed() -> None:
 def test_two_added_faults_of_one_kind_have_ids_of_their_own() -> None:
     space = SearchSpace.of(case(), [BIAS], at_most=2)
     made = space.case_with(space.values([1.0] * space.layout.size), 1)
-    assert [fault["id"] for fault in made.faults] == ["bias", "bias-2"]
+    assert [fault.id for fault in made.faults] == ["bias", "bias-2"]
 
 
 def test_faults_of_a_type_of_the_users_own_may_be_added_twice(monkeypatch) -> None:
@@ -114,7 +114,7 @@ def test_faults_of_a_type_of_the_users_own_may_be_added_twice(monkeypatch) -> No
     try:
         space = SearchSpace.of(case(), [drizzle], at_most=2)
         made = space.case_with(space.values([1.0] * space.layout.size), 1)
-        assert [one["id"] for one in made.faults] == ["oddities:Drizzle", "oddities-Drizzle-2"]
+        assert [one.id for one in made.faults] == ["oddities:Drizzle", "oddities-Drizzle-2"]
         (again,) = expand_cases([made.scenario])
         assert again.faults == made.faults
     finally:  # other tests of this process have modules of these names
@@ -126,7 +126,7 @@ def test_faults_of_one_kind_that_differ_may_each_be_added() -> None:
     mild, strong = ({**BIAS, "parameters": {"offset": offset}} for offset in (0.0, 20.0))
     space = SearchSpace.of(case(), [mild, strong, dict(mild)])
     (slot,) = [one for one in space.parameters if one.path == "faults.search-1"]
-    told = [(one.fault["id"], one.fault["parameters"]["offset"]) for one in slot.choices]
+    told = [(one.fault.id, one.fault.parameters["offset"]) for one in slot.choices]
     assert told == [("bias", 0.0), ("bias-2", 20.0)]
 
 
@@ -135,7 +135,7 @@ def test_a_fault_of_the_scenario_may_be_called_as_room_for_one_is() -> None:
     scenario = room(faults=[BIAS | {"id": "search-1"}], variation=spread)
     space = SearchSpace.of(case_with_faults(scenario, ["search-1"]))
     made = space.case_with(space.values([1.0]), 1)
-    assert [(one["id"], one["duration"]) for one in made.faults] == [("search-1", 1.5)]
+    assert [(one.id, one.duration) for one in made.faults] == [("search-1", 1.5)]
 
 
 def test_a_case_in_which_nothing_differs_cannot_be_searched() -> None:

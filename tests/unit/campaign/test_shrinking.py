@@ -16,7 +16,7 @@ BIAS = fault("bias", "odometry.speed", activation__at=1.23, parameters__offset=-
 
 
 def offsets(searched: Any) -> list[float]:
-    return [one["parameters"]["offset"] for one in searched.faults if one["type"] == "bias"]
+    return [one.parameters["offset"] for one in searched.faults if one.type == "bias"]
 
 
 @pytest.mark.parametrize(
@@ -70,10 +70,10 @@ def test_a_fault_is_made_later_shorter_and_milder() -> None:
         case,
         found(case, faults=[DELAY, BIAS]),
         lambda one: any(
-            each["type"] == "delay"
-            and each["activation"]["at"] <= 6.0
-            and each["duration"] >= 2.0
-            and each["parameters"]["s"] >= 0.5
+            each.type == "delay"
+            and each.activation["at"] <= 6.0
+            and each.duration >= 2.0
+            and each.parameters["s"] >= 0.5
             for each in one.faults
         ),
         budget=500,
@@ -126,7 +126,7 @@ def test_random_traffic_stays_where_only_it_violates() -> None:
 def test_the_scenarios_own_fault_is_led_back_to_what_it_was() -> None:
     own = {"type": "bias", "target": "odometry.speed", "activation": {"at": 2.0}, "duration": 1.0}
     case = crossing(faults=[{**own, "parameters": {"offset": 1.0}}])
-    other = {**case.faults[0], "duration": 3.3, "parameters": {"offset": 2.2}}
+    other = {**case.faults[0].plain(), "duration": 3.3, "parameters": {"offset": 2.2}}
     shrunk = shrink(
         case, found(case, faults=[other]), lambda one: any(o > 1.5 for o in offsets(one)), budget=99
     )
@@ -320,5 +320,5 @@ def test_a_fault_is_made_simpler_where_its_type_has_no_target_by_default() -> No
     bias = fault("bias", "sensor.temperature", activation__at=1.23, parameters__offset=-3.7)
     shrunk = shrink(case, found(case, faults=[bias]), lambda one: bool(one.faults), budget=200)
     (simplest,) = shrunk.case.faults
-    assert simplest["target"] == "sensor.temperature"
+    assert simplest.target == "sensor.temperature"
     assert "faults.bias" in {change.path for change in shrunk.changes}

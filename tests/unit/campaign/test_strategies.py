@@ -215,9 +215,9 @@ def test_with_nothing_left_out_and_all_nominal_the_world_is_that_of_the_scenario
 def test_a_fault_begins_late_and_is_short_and_mild_at_first(library: Library) -> None:
     drawing = CaseDrawing.of(case(library), ["delay"])
     (fault,) = drawing.draw(Picks(1)).faults
-    assert fault["activation"]["at"] == 89.9
-    assert fault["duration"] == 0.1
-    assert fault["parameters"] == {"s": 0.0}
+    assert fault.activation["at"] == 89.9
+    assert fault.duration == 0.1
+    assert fault.parameters == {"s": 0.0}
 
 
 def test_the_parameters_of_what_is_left_out_are_not_drawn(library: Library) -> None:
@@ -234,9 +234,9 @@ def test_the_scenario_s_own_fault_may_be_left_out_or_stays(library: Library) -> 
     original = case(library, "intersection/ghost-obstacle")
     assert CaseDrawing.of(original).draw(Picks(0)).faults == ()
     (kept,) = CaseDrawing.of(original).draw(Picks(1)).faults
-    assert kept["id"] == "ghost-obstacle"
+    assert kept.id == "ghost-obstacle"
     (kept,) = CaseDrawing.of(original, leave_out=False).draw(Picks(0)).faults
-    assert kept["id"] == "ghost-obstacle"
+    assert kept.id == "ghost-obstacle"
 
 
 def test_a_scenario_that_varies_nothing_differs_by_its_seed() -> None:
@@ -273,7 +273,7 @@ def what_differs(one: SearchedCase, other: SearchedCase) -> str:
     if (world["traffic"] is None) != (changed["traffic"] is None):
         return "left out"
     for key in ("type", "activation", "duration", "parameters"):
-        if any(fault[key] != now[key] for fault, now in pairs):
+        if any(getattr(fault, key) != getattr(now, key) for fault, now in pairs):
             return key
     if world != changed:
         return "world"

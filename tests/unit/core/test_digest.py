@@ -14,9 +14,18 @@ import numpy as np
 import pytest
 from thermostat import Thermostat
 
-from pytest_dura import Episode, EpisodeSpec, Orchestrator, Policy, RoleSpec, Termination, Tick
+from pytest_dura import (
+    Episode,
+    EpisodeSpec,
+    Fault,
+    Orchestrator,
+    Policy,
+    RoleSpec,
+    Termination,
+    Tick,
+)
 
-BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
+BIAS = Fault("bias", "bias", "thermometer", {"at": 0.5}, 0.3)
 
 
 def full_spec(**changes: Any) -> EpisodeSpec:
@@ -126,9 +135,9 @@ def test_a_role_more_shifts_nobodys_draws() -> None:
         lambda e: setattr(e, "termination", "goal"),
         lambda e: setattr(e, "failure", "infrastructure: x"),
         lambda e: setattr(e, "timeouts", (1,)),
-        lambda e: setattr(e.faults[0], "detected_at", 0.1),
-        lambda e: setattr(e.faults[0], "activations", 7),
-        lambda e: setattr(e.faults[0], "recovered_at", 0.1),
+        lambda e: setattr(e, "faults", (replace(e.faults[0], detected_at=0.1),)),
+        lambda e: setattr(e, "faults", (replace(e.faults[0], activations=7),)),
+        lambda e: setattr(e, "faults", (replace(e.faults[0], recovered_at=0.1),)),
         lambda e: e.metrics.robustness["safety_monitor"][1].__setitem__(0, 0.0),
         lambda e: e.signals.__setitem__("verdict", e.signals.pop("temperature")),
     ],

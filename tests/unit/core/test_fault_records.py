@@ -14,6 +14,7 @@ from pytest_dura import (
     Assessed,
     Assessment,
     Episode,
+    Fault,
     FaultInjector,
     Injection,
     Proposal,
@@ -23,7 +24,7 @@ from pytest_dura import (
     SecurityAssessor,
 )
 
-BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
+BIAS = Fault("bias", "bias", "thermometer", {"at": 0.5}, 0.3)
 
 
 def with_faults(generator: Any, *faults: Any, seconds: float = 1.5, **roles: Any) -> Episode:
@@ -205,16 +206,16 @@ def test_a_component_that_failed_before_reading_was_not_reached() -> None:
 
 
 def test_a_fault_that_ends_before_the_plan_begins_it_is_invalid_and_one_by_chance_is_not() -> None:
-    late = {**BIAS, "activation": {"at": 99.0}}
+    late = replace(BIAS, activation={"at": 99.0})
     assert with_faults(Controller(), late).validity == "invalid"
-    assert with_faults(Controller(), {**late, "by_chance": True}).validity == "valid"
-    assert with_faults(Controller(), BIAS, {**late, "id": "other"}).invalid_reason == (
+    assert with_faults(Controller(), replace(late, by_chance=True)).validity == "valid"
+    assert with_faults(Controller(), BIAS, replace(late, id="other")).invalid_reason == (
         "never manifested: other"
     )
 
 
 def test_a_halt_does_not_hide_that_the_fault_manifested() -> None:
-    cold = {**BIAS, "activation": {"at": 0.3}}
+    cold = replace(BIAS, activation={"at": 0.3})
     episode = with_faults(
         Controller(),
         cold,
@@ -255,7 +256,7 @@ class Scripted(FaultInjector):
 
 
 def test_a_command_fault_manifests_at_once_and_reaches_the_plant() -> None:
-    command = {"id": "weak", "target": "command"}
+    command = Fault("bias", "weak", "command")
     episode = with_faults(
         lambda view: Proposal(1.0), command, fault_injector=Scripted({}, {3: "weak"})
     )
@@ -267,7 +268,7 @@ def test_a_command_fault_manifests_at_once_and_reaches_the_plant() -> None:
 
 
 def test_two_faults_on_one_channel_both_manifest() -> None:
-    faults = ({"id": "a", "target": "thermometer"}, {"id": "b", "target": "thermometer"})
+    faults = (Fault("bias", "a", "thermometer"), Fault("bias", "b", "thermometer"))
     episode = with_faults(Controller(), *faults, fault_injector=Scripted({2: ("b", "a")}, {}))
     assert [fault.manifest_ticks for fault in episode.faults] == [1, 1]
     manifested = [e.subject for e in episode.events if e.kind == "fault_manifested"]
@@ -323,7 +324,7 @@ def reading_each_second(view: Any) -> Proposal:
     return Proposal(0.5)
 
 
-LONG = {**BIAS, "duration": 1.0}
+LONG = replace(BIAS, duration=1.0)
 
 
 @pytest.mark.parametrize(
@@ -353,7 +354,7 @@ def test_an_alert_before_the_component_reads_the_fake_has_detected_it(
 
 
 def test_a_command_fault_is_not_detected_at_the_tick_at_whose_end_it_first_acts() -> None:
-    command = {"id": "weak", "target": "command"}
+    command = Fault("bias", "weak", "command")
 
     class Reported(Scripted):
         def run(self, view: Any) -> Injection:
@@ -439,7 +440,7 @@ def test_without_recovery_a_refused_proposal_is_no_recovery() -> None:
 
 
 def test_what_was_decided_before_the_command_was_changed_is_no_answer_to_it() -> None:
-    command = {"id": "weak", "target": "command"}
+    command = Fault("bias", "weak", "command")
 
     def chained(*ticks: int) -> Any:
         (fault,) = with_faults(
@@ -473,7 +474,7 @@ def test_each_activation_is_counted_and_manifests_anew() -> None:
 
     ticks = dict.fromkeys((4, 5, 8, 9), ("a",))
     episode = with_faults(
-        Controller(), {"id": "a", "target": "thermometer"}, fault_injector=Hears(ticks, {})
+        Controller(), Fault("bias", "a", "thermometer"), fault_injector=Hears(ticks, {})
     )
     (fault,) = episode.faults
     assert fault.activations == 2

@@ -12,6 +12,7 @@ from thermostat import Controller, HeatMonitor, NightWatch, SwitchOff
 from pytest_dura import (
     Assessed,
     Assessment,
+    Fault,
     Proposal,
     Recovery,
     RecoveryPlanner,
@@ -186,7 +187,7 @@ def test_a_context_is_a_copy_and_the_component_does_not_learn_the_faults() -> No
         def reset(self, context: Any) -> None:
             contexts["watch"] = context
 
-    fault = {"id": "bias", "target": "thermometer", "activation": {"at": 5.0}, "duration": 1.0}
+    fault = Fault("bias", "bias", "thermometer", {"at": 5.0}, 1.0)
     scenario = {"world": {"start": 17.0, "names": ["a"], "pair": (1, 2)}}
     episode = run_loop(
         Spoiler(lambda view: Proposal(0.0)),
@@ -200,6 +201,8 @@ def test_a_context_is_a_copy_and_the_component_does_not_learn_the_faults() -> No
     assert contexts["generator"].seed != contexts["watch"].seed
     assert contexts["watch"].scenario == scenario
     assert contexts["watch"].faults == (fault,)
+    contexts["watch"].faults[0].activation["at"] = 0.0
+    assert episode.spec.faults[0].activation == fault.activation == {"at": 5.0}
 
 
 def test_a_loop_can_be_run_again_with_its_parts() -> None:

@@ -8,10 +8,18 @@ import numpy as np
 import pytest
 from loops import Says, doing, run_loop
 
-from pytest_dura import FaultInjector, Injection, Proposal, Recovery, RecoveryPlanner, SafetyMonitor
+from pytest_dura import (
+    Fault,
+    FaultInjector,
+    Injection,
+    Proposal,
+    Recovery,
+    RecoveryPlanner,
+    SafetyMonitor,
+)
 from pytest_dura.core import NOTHING, Assessed, Assessment, ComponentEnvironmentError
 
-LOUDER = [{"id": "louder", "target": "prompt", "activation": {"at": 0.3}}]
+LOUDER = [Fault("bias", "louder", "prompt", {"at": 0.3})]
 
 
 class Louder(FaultInjector):

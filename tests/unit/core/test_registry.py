@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import pytest
 
@@ -16,7 +16,7 @@ from pytest_dura.core.registry import Registry
 from pytest_dura.core.trust import Places, check_registered, use_places
 from pytest_dura.domains import Domain, domain_of, names_of_role, role_spec, simulator_spec
 from pytest_dura.execution.executors import EXECUTORS
-from pytest_dura.faults import NumberFault, load_fault, parse_fault
+from pytest_dura.faults import NumberFault, fault_effect, parse_fault
 
 REGISTRIES = (DOMAINS, SIMULATORS, ROLES, FAULT_TYPES, EXECUTORS, FORMATS)
 GROUPS = {registry.group: registry for registry in REGISTRIES}
@@ -24,8 +24,6 @@ GROUPS = {registry.group: registry for registry in REGISTRIES}
 
 class Sway(NumberFault):
     """A number that sways."""
-
-    type: Literal["sway"]
 
     @classmethod
     def example(cls) -> dict[str, Any]:
@@ -171,13 +169,15 @@ def test_a_fault_type_of_a_decorator_is_known_to_other_processes() -> None:
         FAULT_TYPES.register("sway")(Sway)
         given = {"type": "sway", "target": "x.y", "activation": {"at": 1.0}}
         data = parse_fault(given)
-        assert load_fault(given).id == "sway"
+        assert parse_fault(given).id == "sway"
     finally:
         FAULT_TYPES._registered.clear()
         FAULT_TYPES._registered.update(before)
     # Where the decorator has not run, the path leads there.
-    assert data["type"] == f"{__name__}:Sway"
-    assert load_fault(data) == load_fault({**given, "type": f"{__name__}:Sway", "id": "sway"})
+    assert data.type == f"{__name__}:Sway"
+    by_path = parse_fault({**given, "type": f"{__name__}:Sway", "id": "sway"})
+    assert parse_fault(data.plain()) == by_path
+    assert fault_effect(data) == Sway()
 
 
 def test_domains_own_what_begins_with_their_name(install: Any) -> None:

@@ -22,6 +22,7 @@ from pytest_dura import (
     Assessed,
     Assessment,
     ConfigurationError,
+    Fault,
     FaultInjector,
     Generator,
     GeneratorView,
@@ -44,7 +45,7 @@ from pytest_dura import (
 )
 from pytest_dura.core import ConformanceError
 
-BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.3}, "duration": 0.5}
+BIAS = Fault("bias", "bias", "thermometer", {"at": 0.3}, 0.5)
 CONTEXT = RoleContext(0, 0.1, {}, (BIAS,))
 
 

@@ -14,7 +14,7 @@ from roads import run, spec_of_drive, truth_of
 from pytest_dura import Episode, RoleSpec
 from pytest_dura.core import ConfigurationError, Proposal
 from pytest_dura.driving import Aggressive
-from pytest_dura.faults import FAULT_TYPES, default_fault, fault_class, load_fault
+from pytest_dura.faults import FAULT_TYPES, default_fault, fault_class, parse_fault
 
 OWN = [name for name in FAULT_TYPES if FAULT_TYPES.path(name).startswith("pytest_dura.driving")]
 WORLD: dict[str, Any] = {
@@ -70,7 +70,7 @@ def clean() -> tuple[Episode, list[dict[str, Any]]]:
 
 
 def planned(name: str, **parameters: Any) -> dict[str, Any]:
-    plan = {**default_fault(name), "activation": {"at": AT}, "duration": 1.0}
+    plan = {**default_fault(name).plain(), "activation": {"at": AT}, "duration": 1.0}
     return {**plan, "parameters": {**plan["parameters"], **parameters}}
 
 
@@ -181,5 +181,5 @@ def test_a_value_out_of_range_is_refused_at_its_key(
     name: str, parameters: dict[str, Any], key: str
 ) -> None:
     with pytest.raises(ConfigurationError) as caught:
-        load_fault({"type": name, "activation": {"at": 1.0}, "parameters": parameters})
+        parse_fault({"type": name, "activation": {"at": 1.0}, "parameters": parameters})
     assert str(caught.value.key).startswith(key)

@@ -12,7 +12,7 @@ from injecting import Bench, fault
 
 from pytest_dura.core import ConfigurationError, stream
 from pytest_dura.faults import Activation
-from pytest_dura.faults.injector import BLOCK, Chance
+from pytest_dura.faults.activation import BLOCK, Chance
 
 
 def ramp(index: int) -> dict[str, Any]:

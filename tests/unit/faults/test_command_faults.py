@@ -8,7 +8,7 @@ from fault_runs import CHANNEL, commanded, fault
 
 from pytest_dura.core import ConfigurationError
 from pytest_dura.driving import Command, Maneuver
-from pytest_dura.faults import load_fault
+from pytest_dura.faults import parse_fault
 
 BRAKE, GO = Command(Maneuver.EMERGENCY_BRAKE, -8.0), Command(Maneuver.PROCEED, 2.0)
 
@@ -62,5 +62,5 @@ def test_a_command_that_is_no_number_is_told() -> None:
 def test_what_is_no_magnitude_is_refused(kind, parameters, key) -> None:
     data = {"type": kind, "target": CHANNEL, "activation": {"at": 1.0}, "parameters": parameters}
     with pytest.raises(ConfigurationError) as caught:
-        load_fault(data)
+        parse_fault(data)
     assert caught.value.key == key

@@ -13,7 +13,7 @@ from fault_runs import CHANNEL, commanded, fault, through
 
 from pytest_dura.core import ConfigurationError, Lazy, RoleContext
 from pytest_dura.driving import Body, BodyList, Command, Maneuver
-from pytest_dura.faults import CampaignInjector, load_fault
+from pytest_dura.faults import CampaignInjector, parse_fault
 from pytest_dura.faults.types.base import count_numbers, flip_bits, with_changed_number
 
 
@@ -248,7 +248,7 @@ def test_what_nobody_has_read_is_kept_as_it_was_all_the_same(kind: str) -> None:
 def test_what_is_no_magnitude_is_refused(kind, parameters, key, told) -> None:
     data = {"type": kind, "target": CHANNEL, "activation": {"at": 1.0}, "parameters": parameters}
     with pytest.raises(ConfigurationError) as caught:
-        load_fault(data)
+        parse_fault(data)
     assert caught.value.key is not None
     assert caught.value.key.startswith(key)
     assert told in str(caught.value)
@@ -282,4 +282,4 @@ def test_a_forged_message_keeps_its_kind() -> None:
     ],
 )
 def test_whether_a_hit_is_drawn_is_said(kind, parameters, drawn) -> None:
-    assert fault(kind, **parameters)["by_chance"] is drawn
+    assert fault(kind, **parameters).by_chance is drawn

@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from fault_runs import check_place
 
 from pytest_dura import ConfigurationError
 from pytest_dura.driving import CHANNELS
-from pytest_dura.faults import Channel, check_target, load_fault
+from pytest_dura.faults import Channel, parse_fault
 
 
 def forger(target: str, **parameters: Any) -> Any:
-    return load_fault({
+    return parse_fault({
         "type": "masquerade", "id": "f", "target": target, "activation": {"at": 1.0},
         "duration": 1.0, "parameters": parameters,
     })  # fmt: skip
@@ -33,7 +34,7 @@ def forger(target: str, **parameters: Any) -> Any:
     ],
 )
 def test_what_the_channel_may_hold_is_accepted(target: str, parameters: Any) -> None:
-    check_target(forger(target, **parameters), CHANNELS)
+    check_place(forger(target, **parameters), CHANNELS)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +56,7 @@ def test_what_the_channel_may_hold_is_accepted(target: str, parameters: Any) -> 
 )
 def test_what_it_cannot_hold_is_refused(target: str, parameters: Any, key: str, told: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
-        check_target(forger(target, **parameters), CHANNELS)
+        check_place(forger(target, **parameters), CHANNELS)
     assert caught.value.key == f"parameters.{key}"
     assert told in str(caught.value)
     assert caught.value.remedy
@@ -63,7 +64,7 @@ def test_what_it_cannot_hold_is_refused(target: str, parameters: Any, key: str, 
 
 def test_of_a_channel_of_another_kind_nothing_is_known() -> None:
     channels = {"room": Channel("other"), "list": Channel("array")}
-    check_target(forger("room", value=20.0), channels)
-    check_target(forger("list", forged={"0": 1.0}), channels)
+    check_place(forger("room", value=20.0), channels)
+    check_place(forger("list", forged={"0": 1.0}), channels)
     with pytest.raises(ConfigurationError, match="another target"):
-        check_target(forger("list", forged={"0.1": 1.0}), channels)
+        check_place(forger("list", forged={"0.1": 1.0}), channels)

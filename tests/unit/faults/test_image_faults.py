@@ -9,7 +9,7 @@ import pytest
 from fault_runs import CHANNEL, fault, through
 
 from pytest_dura.core import ConfigurationError, Lazy, RoleContext
-from pytest_dura.faults import CampaignInjector, load_fault
+from pytest_dura.faults import CampaignInjector, parse_fault
 
 DRAWN = ["brightness", "salt-and-pepper", "patch"]
 ANY = {"perturbation": {"function": "perturbations:random_bits"}}
@@ -80,7 +80,7 @@ def test_a_perturbation_that_returns_no_such_picture_is_named(name: str, found: 
 def test_a_function_that_cannot_be_had_is_refused_before_anything_runs(path, told) -> None:
     data = {"type": "perturbation", "target": CHANNEL, "activation": {"at": 1.0}}
     with pytest.raises(ConfigurationError) as caught:
-        load_fault({**data, "parameters": {"function": path}})
+        parse_fault({**data, "parameters": {"function": path}})
     assert caught.value.key == "parameters.function"
     assert told in str(caught.value)
 
@@ -124,5 +124,5 @@ def test_a_patch_lies_where_it_says() -> None:
 def test_what_is_no_magnitude_is_refused(kind, parameters, key) -> None:
     data = {"type": kind, "target": CHANNEL, "activation": {"at": 1.0}, "parameters": parameters}
     with pytest.raises(ConfigurationError) as caught:
-        load_fault(data)
+        parse_fault(data)
     assert caught.value.key == key

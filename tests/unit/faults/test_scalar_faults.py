@@ -9,7 +9,7 @@ import pytest
 from fault_runs import CHANNEL, fault, through
 
 from pytest_dura.core import ConfigurationError
-from pytest_dura.faults import load_fault
+from pytest_dura.faults import parse_fault
 
 NUMBERS = ["bias", "drift", "noise", "gain", "stuck-at", "bit-flip", "out-of-range"]
 RANGE = {"low": 0.0, "high": 50.0}
@@ -42,7 +42,7 @@ def of(kind: str, **given: Any) -> dict[str, Any]:
 def test_what_is_no_magnitude_is_refused(kind, parameters, key, told) -> None:
     data = {"type": kind, "target": CHANNEL, "activation": {"at": 1.0}, "parameters": parameters}
     with pytest.raises(ConfigurationError) as caught:
-        load_fault(data)
+        parse_fault(data)
     assert caught.value.key == key
     assert told in str(caught.value)
 
@@ -81,7 +81,7 @@ def test_a_bias_in_percent_is_a_share_of_the_number_itself() -> None:
 def test_an_activation_anew_begins_the_drift_anew() -> None:
     data = {"type": "drift", "target": CHANNEL, "duration": 0.3}
     data |= {"activation": {"at": 0.1, "every": 0.5}, "parameters": {"rate": 10.0}}
-    found = through([0.0] * 10, load_fault({**data, "id": "d"}).model_dump(mode="json"))
+    found = through([0.0] * 10, parse_fault({**data, "id": "d"}))
     assert found == pytest.approx([0, 0, 1, 2, 0, 0, 0, 1, 2, 0])
 
 

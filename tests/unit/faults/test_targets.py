@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from fault_runs import check_place
 
 from pytest_dura.core import ConfigurationError, Lazy
 from pytest_dura.driving import CHANNELS
@@ -16,9 +17,9 @@ from pytest_dura.faults import (
     Channel,
     RefusedError,
     check_condition_targets,
-    check_target,
-    load_fault,
+    fault_class,
     parse_condition,
+    parse_fault,
     possible_targets,
 )
 from pytest_dura.faults.injector import is_same_value
@@ -258,7 +259,7 @@ def test_what_a_condition_cannot_read(text: str, told: str) -> None:
 
 
 def planned(kind: str, target: str) -> Any:
-    return load_fault(
+    return parse_fault(
         {"type": kind, "id": "f", "target": target, "activation": {"at": 1.0}, "duration": 1.0}
     )
 
@@ -280,7 +281,7 @@ def planned(kind: str, target: str) -> Any:
     ],
 )
 def test_possible_targets_are_accepted(kind: str, target: str) -> None:
-    check_target(planned(kind, target), CHANNELS)
+    check_place(planned(kind, target), CHANNELS)
 
 
 @pytest.mark.parametrize(
@@ -302,7 +303,7 @@ def test_possible_targets_are_accepted(kind: str, target: str) -> None:
 )
 def test_impossible_targets_are_refused(kind: str, target: str, told: list[str]) -> None:
     with pytest.raises(ConfigurationError) as caught:
-        check_target(planned(kind, target), CHANNELS)
+        check_place(planned(kind, target), CHANNELS)
     assert caught.value.key == "target"
     assert caught.value.found == target
     for part in told:
@@ -311,7 +312,7 @@ def test_impossible_targets_are_refused(kind: str, target: str, told: list[str])
 
 def test_where_nothing_suits_a_type_the_message_says_so() -> None:
     with pytest.raises(ConfigurationError, match="another type of fault") as caught:
-        check_target(planned("ghost-obstacle", "a"), {"a": Channel("numbers", ("x",))})
+        check_place(planned("ghost-obstacle", "a"), {"a": Channel("numbers", ("x",))})
     assert caught.value.remedy == "choose another type: no channel here holds a list of objects"
 
 
@@ -345,6 +346,5 @@ def test_impossible_conditions_are_refused(text: str, told: str) -> None:
 
 def test_all_that_is_listed_as_possible_is_possible() -> None:
     for kind in ("bias", "freeze", "ghost-obstacle", "gnss-jam"):
-        fault = planned(kind, "lidar")
-        for target in possible_targets(fault.acts_on, CHANNELS):
-            check_target(planned(kind, target), CHANNELS)
+        for target in possible_targets(fault_class(kind).acts_on, CHANNELS):
+            check_place(planned(kind, target), CHANNELS)

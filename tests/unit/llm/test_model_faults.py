@@ -7,13 +7,10 @@ from typing import Any, get_args
 import pytest
 
 from pytest_dura.core import ConfigurationError, RoleContext, stream
-from pytest_dura.driving import CHANNELS
 from pytest_dura.faults import (
     CampaignInjector,
     Moment,
-    check_target,
-    default_fault,
-    load_fault,
+    fault_effect,
     parse_fault,
 )
 from pytest_dura.llm import Delivery, Endpoint, Message, OpenAiClient, Request, ServerFault
@@ -61,7 +58,7 @@ def test_delays_add_up_and_none_changes_nothing() -> None:
     sent = Delivery(delay=0.5)
     none = fault("model-delay", seconds=0.0)
     moment = Moment(0.0, 0.1, 0.0, {}, (), lambda: stream(0, "law"))
-    assert load_fault(none).apply(True, sent, moment) is sent
+    assert fault_effect(none).apply(True, sent, moment) is sent
     ((found, tampered),) = delivered(none, sent=sent)
     assert found is sent
     assert tampered == ()
@@ -90,15 +87,6 @@ def test_it_acts_within_its_time_and_on_no_other_message() -> None:
     injector.corrupt({"odometry": 0.0}, 0.0)
     prompt = object()
     assert injector.corrupt_message("prompt", prompt, 0.0) == (prompt, ())
-
-
-@pytest.mark.parametrize("name", ["model-failure", "model-delay"])
-def test_it_needs_no_target_and_takes_no_sensor_for_one(name) -> None:
-    assert default_fault(name)["target"] == "model"
-    for target in ("odometry.speed", "prompt", "command.acceleration"):
-        with pytest.raises(ConfigurationError) as caught:
-            check_target(load_fault({**default_fault(name), "target": target}), CHANNELS)
-        assert (caught.value.key, caught.value.expected) == ("target", "one of model")
 
 
 @pytest.mark.parametrize(

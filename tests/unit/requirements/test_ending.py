@@ -12,7 +12,7 @@ from columns import Columns, Idle
 from loops import run_loop
 from thermostat import Bias, Overheater, Thermostat
 
-from pytest_dura import Episode, EpisodeSpec, Proposal, RoleSpec, Termination, Tick
+from pytest_dura import Episode, EpisodeSpec, Fault, Proposal, RoleSpec, Termination, Tick
 from pytest_dura.core import ConfigurationError, Divergence
 from pytest_dura.requirements import (
     CheckResult,
@@ -24,7 +24,7 @@ from pytest_dura.requirements import (
 
 WARM = "eventually (temperature > 15.5)"
 HOT = "always (temperature < 15.5)"
-NEVER = {"id": "late", "target": "thermometer", "activation": {"at": 99.0}, "duration": 1.0}
+NEVER = Fault("bias", "late", "thermometer", {"at": 99.0}, 1.0)
 
 
 def run(*checks: str | Requirement, seconds: float = 4.0, **given: Any) -> Episode:
@@ -107,7 +107,7 @@ def test_a_pass_that_may_still_turn_out_not_to_be_vacuous_is_not_decided() -> No
 
 
 def planned(at: float, **more: Any) -> dict[str, Any]:
-    return {**NEVER, "activation": {"at": at}, **more}
+    return replace(NEVER, activation={"at": at}, **more)
 
 
 def test_it_waits_for_the_planned_faults_to_manifest() -> None:
@@ -123,7 +123,7 @@ def test_it_waits_for_the_planned_faults_to_manifest() -> None:
 def test_a_fault_that_never_manifests_leaves_the_episode_as_invalid_as_it_was() -> None:
     found = run(WARM, faults=[NEVER], fault_injector=Bias())
     assert (found.termination, found.validity) == ("time", "invalid")
-    drawn = [NEVER | {"by_chance": True}]
+    drawn = [replace(NEVER, by_chance=True)]
     by_chance = run(WARM, faults=drawn, fault_injector=Bias())
     assert (by_chance.termination, by_chance.validity) == ("time", "valid")
     # Its only hit might come after a violation, and a rate is judged under faults that hit.

@@ -16,6 +16,7 @@ from pytest_dura import (
     Assessment,
     ConfigurationError,
     Episode,
+    Fault,
     Proposal,
     SafetyMonitor,
     SecurityAssessment,
@@ -32,7 +33,7 @@ from pytest_dura.requirements import (
     monitor_timeline,
 )
 
-BIAS = {"id": "bias", "target": "thermometer", "activation": {"at": 0.5}, "duration": 0.3}
+BIAS = Fault("bias", "bias", "thermometer", {"at": 0.5}, 0.3)
 
 
 def monitor_at(*ticks: int, asked: Any = None, again: Any = None) -> Any:
@@ -377,7 +378,7 @@ def test_alerts_count_from_the_activation_on_where_the_component_reads_seldom() 
                 seconds=2.0,
                 security_assessor=JumpWatch(),
                 fault_injector=Bias(),
-                spec={"faults": ({**BIAS, "activation": {"at": at}, "duration": 0.8},)},
+                spec={"faults": (replace(BIAS, activation={"at": at}, duration=0.8),)},
             )
         )
         for at in (0.3, 0.6, 1.0)
