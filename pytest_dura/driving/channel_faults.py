@@ -6,6 +6,7 @@ The heading of the pose is reported as it is, unless jammed.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -40,10 +41,8 @@ class GnssJump(PoseFault):
 
     parameters: JumpParameters = JumpParameters()
 
-    @classmethod
-    def example(cls) -> dict[str, Any]:
-        """Five metres backward, so that the stop line seems farther away than it is."""
-        return {**super().example(), "parameters": {"along": -5.0}}
+    # Backward, so that the stop line seems farther away than it is.
+    typical: ClassVar[Mapping[str, Any]] = {"along": -5.0}
 
     def begin(self, value: Pose, moment: Moment) -> tuple[float, float]:
         """The offset in x and y, in m, fixed to the ground from now on."""
@@ -164,11 +163,7 @@ class PromptText(FaultEffect):
 
     acts_on: ClassVar[Kind] = "signs"
     default_target: ClassVar[str | None] = "controls"
-
-    @classmethod
-    def example(cls) -> dict[str, Any]:
-        """Two seconds into the episode, for five seconds."""
-        return {"activation": {"at": 2.0}, "duration": 5.0}
+    lasting: ClassVar[float | str] = 5.0
 
     def begin(self, value: tuple[Sign, ...], moment: Moment) -> Sign:
         """The sign, fixed to the ground from now on."""

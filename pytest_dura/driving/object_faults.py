@@ -7,6 +7,7 @@ the ego is, they take from the channel ``localisation``, with the faults that ar
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -55,11 +56,7 @@ class ObjectFault(FaultEffect):
 
     acts_on: ClassVar[Kind] = "objects"
     default_target: ClassVar[str | None] = "lidar"
-
-    @classmethod
-    def example(cls) -> dict[str, Any]:
-        """Two seconds into the episode, for five seconds."""
-        return {"activation": {"at": 2.0}, "duration": 5.0}
+    lasting: ClassVar[float | str] = 5.0
 
 
 class PoseFault(FaultEffect):
@@ -67,11 +64,7 @@ class PoseFault(FaultEffect):
 
     acts_on: ClassVar[Kind] = "pose"
     default_target: ClassVar[str | None] = "localisation"
-
-    @classmethod
-    def example(cls) -> dict[str, Any]:
-        """Two seconds into the episode, for five seconds."""
-        return {"activation": {"at": 2.0}, "duration": 5.0}
+    lasting: ClassVar[float | str] = 5.0
 
 
 class MissParameters(Selection):
@@ -262,10 +255,8 @@ class MovedObstacle(ObjectFault):
 
     parameters: MovedParameters = MovedParameters()
 
-    @classmethod
-    def example(cls) -> dict[str, Any]:
-        """Five metres farther along the ego's route, which lets it seem farther away than it is."""
-        return {**super().example(), "parameters": {"dx": 5.0}}
+    # Farther along the ego's route, which lets it seem farther away than it is.
+    typical: ClassVar[Mapping[str, Any]] = {"dx": 5.0}
 
     def begin(self, value: BodyList, moment: Moment) -> tuple[str, float] | None:
         """The victim's id and the route's heading beside it; ``None`` while it is not in sight."""
@@ -331,10 +322,7 @@ class GhostObstacle(ObjectFault):
 
     parameters: GhostParameters = GhostParameters()
 
-    @classmethod
-    def example(cls) -> dict[str, Any]:
-        """Two seconds into the episode, for four seconds."""
-        return {"activation": {"at": 2.0}, "duration": 4.0}
+    lasting: ClassVar[float | str] = 4.0
 
     def begin(self, value: BodyList, moment: Moment) -> Body:
         """The ghost as it appears."""

@@ -14,6 +14,7 @@ from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.metrics import COMMAND
+from pytest_dura.core.state import NOTHING
 from pytest_dura.faults.parts import MESSAGES, PARAMETERS, PROPOSAL, FaultPart, Target
 
 Kind = Literal["number", "any", "command", "objects", "image", "pose", "signs", "prompt", "model"]
@@ -61,12 +62,15 @@ class FaultEffect(FaultPart, ABC):
 
     ``acts_on`` is the kind of value that the type acts on, ``default_target`` its target if none is
     given (``None``: the domain has one), and ``reference`` the corresponding entry of a threat or
-    failure catalogue, if any.
+    failure catalogue, if any. ``lasting`` and ``typical`` are the duration in s and the parameters
+    of the fault if only its name is given.
     """
 
     acts_on: ClassVar[Kind]
     default_target: ClassVar[str | None] = None
     reference: ClassVar[str] = ""
+    lasting: ClassVar[float | str] = 4.0
+    typical: ClassVar[Mapping[str, Any]] = NOTHING
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
@@ -80,9 +84,10 @@ class FaultEffect(FaultPart, ABC):
             )
 
     @classmethod
-    @abstractmethod
     def example(cls) -> dict[str, Any]:
-        """Return activation and duration of the fault if only its name is given."""
+        """Return activation, two seconds into the episode, duration and parameters by default."""
+        plain: dict[str, Any] = {"activation": {"at": 2.0}, "duration": cls.lasting}
+        return plain | ({"parameters": dict(cls.typical)} if cls.typical else {})
 
     @property
     def hits_by_chance(self) -> bool:

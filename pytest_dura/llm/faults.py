@@ -9,9 +9,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from pytest_dura.core.errors import did_you_mean
-from pytest_dura.faults.model import Kind, Moment
+from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart, NotNegative, RefusedError, Span
-from pytest_dura.faults.types.base import ListedFault
 from pytest_dura.llm.driving.blocks import BLOCKS
 from pytest_dura.llm.port import Delivery, ServerFault
 from pytest_dura.llm.prompts import Prompt, reordered, shuffled
@@ -30,7 +29,7 @@ class ModelFailureParameters(FaultPart):
     )
 
 
-class ModelFailure(ListedFault):
+class ModelFailure(FaultEffect):
     """The model's server fails instead of answering; it is not asked then.
 
     The failure is made where the client meets the network, so that it is read as a real one.
@@ -56,7 +55,7 @@ class ModelDelayParameters(FaultPart):
     )
 
 
-class ModelDelay(ListedFault):
+class ModelDelay(FaultEffect):
     """The model's answers take longer; past the time budget they are none."""
 
     parameters: ModelDelayParameters = ModelDelayParameters()
@@ -74,7 +73,7 @@ Names = Annotated[tuple[str, ...], Field(strict=False)]
 """Names of blocks; a list in a scenario file."""
 
 
-class PromptFault(ListedFault):
+class PromptFault(FaultEffect):
     """Base of the faults that change a prompt before it is put into words."""
 
     acts_on: ClassVar[Kind] = "prompt"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.core.state import NOTHING, Lazy
+from pytest_dura.core.state import Lazy
 from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart
 
@@ -178,24 +178,7 @@ class NoParameters(FaultPart):
     """No parameters."""
 
 
-class ListedFault(FaultEffect):
-    """Base of the types that know no domain.
-
-    ``lasting`` and ``typical`` are the duration in s and the parameters of the fault if only its
-    name is given; it then begins two seconds into the episode.
-    """
-
-    lasting: ClassVar[float | str] = 4.0
-    typical: ClassVar[Mapping[str, Any]] = NOTHING
-
-    @classmethod
-    def example(cls) -> dict[str, Any]:
-        """Return the activation, two seconds into the episode, and the duration."""
-        plain: dict[str, Any] = {"activation": {"at": 2.0}, "duration": cls.lasting}
-        return plain | ({"parameters": dict(cls.typical)} if cls.typical else {})
-
-
-class NumberFault(ListedFault):
+class NumberFault(FaultEffect):
     """Base of the types whose new value depends on a number alone, or on each of an array."""
 
     acts_on: ClassVar[Kind] = "number"

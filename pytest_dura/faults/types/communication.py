@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.fault import Fault
 from pytest_dura.faults.activation import TOLERANCE
-from pytest_dura.faults.model import Channel, Kind, Moment, is_number
+from pytest_dura.faults.model import Channel, FaultEffect, Kind, Moment, is_number
 from pytest_dura.faults.parts import (
     FaultPart,
     NotNegative,
@@ -24,7 +24,6 @@ from pytest_dura.faults.parts import (
     with_part,
 )
 from pytest_dura.faults.types.base import (
-    ListedFault,
     NoParameters,
     change_lazily,
     count_numbers,
@@ -155,7 +154,7 @@ class CorruptionParameters(FaultPart):
     )
 
 
-class Corruption(ListedFault):
+class Corruption(FaultEffect):
     """Messages are altered, each with probability ``p``: bits of one of its numbers are inverted.
 
     Numbers are found wherever the message keeps them, also in lists of objects and in pictures,
@@ -224,7 +223,7 @@ class ReplayParameters(FaultPart):
     )
 
 
-class Replay(ListedFault):
+class Replay(FaultEffect):
     """What was delivered in the ``s`` seconds before the activation is delivered again, in a loop.
 
     Early in the episode the record is as long as there were messages; without any, it waits for
@@ -266,7 +265,7 @@ class MasqueradeParameters(FaultPart):
         return self
 
 
-class Masquerade(ListedFault):
+class Masquerade(FaultEffect):
     """A forged sender takes the real one's place and sends the same message over and over.
 
     It is the message of the activation, which the forger overheard, with the ``forged`` fields in

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.faults.model import Kind, Moment
+from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart, NotNegative, Share, Span, resolved
-from pytest_dura.faults.types.base import ListedFault, change_lazily
+from pytest_dura.faults.types.base import change_lazily
 
 Picture: TypeAlias = NDArray[np.uint8]
 _ROUNDING = 1e-6
@@ -54,7 +54,7 @@ def picture_description(value: Any) -> str:
     return type(value).__name__
 
 
-class ImageFault(ListedFault):
+class ImageFault(FaultEffect):
     """Base of the types that change a picture."""
 
     acts_on: ClassVar[Kind] = "image"

@@ -10,9 +10,8 @@ from pydantic import Field, field_validator
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
-from pytest_dura.faults.model import Kind, Moment
+from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart
-from pytest_dura.faults.types.base import ListedFault
 from pytest_dura.faults.types.image import Picture, as_picture, picture_description
 
 
@@ -37,7 +36,7 @@ class PerturbationParameters(FaultPart):
         return path
 
 
-class Perturbation(ListedFault):
+class Perturbation(FaultEffect):
     """Any perturbation as ``function(image, rng, **params)``, such as a gradient-based attack.
 
     It gets a copy of the picture, ``uint8`` of shape (height, width, 3), that it may write on, and

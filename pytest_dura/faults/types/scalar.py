@@ -9,10 +9,9 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from pytest_dura.faults.model import Kind, Moment
+from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart, Finite, NotNegative, Positive, Span
 from pytest_dura.faults.types.base import (
-    ListedFault,
     NoParameters,
     NumberFault,
     Numeric,
@@ -137,7 +136,7 @@ class BitFlipParameters(FaultPart):
     )
 
 
-class BitFlip(ListedFault):
+class BitFlip(FaultEffect):
     """So many bits of the 64-bit float are inverted, drawn anew at each tick.
 
     The result is finite: where the draw gives infinity or no number, as many bits are drawn anew

@@ -13,9 +13,9 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from pytest_dura.faults.activation import TOLERANCE
-from pytest_dura.faults.model import Kind, Moment
+from pytest_dura.faults.model import FaultEffect, Kind, Moment
 from pytest_dura.faults.parts import FaultPart, NotNegative, Positive, Share, Span, resolved
-from pytest_dura.faults.types.base import ListedFault, NoParameters
+from pytest_dura.faults.types.base import NoParameters
 
 _ONE_TICK = 1e-6
 """s; a memory shorter than any tick, which keeps the value of the tick before."""
@@ -70,7 +70,7 @@ class Receiver:
         return rested
 
 
-class ReceiverFault(ListedFault):
+class ReceiverFault(FaultEffect):
     """Base of the types that decide which message a receiver gets at a tick."""
 
     acts_on: ClassVar[Kind] = "any"
@@ -119,7 +119,7 @@ class Dropping(ReceiverFault):
         return receiver.shown if moment.rng.random() < self.parameters.p else value
 
 
-class Held(ListedFault):
+class Held(FaultEffect):
     """Base of the types that repeat what stood at the target when they began to act."""
 
     parameters: NoParameters = NoParameters()
@@ -154,7 +154,7 @@ class DelayParameters(FaultPart):
     )
 
 
-class Delay(ListedFault):
+class Delay(FaultEffect):
     """The value is that of ``s`` seconds ago: a delay of k ticks shifts it by k ticks.
 
     It looks back before the activation. Early in the episode, where nothing is that old yet, the
