@@ -169,7 +169,7 @@ def main() -> None:
     options = parser.parse_args()
     scenarios = load_library([]).scenarios
     cases = expand_cases([scenarios[options.scenario]], options.faults)
-    faults = [str(fault["id"]) for case in cases for fault in case.faults]
+    faults = [fault.id for case in cases for fault in case.faults]
     tail = options.generator, options.runs, options.seed
     planned = [Job(options.scenario, fault, arm, *tail) for fault in faults for arm in options.arms]
     tail = options.generator, options.free_runs, options.seed
