@@ -23,13 +23,13 @@ from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH
 from pytest_dura.driving.junction import (
     ARM_LENGTH,
     ARMS,
-    LANE_OFFSET,
     SPEED_LIMIT,
-    STOP_LINE,
     all_routes,
 )
+from pytest_dura.driving.roads import FOUR_WAY
 
-WIDTH = 2 * LANE_OFFSET
+WIDTH = 2 * FOUR_WAY.arms[0].offset
+STOP_LINE = FOUR_WAY.arms[0].stop_line
 FAR = ARM_LENGTH + STOP_LINE
 ENDS = {"south": (0, -FAR), "west": (-FAR, 0), "north": (0, FAR), "east": (FAR, 0)}
 """Outer ends of the arms; in SUMO y points north."""

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pytest_dura.core.episode import canonical
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
 from pytest_dura.evidence.conclude import measure_cases, with_verdicts
-from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT
+from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT, test_function
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episodes import (
     EpisodeSpool,
@@ -161,15 +161,18 @@ def claim(item: str, requirement: str, case: CasePlan) -> Judgement:
         requirement: Id of the requirement.
         case: The case.
     """
-    return Judgement("claim", requirement, case.id, case.component, case.planned, item=item)
+    return Judgement(
+        "claim", requirement, case.id, case.component, case.planned, item=item, decides=item
+    )
 
 
 def _asked_by(report: ItemReport, judgement: Judgement) -> Judgement:
     """Put the item of a report into a judgement, unless it is a claim, which has its own."""
     if judgement.item:
         return judgement
-    first = report.recorded_as
-    return replace(judgement, item=report.item, recorded_as=first, attempt=report.attempt)
+    item, first = report.item, report.recorded_as
+    decides = test_function(item) if judgement.kind == "test" else first or item
+    return replace(judgement, item=item, decides=decides, recorded_as=first, attempt=report.attempt)
 
 
 Status = Literal["running", "complete", "interrupted"]

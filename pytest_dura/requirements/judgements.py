@@ -96,8 +96,10 @@ class Judgement:
     assertion: Assertion | None = None
     """What the assertions of a test came to; null for others."""
     item: str = ""
-    """Node id of the item that asks; of a claim on each run that of the test, without
-    parameters."""
+    """Node id of the item that asks."""
+    decides: str = ""
+    """Node id under which the verdict is recorded: that of the item, of the first of several that
+    repeat one test, or, where there is an item for each run, that of the test."""
     recorded_as: str = ""
     """Node id of the first of several items that repeat one test; empty where nothing does."""
     attempt: Count = 0

@@ -8,6 +8,7 @@ import shutil
 
 import pytest
 
+from pytest_dura.evidence import SCHEMA_VERSION
 from pytest_dura.requirements import mcnemar_one_sided
 
 RATE = """
@@ -167,7 +168,10 @@ UNUSABLE = {
                        "*expected:*evidence.json*", "*remedy:*"]),
     "cut short": ("{", ["*this is no evidence record (JSONDecodeError)"]),
     "foreign": ("[]", ["*this is no evidence record (TypeError)"]),
-    "version": ({"schema_version": "0"}, ["*another version*", "*found:    '0'", "*expected: 3"]),
+    "version": (
+        {"schema_version": "0"},
+        ["*another version*", "*found:    '0'", f"*expected: {SCHEMA_VERSION}"],
+    ),
     "running": ({"status": "running"}, ["*was killed, or is still running", "*'running'"]),
     "damaged": ({"verdicts": [{}]}, ["*this record is damaged*", "*missing key*", "*remedy:*"]),
 }  # fmt: skip

@@ -16,7 +16,7 @@ KEYS = {
     "baseline", "finished", "evidence_level", "gate", "inputs", "coverage", "timings",
     "require_repeatable", "selection",
     "redacted", "totals", "models", "shard", "merged_from",
-    "reuse", "execution", "overall", "effectiveness",
+    "judgements", "waivers", "doubts", "reuse", "execution", "overall", "effectiveness",
 }  # fmt: skip
 
 

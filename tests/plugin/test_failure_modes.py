@@ -237,7 +237,7 @@ def test_forged_tallies_are_found(chatty):
         record = json.loads(text)
         if change is not None:
             change(record)
-        problems = list(conclusion_problems(SessionRecord.of(record, chatty.path), {}))
+        problems = list(conclusion_problems(SessionRecord.of(record, chatty.path)))
         # What an episode says counts in all cases together, too.
         own = [problem for problem in problems if ": /overall/" not in problem]
         assert bool(own) == (change is not None)

@@ -5,7 +5,8 @@ from collections import Counter
 import pytest
 from junitparser import JUnitXml, Properties
 
-from pytest_dura.evidence import LINE, gather, junit_name
+from pytest_dura.evidence import LINE, junit_name
+from pytest_dura.evidence.conclusions.verdicts import test_function as function_of
 from pytest_dura.evidence.junit import junit_key, junit_outcomes, junit_verdicts
 
 RECKLESS = "--dura-generator=corridor:Reckless"
@@ -160,7 +161,7 @@ def test_a_test_on_an_episode_names_it(junit, project):
     }
     assert junit_verdicts(found.text) == {}
     for one in project.evidence().verdicts:
-        counts = outcomes[junit_key(one.case, one.requirement, gather.test_function(one.item))]
+        counts = outcomes[junit_key(one.case, one.requirement, function_of(one.item))]
         assert (counts["violated"], counts.total()) == (one.violations, one.run)
 
 

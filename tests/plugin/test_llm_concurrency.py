@@ -202,7 +202,7 @@ def test_a_record_whose_case_does_not_add_up_its_tokens_is_found(project, script
     bundle = project.path / "dura-evidence"
     record = project.evidence().to_json()
     record["cases"][0]["metrics"]["usage"]["prompt"] += 1
-    problems = conclusion_problems(SessionRecord.of(record, bundle), {})
+    problems = conclusion_problems(SessionRecord.of(record, bundle))
     assert any("usage/prompt" in each for each in problems)
 
 

@@ -203,7 +203,7 @@ def a_bound(record):
 @pytest.mark.parametrize(
     "forge, told",
     [
-        (other_trajectory, "/verdicts/0/run: its runs end the campaign earlier, or not yet"),
+        (other_trajectory, '/verdicts/0/situation: found "repeated", expected null'),
         (no_situation, '/verdicts/0/situation: found null, expected "repeated"'),
         (a_bound, "/verdicts/0/bound/upper: found 0.04, expected null"),
     ],

@@ -250,7 +250,7 @@ def _fits(part, value):
 
 LONG = (
     "OWN-1", "Its own words.", "house rule", "walls are hard", "known since long", "an objection",
-    "corridor/broken", "another component", "numpy", "prompt", "well", "G1", "The campus.",
+    "corridor/broken", "another component", "numpy", "prompt", "well", "The campus.",
     "a remark", "test_it.py", "own measure", "a value", "detail", "inner key", "inner value",
     "explanations 1", "reasons 0", "recoveries 2", "action 1", "thing 2", "signal", "a monitor",
     "rule",
@@ -266,6 +266,25 @@ def spoilers(draw):
     return Spoiler(pool, frozenset([draw(st.sampled_from(LONG))]))
 
 
+def _keep_details(plain, told):
+    """Put back what formulas and functions say of runs, which traces show again."""
+    for before, after in zip(plain["episodes"], told["episodes"], strict=True):
+        pairs = zip(before["verdicts"].values(), after["verdicts"].values(), strict=True)
+        for verdict, spoilt in pairs:
+            if verdict["detail"] not in (before["failure"], before["invalid_reason"]):
+                spoilt["detail"] = verdict["detail"]
+    for before, after in zip(plain["judgements"], told["judgements"], strict=True):
+        for run, spoilt in zip(before["runs"], after["runs"], strict=True):
+            for key in ("verdict", "twin_verdict") if before["check"] else ():
+                if run[key] is not None:
+                    spoilt[key]["detail"] = run[key]["detail"]
+    for before, after in zip(plain["verdicts"], told["verdicts"], strict=True):
+        kept = [(before, after), *zip(before["attempts"], after["attempts"], strict=True)]
+        for verdict, spoilt in kept:
+            if verdict["check"] and verdict["spoilt"] and "infra" not in str(verdict["spoilt"]):
+                spoilt["spoilt"]["detail"] = verdict["spoilt"]["detail"]
+
+
 def session(real, directory, spoil):
     """The real session with hostile texts: its record, and its traces in another directory."""
     before = open_record(real / "evidence.json")
@@ -274,10 +293,14 @@ def session(real, directory, spoil):
     _name_everything(told)
     told["baseline"] = Baseline.read(".", real).to_json(SessionRecord.of(told, real))
     reasons = [one["reason"] for one in told["verdicts"]]
-    told = spoil.record(json.loads(json.dumps(told)), record_schema())
+    plain = json.loads(json.dumps(told))
+    told = spoil.record(plain, record_schema())
+    _keep_details(plain, told)
     _digest_sources(told["component_under_test"])
     for one, reason in zip(told["verdicts"], reasons, strict=True):
         one["reason"] = re.sub(r"\bbias\b", lambda _: spoil("bias"), reason)
+        for attempt in one["attempts"]:  # of the same runs
+            attempt["reason"] = one["reason"]
     for one, trace in zip(told["episodes"], traces, strict=True):
         name, run = one["spec"]["scenario"]["name"], one["spec"]["run"]
         one["seed"] = one["spec"]["seed"] = derive_seed(told["base_seed"], name, run)
@@ -379,3 +402,8 @@ def _name_everything(told):
     (waived,) = (one for one in told["verdicts"] if one["waiver"])
     left = ("item", "waiver", "attempts", "assertion", "also_without")
     waived["attempts"] = [{key: one for key, one in waived.items() if key not in left}]
+    told["judgements"] += [
+        {**judgement, "attempt": judgement["attempt"] + 1}
+        for judgement in told["judgements"]
+        if judgement["kind"] != "claim" and judgement["decides"] == waived["item"]
+    ]

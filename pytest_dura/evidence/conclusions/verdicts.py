@@ -167,10 +167,10 @@ def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[VerdictEntry]:
             campaigns[question_of(judgement)].append(judgement)
         elif judgement.kind == "test":
             # Two tests on one episode give two verdicts, not two attempts at one.
-            test = test_function(judgement.item), *about
+            test = judgement.decides, *about
             tests[test].append(judgement)
         else:
-            claims.setdefault((judgement.item, *about[:2]), judgement)
+            claims.setdefault((judgement.decides, *about[:2]), judgement)
     conclusion = _Verdicts(lines, runs)
     verdicts = [conclusion.of_campaign(key[0], asked) for key, asked in campaigns.items()]
     verdicts += [conclusion.of_test(key[0], asked) for key, asked in tests.items()]
@@ -194,7 +194,7 @@ def question_of(judgement: Judgement) -> tuple[str, ...]:
         judgement.confidence, judgement.until_decided,
     ]  # fmt: skip
     about = judgement.requirement, judgement.case, judgement.component
-    return judgement.recorded_as or judgement.item, *about, json.dumps(question, sort_keys=True)
+    return judgement.decides, *about, json.dumps(question, sort_keys=True)
 
 
 def question_key(item: str, verdict: AttemptEntry) -> tuple[str, ...]:
@@ -333,7 +333,7 @@ class _Verdicts:
 
     def unanswered(self, claim: Judgement) -> VerdictEntry:
         """Make the verdict on what was to be decided, and was not."""
-        item = claim.item
+        item = claim.decides
         verdict = AttemptEntry.of(
             judge_campaign(
                 self._requirement(claim.requirement),
