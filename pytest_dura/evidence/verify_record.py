@@ -215,6 +215,8 @@ def _form_problems(judgement: Judgement) -> Iterator[str]:
     asked = judgement.until_decided or judgement.twins or judgement.paired or judgement.check
     if is_claim and (judgement.runs or asked):
         yield "a claim, and it asks something of runs"
+    if not by_test and judgement.decides != (judgement.recorded_as or judgement.item):
+        yield f"a {kind} of {judgement.item}, recorded as {judgement.decides}"
     if is_claim != (judgement.attempt == 0):
         yield f"a {kind} of attempt {judgement.attempt}"
     if by_test != (judgement.assertion is not None) or (by_test and len(judgement.runs) != 1):
