@@ -328,7 +328,9 @@ def pass_what_its_check_violates(record):
 
 INPUTS = {
     "more runs than its case has": ask_more,
-    "an invalid run satisfies": lambda r: said_of(r, "invalid", status="satisfied"),
+    "an invalid run satisfies": lambda r: said_of(
+        r, "invalid", status="satisfied", margin=1.0, time=None
+    ),
     "a run that came to its end is open": lambda r: said_of(r, "valid", status="open"),
     "a whole run is missing": lambda r: said_of(r, "valid", status="missing", detail=""),
     "a violation after the end": lambda r: said_of(r, "valid", status="violated", time=1e6),
