@@ -17,8 +17,9 @@ from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import SpecEntry
 from pytest_dura.evidence.files import file_entry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.verdict_model import BaselineEntry, VerdictEntry
+from pytest_dura.evidence.verdict_model import BaselineEntry
 from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 from pytest_dura.requirements.comparison import (
     ComparisonStatus,
@@ -176,7 +177,7 @@ def claims_of(record: SessionRecord) -> list[Claim]:
 
 
 def _claim(
-    verdict: VerdictEntry,
+    verdict: ItemVerdict,
     requirements: Mapping[str, RequirementEntry],
     conditions: Mapping[tuple[str, str], Mapping[int, Conditions]],
 ) -> Claim:
@@ -210,7 +211,7 @@ def _claim(
     )
 
 
-def _check(verdict: VerdictEntry, requirement: RequirementEntry | None) -> str:
+def _check(verdict: ItemVerdict, requirement: RequirementEntry | None) -> str:
     """Describe what was judged; for a test on single episodes, its node id."""
     check = verdict.check
     if not check:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from operator import itemgetter
 from typing import Any, TypeAlias
 
@@ -17,6 +18,7 @@ from pytest_dura.evidence.conclusions.verdicts import Runs, VerdictLines, conclu
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import Gate
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.metrics import (
     CaseMetrics,
     PooledMetrics,
@@ -31,7 +33,8 @@ from pytest_dura.evidence.redaction import count_redactions
 from pytest_dura.evidence.search_model import searched_claims
 from pytest_dura.evidence.session_model import InputEntry
 from pytest_dura.evidence.sessions import origin_counts
-from pytest_dura.evidence.verdict_model import MonitorEntry, PairsEntry, VerdictEntry
+from pytest_dura.evidence.verdict_model import MonitorEntry
+from pytest_dura.requirements.pairs import PairTable
 
 Place: TypeAlias = "tuple[str, str, str, str]"
 """Scenario, faults, requirement and component."""
@@ -44,7 +47,7 @@ WORST_FIRST = ("violated", "undecided", "supported")
 
 def coverage(
     cases: Sequence[CasePlan],
-    verdicts: Sequence[VerdictEntry],
+    verdicts: Sequence[ItemVerdict],
     episodes: Iterable[EpisodeEntry],
 ) -> dict[str, Any]:
     """Compute the record's key ``coverage``.
@@ -87,7 +90,7 @@ class _Grid:
         verdicts: The record's verdicts.
     """
 
-    def __init__(self, cases: Sequence[CasePlan], verdicts: Iterable[VerdictEntry]) -> None:
+    def __init__(self, cases: Sequence[CasePlan], verdicts: Iterable[ItemVerdict]) -> None:
         whole = [case for case in cases if not case.without]
         self.components = sorted({case.component for case in whole})
         self.faults = sorted({"", *map(faults_of, whole)})
@@ -178,7 +181,7 @@ class PairedCourses:
     they took the same time. Decisions are left out: they differ wherever recovery acts.
     """
 
-    def __init__(self, verdicts: Iterable[VerdictEntry]) -> None:
+    def __init__(self, verdicts: Iterable[ItemVerdict]) -> None:
         pairs = (
             (verdict.pairs.case, verdict.case, verdict.component)
             for verdict in verdicts
@@ -223,20 +226,20 @@ def _course(episode: EpisodeEntry) -> int:
 
 
 def effectiveness(
-    verdicts: Sequence[VerdictEntry], monitors: Sequence[MonitorEntry], courses: PairedCourses
+    verdicts: Sequence[ItemVerdict], monitors: Sequence[MonitorEntry], courses: PairedCourses
 ) -> list[dict[str, Any]]:
     """Compute the record's key ``effectiveness``: recovery first, then each monitor, by name."""
     return [*_recovery_effects(verdicts, courses), *_monitor_effects(monitors)]
 
 
 def _recovery_effects(
-    verdicts: Sequence[VerdictEntry], courses: PairedCourses
+    verdicts: Sequence[ItemVerdict], courses: PairedCourses
 ) -> Iterator[dict[str, Any]]:
     sums: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     cases: dict[tuple[str, str], set[str]] = defaultdict(set)
     for verdict in verdicts:
         pairs = verdict.pairs
-        if isinstance(pairs, PairsEntry) and pairs.without == RECOVERY_ROLE:
+        if isinstance(pairs, PairTable) and pairs.without == RECOVERY_ROLE:
             key = verdict.component, verdict.requirement
             if verdict.case not in cases[key]:  # several tests may ask the same of a case
                 cases[key].add(verdict.case)
@@ -376,7 +379,7 @@ def measure_cases(record: SessionRecord) -> SessionRecord:
     counts = zip(verdicts, shared.to_json(), strict=True)
     return record.changed(
         cases=measured,
-        verdicts=[verdict.replace(also_without=count) for verdict, count in counts],
+        verdicts=[replace(verdict, also_without=count) for verdict, count in counts],
         overall=pooled.to_json(),
         effectiveness=effectiveness(verdicts, record.head.monitors, courses),
     )
@@ -405,7 +408,7 @@ def timings(
     }
 
 
-def verdict_counts(verdicts: Iterable[VerdictEntry]) -> dict[str, int]:
+def verdict_counts(verdicts: Iterable[ItemVerdict]) -> dict[str, int]:
     """Count verdicts by status; ``waived`` ones also count under their own status."""
     known = list(verdicts)
     statuses = Counter(verdict.verdict for verdict in known)

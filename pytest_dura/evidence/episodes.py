@@ -30,7 +30,8 @@ from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import with_chains
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import OWN_ORIGIN
-from pytest_dura.evidence.verdict_model import AttemptEntry, MonitorEntry
+from pytest_dura.evidence.verdict_model import MonitorEntry
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
@@ -169,7 +170,7 @@ class ItemReport:
     requirements: list[RequirementEntry] = field(default_factory=list)
     episodes: list[JsonObject] = field(default_factory=list)
     judgements: list[Coded[Judgement]] = field(default_factory=list)
-    verdicts: list[AttemptEntry] = field(default_factory=list)
+    verdicts: list[Coded[CampaignVerdict]] = field(default_factory=list)
     outcomes: list[JsonObject] = field(default_factory=list)
     searches: list[JsonObject] = field(default_factory=list)
     monitors: list[MonitorEntry] = field(default_factory=list)

@@ -14,8 +14,8 @@ from pytest_dura.core.codec import Count
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry, RepeatEntry
+    from pytest_dura.evidence.item_verdicts import ItemVerdict
     from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
-    from pytest_dura.evidence.verdict_model import VerdictEntry
     from pytest_dura.requirements.campaign_verdicts import CampaignStatus
 
 _REPEAT_RESULTS = ("different", "failed", "within tolerances", "equal", "skipped")
@@ -210,7 +210,7 @@ class Gate:
     @classmethod
     def of(
         cls,
-        verdicts: Sequence[VerdictEntry],
+        verdicts: Sequence[ItemVerdict],
         objections: Sequence[str],
         *,
         searches: Sequence[SearchEntry],
@@ -249,7 +249,7 @@ class Gate:
 
 
 def verdict_objections(
-    verdicts: Sequence[VerdictEntry], searches: Sequence[SearchEntry], *, warn_undecided: bool
+    verdicts: Sequence[ItemVerdict], searches: Sequence[SearchEntry], *, warn_undecided: bool
 ) -> list[str]:
     """Write a sentence for every verdict and search that the gate does not accept, worst first.
 

@@ -20,12 +20,13 @@ from pytest_dura.evidence.episodes import (
     unpack_report,
 )
 from pytest_dura.evidence.gate import Gate, worse_repeat
+from pytest_dura.evidence.item_verdicts import Waiver, WaiverKind
 from pytest_dura.evidence.metrics import CaseMetrics
 from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
 from pytest_dura.evidence.search_model import SearchRecords
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import ReuseRecord
-from pytest_dura.evidence.verdict_model import MonitorEntry, WaiverEntry
+from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
 
@@ -209,7 +210,7 @@ class RecordBuilder:
     _monitors: dict[tuple[str, ...], MonitorEntry] = field(default_factory=dict)
     _claimed: dict[str, CasePlan] = field(default_factory=dict)
     """Cases of what is to be decided, by id."""
-    _waivers: dict[str, WaiverEntry] = field(default_factory=dict)
+    _waivers: dict[str, Waiver] = field(default_factory=dict)
     _failed: set[str] = field(default_factory=set)
     """Items that failed in the end."""
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -292,14 +293,14 @@ class RecordBuilder:
         """Add what an item asked, or was to decide."""
         self._judgements.setdefault(judgement)
 
-    def waive(self, item: str, kind: str, reason: str) -> None:
+    def waive(self, item: str, kind: WaiverKind, reason: str) -> None:
         """Record that an item's failure is excused: ``xfail``, ``rerun`` or ``skip``.
 
         That an item was run again excuses nothing if it failed all the same; see :meth:`fail`.
         """
         if kind == "rerun" and item in self._failed:
             return
-        self._waivers[item] = WaiverEntry.model_validate({"kind": kind, "reason": reason})
+        self._waivers[item] = Waiver(kind, reason)
 
     def fail(self, item: str) -> None:
         """Record that an item failed in the end, however often it was run."""

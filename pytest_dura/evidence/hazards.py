@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pytest_dura.evidence.case_model import RequirementEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.requirements.hazards import Hazard
 
 HazardStatus = Literal[
@@ -34,7 +34,7 @@ class HazardEvidence:
 
     hazard: Hazard
     requirements: tuple[RequirementEntry, ...]
-    verdicts: tuple[VerdictEntry, ...]
+    verdicts: tuple[ItemVerdict, ...]
 
     @property
     def status(self) -> HazardStatus:
@@ -57,7 +57,7 @@ class HazardEvidence:
         """Whether any verdict supports a requirement that mitigates it."""
         return any(verdict.verdict == "supported" for verdict in self.verdicts)
 
-    def verdicts_on(self, requirement: RequirementEntry) -> list[VerdictEntry]:
+    def verdicts_on(self, requirement: RequirementEntry) -> list[ItemVerdict]:
         """List the verdicts on one of its requirements."""
         return [verdict for verdict in self.verdicts if verdict.requirement == requirement.id]
 
@@ -69,7 +69,7 @@ def hazard_evidence(record: SessionRecord) -> list[HazardEvidence]:
     for requirement in requirements:
         for mitigated in requirement.mitigates or ():
             by_hazard.setdefault(mitigated, []).append(requirement)
-    by_requirement: dict[str, list[VerdictEntry]] = {}
+    by_requirement: dict[str, list[ItemVerdict]] = {}
     for verdict in record.head.verdicts:
         by_requirement.setdefault(verdict.requirement, []).append(verdict)
     evidence: list[HazardEvidence] = []

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura.evidence.files import read_head
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.verdict_model import LookEntry, VerdictEntry
+from pytest_dura.evidence.verdict_model import LookEntry
 
 MAX_LOOKS = 1000
 """Looks that a record keeps, the latest ones."""
@@ -61,7 +62,7 @@ def _identity(component: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
 
 
-def further_looks(record: SessionRecord) -> Iterator[tuple[VerdictEntry, list[LookEntry]]]:
+def further_looks(record: SessionRecord) -> Iterator[tuple[ItemVerdict, list[LookEntry]]]:
     """Yield each verdict on a rate before which others looked at the same question.
 
     That is the same requirement with the same check on a case of the same name, for a component of

@@ -23,6 +23,7 @@ from pytest_dura.evidence.episodes import ItemReport, RepeatReport
 from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
 from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate
 from pytest_dura.evidence.gather import RecordBuilder
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.merge_checks import (
     KEYS_OF_ALL_COMPONENTS,
     ShardBundle,
@@ -37,7 +38,6 @@ from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import LanguageModelEntry, MergedShard
 from pytest_dura.evidence.sessions import merged_reuse
 from pytest_dura.evidence.traces import is_trace_path
-from pytest_dura.evidence.verdict_model import VerdictEntry
 
 _PLANNED_KEYS = set(CasePlan.model_fields)
 _TRACE_REASONS = ("twin", "all", "sample", "missing", "violation")
@@ -227,7 +227,7 @@ def _model_key(model: LanguageModelEntry) -> tuple[Any, ...]:
 
 def _merged_gate(
     parts: Sequence[ShardBundle],
-    verdicts: Sequence[VerdictEntry],
+    verdicts: Sequence[ItemVerdict],
     searches: Sequence[SearchEntry],
     objections: Sequence[str],
 ) -> Gate:

@@ -18,7 +18,7 @@ from pytest_dura.evidence.episode_model import (
     FaultEntry,
     SwitchingEntry,
 )
-from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.requirements.rate_tests import upper_bound
 
 CONFIDENCE = 0.95
@@ -208,7 +208,7 @@ class SharedViolations:
         verdicts: Of the record.
     """
 
-    def __init__(self, verdicts: Sequence[VerdictEntry]) -> None:
+    def __init__(self, verdicts: Sequence[ItemVerdict]) -> None:
         self._counts: list[int | None] = [None] * len(verdicts)
         self._claims: dict[tuple[str, str], list[tuple[int, str]]] = {}
         for place, verdict in enumerate(verdicts):
@@ -423,7 +423,7 @@ class PooledMetrics:
         verdicts: Of the record.
     """
 
-    def __init__(self, cases: Iterable[CasePlan], verdicts: Iterable[VerdictEntry] = ()) -> None:
+    def __init__(self, cases: Iterable[CasePlan], verdicts: Iterable[ItemVerdict] = ()) -> None:
         self._planned: Counter[str] = Counter()
         self._cases: dict[str, set[str]] = {}
         judged, twins = set(), set()
@@ -471,10 +471,10 @@ _MAX_LISTED_RUNS = 100
 
 
 def verdicts_on_cases(
-    verdicts: Iterable[VerdictEntry],
-) -> Mapping[tuple[str, str], list[VerdictEntry]]:
+    verdicts: Iterable[ItemVerdict],
+) -> Mapping[tuple[str, str], list[ItemVerdict]]:
     """Group verdicts by case and component; a comparison of pairs rests on two cases."""
-    by_case: dict[tuple[str, str], list[VerdictEntry]] = defaultdict(list)
+    by_case: dict[tuple[str, str], list[ItemVerdict]] = defaultdict(list)
     for verdict in verdicts:
         for case in {verdict.case, verdict.pairs.case if verdict.pairs else verdict.case}:
             by_case[case, verdict.component].append(verdict)
@@ -482,7 +482,7 @@ def verdicts_on_cases(
 
 
 def missing_runs(
-    case: CasePlan, verdicts: Iterable[VerdictEntry], reported: Collection[int]
+    case: CasePlan, verdicts: Iterable[ItemVerdict], reported: Collection[int]
 ) -> dict[str, Any]:
     """Count the planned runs of a case that never reported, and list the first of them.
 

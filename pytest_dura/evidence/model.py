@@ -18,6 +18,7 @@ from pytest_dura.evidence.case_model import (
 from pytest_dura.evidence.entry import Absent, Coded, Count, Entry, JsonObject, Positive
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import Gate
+from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import (
     ComponentEntry,
@@ -42,8 +43,6 @@ from pytest_dura.evidence.verdict_model import (
     EffectivenessEntry,
     LookEntry,
     MonitorEntry,
-    VerdictEntry,
-    WaiverEntry,
 )
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
@@ -138,11 +137,11 @@ class RecordHead(Entry):
     """Sorted by id and component."""
     judgements: list[Coded[Judgement]]
     """What items asked, from which the verdicts follow; sorted by item, requirement and case."""
-    waivers: dict[str, WaiverEntry]
+    waivers: dict[str, Coded[Waiver]]
     """What excuses failures, by the node id of the item."""
     doubts: list[Coded[Doubt]]
     """Cases whose episodes cannot be trusted."""
-    verdicts: list[VerdictEntry]
+    verdicts: list[Coded[ItemVerdict]]
     """Sorted by case and requirement."""
     searches: list[SearchEntry]
     """What searches for violations came to (`campaign.falsify`). None of it is part of a verdict or

@@ -14,13 +14,14 @@ import shlex
 import string
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from fnmatch import fnmatchcase
 from functools import partial
 from re import Pattern
 from typing import Any
 from urllib.parse import quote, quote_plus, unquote, urlsplit
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.text import html
 
@@ -511,6 +512,8 @@ def _texts(value: Any) -> Iterator[str]:
             pending.extend(element.values())
         elif isinstance(element, Entry):
             pending.append(element.to_json())
+        elif is_dataclass(element):
+            pending.append(encode(element))
         elif isinstance(element, Mapping):
             yield from (key for key in element if isinstance(key, str))
             pending.extend(element.values())

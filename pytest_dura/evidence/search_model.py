@@ -12,6 +12,7 @@ from pydantic import Field
 
 from pytest_dura.evidence.entry import (
     Absent,
+    Coded,
     Count,
     Entry,
     JsonObject,
@@ -20,10 +21,10 @@ from pytest_dura.evidence.entry import (
     Sha256,
     Share,
 )
-from pytest_dura.evidence.verdict_model import WaiverEntry
+from pytest_dura.evidence.item_verdicts import Waiver
 
 
-class ChangeEntry(Entry):
+class ParameterChangeEntry(Entry):
     """A parameter of a counterexample that is not as the case has it."""
 
     path: str
@@ -82,7 +83,7 @@ class FoundCounterexample(Entry):
     """Why, in words."""
     repeats: ReplayEntry
     """What came of replaying it."""
-    changes: list[ChangeEntry]
+    changes: list[ParameterChangeEntry]
     """Its parameters that are not as the case has them."""
     shrinking: ShrinkingEntry | None
     """How it was made simpler; null if that was not asked for."""
@@ -204,7 +205,7 @@ class SearchEntry(Entry):
     """Import path of each role."""
     item: str
     """Node id of the test that searched."""
-    waiver: WaiverEntry | None
+    waiver: Coded[Waiver] | None
     """What excused its failure; null if nothing did."""
 
 
@@ -246,7 +247,7 @@ class SearchRecords:
         """Claims that items searched instead of deciding them: they get no verdict."""
         return searched_claims(self._searches.values())
 
-    def entries(self, waivers: Mapping[str, WaiverEntry]) -> list[SearchEntry]:
+    def entries(self, waivers: Mapping[str, Waiver]) -> list[SearchEntry]:
         """List the entries of the record's key ``searches``, sorted.
 
         Args:

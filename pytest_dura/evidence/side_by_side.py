@@ -30,11 +30,11 @@ from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, UsageEntry
 from pytest_dura.evidence.files import file_entry, files_below
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.metrics import percentile_summary
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.session_model import MeasureEntry, PriceEntry
 from pytest_dura.evidence.text import one_line
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.evidence.verify import hash_problems, resume_files
 from pytest_dura.requirements.comparison import holm, mcnemar
 
@@ -315,7 +315,7 @@ def _letter(number: int) -> str:
     return chr(ord("A") + number)
 
 
-def _shown_verdict(verdict: VerdictEntry) -> VerdictShown:
+def _shown_verdict(verdict: ItemVerdict) -> VerdictShown:
     return VerdictShown(
         verdict.requirement, verdict.case, verdict.item,
         verdict.verdict, verdict.violations, verdict.episodes,

@@ -23,6 +23,7 @@ from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, EpisodeMetricsEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, repeat_problems
 from pytest_dura.evidence.hazards import hazard_problems
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.redaction import holds_redaction
 from pytest_dura.evidence.search_model import (
@@ -34,7 +35,6 @@ from pytest_dura.evidence.search_model import (
 from pytest_dura.evidence.session_model import ComponentEntry, ComponentUnderTest
 from pytest_dura.evidence.sessions import reuse_problems, shard_problems
 from pytest_dura.evidence.text import one_line
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.provenance import digest_of
 from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
 from pytest_dura.requirements.episode_verdicts import EARLY_ENDS
@@ -565,7 +565,7 @@ def _question_problems(record: SessionRecord) -> Iterator[str]:
 
 
 def _problems_of_question(
-    verdict: VerdictEntry, requirement: RequirementEntry | None
+    verdict: ItemVerdict, requirement: RequirementEntry | None
 ) -> Iterator[str]:
     """Compare check and limits of a verdict with those of its requirement, as far as it has any."""
     if requirement is None:
@@ -579,13 +579,13 @@ def _problems_of_question(
         yield f"{name}: judged by {_limits(verdict)}, and its rate and confidence are others"
 
 
-def _limits(verdict: VerdictEntry) -> list[Any]:
+def _limits(verdict: ItemVerdict) -> list[Any]:
     """Greatest rate and confidence that a verdict was made with."""
     return [verdict.bound.at_most, verdict.bound.confidence]
 
 
 def _verdict_problems(
-    verdict: VerdictEntry,
+    verdict: ItemVerdict,
     cases: Mapping[EpisodeKey, CaseEntry],
     requirements: set[str],
     episodes: set[EpisodeKey],

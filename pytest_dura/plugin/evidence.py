@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.evidence.files import DirectoryLock
     from pytest_dura.evidence.gather import RecordBuilder, Status
+    from pytest_dura.evidence.item_verdicts import WaiverKind
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
@@ -54,7 +55,7 @@ _PHASES = ("setup", "call", "teardown")
 _OUTCOMES = ("passed", "failed", "skipped")
 
 
-def _waiver_of(report: pytest.TestReport) -> tuple[str, str] | None:
+def _waiver_of(report: pytest.TestReport) -> tuple[WaiverKind, str] | None:
     """Return the kind of waiver and its reason, if a report has one."""
     reason = getattr(report, "wasxfail", None)
     if reason is not None:
@@ -202,7 +203,7 @@ class SessionEvidence:
         """Items of ours that have not reported yet, where this process runs them."""
         self._claiming: set[str] = set()
         self._failed: set[str] = set()
-        self._waived: list[list[str]] = []
+        self._waived: list[tuple[str, WaiverKind, str]] = []
         """Waivers that the record does not have yet: node id, kind and reason."""
         self._inputs: SessionInputs | None = None
         self._expected: list[str] = []
@@ -336,7 +337,8 @@ class SessionEvidence:
                 self.record.fail(report.nodeid)
         waiver = _waiver_of(report)
         if waiver is not None:
-            self._waived.append(self.context.redact([report.nodeid, *waiver]))
+            name, reason = self.context.redact([report.nodeid, waiver[1]])
+            self._waived.append((name, waiver[0], reason))
         if self.record is not None:
             self._pass_on_waivers(self.record)
         self._seconds_spent += perf_counter() - started

@@ -22,6 +22,7 @@ from uuid import uuid4
 
 import pytest
 
+from pytest_dura.core.codec import encode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
@@ -354,7 +355,8 @@ def _report_item(context: SessionContext, runner: Callable[[], Runner], event: I
     for result in results:
         verdict = result.verdict or result.outcome
         if verdict is not None:
-            text = _verdict_json(context.redact(verdict.to_json()))
+            data = verdict.to_json() if isinstance(verdict, EpisodeOutcome) else encode(verdict)
+            text = _verdict_json(context.redact(data))
             _attach(text, f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
         _show_worst(context, runner, item, results)
@@ -503,7 +505,7 @@ def _worst_episode(runner: Callable[[], Runner], result: ItemResult) -> Episode 
     verdict = result.verdict
     if verdict is None or result.case is None or not verdict.run:
         return None
-    shown = verdict.counterexamples[0] if verdict.counterexamples else verdict.spoilt
+    shown = verdict.counterexamples[0] if verdict.counterexamples else verdict.first_uncounted
     run = int(shown.episode.rpartition("#")[2]) if shown else 0
     return runner().fetch(result.case, run)
 

@@ -130,7 +130,6 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator: Runner) -> None:
     """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.events import VerdictReached
-    from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.plugin.item_reports import event_sentence
     from pytest_dura.requirements.campaign_verdicts import explain_verdict
 
@@ -150,7 +149,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
         return
     lines = explain_verdict(verdict, requirement, str(campaign.failures))
     if verdict.counterexamples:
-        item_result = ItemResult(requirement, planned.case, verdict=AttemptEntry.of(verdict))
+        item_result = ItemResult(requirement, planned.case, verdict=verdict)
         sentence = event_sentence(item_result, lambda: dura_orchestrator, context.redact)
         lines += [f"event:    {sentence}"] if sentence else []
         lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))

@@ -20,9 +20,9 @@ from pytest_dura.plugin.options import LONG_NAMES
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.evidence.episodes import ItemReport
-    from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
     from pytest_dura.requirements.episode_verdicts import (
         EpisodeStatus,
         EpisodeVerdict,
@@ -137,7 +137,7 @@ class ItemResult:
 
     requirement: Requirement
     case: Case | None = None
-    verdict: AttemptEntry | None = None
+    verdict: CampaignVerdict | None = None
     outcome: EpisodeOutcome | None = None
     episode: JudgedEpisode | None = None
 
@@ -152,7 +152,7 @@ class ItemResult:
         return self._judged.component if self._judged else None
 
     @property
-    def _judged(self) -> AttemptEntry | EpisodeVerdict | None:
+    def _judged(self) -> CampaignVerdict | EpisodeVerdict | None:
         return self.outcome.judged if self.outcome else self.verdict
 
     @property
@@ -307,7 +307,6 @@ def _undecided_result(
     case = None if target is None else target.case
     if case is None or "episode" in parameters_of(item):
         return ItemResult(requirement, case, episode=episode_of(item))
-    from pytest_dura.evidence.verdict_model import AttemptEntry
     from pytest_dura.requirements.campaign_judge import judge_campaign
 
     campaign = given_to(item, "campaign")
@@ -319,7 +318,7 @@ def _undecided_result(
         component=getattr(campaign, "component", None),
     )
     undecided = replace(verdict, reason="the test ended without a verdict on it")
-    return ItemResult(requirement, case, verdict=AttemptEntry.of(undecided))
+    return ItemResult(requirement, case, verdict=undecided)
 
 
 def _case_of_result(runner: Callable[[], Runner], item: pytest.Item, name: str) -> Case | None:

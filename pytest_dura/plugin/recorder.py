@@ -217,9 +217,6 @@ class ItemRecorder:
 
     def verdict_reached(self, event: VerdictReached) -> None:
         """Record the verdict on a campaign, and keep the traces of its counterexamples."""
-        from pytest_dura.evidence.entry import plain_data
-        from pytest_dura.evidence.verdict_model import AttemptEntry
-
         verdict, requirement = event.verdict, event.requirement
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
@@ -228,11 +225,9 @@ class ItemRecorder:
                 self.traces.violated(episode)
                 if counterexample is verdict.counterexamples[0]:  # the worst
                     self.traces.keep_twins(used.case, episode, self._runner().fetch)
-        self._used.pop((verdict.pairs or {}).get("case", verdict.case), None)
-        question = requirement.to_json()
-        check = {"check": question["check"], "paired": question["paired"]}
-        judged = plain_data({**verdict.to_json(), **check})
-        self._report.verdicts.append(AttemptEntry.model_validate(judged))
+        if verdict.pairs is not None:
+            self._used.pop(verdict.pairs.case, None)
+        self._report.verdicts.append(verdict)
         self._report.judgements.append(event.judgement)
         self._decided.add((verdict.requirement, verdict.case))
         self._requirement_used(requirement)

@@ -24,8 +24,8 @@ from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry
+    from pytest_dura.evidence.item_verdicts import ItemVerdict
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.evidence.verdict_model import VerdictEntry
     from pytest_dura.plugin.context import SessionContext
 
 _MOST_CARDS = 5
@@ -97,7 +97,7 @@ def brief_lines(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator[s
         yield from textwrap.wrap(line, WIDTH, subsequent_indent="  ")
 
 
-def _reading_lines(verdicts: Sequence[VerdictEntry]) -> Iterator[str]:
+def _reading_lines(verdicts: Sequence[ItemVerdict]) -> Iterator[str]:
     """What tests decided by assertions of their own, and checks that were false all the same."""
     alone = [each for each in verdicts if each.assertion is not None and each.assertion.alone]
     if alone:
@@ -178,7 +178,7 @@ def _fault_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:
 
 def _attack_lines(record: SessionRecord) -> Iterator[str]:
     """What pairs with and without faults came to."""
-    from pytest_dura.evidence.verdict_model import MeasuredPairs, PairsEntry
+    from pytest_dura.requirements.pairs import ChangeTable, PairTable
 
     compared = [
         verdict.pairs
@@ -187,14 +187,14 @@ def _attack_lines(record: SessionRecord) -> Iterator[str]:
     ]
     if not compared:
         return
-    counted_pairs = [pairs for pairs in compared if isinstance(pairs, PairsEntry)]
+    counted_pairs = [pairs for pairs in compared if isinstance(pairs, PairTable)]
     caused = sum(pairs.only_with for pairs in counted_pairs)
     spared = sum(pairs.only_without for pairs in counted_pairs)
     parts = [f"faults caused {caused} violations, spared {spared}"] if counted_pairs else []
     means = [
         pairs.change.mean
         for pairs in compared
-        if isinstance(pairs, MeasuredPairs) and pairs.change.mean is not None
+        if isinstance(pairs, ChangeTable) and pairs.change.mean is not None
     ]
     if means:
         parts.append(f"mean cost {min(means):+.2g} to {max(means):+.2g}")

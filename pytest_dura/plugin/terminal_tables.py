@@ -46,15 +46,12 @@ from pytest_dura.requirements.model import FAULTS
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
     from pytest_dura.evidence.episode_model import FaultEntry
+    from pytest_dura.evidence.item_verdicts import ItemVerdict
     from pytest_dura.evidence.model import RecordHead
     from pytest_dura.evidence.session_model import LanguageModelEntry, MeasureEntry, PriceEntry
-    from pytest_dura.evidence.verdict_model import (
-        EffectivenessEntry,
-        MonitorEntry,
-        PairsEntry,
-        VerdictEntry,
-    )
+    from pytest_dura.evidence.verdict_model import EffectivenessEntry, MonitorEntry
     from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.requirements.pairs import PairTable
 
 Row = TypeVar("Row")
 WIDTH = 100
@@ -167,7 +164,7 @@ def aligned(
     return lines
 
 
-def attack_table(verdicts: Sequence[VerdictEntry], cases: Sequence[CaseEntry]) -> list[str]:
+def attack_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> list[str]:
     """Write what faults did: a line per case and requirement on pairs without them."""
     rows = [
         (f"{verdict.requirement} on {verdict.case}", AttackRow(verdict))
@@ -177,16 +174,16 @@ def attack_table(verdicts: Sequence[VerdictEntry], cases: Sequence[CaseEntry]) -
     return table("attack", ATTACK_COLUMNS, rows)
 
 
-def pair_table(verdicts: Sequence[VerdictEntry], cases: Sequence[CaseEntry]) -> list[str]:
+def pair_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> list[str]:
     """Write what recovery did: a line per case, component and requirement on pairs without it."""
-    from pytest_dura.evidence.verdict_model import PairsEntry
+    from pytest_dura.requirements.pairs import PairTable
 
     metrics = {(case.id, case.component): case.metrics for case in cases}
     rows: list[tuple[str, PairRow]] = []
-    sums: dict[tuple[str, str], list[PairsEntry]] = {}
+    sums: dict[tuple[str, str], list[PairTable]] = {}
     for verdict in _by_case(verdicts, cases):
         pairs = verdict.pairs
-        if not isinstance(pairs, PairsEntry) or pairs.without != RECOVERY_ROLE:
+        if not isinstance(pairs, PairTable) or pairs.without != RECOVERY_ROLE:
             continue
         switching = metrics[verdict.case, verdict.component].switching
         row = PairRow(verdict, pairs, switching)
@@ -200,9 +197,7 @@ def pair_table(verdicts: Sequence[VerdictEntry], cases: Sequence[CaseEntry]) -> 
     return table("recovery", PAIR_COLUMNS, rows)
 
 
-def _by_case(
-    verdicts: Sequence[VerdictEntry], cases: Sequence[CaseEntry]
-) -> Iterable[VerdictEntry]:
+def _by_case(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Iterable[ItemVerdict]:
     order = {case.id: place for place, case in enumerate(cases)}
     return sorted(verdicts, key=lambda verdict: order.get(verdict.case, len(order)))
 
@@ -274,7 +269,7 @@ def keep_worst(rows: Sequence[T], ranks: Sequence[int], *, most: int | None = MO
 
 
 def worst_cases(
-    cases: Sequence[CaseEntry], verdicts: Iterable[VerdictEntry], *, most: int | None = MOST_ROWS
+    cases: Sequence[CaseEntry], verdicts: Iterable[ItemVerdict], *, most: int | None = MOST_ROWS
 ) -> list[CaseEntry]:
     """Return the cases that tables show: those with the worst verdicts, also on comparisons."""
     rank: dict[tuple[str, str], int] = {}

@@ -35,9 +35,9 @@ from pytest_dura.requirements.campaign_verdicts import failure_entries
 
 if TYPE_CHECKING:
     from pytest_dura.evidence.episode_model import EpisodeEntry
+    from pytest_dura.evidence.item_verdicts import ItemVerdict
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry, SearchOutcomeEntry
-    from pytest_dura.evidence.verdict_model import VerdictEntry
     from pytest_dura.plugin.context import SessionContext
 
 
@@ -58,7 +58,7 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
     if not verdicts or context.config.option.verbose <= 0:
         return
     terminal.line("")
-    by_heading: dict[tuple[str, ...], list[VerdictEntry]] = {}
+    by_heading: dict[tuple[str, ...], list[ItemVerdict]] = {}
     for verdict in verdicts:
         heading = (
             verdict.verdict,
@@ -70,11 +70,14 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
     for heading, group in by_heading.items():
         _show_alike(terminal, heading, group)
     terminal.line(f"{'':<11}(behind each requirement: its least margin, in the check's unit)")
-    failures: dict[tuple[str, ...], list[VerdictEntry]] = {}
+    failures: dict[tuple[str, ...], list[ItemVerdict]] = {}
     for verdict in verdicts:
         if verdict.verdict != "supported":
             # What is undecided for one reason is shown once for all requirements of a case.
-            cause = verdict.reason, verdict.spoilt.detail if verdict.spoilt else ""
+            cause = (
+                verdict.reason,
+                verdict.first_uncounted.detail if verdict.first_uncounted else "",
+            )
             own_key = (verdict.requirement,) if verdict.verdict == "violated" else cause
             failures.setdefault((verdict.case, verdict.component, *own_key), []).append(verdict)
     episodes = _shown_episodes(record, [group[0] for group in failures.values()])
@@ -84,7 +87,7 @@ def show_verdicts(context: SessionContext, terminal: Any, record: SessionRecord)
         _show_failure(context, terminal, check, group, episodes)
 
 
-def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[VerdictEntry]) -> None:
+def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[ItemVerdict]) -> None:
     """Show verdicts of a case that differ by requirement and margin alone."""
     status, where, counts, *rests_on = heading
     terminal.write(f"{status:<9}", **_VERDICT_COLOURS[status])
@@ -98,7 +101,7 @@ def _show_alike(terminal: Any, heading: tuple[str, ...], verdicts: Sequence[Verd
             terminal.line(f"{'':<11}{line}")
 
 
-def _with_margin(verdict: VerdictEntry) -> str:
+def _with_margin(verdict: ItemVerdict) -> str:
     """Write the requirement with its least margin and its vacuous episodes."""
     parts = [] if verdict.margin is None else [f"{verdict.margin:.3g}"]
     if verdict.vacuous:
@@ -109,7 +112,7 @@ def _with_margin(verdict: VerdictEntry) -> str:
     return f"{requirement}{_NO_BREAK}({f',{_NO_BREAK}'.join(parts)})".replace(" ", _NO_BREAK)
 
 
-def _where(verdict: VerdictEntry) -> str:
+def _where(verdict: ItemVerdict) -> str:
     return f"{name(verdict.case)} ({name(verdict.component)})"
 
 
@@ -117,7 +120,7 @@ def _show_failure(
     context: SessionContext,
     terminal: Any,
     check: str,
-    verdicts: Sequence[VerdictEntry],
+    verdicts: Sequence[ItemVerdict],
     episodes: Mapping[tuple[str, str], EpisodeEntry],
 ) -> None:
     first = verdicts[0]
@@ -147,7 +150,7 @@ def _show_failure(
 def _show_episode(
     context: SessionContext,
     terminal: Any,
-    verdict: VerdictEntry,
+    verdict: ItemVerdict,
     episodes: Mapping[tuple[str, str], EpisodeEntry],
 ) -> None:
     """Show the worst episode, or one that did not count, and how to replay it."""
@@ -174,15 +177,15 @@ def _show_episode(
     terminal.line(f"  replay: {replay_command(context, shown_id)}")
 
 
-def _shown_episode_id(verdict: VerdictEntry) -> str | None:
+def _shown_episode_id(verdict: ItemVerdict) -> str | None:
     """Return the id of the episode that stands for a verdict that is not "supported"."""
     if verdict.counterexamples:
         return verdict.counterexamples[0].episode
-    return None if verdict.spoilt is None else verdict.spoilt.episode
+    return None if verdict.first_uncounted is None else verdict.first_uncounted.episode
 
 
 def _shown_episodes(
-    record: SessionRecord, verdicts: Iterable[VerdictEntry]
+    record: SessionRecord, verdicts: Iterable[ItemVerdict]
 ) -> dict[tuple[str, str], EpisodeEntry]:
     """Return the episodes that stand for verdicts, by id and component, planned ones first.
 

@@ -15,10 +15,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from pytest_dura.evidence.case_model import RequirementEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.text import counted, name, one_line
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.incidents import (
     KINDS,
     EpisodeKey,
@@ -81,7 +81,7 @@ class Cause:
     twins: tuple[TwinOutcome, ...]
     replay: str
     next_step: str
-    verdicts: tuple[VerdictEntry, ...]
+    verdicts: tuple[ItemVerdict, ...]
 
     @property
     def waived(self) -> bool:
@@ -172,7 +172,7 @@ def _violated(
 ) -> Iterator[Cause]:
     """Causes of violated verdicts."""
     incidents: dict[EpisodeKey, Incident] = {}
-    without_episode: list[VerdictEntry] = []
+    without_episode: list[ItemVerdict] = []
     for verdict in record.head.verdicts:
         if verdict.verdict != "violated":
             continue
@@ -268,7 +268,7 @@ def _undecided(
     record: SessionRecord, episodes: Episodes, requirements: Mapping[str, RequirementEntry]
 ) -> Iterator[Cause]:
     """Causes of undecided verdicts, one for each reason."""
-    groups: dict[tuple[str, str], tuple[Obstacle, list[VerdictEntry]]] = {}
+    groups: dict[tuple[str, str], tuple[Obstacle, list[ItemVerdict]]] = {}
     undecided = [each for each in record.head.verdicts if each.verdict == "undecided"]
     # The first of a group speaks for it.
     for verdict in sorted(undecided, key=lambda each: -each.violations / max(1, each.episodes)):
@@ -298,7 +298,7 @@ def _cause(
     record: SessionRecord,
     status: str,
     headline: str,
-    verdicts: Sequence[VerdictEntry],
+    verdicts: Sequence[ItemVerdict],
     requirements: Mapping[str, RequirementEntry],
     *,
     next_step: str,

@@ -20,8 +20,8 @@ from pytest_dura.evidence.case_model import (
     ShareEntry,
 )
 from pytest_dura.evidence.episode_model import EpisodeEntry, OutcomeEntry, TraceEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.verdict_model import VerdictEntry
 
 _MAX_READABLE = 80
 """Readable characters of an anchor."""
@@ -79,7 +79,7 @@ def case_key(case: CaseEntry) -> CaseKey:
     return case.id, case.component
 
 
-def verdict_key(verdict: VerdictEntry | CellEntry) -> CaseKey:
+def verdict_key(verdict: ItemVerdict | CellEntry) -> CaseKey:
     """Key of the case that a verdict is on."""
     return verdict.case, verdict.component
 
@@ -111,7 +111,7 @@ def folded_cases(record: SessionRecord) -> frozenset[CaseKey]:
     and is valid, and no grave measure is true of it. Whatever else is there is
     shown, however much it is.
     """
-    judged: dict[CaseKey, list[VerdictEntry]] = defaultdict(list)
+    judged: dict[CaseKey, list[ItemVerdict]] = defaultdict(list)
     for verdict in record.head.verdicts:
         judged[verdict_key(verdict)].append(verdict)
     grave = [measure.name for measure in record.head.measures if measure.severity == "grave"]
@@ -140,7 +140,7 @@ def split_folded(
     return shown, rest
 
 
-def _is_plain(case: CaseEntry, verdicts: list[VerdictEntry], grave: Iterable[str]) -> bool:
+def _is_plain(case: CaseEntry, verdicts: list[ItemVerdict], grave: Iterable[str]) -> bool:
     metrics = case.metrics
     raised = [metrics.measures.get(name) for name in grave]
     missing_runs_total = case.missing_runs_total or metrics.invalid or metrics.missing
@@ -152,7 +152,7 @@ def _is_plain(case: CaseEntry, verdicts: list[VerdictEntry], grave: Iterable[str
     return bool(verdicts) and names.issuperset(case.requirements) and all(map(_passed, verdicts))
 
 
-def _passed(verdict: VerdictEntry) -> bool:
+def _passed(verdict: ItemVerdict) -> bool:
     against = (
         verdict.violations, verdict.open, verdict.without_effect, verdict.invalid, verdict.missing,
         verdict.waiver, verdict.attempts, verdict.counterexamples,

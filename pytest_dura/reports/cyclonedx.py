@@ -29,15 +29,16 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.conclude import verdict_counts
 from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.gate import NOTHING_FOUND, OBJECTIONABLE_OUTCOMES, outcome_status
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import ComponentEntry, ComponentUnderTest
 from pytest_dura.evidence.text import name, one_line, visible
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.verdicts import rate_bound, sample_text
 from pytest_dura.reports.wording import (
     NAME_LIMIT,
@@ -176,7 +177,7 @@ def _counterexample_places(record: SessionRecord) -> dict[tuple[str, str], tuple
 
 def _claim(
     number: int,
-    verdict: VerdictEntry,
+    verdict: ItemVerdict,
     texts: Mapping[str, str],
     target: str,
     entries: list[JsonObject],
@@ -201,18 +202,16 @@ def _claim(
     return claim
 
 
-def _evidence(
-    number: int, verdict: VerdictEntry, places: Mapping[Any, Any]
-) -> Iterator[JsonObject]:
+def _evidence(number: int, verdict: ItemVerdict, places: Mapping[Any, Any]) -> Iterator[JsonObject]:
     data = [
         {
             "name": "verdict",
-            "contents": _json_text(verdict.model_dump(include=_FIGURES))
+            "contents": _json_text({key: encode(getattr(verdict, key)) for key in _FIGURES})
             | {"url": f"{RECORD_FILE}#/verdicts/{number}"},
         }
     ]
     if verdict.waiver is not None:
-        waiver = {key: visible(str(text)) for key, text in verdict.waiver.to_json().items()}
+        waiver = {key: visible(str(text)) for key, text in encode(verdict.waiver).items()}
         data.append({"name": "waiver", "contents": _json_text(waiver)})
     yield {
         "bom-ref": f"evidence/{number}",
@@ -224,13 +223,13 @@ def _evidence(
         yield _counterexamples(number, verdict, places)
 
 
-def _counterexamples(number: int, verdict: VerdictEntry, places: Mapping[Any, Any]) -> JsonObject:
+def _counterexamples(number: int, verdict: ItemVerdict, places: Mapping[Any, Any]) -> JsonObject:
     counterexamples = verdict.counterexamples
     data = []
     for counterexample in counterexamples[:MAX_LISTED]:
         index, trace = places.get((counterexample.episode, verdict.component), (None, None))
-        shown = name(counterexample.episode, NAME_LIMIT)
-        contents = _json_text(counterexample.model_dump(exclude={"episode"}))
+        shown, encoded = name(counterexample.episode, NAME_LIMIT), encode(counterexample)
+        contents = _json_text({key: encoded[key] for key in encoded if key != "episode"})
         if index is not None:
             contents["url"] = f"{RECORD_FILE}#/episodes/{index}"
         data.append({"name": shown, "contents": contents})
@@ -255,7 +254,7 @@ def _json_text(data: Mapping[str, Any]) -> JsonObject:
 
 def _attestation_map(record: SessionRecord) -> Iterator[JsonObject]:
     """Each requirement with its claims, also one on which there is none."""
-    verdicts: dict[str, list[tuple[int, VerdictEntry]]] = defaultdict(list)
+    verdicts: dict[str, list[tuple[int, ItemVerdict]]] = defaultdict(list)
     for number, verdict in enumerate(record.head.verdicts):
         verdicts[verdict.requirement].append((number, verdict))
     untested = _declared_and_untested(record)
@@ -308,7 +307,7 @@ def _search_outcomes(record: SessionRecord, requirement: str) -> Counter[str]:
 
 
 def _conformance(
-    record: SessionRecord, requirement: str, verdicts: list[VerdictEntry], untested: int
+    record: SessionRecord, requirement: str, verdicts: list[ItemVerdict], untested: int
 ) -> JsonObject:
     """The score where it is decided: 1 or 0, see the package; and the reason, always."""
     counts = verdict_counts(verdicts)

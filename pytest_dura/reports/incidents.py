@@ -12,12 +12,14 @@ from functools import cached_property
 
 from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry, EventEntry, FaultEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import name, one_line
-from pytest_dura.evidence.verdict_model import CounterexampleEntry, PairsEntry, VerdictEntry
 from pytest_dura.reports.wording import event_text, names_text
+from pytest_dura.requirements.campaign_verdicts import Counterexample
 from pytest_dura.requirements.model import FAULTS
+from pytest_dura.requirements.pairs import PairTable
 
 KINDS = ("safety", "security", "recovery", "performance")
 """Kinds of requirements, the gravest first."""
@@ -197,15 +199,15 @@ class Episodes:
     twins: Mapping[tuple[str, str], list[tuple[str, str]]]
 
     @classmethod
-    def read(cls, record: SessionRecord, failures: Sequence[VerdictEntry]) -> Episodes:
+    def read(cls, record: SessionRecord, failures: Sequence[ItemVerdict]) -> Episodes:
         """Read them in one pass over the record's episodes."""
         twins = _twin_cases(record.head.cases)
         wanted: set[EpisodeKey] = set()
         for verdict in failures:
             named = [each.episode for each in verdict.counterexamples]
             named += [*verdict.unseen_crashes, *verdict.open[:1]]
-            if verdict.spoilt is not None:
-                named.append(verdict.spoilt.episode)
+            if verdict.first_uncounted is not None:
+                named.append(verdict.first_uncounted.episode)
             for of_verdict in named:
                 wanted.add((of_verdict, verdict.component))
                 number = of_verdict.rpartition("#")[2]
@@ -258,8 +260,8 @@ class Violation:
     """A violation of one requirement in one episode."""
 
     requirement: RequirementEntry
-    verdict: VerdictEntry
-    counterexample: CounterexampleEntry
+    verdict: ItemVerdict
+    counterexample: Counterexample
 
     @property
     def badness(self) -> tuple[bool, int, float]:
@@ -467,7 +469,7 @@ def _twin_violates(brief: BriefRun, without: str, worst: Violation) -> bool | No
             return True
         if any(requirement in fault.violated for fault in compared):
             return False
-    if isinstance(pairs, PairsEntry) and pairs.without == without and not pairs.incomplete:
+    if isinstance(pairs, PairTable) and pairs.without == without and not pairs.incomplete:
         if not pairs.both and not pairs.only_without:
             return False
         if not pairs.only_with and not pairs.neither:

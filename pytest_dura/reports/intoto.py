@@ -28,10 +28,10 @@ from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import InputEntry
 from pytest_dura.evidence.text import name, visible
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.wording import NAME_LIMIT, review_text, shard_text, valid_sha256
 
 FILE = "test-result.intoto.json"
@@ -66,7 +66,7 @@ def render(record: SessionRecord) -> str:
     return json.dumps(statement, indent=1) + "\n"
 
 
-def _test_list(verdict: VerdictEntry) -> str:
+def _test_list(verdict: ItemVerdict) -> str:
     if verdict.waiver is not None:
         return "warnedTests"
     return "passedTests" if verdict.verdict == "supported" else "failedTests"
@@ -91,7 +91,7 @@ def _result(record: SessionRecord) -> str:
     return "PASSED" if clean else "WARNED"
 
 
-def _test_names(verdicts: list[VerdictEntry]) -> list[str]:
+def _test_names(verdicts: list[ItemVerdict]) -> list[str]:
     """``case::requirement`` of each verdict, with as much more as tells it from the others."""
     parts = [
         [

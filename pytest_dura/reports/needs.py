@@ -21,9 +21,9 @@ from pytest_dura.evidence.conclude import faults_of
 from pytest_dura.evidence.conclusions.verdicts import question_key
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.hazards import HazardEvidence, hazard_evidence
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.verdicts import rate_bound
 from pytest_dura.reports.wording import is_incomplete, review_text, shard_text
 
@@ -141,7 +141,7 @@ def _case(case: CaseEntry) -> JsonObject:
     )
 
 
-def _verdict(verdict: VerdictEntry) -> JsonObject:
+def _verdict(verdict: ItemVerdict) -> JsonObject:
     examples = [name(each.episode) for each in verdict.counterexamples]
     more = len(examples) - _MAX_COUNTEREXAMPLES
     listed = ", ".join(examples[:_MAX_COUNTEREXAMPLES]) + (f" and {more} more" if more > 0 else "")

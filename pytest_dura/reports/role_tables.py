@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from pytest_dura.evidence.case_model import (
     CaseEntry,
@@ -13,14 +13,9 @@ from pytest_dura.evidence.case_model import (
     SwitchingFigures,
 )
 from pytest_dura.evidence.conclude import RECOVERY_ROLE
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import name
-from pytest_dura.evidence.verdict_model import (
-    MeasuredChange,
-    MeasuredPairs,
-    MonitorEntry,
-    PairsEntry,
-    VerdictEntry,
-)
+from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.reports.columns import (
     EMPTY,
     Cell,
@@ -37,13 +32,14 @@ from pytest_dura.reports.columns import (
     share_text,
 )
 from pytest_dura.reports.failure_modes import failure_mode_text
+from pytest_dura.requirements.pairs import Change, ChangeTable, PairCounts, PairTable
 
 # Pairs of runs: what recovery did, and what faults did.
 
 _SEQUENTIAL_METHODS = ("sprt", "e-process")
 
 
-def has_fixed_n(verdict: VerdictEntry) -> bool:
+def has_fixed_n(verdict: ItemVerdict) -> bool:
     """Whether the number of pairs does not depend on what they show, so that a p-value holds."""
     return verdict.method not in _SEQUENTIAL_METHODS
 
@@ -59,8 +55,8 @@ class PairRow:
         anchor: Of the verdict in the page.
     """
 
-    verdict: VerdictEntry | None
-    pairs: PairsEntry
+    verdict: ItemVerdict | None
+    pairs: PairTable
     switching: SwitchingFigures | None = None
     anchor: str | None = None
 
@@ -112,19 +108,17 @@ PAIR_COLUMNS: Sequence[Column[PairRow]] = (
 )  # fmt: skip
 
 
-def summed_pairs(pairs: Sequence[PairsEntry]) -> PairsEntry:
+def summed_pairs(pairs: Sequence[PairTable]) -> PairTable:
     """The counts of several cases, without a test, which would take all pairs to be of one kind."""
     counts = {
-        key: sum(getattr(entry, key) for entry in pairs)
-        for key, field in PairsEntry.model_fields.items()
-        if field.annotation is int
+        field.name: sum(getattr(entry, field.name) for entry in pairs)
+        for field in fields(PairCounts)
+        if field.name != "p_value"
     }
-    tried = counts["acted_only_without"] + counts["acted_both"]
-    rate = counts["acted_only_without"] / tried if tried else None
-    return pairs[0].replace(**counts, p_value=None, success_rate=rate)
+    return replace(pairs[0], **counts, p_value=None)
 
 
-def _case_of_pairs(verdict: VerdictEntry) -> Cell:
+def _case_of_pairs(verdict: ItemVerdict) -> Cell:
     without = verdict.pairs.without if verdict.pairs else RECOVERY_ROLE
     notes = () if without == RECOVERY_ROLE else (f"without {role_name(without)}",)
     return name_cell(verdict.case, *notes)
@@ -138,7 +132,7 @@ def _complete(complete: int, incomplete: int) -> Cell:
     return Cell(short, short, text, (f"(+{incomplete} incomplete)",), below=True)
 
 
-def _success(pairs: PairsEntry) -> Cell | None:
+def _success(pairs: PairTable) -> Cell | None:
     tried = pairs.acted_only_without + pairs.acted_both
     if not tried:
         return None
@@ -147,7 +141,7 @@ def _success(pairs: PairsEntry) -> Cell | None:
     return Cell(text, text, share_text(share), (f"({tried})",))
 
 
-def _p_value(verdict: VerdictEntry | None, pairs: PairsEntry | MeasuredChange) -> Cell | None:
+def _p_value(verdict: ItemVerdict | None, pairs: PairTable | Change) -> Cell | None:
     # The test's level holds only where the number of pairs does not depend on their results.
     if verdict is None or pairs.p_value is None or not has_fixed_n(verdict):
         return None
@@ -171,23 +165,23 @@ class AttackRow:
         anchor: Of the verdict in the page.
     """
 
-    verdict: VerdictEntry
+    verdict: ItemVerdict
     anchor: str | None = None
 
     @property
-    def counts(self) -> PairsEntry | None:
+    def counts(self) -> PairTable | None:
         """Violations in the pairs, if they are counted."""
         pairs = self.verdict.pairs
-        return pairs if isinstance(pairs, PairsEntry) else None
+        return pairs if isinstance(pairs, PairTable) else None
 
     @property
-    def change(self) -> MeasuredChange | None:
+    def change(self) -> Change | None:
         """Change of a measure in the pairs, if that is judged."""
         pairs = self.verdict.pairs
-        return pairs.change if isinstance(pairs, MeasuredPairs) else None
+        return pairs.change if isinstance(pairs, ChangeTable) else None
 
     @property
-    def figures(self) -> PairsEntry | MeasuredChange:
+    def figures(self) -> PairTable | Change:
         """Whichever of them there is."""
         figures = self.counts or self.change
         assert figures is not None, "a row of verdicts on pairs"

@@ -17,8 +17,8 @@ from pytest_dura.evidence.gate import (
 )
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.search_model import (
-    ChangeEntry,
     FoundCounterexample,
+    ParameterChangeEntry,
     SearchEntry,
     SearcherEntry,
     SearchOutcomeEntry,
@@ -225,7 +225,7 @@ def parameter_changes(counterexample: FoundCounterexample, most: int) -> Sequenc
     ]
 
 
-def _parameter_change(change: ChangeEntry) -> str:
+def _parameter_change(change: ParameterChangeEntry) -> str:
     if change.value is None:
         return "left out"
     if change.nominal is None:

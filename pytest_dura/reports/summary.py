@@ -18,13 +18,13 @@ from pytest_dura.evidence.case_model import (
 )
 from pytest_dura.evidence.conclude import verdict_counts
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import (
     LanguageModelEntry,
     PriceEntry,
 )
 from pytest_dura.evidence.text import code, markdown, name
-from pytest_dura.evidence.verdict_model import CounterexampleEntry, VerdictEntry
 from pytest_dura.reports.causes import Cause, card_entries, card_heading, causes_of
 from pytest_dura.reports.columns import Column, Shown, measure_label, shown_in
 from pytest_dura.reports.failure_modes import (
@@ -68,7 +68,7 @@ from pytest_dura.reports.wording import (
     selection_text,
     shard_text,
 )
-from pytest_dura.requirements.campaign_verdicts import violation_text
+from pytest_dura.requirements.campaign_verdicts import Counterexample, violation_text
 
 
 def _model_lines(record: SessionRecord, most: int) -> Iterator[str]:
@@ -188,7 +188,7 @@ def render(record: SessionRecord) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _urgency(verdict: VerdictEntry) -> tuple[bool, int]:
+def _urgency(verdict: ItemVerdict) -> tuple[bool, int]:
     """Sort key: what makes the gate fail comes first, violations before what is undecided."""
     status = verdict.verdict
     return status == "supported" or verdict.waiver is not None, _VERDICT_ORDER.index(status)
@@ -287,14 +287,14 @@ def _section(heading: str, columns: list[str], rows: Iterable[str], share: str) 
         )
 
 
-def _failure_lines(record: SessionRecord, failures: list[VerdictEntry]) -> Iterator[str]:
+def _failure_lines(record: SessionRecord, failures: list[ItemVerdict]) -> Iterator[str]:
     """One row each; requirements of a case that are undecided for the same reason share one."""
     for (first, rest), same in groupby(failures, lambda failure: _failure_context(record, failure)):
         names = ", ".join(_name(verdict.requirement) for verdict in same)
         yield f"- **{first}: {names}{rest}"
 
 
-def _failure_context(record: SessionRecord, verdict: VerdictEntry) -> tuple[str, str]:
+def _failure_context(record: SessionRecord, verdict: ItemVerdict) -> tuple[str, str]:
     """The text on a verdict before and after the name of its requirement."""
     text = (
         f" on {_name(verdict.case)}, component {_name(verdict.component)}: "
@@ -308,7 +308,7 @@ def _failure_context(record: SessionRecord, verdict: VerdictEntry) -> tuple[str,
     return f"{verdict.verdict}**{waiver_note(verdict.waiver, markdown)}", text
 
 
-def _counterexample(record: SessionRecord, counterexamples: list[CounterexampleEntry]) -> str:
+def _counterexample(record: SessionRecord, counterexamples: Sequence[Counterexample]) -> str:
     first = counterexamples[0]
     when = violation_text(first.time, first.margin, valid=first.valid)
     text = f"counterexample {_name(first.episode)}{when}"
@@ -326,7 +326,7 @@ def _replay(session: str, episode: str) -> str:
 
 
 def _requirement_rows(record: SessionRecord) -> Iterator[RequirementRow]:
-    of_each: dict[str, list[VerdictEntry]] = defaultdict(list)
+    of_each: dict[str, list[ItemVerdict]] = defaultdict(list)
     for verdict in record.head.verdicts:
         of_each[verdict.requirement].append(verdict)
     counts = {each.id: verdict_counts(of_each[each.id]) for each in record.head.requirements}

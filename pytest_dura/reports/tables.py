@@ -17,13 +17,11 @@ from pytest_dura.evidence.case_model import (
     RequirementEntry,
 )
 from pytest_dura.evidence.gate import outcome_status
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry, SearchOutcomeEntry
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import code, markdown, name
-from pytest_dura.evidence.verdict_model import (
-    ComparisonEntry,
-    VerdictEntry,
-)
+from pytest_dura.evidence.verdict_model import ComparisonEntry
 from pytest_dura.reports.columns import (
     NO_VALUE,
     Cell,
@@ -249,20 +247,20 @@ REQUIREMENT_COLUMNS: Sequence[Column[RequirementRow]] = (
 )
 
 
-def _valid_n(row: VerdictEntry) -> Cell:
+def _valid_n(row: ItemVerdict) -> Cell:
     saved = f", {row.saved} saved" if row.saved else ""
     notes = (f"({row.run} run{saved})",) if row.run != row.planned else ()
     text = str(row.episodes)
     return Cell(text, text, f"{row.episodes} / {row.planned}", notes, below=True)
 
 
-def _violations(row: VerdictEntry) -> Cell:
+def _violations(row: ItemVerdict) -> Cell:
     text = str(row.violations)
     notes = (f"{row.without_effect}*",) if row.without_effect else ()
     return Cell(text, text, text, notes, alarming=bool(row.violations or row.without_effect))
 
 
-def _bound(row: VerdictEntry) -> Cell:
+def _bound(row: ItemVerdict) -> Cell:
     bound, text = row.bound, rate_bound(row)
     allowed = f"allowed: {'none' if bound.at_most is None else share_text(bound.at_most)}"
     if bound.upper is None:
@@ -274,13 +272,13 @@ def _bound(row: VerdictEntry) -> Cell:
     return Cell(text, text, page, (allowed, weak) if weak else (allowed,), below=True)
 
 
-def _margins(row: VerdictEntry) -> str | None:
+def _margins(row: ItemVerdict) -> str | None:
     if row.margins is not None:
         return f"{number_text(row.margins.min)} / {number_text(row.margins.median)}"
     return None if row.margin is None else number_text(row.margin)
 
 
-VERDICT_COLUMNS: Sequence[Column[VerdictEntry]] = (
+VERDICT_COLUMNS: Sequence[Column[ItemVerdict]] = (
     Column("verdict", lambda row: row.verdict, shown=Shown.SUMMARY),
     Column("waiver", lambda row: "waived" if row.waiver else None, shown=Shown.SUMMARY),
     Column("requirement", lambda row: name_cell(row.requirement), shown=Shown.SUMMARY),

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.gate import NOT_REPEATABLE
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import counted, name, one_line
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.requirements.campaign_verdicts import (
     REPEATED,
     SITUATIONS,
@@ -37,7 +37,7 @@ class Obstacle:
     shows_event: bool = False
 
 
-def obstacle_of(verdict: VerdictEntry, requirement: RequirementEntry) -> Obstacle:
+def obstacle_of(verdict: ItemVerdict, requirement: RequirementEntry) -> Obstacle:
     """Name the gravest obstacle of an undecided verdict.
 
     Args:
@@ -51,27 +51,27 @@ def obstacle_of(verdict: VerdictEntry, requirement: RequirementEntry) -> Obstacl
     return next(filter(None, known), None) or _by_rate(verdict, requirement)
 
 
-def _missing(verdict: VerdictEntry) -> Obstacle | None:
-    spoilt = verdict.spoilt
-    if not verdict.missing or spoilt is None or spoilt.verdict != "missing":
+def _missing(verdict: ItemVerdict) -> Obstacle | None:
+    uncounted = verdict.first_uncounted
+    if not verdict.missing or uncounted is None or uncounted.verdict != "missing":
         return None
-    detail = one_line(spoilt.detail, _MAX_DETAIL).removeprefix("infrastructure: ")
+    detail = one_line(uncounted.detail, _MAX_DETAIL).removeprefix("infrastructure: ")
     if detail.startswith(TEST_FAILED):
         return Obstacle(
             detail,
             f"A run is not judged: {detail}",
             "Mend the test, whose traceback pytest shows, and run the session again.",
-            spoilt.episode,
+            uncounted.episode,
         )
     return Obstacle(
         f"missing {detail}",
         f"A run is missing, since a role or the simulator failed: {detail}",
         "Repair what failed there, and run the session again.",
-        spoilt.episode,
+        uncounted.episode,
     )
 
 
-def _not_repeatable(verdict: VerdictEntry) -> Obstacle | None:
+def _not_repeatable(verdict: ItemVerdict) -> Obstacle | None:
     _, sign, difference = verdict.reason.partition(NOT_REPEATABLE)
     if not sign:
         return None
@@ -83,7 +83,7 @@ def _not_repeatable(verdict: VerdictEntry) -> Obstacle | None:
     )
 
 
-def _unseen_crash(verdict: VerdictEntry) -> Obstacle | None:
+def _unseen_crash(verdict: ItemVerdict) -> Obstacle | None:
     if not verdict.unseen_crashes:
         return None
     return Obstacle(
@@ -95,7 +95,7 @@ def _unseen_crash(verdict: VerdictEntry) -> Obstacle | None:
     )
 
 
-def _not_run(verdict: VerdictEntry) -> Obstacle | None:
+def _not_run(verdict: ItemVerdict) -> Obstacle | None:
     left = verdict.planned - verdict.run - verdict.saved
     if left <= 0:
         return None
@@ -107,21 +107,21 @@ def _not_run(verdict: VerdictEntry) -> Obstacle | None:
     )
 
 
-def _invalid(verdict: VerdictEntry) -> Obstacle | None:
-    spoilt = verdict.spoilt
-    if verdict.episodes and (spoilt is None or spoilt.verdict != "invalid"):
+def _invalid(verdict: ItemVerdict) -> Obstacle | None:
+    uncounted = verdict.first_uncounted
+    if verdict.episodes and (uncounted is None or uncounted.verdict != "invalid"):
         return None
-    detail = "no run was valid" if spoilt is None else one_line(spoilt.detail, _MAX_DETAIL)
+    detail = "no run was valid" if uncounted is None else one_line(uncounted.detail, _MAX_DETAIL)
     return Obstacle(
         f"invalid {verdict.case}",
         f"{verdict.invalid} of {counted(verdict.run, 'run')} of {name(verdict.case)} are invalid: "
         f"{detail}",
         "Let the fault begin where it is read, or the run last until the requirement is decided.",
-        None if spoilt is None else spoilt.episode,
+        None if uncounted is None else uncounted.episode,
     )
 
 
-def _open(verdict: VerdictEntry) -> Obstacle | None:
+def _open(verdict: ItemVerdict) -> Obstacle | None:
     if not verdict.open:
         return None
     return Obstacle(
@@ -134,7 +134,7 @@ def _open(verdict: VerdictEntry) -> Obstacle | None:
     )
 
 
-def _one_situation(verdict: VerdictEntry) -> Obstacle | None:
+def _one_situation(verdict: ItemVerdict) -> Obstacle | None:
     if verdict.situation is None:
         return None
     step = (
@@ -149,7 +149,7 @@ def _one_situation(verdict: VerdictEntry) -> Obstacle | None:
     )
 
 
-def _vacuous(verdict: VerdictEntry) -> Obstacle | None:
+def _vacuous(verdict: ItemVerdict) -> Obstacle | None:
     if not verdict.vacuous or verdict.vacuous < verdict.episodes:
         return None
     return Obstacle(
@@ -159,7 +159,7 @@ def _vacuous(verdict: VerdictEntry) -> Obstacle | None:
     )
 
 
-def _by_rate(verdict: VerdictEntry, requirement: RequirementEntry) -> Obstacle:
+def _by_rate(verdict: ItemVerdict, requirement: RequirementEntry) -> Obstacle:
     """Too few runs for the rate that is asked for, or another reason of the verdict's own."""
     worst = verdict.counterexamples[0].episode if verdict.counterexamples else None
     at_most, upper = requirement.at_most, verdict.bound.upper

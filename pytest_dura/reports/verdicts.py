@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from pytest_dura.evidence.case_model import RequirementEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
 from pytest_dura.evidence.text import counted, name, one_line
-from pytest_dura.evidence.verdict_model import VerdictEntry, WaiverEntry
 from pytest_dura.requirements.campaign_verdicts import SITUATIONS, weakness
 
 MAX_TEXT = 400
@@ -20,7 +20,7 @@ _MAX_OBSERVED_NAMES = 8
 """Names of what a test looked at, in a sentence."""
 
 
-def figures_text(verdict: VerdictEntry) -> str:
+def figures_text(verdict: ItemVerdict) -> str:
     """The figures that a verdict rests on, on one line: ``n = 12, 0 violations, ...``."""
     violations = counted(verdict.violations, "violation") + fault_free_violations_text(verdict)
     counts = f"n = {verdict.episodes}, {violations}"
@@ -41,7 +41,7 @@ def figures_text(verdict: VerdictEntry) -> str:
     return counts + waiver
 
 
-def sample_text(verdict: VerdictEntry) -> str:
+def sample_text(verdict: ItemVerdict) -> str:
     """Runs that a verdict rests on: ``12 valid of 15 run, 15 planned; 0 violations``."""
     text = (
         f"{verdict.episodes} valid of {verdict.run} run, {verdict.planned} planned; "
@@ -51,7 +51,7 @@ def sample_text(verdict: VerdictEntry) -> str:
     return ", ".join([text, *other_run_counts(verdict)])
 
 
-def other_run_counts(verdict: VerdictEntry) -> list[str]:
+def other_run_counts(verdict: ItemVerdict) -> list[str]:
     """Other counts of a verdict's runs that are not zero: ``2 ended before it was decided``."""
     counts = {
         "ended before it was decided": len(verdict.open),
@@ -63,13 +63,13 @@ def other_run_counts(verdict: VerdictEntry) -> list[str]:
     return [f"{count} {what}" for what, count in counts.items() if count]
 
 
-def fault_free_violations_text(verdict: VerdictEntry) -> str:
+def fault_free_violations_text(verdict: ItemVerdict) -> str:
     """Number of a verdict's violations that are not the faults' doing; empty if none is known."""
     count = verdict.also_without
     return f" ({count} of them also without the faults)" if count else ""
 
 
-def rate_bound(verdict: VerdictEntry) -> str:
+def rate_bound(verdict: ItemVerdict) -> str:
     """The bound on the rate of violations with its confidence, or that there is none."""
     bound, weak = verdict.bound, _weakness_note(verdict)
     if bound.upper is None:
@@ -77,18 +77,18 @@ def rate_bound(verdict: VerdictEntry) -> str:
     return f"rate <= {bound.upper:.3g} at {bound.confidence:g} confidence{weak}"
 
 
-def _weakness_note(verdict: VerdictEntry) -> str:
+def _weakness_note(verdict: ItemVerdict) -> str:
     """That little is asked for, after a comma; else empty."""
     weak = weakness(verdict.bound.at_most, verdict.bound.confidence)
     return f", {weak}" if weak else ""
 
 
-def no_rate_reason(verdict: VerdictEntry) -> str:
+def no_rate_reason(verdict: ItemVerdict) -> str:
     """Reason for which there is no rate, after a colon: all runs are equal; else empty."""
     return "" if verdict.situation is None else f": {SITUATIONS[verdict.situation]}"
 
 
-def assertion_sentences(verdict: VerdictEntry) -> list[str]:
+def assertion_sentences(verdict: ItemVerdict) -> list[str]:
     """Sentences on what a verdict rests on where assertions of a test decided it.
 
     There is none for a verdict by checks alone. Names in it are a user's, and have to be escaped.
@@ -112,7 +112,7 @@ def assertion_sentences(verdict: VerdictEntry) -> list[str]:
     return sentences
 
 
-def reading_sentences(verdict: VerdictEntry) -> list[str]:
+def reading_sentences(verdict: ItemVerdict) -> list[str]:
     """List what assertions decided and read; what failed is shown with the failure."""
     sentences = [one_line(sentence, _LONGEST_TEXT) for sentence in assertion_sentences(verdict)]
     return [
@@ -120,7 +120,7 @@ def reading_sentences(verdict: VerdictEntry) -> list[str]:
     ]
 
 
-def waiver_note(waiver: WaiverEntry | None, escape: Callable[[str, int], str]) -> str:
+def waiver_note(waiver: Waiver | None, escape: Callable[[str, int], str]) -> str:
     """Kind and reason of a waiver: `` (waived, xfail: ticket 7)``; empty without one."""
     if waiver is None:
         return ""
@@ -153,7 +153,7 @@ def _bound_text(requirement: RequirementEntry) -> str:
     )
 
 
-def verdict_proposition(verdict: VerdictEntry, where: str) -> str:
+def verdict_proposition(verdict: ItemVerdict, where: str) -> str:
     """The proposition that a verdict decides, on a case."""
     bound = verdict.bound.at_most
     how = "holds in every valid episode of" if bound is None else "keeps its bound in"
@@ -162,7 +162,7 @@ def verdict_proposition(verdict: VerdictEntry, where: str) -> str:
     return f"{name(verdict.requirement)} {how} {where}."
 
 
-def evidence_text(verdict: VerdictEntry) -> str:
+def evidence_text(verdict: ItemVerdict) -> str:
     """The counts and the bound of a verdict, as they stand in the record."""
     what = "pairs" if verdict.pairs is not None else "episodes"
     runs = f"{verdict.run} run, {verdict.planned} planned"
@@ -176,14 +176,14 @@ def evidence_text(verdict: VerdictEntry) -> str:
     return "; ".join(parts) + "."
 
 
-def short_evidence_text(verdict: VerdictEntry) -> list[str]:
+def short_evidence_text(verdict: ItemVerdict) -> list[str]:
     """Counts and bound in three lines of a few characters, for a circle of the picture."""
     upper = verdict.bound.upper
     bound = "no bound" if upper is None else f"≤ {part_text(upper)}"
     return [f"n = {verdict.episodes}", f"{verdict.violations} violated", bound]
 
 
-def _upper_text(verdict: VerdictEntry) -> str:
+def _upper_text(verdict: ItemVerdict) -> str:
     bound = verdict.bound
     method = one_line(bound.method)
     if bound.upper is None:
@@ -194,7 +194,7 @@ def _upper_text(verdict: VerdictEntry) -> str:
     )
 
 
-def waiver_text(waiver: WaiverEntry, status: str) -> str:
+def waiver_text(waiver: Waiver, status: str) -> str:
     """The doubt that a waiver leaves on a verdict, with the reason given for it."""
     reason = as_sentence(waiver.reason or "none was given")
     return (
@@ -209,14 +209,14 @@ def as_sentence(text: str) -> str:
     return line if not line or line[-1] in ".!?)" else f"{line}."
 
 
-def challenge_brief(verdict: VerdictEntry) -> tuple[str, str]:
+def challenge_brief(verdict: ItemVerdict) -> tuple[str, str]:
     """The violations against a verdict's proposition, in two lines of a few characters."""
     if verdict.without_effect and not verdict.violations:
         return f"{verdict.without_effect} violate it", "without effect"
     return f"{verdict.violations} of {verdict.episodes}", "violate it"
 
 
-def challenge_text(verdict: VerdictEntry, where: str, listed: int) -> str:
+def challenge_text(verdict: ItemVerdict, where: str, listed: int) -> str:
     """The violations against a verdict's proposition, and how many of them are not listed."""
     how = {
         "violated": "",

@@ -13,11 +13,11 @@ from operator import itemgetter
 from pytest_dura.core.state import NOTHING, Event
 from pytest_dura.evidence.episode_model import EventEntry
 from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.looks import further_looks
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name, one_line
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.hazards import without_evidence_sentences
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
 from pytest_dura.requirements.campaign_verdicts import weakness
@@ -188,7 +188,7 @@ def conclusion_sentences(record: SessionRecord) -> Iterator[str]:
     yield from violation_sentences(record)
 
 
-def supported_sentence(verdicts: list[VerdictEntry]) -> str:
+def supported_sentence(verdicts: list[ItemVerdict]) -> str:
     """How many of a session's verdicts are supported, their weakest bound, weak requirements."""
     supported = [verdict for verdict in verdicts if verdict.verdict == "supported"]
     if not supported:
@@ -199,7 +199,7 @@ def supported_sentence(verdicts: list[VerdictEntry]) -> str:
     )
 
 
-def _weak_requirements(verdicts: list[VerdictEntry]) -> str:
+def _weak_requirements(verdicts: list[ItemVerdict]) -> str:
     """Sentence that names the requirements that ask for little; empty without any."""
     weak = {
         f"{name(verdict.requirement)} {weakness(*limits).removeprefix('weak: ')}": None
@@ -301,7 +301,7 @@ def _left_out(record: SessionRecord) -> Iterator[str]:
     )
 
 
-def _by_assertion(verdicts: list[VerdictEntry]) -> Iterator[str]:
+def _by_assertion(verdicts: list[ItemVerdict]) -> Iterator[str]:
     asserted = [
         verdict
         for verdict in verdicts
@@ -315,7 +315,7 @@ def _by_assertion(verdicts: list[VerdictEntry]) -> Iterator[str]:
         )
 
 
-def _one_situation(verdicts: list[VerdictEntry]) -> Iterator[str]:
+def _one_situation(verdicts: list[ItemVerdict]) -> Iterator[str]:
     equal = [verdict for verdict in verdicts if verdict.situation is not None]
     if equal:
         rests = "rests" if len(equal) == 1 else "rest"
@@ -375,11 +375,11 @@ def _untested(record: SessionRecord) -> Iterator[str]:
         yield f"{not_run} planned episodes were not run."
 
 
-def _share(part: list[VerdictEntry], whole: list[VerdictEntry]) -> str:
+def _share(part: list[ItemVerdict], whole: list[ItemVerdict]) -> str:
     return f"{len(part)} of {len(whole)} verdicts {'is' if len(part) == 1 else 'are'}"
 
 
-def _weakest_bound(supported: list[VerdictEntry]) -> str:
+def _weakest_bound(supported: list[ItemVerdict]) -> str:
     """The greatest bound of them, with its confidence and its n."""
     known = [
         (verdict.bound.upper, verdict) for verdict in supported if verdict.bound.upper is not None

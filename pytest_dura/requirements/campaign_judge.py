@@ -289,7 +289,7 @@ class CampaignJudge:
             margin=min(margins) if margins else None,
             margins=Margins.of(margins),
             counterexamples=counterexamples(self.verdicts),
-            spoilt=_first_uncounted(self.verdicts),
+            first_uncounted=_first_uncounted(self.verdicts),
             situation=self.situation,
             too_few=status == "undecided" and self.situation is None and not self._flaws(),
         )

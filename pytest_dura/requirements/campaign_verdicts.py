@@ -6,13 +6,16 @@ many they are: no rate follows from them.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from pytest_dura.core.codec import Confidence, Count, Number, Positive, Share
 from pytest_dura.core.display import Shown, short_repr
+from pytest_dura.requirements.model import Paired
+from pytest_dura.requirements.pairs import ChangeTable, PairTable
 from pytest_dura.requirements.rate_tests import (
     ADVISED_POWER,
     EXACT_METHOD,
@@ -104,16 +107,17 @@ class Bound:
 
     An open episode counts as a violation: what it would have shown is not known, and the component
     may have caused its end.
-
-    ``upper`` is ``None`` where there is none: without a valid episode, where all runs are equal,
-    and for a sequential probability ratio test that has not accepted. ``at_most`` is the rate that
-    was to be supported, ``None`` where every episode must satisfy the requirement.
     """
 
-    confidence: float
-    upper: float | None
+    confidence: Confidence
+    """Confidence of the bound."""
+    upper: Share | None
+    """The bound; null where there is none: without a valid episode, where all runs are equal, and
+    for a sequential probability ratio test that has not accepted."""
     method: str = EXACT_METHOD
-    at_most: float | None = None
+    """How it was computed."""
+    at_most: Share | None = None
+    """The rate that was to be supported; null where every episode must satisfy it."""
 
 
 WEAK_RATE = 0.5
@@ -180,14 +184,20 @@ def _violations(count: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """Distribution of robustness over the valid episodes that have a margin."""
+    """Distribution of robustness over valid episodes with a margin, in the unit of the check."""
 
-    n: int
+    n: Positive
+    """Episodes."""
     min: float
+    """Least."""
     q25: float
+    """First quartile."""
     median: float
+    """Median."""
     q75: float
+    """Third quartile."""
     max: float
+    """Greatest."""
 
     @classmethod
     def of(cls, margins: Sequence[float]) -> Margins | None:
@@ -200,16 +210,17 @@ class Margins:
 
 @dataclass(frozen=True, slots=True)
 class Counterexample:
-    """An episode that violated the requirement, when first, and by how much (negative margin).
-
-    ``valid`` is false for a run that a planned fault left without effect: the violation counts, and
-    is none of the runs with that fault.
-    """
+    """An episode that violated the requirement."""
 
     episode: str
-    time: float | None
-    margin: float | None
+    """Its id."""
+    time: Number | None
+    """When first, in simulated seconds."""
+    margin: Number | None
+    """By how much, negative, in the unit of the check."""
     valid: bool = True
+    """Whether the run is valid; false where a planned fault was without effect: the violation
+    counts, and is none of the runs with that fault."""
 
 
 def violation_text(time: float | None, margin: float | None, *, valid: bool = True) -> str:
@@ -229,11 +240,14 @@ def violation_text(time: float | None, margin: float | None, *, valid: bool = Tr
 
 @dataclass(frozen=True, slots=True)
 class UncountedEpisode:
-    """An episode that does not decide a requirement, and why."""
+    """An episode that does not decide a requirement."""
 
     episode: str
+    """Its id."""
     verdict: Literal["missing", "invalid", "open"]
+    """What it is."""
     detail: str
+    """Why, in words."""
 
 
 TEST_FAILED = "the test failed: "
@@ -242,68 +256,71 @@ TEST_FAILED = "the test failed: "
 
 @dataclass(frozen=True, slots=True)
 class CampaignVerdict(Shown):
-    """Verdict and all counts that it rests on.
-
-    Args:
-        requirement: Id of the requirement.
-        case: Id of the case.
-        component: Name of the component under test.
-        verdict: ``supported``, ``violated`` or ``undecided``.
-        reason: Why, in words; names every obstacle of an undecided campaign.
-        method: ``every episode``, or how a rate was decided: ``fixed``, ``sprt``, ``e-process``.
-        planned: Episodes that were planned, or may be run at most.
-        run: Episodes that were run, missing and invalid ones included.
-        saved: Planned episodes that were not run because the campaign was decided without them.
-        episodes: Valid episodes, the n of every rate and bound: those that satisfied or violated
-            the requirement, and the open ones.
-        violations: Valid episodes that violated it.
-        open: Ids of valid episodes that ended before it was decided, by a crash, a halt or the
-            violation of something else. The bound counts each as a violation.
-        unseen_crashes: Ids of episodes, or of twins of pairs, that ended critical and violate no
-            requirement of their case on single episodes.
-        without_effect: Invalid episodes that violated it all the same, without effect of the fault.
-        invalid: Episodes that are no sample of it, those without effect included.
-        missing: Episodes that an infrastructure error ended.
-        vacuous: Episodes that satisfied it because its condition never held.
-        bound: Bound on the rate of violations.
-        margin: Worst robustness over valid episodes.
-        margins: How the robustness is distributed.
-        counterexamples: The violating episodes, the valid ones first, of each kind the largest
-            violation first.
-        pairs: For a requirement on pairs, what the two runs of each pair came to.
-        spoilt: The first missing episode, or else the first invalid one, or else the first open
-            one.
-        situation: ``repeated`` if all runs are equal and nothing is declared to vary, ``without
-            effect`` if they are though something is; ``None`` if they differ.
-        too_few: Whether it is undecided only because its runs, which are valid, are too few: what
-            ``--dura-undecided=warn`` excuses.
-    """
+    """Verdict of a requirement on a campaign, and all counts that it rests on."""
 
     requirement: str
+    """Id of the requirement."""
     case: str
+    """Id of the case: the scenario, then `+` and its faults where they differ from the scenario's
+    own, then `~` and a role that is switched off."""
     component: str
+    """Name of the component under test."""
     verdict: CampaignStatus
+    """The three words there are."""
     reason: str
+    """Why, in words; names every obstacle of an undecided campaign."""
     method: str
-    planned: int
-    run: int
-    saved: int
-    episodes: int
-    violations: int
+    """`every episode`, or how a rate was decided: `fixed`, `sprt`, `e-process`."""
+    planned: Count
+    """Episodes that were planned, or may be run at most."""
+    run: Count
+    """Episodes that were run, missing and invalid ones included."""
+    saved: Count
+    """Planned episodes that were not run because the verdict stood without them."""
+    episodes: Count
+    """Valid episodes, the n of every rate and bound: those that satisfied or violated the
+    requirement, and the open ones."""
+    violations: Count
+    """Valid episodes that violated it."""
     open: tuple[str, ...]
+    """Ids of valid episodes that ended before it was decided, by a crash, a halt or the violation
+    of something else; the bound counts each as a violation."""
     unseen_crashes: tuple[str, ...]
-    without_effect: int
-    invalid: int
-    missing: int
-    vacuous: int
+    """Ids of episodes, or of second runs of pairs, that ended critical and violate no requirement
+    of their case on single episodes."""
+    without_effect: Count
+    """Invalid episodes that violated it all the same, without effect of the fault."""
+    invalid: Count
+    """Episodes that are no sample of it; those without effect of the fault included."""
+    missing: Count
+    """Episodes that an infrastructure error ended, or that a test did not judge since it failed by
+    an error of its own."""
+    vacuous: Count
+    """Episodes that satisfied it because its condition never held."""
     bound: Bound
+    """One-sided upper confidence bound on the rate of violations, over valid episodes."""
     margin: float | None
+    """Worst robustness over valid episodes, in the unit of the check."""
     margins: Margins | None
+    """How the robustness is distributed; null without any."""
     counterexamples: tuple[Counterexample, ...]
-    pairs: Mapping[str, Any] | None = None
-    spoilt: UncountedEpisode | None = None
+    """The violating episodes, the valid ones first, of each kind the largest violation first."""
+    pairs: PairTable | ChangeTable | None = None
+    """What the two runs of each pair came to; null for no requirement on pairs."""
+    first_uncounted: UncountedEpisode | None = None
+    """The first missing episode, or else the first invalid one, or else the first open one; null
+    without any."""
     situation: Situation | None = None
+    """What its runs are if their trajectories are all equal, so that no rate follows: `repeated`
+    where nothing is declared to vary, `without effect` where something is. Null if they differ, or
+    there is one."""
     too_few: bool = False
+    """Whether it is undecided only because its runs, which are valid, are too few: what
+    `--dura-undecided=warn` excuses."""
+    check: str = ""
+    """What was judged: a formula or the import path of a function; empty for test code."""
+    paired: Paired | None = None
+    """For a requirement on pairs of runs."""
 
     __repr__ = short_repr
 
@@ -327,32 +344,6 @@ class CampaignVerdict(Shown):
                 for example in self.counterexamples
             ]
             or None,
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record."""
-        return asdict(self) | {
-            "open": list(self.open),
-            "unseen_crashes": list(self.unseen_crashes),
-            "counterexamples": [asdict(counterexample) for counterexample in self.counterexamples],
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> CampaignVerdict:
-        """The inverse of :meth:`to_json`."""
-        margins, spoilt = data["margins"], data.get("spoilt")
-        return cls(
-            **{
-                **data,
-                "open": tuple(data["open"]),
-                "unseen_crashes": tuple(data["unseen_crashes"]),
-                "bound": Bound(**data["bound"]),
-                "margins": None if margins is None else Margins(**margins),
-                "counterexamples": tuple(
-                    Counterexample(**counterexample) for counterexample in data["counterexamples"]
-                ),
-                "spoilt": None if spoilt is None else UncountedEpisode(**spoilt),
-            }
         )
 
 
@@ -380,42 +371,7 @@ def doubted(status: CampaignStatus, reason: str, doubt: str) -> dict[str, Any]:
     return {"verdict": "undecided", "too_few": False, "reason": reason}
 
 
-class _Explained(Protocol):
-    """What an explanation needs of a verdict; those of the record have it, too."""
-
-    @property
-    def verdict(self) -> CampaignStatus: ...
-    @property
-    def counterexamples(self) -> Sequence[_ViolatingEpisode]: ...
-    @property
-    def without_effect(self) -> int: ...
-    @property
-    def spoilt(self) -> _UndecidingEpisode | None: ...
-
-
-class _ViolatingEpisode(Protocol):
-    """An episode that violated the requirement; see :class:`Counterexample`."""
-
-    @property
-    def episode(self) -> str: ...
-    @property
-    def time(self) -> float | None: ...
-    @property
-    def margin(self) -> float | None: ...
-
-
-class _UndecidingEpisode(Protocol):
-    """An episode that decides nothing; see :class:`UncountedEpisode`."""
-
-    @property
-    def episode(self) -> str: ...
-    @property
-    def verdict(self) -> Literal["missing", "invalid", "open"]: ...
-    @property
-    def detail(self) -> str: ...
-
-
-def failure_entries(verdict: _Explained) -> Iterator[tuple[str, str]]:
+def failure_entries(verdict: CampaignVerdict) -> Iterator[tuple[str, str]]:
     """Labels and texts on the episodes behind a verdict, for messages, terminal and reports.
 
     The label is empty for a missing episode, whose text begins with ``infrastructure:``, or with
@@ -430,12 +386,12 @@ def failure_entries(verdict: _Explained) -> Iterator[tuple[str, str]]:
             yield "also in", ", ".join(numbers[:_MOST_RUNS]) + more
         if verdict.without_effect:
             yield "invalid", f"in {verdict.without_effect} of them no fault had an effect"
-    spoilt = verdict.spoilt
-    if spoilt is not None and verdict.verdict == "undecided":
-        if spoilt.verdict == "missing":
-            yield "", f"{spoilt.detail} (in {spoilt.episode})"
+    uncounted = verdict.first_uncounted
+    if uncounted is not None and verdict.verdict == "undecided":
+        if uncounted.verdict == "missing":
+            yield "", f"{uncounted.detail} (in {uncounted.episode})"
         else:
-            yield spoilt.verdict, f"{spoilt.episode}: {spoilt.detail}"
+            yield uncounted.verdict, f"{uncounted.episode}: {uncounted.detail}"
 
 
 _MOST_RUNS = 8

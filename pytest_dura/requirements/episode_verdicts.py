@@ -272,9 +272,9 @@ def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeStatus, Chec
 
     if evaluation.status == "violated":
         return "violated", result(evaluation.detail)
-    spoilt = _uncounted(episode)
-    if spoilt is not None:
-        return spoilt[0], result(spoilt[1])
+    uncounted = _uncounted(episode)
+    if uncounted is not None:
+        return uncounted[0], result(uncounted[1])
     if evaluation.status == "undecided":
         interval = f"robustness between {evaluation.lower:.3g} and {evaluation.upper:.3g}"
         early = EARLY_ENDS.get(episode.termination)
@@ -308,11 +308,11 @@ def _by_function(
         result = CheckResult(result.holds, None, result.time, result.detail, result.vacuous)
     if not result.holds:
         return "violated", result
-    spoilt = _uncounted(episode)
-    if spoilt is None and episode.ended_early:
-        spoilt = "open", EARLY_ENDS[episode.termination]
-    if spoilt is not None:
-        return spoilt[0], CheckResult(False, result.margin, None, spoilt[1])
+    uncounted = _uncounted(episode)
+    if uncounted is None and episode.ended_early:
+        uncounted = "open", EARLY_ENDS[episode.termination]
+    if uncounted is not None:
+        return uncounted[0], CheckResult(False, result.margin, None, uncounted[1])
     return "satisfied", result
 
 

@@ -9,15 +9,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Literal, NamedTuple
 
 from pytest_dura.core.codec import Confidence, Count, Limit, Sha256, Share
 from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situations, with_doubt
 from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Method, Paired, Requirement
-from pytest_dura.requirements.pairs import Change, Pair, change_verdict, judge_pairs, pair_verdict
+from pytest_dura.requirements.pairs import (
+    Change,
+    ChangeTable,
+    Pair,
+    PairTable,
+    change_verdict,
+    judge_pairs,
+    pair_verdict,
+)
 from pytest_dura.requirements.runs import CheckVerdict, Run
 
 RECOVERY_ROLE = "recovery_planner"
@@ -212,13 +220,14 @@ class CampaignCourse:
 
     def verdict(self) -> CampaignVerdict:
         """Return the verdict on the runs so far, with the table of pairs if there are any."""
-        verdict, paired = self.judge.verdict(), self.requirement.paired
+        asked, paired = self.question, self.requirement.paired
+        verdict = replace(self.judge.verdict(), check=asked.check, paired=paired)
         if paired is None:
             return verdict
-        table: dict[str, Any] = {"without": paired.without, "case": self.question.twins}
+        about = paired.without, self.question.twins
         if paired.measure:
             change = Change.between(paired.measure, self._values)
-            return replace(verdict, pairs={**table, "change": change.to_json()})
+            return replace(verdict, pairs=ChangeTable(*about, change))
         counts = judge_pairs(self._pairs)
         if paired.without == RECOVERY_ROLE and counts.unexplained:
             verdict = with_doubt(
@@ -226,7 +235,14 @@ class CampaignCourse:
                 f"infrastructure: nondeterministic: {counts.unexplained} of {counts.pairs} pairs "
                 "differ although recovery never acted in them",
             )
-        return replace(verdict, pairs={**table, **counts.to_json()})
+        return replace(
+            verdict,
+            pairs=PairTable(
+                **{f.name: getattr(counts, f.name) for f in fields(counts)},
+                without=about[0],
+                case=about[1],
+            ),
+        )
 
 
 class Conclusion(NamedTuple):

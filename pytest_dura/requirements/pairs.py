@@ -10,11 +10,11 @@ import math
 import statistics
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
-from operator import itemgetter
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 from pytest_dura.core.boundary import Boundary
+from pytest_dura.core.codec import Count, Number, Share
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.requirements.checks import check_name, load_function
@@ -71,9 +71,9 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
         without: Verdict on its twin of the same seed.
     """
     statuses = with_it.verdict, without.verdict
-    spoilt = next((name for name in ("missing", "invalid") if name in statuses), None)
-    if spoilt is not None:
-        return _as_side(with_it, with_it if with_it.verdict == spoilt else without, spoilt)
+    uncounted = next((name for name in ("missing", "invalid") if name in statuses), None)
+    if uncounted is not None:
+        return _as_side(with_it, with_it if with_it.verdict == uncounted else without, uncounted)
     if "open" in statuses and statuses[0] != "satisfied" and statuses[1] != "violated":
         return _as_side(with_it, with_it if statuses[0] == "open" else without, "open")
     if (with_it.without_effect or without.without_effect) and statuses != ("violated", "satisfied"):
@@ -255,42 +255,40 @@ _STATUSES: dict[tuple[bool, bool], PairStatus] = {
 class PairCounts:
     """Counts of pairs by the runs that violated a requirement.
 
-    The first five counts add up to ``pairs``. A pair with an invalid, missing or open run is
+    `only_with` to `incomplete` add up to `pairs`. A pair with an invalid, missing or open run is
     incomplete, as what the other run came to cannot be compared; a violation in it stands in
-    ``violated_with`` or ``violated_without`` all the same.
-
-    Args:
-        pairs: All pairs.
-        only_with: Violated only with what the twins lack.
-        only_without: Violated only without it.
-        both: Violated in both runs.
-        neither: Violated in neither.
-        incomplete: One run is invalid, missing or open.
-        acted_only_with: Those of ``only_with`` in which recovery acted; and so on.
-        acted_only_without: As above.
-        acted_both: As above.
-        acted_neither: As above.
-        violated_with: Violations with it, incomplete pairs included.
-        violated_without: Violations without it, incomplete pairs included.
-        p_value: Two-sided p-value of the exact McNemar test on the discordant pairs, against "it
-            makes no difference to the rate of violations"; 1 if no pair is discordant. It holds
-            for a number of pairs that did not depend on what they came to: of pairs that were run
-            until a requirement was decided it may be too small.
+    `violated_with` or `violated_without` all the same.
     """
 
-    pairs: int
-    only_with: int
-    only_without: int
-    both: int
-    neither: int
-    incomplete: int
-    acted_only_with: int
-    acted_only_without: int
-    acted_both: int
-    acted_neither: int
-    violated_with: int
-    violated_without: int
-    p_value: float
+    pairs: Count
+    """All pairs."""
+    only_with: Count
+    """Violated only with what the second run lacks."""
+    only_without: Count
+    """Violated only without it."""
+    both: Count
+    """Violated in both runs."""
+    neither: Count
+    """Violated in neither."""
+    incomplete: Count
+    """One run is invalid, missing or open."""
+    acted_only_with: Count
+    """Those of `only_with` in which recovery acted."""
+    acted_only_without: Count
+    """Those of `only_without`."""
+    acted_both: Count
+    """Those of `both`."""
+    acted_neither: Count
+    """Those of `neither`."""
+    violated_with: Count
+    """Violations with it, incomplete pairs included."""
+    violated_without: Count
+    """Violations without it, incomplete pairs included."""
+    p_value: Share | None
+    """Two-sided p-value of the exact McNemar test on the discordant pairs, against "it makes no
+    difference to the rate of violations"; 1 if no pair is discordant. It holds for a number of
+    pairs that did not depend on what they came to: of pairs that were run until a requirement was
+    decided it may be too small. Null for a sum over cases, whose pairs are not of one kind."""
 
     @property
     def complete(self) -> int:
@@ -352,14 +350,15 @@ class PairCounts:
         discordant = self.only_with + self.only_without
         return discordant - self.acted_only_with - self.acted_only_without
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record, with what follows from it."""
-        return {**asdict(self), "success_rate": self.success_rate}
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> PairCounts:
-        """The inverse of :meth:`to_json`; it passes over keys of others."""
-        return cls(**{name: data[name] for name in cls.__dataclass_fields__})
+@dataclass(frozen=True, slots=True)
+class PairTable(PairCounts):
+    """What the two runs of each pair came to."""
+
+    without: str
+    """`faults`, or the role that the second runs lack."""
+    case: str
+    """Id of the case of the second runs."""
 
 
 def judge_pairs(pairs: Iterable[Pair]) -> PairCounts:
@@ -424,24 +423,39 @@ class Change:
     A pair has a change only if both of its runs have a finite value. Which pairs do not, and why,
     is kept: an attack after which the car never clears the junction gives no clearance time, and a
     mean over the other pairs alone would hide exactly that.
-
-    Args:
-        measure: Name of the measure.
-        pairs: Id of each pair.
-        values: The change in each pair, in the measure's unit; ``None`` where there is none.
-        lost: Ids of pairs with a value only without it.
-        gained: Ids of pairs with a value only with it.
-        valueless: Ids of pairs that were measured and have no value in either run.
-        incomplete: Ids of pairs of which a run is invalid or missing.
     """
 
     measure: str
+    """Import path of the measure."""
     pairs: tuple[str, ...]
-    values: tuple[float | None, ...]
-    lost: tuple[str, ...] = ()
-    gained: tuple[str, ...] = ()
-    valueless: tuple[str, ...] = ()
-    incomplete: tuple[str, ...] = ()
+    """The first episode of each pair."""
+    values: tuple[Number | None, ...]
+    """For each pair the measure less that of its twin, in its unit; null for none."""
+    lost: tuple[str, ...]
+    """Pairs with a value in the second run only."""
+    gained: tuple[str, ...]
+    """Pairs with a value in the first run only."""
+    valueless: tuple[str, ...]
+    """Pairs without a value in either run."""
+    incomplete: tuple[str, ...]
+    """Pairs of which a run is invalid, missing or not whole."""
+    n: Count
+    """Pairs that have a change."""
+    mean: Number | None
+    """Of the changes; null without any."""
+    median: Number | None
+    """Of the changes; null without any."""
+    max: Number | None
+    """The greatest change; null without any."""
+    max_pair: str | None
+    """The first pair that has it; null without any."""
+    min: Number | None
+    """The least change; null without any."""
+    min_pair: str | None
+    """The first pair that has it; null without any."""
+    p_value: Share
+    """Two-sided p-value of the exact sign test on the changes, against "growing is as likely as
+    shrinking": pairs in which nothing changed do not count; 1 without others."""
 
     @classmethod
     def between(
@@ -455,82 +469,50 @@ class Change:
                 invalid or missing. NaN, or an infinite number, is a run that has no value.
         """
         kinds: dict[str, list[str]] = {}
-        values: list[float | None] = []
+        changes: dict[str, float] = {}
         for pair, (own, twin) in sides.items():
             kind, value = _compare(own, twin)
             kinds.setdefault(kind, []).append(pair)
-            values.append(value)
-        groups = {kind: tuple(ids) for kind, ids in kinds.items() if kind != "changed"}
-        return cls(measure, tuple(sides), tuple(values), **groups)
+            if value is not None:
+                changes[pair] = value
+        known = list(changes.values())
+        max_pair = max(changes, key=changes.__getitem__, default=None)
+        min_pair = min(changes, key=changes.__getitem__, default=None)
+        return cls(
+            measure,
+            tuple(sides),
+            tuple(changes.get(pair) for pair in sides),
+            lost=tuple(kinds.get("lost", ())),
+            gained=tuple(kinds.get("gained", ())),
+            valueless=tuple(kinds.get("valueless", ())),
+            incomplete=tuple(kinds.get("incomplete", ())),
+            n=len(known),
+            mean=statistics.fmean(known) if known else None,
+            median=statistics.median(known) if known else None,
+            max=None if max_pair is None else changes[max_pair],
+            max_pair=max_pair,
+            min=None if min_pair is None else changes[min_pair],
+            min_pair=min_pair,
+            # The same binomial distribution with probability 1/2.
+            p_value=mcnemar(sum(each > 0 for each in known), sum(each < 0 for each in known)),
+        )
 
     @property
     def changes(self) -> list[float]:
         """The changes there are."""
         return [value for value in self.values if value is not None]
 
-    @property
-    def n(self) -> int:
-        """Pairs that have a change."""
-        return len(self.changes)
 
-    @property
-    def mean(self) -> float | None:
-        """Over the pairs that have one."""
-        return statistics.fmean(self.changes) if self.n else None
+@dataclass(frozen=True, slots=True)
+class ChangeTable:
+    """By how much a measure differs in each pair."""
 
-    @property
-    def median(self) -> float | None:
-        """Over the pairs that have one."""
-        return statistics.median(self.changes) if self.n else None
-
-    @property
-    def greatest(self) -> tuple[str, float] | None:
-        """The pair in which the measure grew most, the first of equals, and by how much."""
-        return max(self._changed(), key=itemgetter(1), default=None)
-
-    @property
-    def least(self) -> tuple[str, float] | None:
-        """The pair in which it grew least or shrank most; the worst for, say, a smallest gap."""
-        return min(self._changed(), key=itemgetter(1), default=None)
-
-    @property
-    def p_value(self) -> float:
-        """Two-sided p-value of the exact sign test, against "growing is as likely as shrinking".
-
-        Pairs without a change, and those in which nothing changed, do not count; 1 without others.
-        """
-        # The same binomial distribution with probability 1/2.
-        return mcnemar(
-            sum(change > 0 for change in self.changes), sum(change < 0 for change in self.changes)
-        )
-
-    def _changed(self) -> list[tuple[str, float]]:
-        pairs = zip(self.pairs, self.values, strict=True)
-        return [(pair, value) for pair, value in pairs if value is not None]
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record: the changes, and the summary."""
-        greatest, least = self.greatest, self.least
-        data: dict[str, Any] = {
-            key: list(value) if isinstance(value, tuple) else value
-            for key, value in asdict(self).items()
-        }
-        return data | {
-            "n": self.n,
-            "mean": self.mean,
-            "median": self.median,
-            "max": greatest[1] if greatest else None,
-            "max_pair": greatest[0] if greatest else None,
-            "min": least[1] if least else None,
-            "min_pair": least[0] if least else None,
-            "p_value": self.p_value,
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Change:
-        """The inverse of :meth:`to_json`."""
-        ids = {name: tuple(data[name]) for name in ("lost", "gained", "valueless", "incomplete")}
-        return cls(data["measure"], tuple(data["pairs"]), tuple(data["values"]), **ids)
+    without: str
+    """`faults`, or the role that the second runs lack."""
+    case: str
+    """Id of the case of the second runs."""
+    change: Change
+    """The changes, and their summary."""
 
 
 def _compare(own: float | None, twin: float | None) -> tuple[str, float | None]:

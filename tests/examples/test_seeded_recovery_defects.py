@@ -9,7 +9,7 @@ from entries import make
 
 from pytest_dura import CampaignVerdict, RoleSpec, Runner
 from pytest_dura.evidence import PairedCourses, effectiveness
-from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.library import Range, Scenario, expand_cases, load_library
 
 PLANNERS = {
@@ -75,7 +75,7 @@ def test_the_pairs_tell_what_the_recovery_introduced():
 
 
 def test_a_recovery_that_only_does_harm_is_seen_as_such_in_the_record():
-    verdicts = [make(VerdictEntry, **judged("REC-1", defective=True).to_json())]
+    verdicts = [make(ItemVerdict, **judged("REC-1", defective=True).to_json())]
     (found,) = effectiveness(verdicts, [], PairedCourses(verdicts))
     assert found["finding"] == "introduced"
     assert "and prevented none of 0 violations of REC-1 without it in 4 pairs" in found["detail"]

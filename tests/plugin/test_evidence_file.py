@@ -285,4 +285,4 @@ def test_a_name_that_is_no_text_is_kept(project):
     )
     result = project.run("test_it.py")
     assert result.ret == 1
-    assert "no file \udcff" in project.verdict("OWN-1", "corridor/tight").spoilt.detail
+    assert "no file \udcff" in project.verdict("OWN-1", "corridor/tight").first_uncounted.detail

@@ -160,7 +160,7 @@ def test_a_broken_test_says_nothing_of_the_component(project, broken, error):
     (verdict,) = project.evidence().verdicts
     assert (verdict.verdict, verdict.missing) == ("undecided", 2)
     assert verdict.reason.startswith("2 of 2 episodes are not judged, since the test failed")
-    assert verdict.spoilt.detail.startswith(f"the test failed: {error}")
+    assert verdict.first_uncounted.detail.startswith(f"the test failed: {error}")
     card = " ".join(result.stdout.str().partition("= dura =")[2].split())
     assert f"A run is not judged: the test failed: {error}" in card
     assert "role or the simulator" not in card

@@ -262,7 +262,7 @@ def test_an_episode_that_ended_at_a_violation_decides_nothing_else(project, chec
     scenario(project, requirements="[GAP-1]\nend_at_violation: true", **PUSHED)
     write_test(project, f"campaign.require({check})", "requirement('OWN-1', text='Stays.')")
     found = expect(project, project.run("test_it.py"), "undecided", requirement="OWN-1")
-    assert detail in found.spoilt.detail
+    assert detail in found.first_uncounted.detail
     project.run("corridor/it").assert_outcomes(failed=1)
     assert project.verdict("GAP-1").verdict == "violated"
 

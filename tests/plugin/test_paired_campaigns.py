@@ -181,9 +181,9 @@ def test_a_measure_without_a_value_is_more_than_any_number(project, situation, w
     body = """campaign.paired(without='recovery_planner').require(
     measure='checks:touched_at', change_at_most=5.0)"""
     found = expect(project, run(project, body), word, requirement="checks:touched_at")
-    assert (found.spoilt is None) is (detail is None)
+    assert (found.first_uncounted is None) is (detail is None)
     if detail is not None:
-        assert detail in found.spoilt.detail
+        assert detail in found.first_uncounted.detail
 
 
 def test_without_faults(project):
@@ -207,7 +207,7 @@ def test_a_run_that_is_missing_leaves_its_pair_undecided(project):
     result = run(project, body)
     reason = "2 of 2 pairs are missing (infrastructure)"
     found = expect(project, result, "undecided", reason, requirement="always (gap > 0)")
-    assert found.spoilt.detail.startswith("infrastructure: safety_monitor at tick 2")
+    assert found.first_uncounted.detail.startswith("infrastructure: safety_monitor at tick 2")
     assert "E       Failed: infrastructure: safety_monitor at tick 2" in result.stdout.str()
 
 
@@ -216,8 +216,8 @@ def test_the_twin_that_is_missing_is_named(project):
     body = "campaign.paired(without='recovery_planner').require('always (gap > 0)')"
     result = run(project, body)
     found = expect(project, result, "undecided", requirement="always (gap > 0)")
-    assert found.spoilt.episode == "corridor/it#0"
-    detail = found.spoilt.detail
+    assert found.first_uncounted.episode == "corridor/it#0"
+    detail = found.first_uncounted.detail
     assert detail.startswith("infrastructure: simulator at tick 1 (t = 0.1 s): RuntimeError: the ")
     assert detail.endswith(", in corridor/it~recovery_planner#0")
 

@@ -190,9 +190,6 @@ CHANGES = {
     "another check": lambda r: verdict(r, requirement="RATE-1").update(check="always (gap > -1)"),
     "the bound on pairs": lambda r: verdict(r, paired=paired(r))["bound"].update(upper=0.01),
     "the p-value of pairs": lambda r: verdict(r, paired=paired(r))["pairs"].update(p_value=0.5),
-    "the rate of success of pairs": lambda r: verdict(r, paired=paired(r))["pairs"].update(
-        success_rate=0.125
-    ),
     "pairs in which recovery acted": lambda r: verdict(r, paired=paired(r))["pairs"].update(
         acted_only_without=0
     ),

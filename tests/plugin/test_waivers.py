@@ -6,7 +6,8 @@ import pytest
 from corridors import expect, scenario
 from entries import make
 
-from pytest_dura.evidence.verdict_model import SpoiltEntry, WaiverEntry
+from pytest_dura.evidence.item_verdicts import Waiver
+from pytest_dura.requirements.campaign_verdicts import UncountedEpisode
 
 CAMPAIGN_TEST = """
 import pytest
@@ -26,7 +27,7 @@ import pytest
 def test_it(episode):
     assert not episode.collided
 """
-WAIVER = make(WaiverEntry, kind="xfail", reason="ticket 7")
+WAIVER = make(Waiver, kind="xfail", reason="ticket 7")
 RECKLESS = {"generator": "Reckless", "world": "{wall: 1.0}"}
 
 
@@ -81,8 +82,8 @@ def test_a_skip_inside_a_test_on_an_episode_is_no_pass(project):
     result.assert_outcomes(passed=1, skipped=1)
     reason = "1 of 2 episodes are invalid"
     found = expect(project, result, "undecided", reason, requirement="GAP-1", ret=1)
-    assert found.spoilt == make(
-        SpoiltEntry, episode="corridor/it#1", verdict="invalid", detail="too cold"
+    assert found.first_uncounted == make(
+        UncountedEpisode, episode="corridor/it#1", verdict="invalid", detail="too cold"
     )
     assert "the gate fails: GAP-1 on corridor/it is undecided, though" in result.stdout.str()
 
@@ -110,7 +111,7 @@ def test_a_test_that_is_skipped_is_recorded_as_a_waiver(project, text):
     project.write("test_it.py", text)
     result = project.run("test_it.py")
     found = expect(project, result, "undecided", requirement="GAP-1", ret=0)
-    assert found.waiver == make(WaiverEntry, kind="skip", reason="Skipped: ticket 7")
+    assert found.waiver == make(Waiver, kind="skip", reason="Skipped: ticket 7")
     assert (found.planned, found.run) == (2, 0)
 
 
@@ -125,7 +126,7 @@ def test_a_skip_after_a_verdict_does_not_hide_it(project):
 
 
 RERUN = ["--reruns", "1", "-p", "no:xdist"]
-RETRIED = make(WaiverEntry, kind="rerun", reason="the item was run again")
+RETRIED = make(Waiver, kind="rerun", reason="the item was run again")
 PLUGINS = {
     "rerunfailures": ["--reruns", "2"],
     "flaky": ["-p", "flaky", "--force-flaky", "--max-runs", "3"],

@@ -17,7 +17,7 @@ from pytest_dura.evidence import RecordBuilder
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import ItemReport
-from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.requirements.judgements import Assertion, Judgement, RunJudgement
 from pytest_dura.requirements.runs import CheckVerdict
 
@@ -72,7 +72,7 @@ def reports(kind: str, tried: Sequence[Word], item: str) -> Iterator[ItemReport]
         yield ItemReport.from_json(about)
 
 
-def recorded(kind: str, tries: Sequence[tuple[str, Sequence[Word]]]) -> VerdictEntry:
+def recorded(kind: str, tries: Sequence[tuple[str, Sequence[Word]]]) -> ItemVerdict:
     """The one verdict of a session in which the items were tried in this order."""
     builder = RecordBuilder(HEADER)
     for item, tried in tries:

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura import ConfigurationError, EpisodeSpec, RoleSpec
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.library import Scenario, expand_cases, parse_yaml
 from pytest_dura.requirements import (
     CampaignVerdict,
@@ -140,7 +141,7 @@ def test_the_counts_of_a_campaign_add_up(
     verdict = judge_campaign(Requirement("R", at_most=at_most), "c", found, planned=planned)
     assert verdict.run == len(found) == verdict.episodes + verdict.invalid + verdict.missing
     assert verdict.violations == len(verdict.counterexamples) <= verdict.episodes
-    assert CampaignVerdict.from_json(json.loads(json.dumps(verdict.to_json()))) == verdict
+    assert decode(CampaignVerdict, json.loads(json.dumps(encode(verdict)))) == verdict
     if verdict.verdict == "supported":
         assert not verdict.missing
         assert verdict.run >= planned

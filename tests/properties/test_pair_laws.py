@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from pytest_dura import EpisodeVerdict, FaultRecord, Paired, Requirement
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.requirements import (
     Change,
     Pair,
@@ -75,7 +76,7 @@ def test_every_pair_is_counted_in_one_cell(table: Any) -> None:
     assert named == found.complete
     assert 0 <= found.unexplained <= found.only_with + found.only_without
     assert found.violated_with == sum(own.startswith("violated") for own, _, _ in table)
-    assert PairCounts.from_json(json.loads(json.dumps(found.to_json()))) == found
+    assert decode(PairCounts, json.loads(json.dumps(encode(found)))) == found
 
 
 @lawful
@@ -114,7 +115,7 @@ def test_every_pair_has_a_change_or_a_reason(sides: Any) -> None:
     reasons = (*found.lost, *found.gained, *found.valueless, *found.incomplete)
     assert len(set(reasons)) == len(reasons) == found.values.count(None)
     assert found.n + len(reasons) == len(sides)
-    assert Change.from_json(json.loads(json.dumps(found.to_json(), allow_nan=False))) == found
+    assert decode(Change, json.loads(json.dumps(encode(found), allow_nan=False))) == found
 
 
 @lawful
@@ -132,9 +133,9 @@ def test_swapping_the_runs_turns_the_change_around(sides: Any) -> None:
 def test_the_summary_lies_within_the_extremes(sides: Any) -> None:
     found = Change.between("m", sides)
     if found.n:
-        assert found.least is not None
-        assert found.greatest is not None
-        low, high = found.least[1], found.greatest[1]
+        low, high = found.min, found.max
+        assert low is not None
+        assert high is not None
         slack = 1e-9 * max(abs(low), abs(high))
         assert low - slack <= found.mean <= high + slack
         assert low <= found.median <= high

@@ -16,8 +16,8 @@ from scipy.stats import binom
 
 from pytest_dura import CampaignVerdict, EpisodeVerdict, Requirement
 from pytest_dura.evidence import Gate
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.search_model import SearchEntry
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.requirements import CampaignJudge, judge_campaign, lower_bound, upper_bound
 
 RUNS = 40
@@ -346,7 +346,7 @@ def test_the_gate_passes_only_what_nothing_stands_against(
 ) -> None:
     plain = [
         make(
-            VerdictEntry,
+            ItemVerdict,
             requirement=f"R{number}",
             case="case",
             verdict="undecided" if status == "too few" else status,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from entries import make
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import SCHEMA_VERSION
 from pytest_dura.evidence.model import WholeRecord
 from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
@@ -33,7 +34,7 @@ def verdict(runs, violating=(), case="a/b", component="C", requirement="R", **ch
         Requirement(requirement), case, found, planned=runs, component=component
     )
     item = f"{case}::{requirement}"
-    return {**judged.to_json(), "check": "gap > 0", "paired": None, "item": item} | changes
+    return {**encode(judged), "check": "gap > 0", "paired": None, "item": item} | changes
 
 
 def record(*verdicts, seed=0, walls=None, **changes):

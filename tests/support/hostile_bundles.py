@@ -43,8 +43,9 @@ from pytest_dura.evidence import (
 )
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.search_model import SearchEntry
-from pytest_dura.evidence.verdict_model import MonitorEntry, VerdictEntry
+from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.provenance import digest_of
 
 PROJECT = Path(__file__).parents[1] / "plugin" / "project"
@@ -308,7 +309,7 @@ def session(real, directory, spoil):
             one["trace"] |= _trace(directory, one, trace, spoil)
     metrics = defaultdict(CaseMetrics)
     episodes = [EpisodeEntry.model_validate(one) for one in told["episodes"]]
-    verdicts = [VerdictEntry.model_validate(one) for one in told["verdicts"]]
+    verdicts = [ItemVerdict.model_validate(one) for one in told["verdicts"]]
     monitors = [MonitorEntry.model_validate(one) for one in told["monitors"]]
     for one in episodes:
         metrics[one.case, one.component].add(one)

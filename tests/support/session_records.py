@@ -10,9 +10,10 @@ from baseline_records import spec
 from entries import make
 from pydantic import ValidationError
 
+from pytest_dura.core.codec import encode
 from pytest_dura.driving import MEASURES
 from pytest_dura.evidence import SCHEMA_VERSION, SessionRecord
-from pytest_dura.evidence.entry import Entry
+from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.model import RecordHead, WholeRecord
 from pytest_dura.provenance import digest_of
 from pytest_dura.requirements import EpisodeVerdict, Requirement, judge_campaign
@@ -97,7 +98,7 @@ def verdict(requirement, case, words, *, planned=None, waiver=None, **changes):
         REQUIREMENTS[requirement], case, found, planned=planned or len(words), component="C"
     )
     told = {
-        **judged.to_json(), "check": REQUIREMENTS[requirement].check, "paired": None,
+        **encode(judged), "check": REQUIREMENTS[requirement].check, "paired": None,
         "also_without": None, "item": f"{case}::{requirement}", "waiver": waiver, "attempts": [],
         "assertion": None,
     }  # fmt: skip
@@ -212,7 +213,7 @@ def session_data(**changes):
         "timings": {"wall_seconds": 60.0, "evidence_seconds": 1.0, "simulated_seconds": 12.0,
                     "processing_seconds": {"generator": 2.0}},
     }  # fmt: skip
-    plain = json.loads(json.dumps(told | changes, default=Entry.to_json))
+    plain = json.loads(json.dumps(told | changes, default=plain_data))
     plain["totals"] = totals(plain)
     with suppress(ValidationError):  # a test may want data that is no valid record
         plain = make(WholeRecord, **plain).to_json()

@@ -249,7 +249,7 @@ def _dead(text, record):
         if url.startswith("evidence.json#/"):
             try:
                 for key in url.partition("#/")[2].split("/"):
-                    here = here[int(key)] if isinstance(here, list) else getattr(here, key)
+                    here = here[int(key)] if isinstance(here, (list, tuple)) else getattr(here, key)
             except (LookupError, ValueError, AttributeError):
                 yield f"{name} refers to {url}, which is not there"
         trace = element.get("trace")

@@ -8,25 +8,24 @@ from __future__ import annotations
 import json
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from operator import attrgetter
 
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
-from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import with_repeats
-from pytest_dura.evidence.verdict_model import (
+from pytest_dura.evidence.item_verdicts import (
     AssertionSummary,
-    AttemptEntry,
     FailedAssertion,
     FalseCheck,
-    VerdictEntry,
-    WaiverEntry,
+    ItemVerdict,
+    Waiver,
 )
 from pytest_dura.requirements.campaign_judge import judge_campaign
 from pytest_dura.requirements.campaign_verdicts import (
+    CampaignVerdict,
     Situation,
     Situations,
     doubted,
@@ -66,7 +65,7 @@ class VerdictLines:
     judgements: Sequence[Judgement]
     cases: Mapping[CaseKey, CasePlan]
     requirements: Mapping[str, RequirementEntry]
-    waivers: Mapping[str, WaiverEntry] = field(default_factory=dict)
+    waivers: Mapping[str, Waiver] = field(default_factory=dict)
     repeats: Mapping[CaseKey, RepeatEntry | None] = field(default_factory=dict)
     doubts: Mapping[CaseKey, str] = field(default_factory=dict)
     searched: Collection[tuple[str, str, str]] = ()
@@ -151,7 +150,7 @@ def _run_of(episode: EpisodeEntry, alone: Collection[str]) -> Run:
     )
 
 
-def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[VerdictEntry]:
+def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[ItemVerdict]:
     """Conclude all verdicts, also on what never reported, sorted by case and requirement.
 
     Args:
@@ -197,7 +196,7 @@ def question_of(judgement: Judgement) -> tuple[str, ...]:
     return judgement.decides, *about, json.dumps(question, sort_keys=True)
 
 
-def question_key(item: str, verdict: AttemptEntry) -> tuple[str, ...]:
+def question_key(item: str, verdict: CampaignVerdict) -> tuple[str, ...]:
     """Identify what a verdict answers: the item, requirement, case, component and question."""
     paired = encode(verdict.paired)
     bound = verdict.bound
@@ -218,13 +217,13 @@ class _Verdicts:
         """The first waived item of each test."""
         return {test_function(item): item for item in sorted(self.lines.waivers, reverse=True)}
 
-    def of_campaign(self, item: str, asked: Sequence[Judgement]) -> VerdictEntry:
+    def of_campaign(self, item: str, asked: Sequence[Judgement]) -> ItemVerdict:
         """Conclude the verdict of one or several attempts, by one or several items.
 
         Of several attempts at an item a violation counts before anything else, and of several items
         the worst verdict; all of them are kept.
         """
-        attempts: dict[str, list[AttemptEntry]] = {}
+        attempts: dict[str, list[CampaignVerdict]] = {}
         for judgement in _joined(asked):
             attempts.setdefault(judgement.item, []).append(self._attempt(judgement))
         counting = {name: _counting_attempt(entries) for name, entries in attempts.items()}
@@ -240,7 +239,7 @@ class _Verdicts:
             ],
         )
 
-    def _attempt(self, judgement: Judgement) -> AttemptEntry:
+    def _attempt(self, judgement: Judgement) -> CampaignVerdict:
         """Conclude a campaign from its runs."""
         key = judgement.case, judgement.component
         case, known, judged = self.lines.cases.get(key), {}, []
@@ -258,11 +257,9 @@ class _Verdicts:
         faults = set() if case is None else {fault.id for fault in case.faults}
         declared = varies(() if case is None else case.variation, faults)
         found = replace(judgement, runs=tuple(judged))
-        concluded = conclude_campaign(found, known, varies=declared)
-        asked = {"check": judgement.check, "paired": encode(judgement.paired)}
-        return AttemptEntry.model_validate(plain_data({**concluded.verdict.to_json(), **asked}))
+        return conclude_campaign(found, known, varies=declared).verdict
 
-    def of_test(self, test: str, asked: Sequence[Judgement]) -> VerdictEntry:
+    def of_test(self, test: str, asked: Sequence[Judgement]) -> ItemVerdict:
         """Conclude the verdict of a test that looks at one episode at a time."""
         # In an order of their own: they are reported in any.
         outcomes = sorted({*asked}, key=lambda each: (each.runs[0].run, each.item, each.attempt))
@@ -279,7 +276,7 @@ class _Verdicts:
             assertion=_assertion_summary(final),
         )
 
-    def _judge_test(self, outcomes: Sequence[Judgement]) -> AttemptEntry:
+    def _judge_test(self, outcomes: Sequence[Judgement]) -> CampaignVerdict:
         first = outcomes[0]
         # Tests are a fixed number, and run in no fixed order: no sequential method applies.
         judged_by = replace(
@@ -294,15 +291,13 @@ class _Verdicts:
         # Each run is a test of its own: none is saved where all runs are equal.
         whole = len(final) >= planned > 1
         situation = self.runs.situation(first.case, first.component) if whole else None
-        return AttemptEntry.of(
-            judge_campaign(
-                judged_by,
-                first.case,
-                final,
-                planned=planned,
-                component=first.component,
-                situation=situation,
-            )
+        return judge_campaign(
+            judged_by,
+            first.case,
+            final,
+            planned=planned,
+            component=first.component,
+            situation=situation,
         )
 
     def _worst_of_each_episode(self, final: Iterable[Judgement]) -> list[EpisodeVerdict]:
@@ -323,7 +318,7 @@ class _Verdicts:
                 worst.setdefault(run.episode, replace(verdict, unseen_crash=unseen))
         return sorted(worst.values(), key=lambda verdict: int(verdict.episode.rpartition("#")[2]))
 
-    def _waiver_of(self, final: Sequence[Judgement], verdict: AttemptEntry) -> WaiverEntry | None:
+    def _waiver_of(self, final: Sequence[Judgement], verdict: CampaignVerdict) -> Waiver | None:
         """Waiver of a verdict, if all that is bad about it comes from waived items."""
         known = self.lines.waivers
         waivers = [known[outcome.item] for outcome in final if outcome.item in known]
@@ -331,24 +326,22 @@ class _Verdicts:
         excused = bad <= known.keys() and verdict.run >= verdict.planned
         return waivers[0] if waivers and excused else None
 
-    def unanswered(self, claim: Judgement) -> VerdictEntry:
+    def unanswered(self, claim: Judgement) -> ItemVerdict:
         """Make the verdict on what was to be decided, and was not."""
         item = claim.decides
-        verdict = AttemptEntry.of(
-            judge_campaign(
-                self._requirement(claim.requirement),
-                claim.case,
-                [],
-                planned=claim.planned,
-                component=claim.component,
-            )
+        verdict = judge_campaign(
+            self._requirement(claim.requirement),
+            claim.case,
+            [],
+            planned=claim.planned,
+            component=claim.component,
         )
         if item != f"{claim.case}::{claim.requirement}":
             # Its episodes may have run: what was not made is the verdict.
-            verdict = verdict.replace(reason="the test ended without a verdict on it")
+            verdict = replace(verdict, reason="the test ended without a verdict on it")
         elif claim.case in self.runs.cases:
             reason = "episodes of the case ran, and no verdict was made on them"
-            verdict = verdict.replace(reason=reason)
+            verdict = replace(verdict, reason=reason)
         waivers = self.lines.waivers
         waived = item if item in waivers else self._first_waived.get(item, "")
         return _verdict(verdict, item, waiver=waivers.get(waived))
@@ -357,15 +350,15 @@ class _Verdicts:
         known = self.lines.requirements.get(name)
         return Requirement.from_json({"id": name} if known is None else known.to_json())
 
-    def qualified(self, verdict: VerdictEntry) -> VerdictEntry:
+    def qualified(self, verdict: ItemVerdict) -> ItemVerdict:
         """Apply doubts about the case's episodes."""
         doubt = self.lines.doubts.get((verdict.case, verdict.component))
         if doubt is not None:
-            verdict = verdict.replace(**doubted(verdict.verdict, verdict.reason, doubt))
+            verdict = replace(verdict, **doubted(verdict.verdict, verdict.reason, doubt))
         cases = [verdict.case, *([verdict.pairs.case] if verdict.pairs else [])]
         repeats = [self.lines.repeats.get((case, verdict.component)) for case in cases]
         changed = with_repeats(verdict.verdict, verdict.reason, repeats, verdict.component)
-        return verdict.replace(**changed)
+        return replace(verdict, **changed)
 
 
 def _joined(asked: Iterable[Judgement]) -> list[Judgement]:
@@ -395,24 +388,23 @@ def _order(judgement: Judgement) -> tuple[str, int, str]:
 
 
 def _verdict(
-    attempt: AttemptEntry,
+    attempt: CampaignVerdict,
     item: str,
     *,
-    waiver: WaiverEntry | None = None,
-    attempts: Sequence[AttemptEntry] = (),
+    waiver: Waiver | None = None,
+    attempts: Sequence[CampaignVerdict] = (),
     assertion: AssertionSummary | None = None,
-) -> VerdictEntry:
-    return VerdictEntry(
-        **vars(attempt),
+) -> ItemVerdict:
+    return ItemVerdict(
+        **{field.name: getattr(attempt, field.name) for field in fields(CampaignVerdict)},
         item=item,
         waiver=waiver,
-        attempts=list(attempts),
+        attempts=tuple(attempts),
         assertion=assertion,
-        also_without=None,
     )
 
 
-def _counting_attempt(attempts: Sequence[AttemptEntry]) -> AttemptEntry:
+def _counting_attempt(attempts: Sequence[CampaignVerdict]) -> CampaignVerdict:
     """Select the attempt at an item that counts: the first violation, else the last attempt."""
     return next((entry for entry in attempts if entry.verdict == "violated"), attempts[-1])
 
@@ -468,9 +460,7 @@ def _assertion_summary(final: Sequence[Judgement]) -> AssertionSummary:
     return AssertionSummary(
         alone=all(assertion.alone for _, assertion in assertions),
         by_check=sum(assertion.by_check for _, assertion in assertions),
-        observed=sorted(observed)[:_MAX_OBSERVED],
-        false=[
-            FalseCheck(check=name, episodes=false[name]) for name in sorted(false)[:_MAX_OBSERVED]
-        ],
-        failed=[FailedAssertion(episode=name, message=why) for name, why in failed[:_MAX_FAILED]],
+        observed=tuple(sorted(observed)[:_MAX_OBSERVED]),
+        false=tuple(FalseCheck(name, false[name]) for name in sorted(false)[:_MAX_OBSERVED]),
+        failed=tuple(FailedAssertion(name, why) for name, why in failed[:_MAX_FAILED]),
     )

@@ -6,20 +6,16 @@ The wording is of propositions, never of praise.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_dura.evidence.case_model import ParameterEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name
-from pytest_dura.evidence.verdict_model import (
-    CounterexampleEntry,
-    MonitorEntry,
-    VerdictEntry,
-    WaiverEntry,
-)
+from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.reports.contents import folded_cases, requirement_anchor, verdict_anchor
 from pytest_dura.reports.gsn.element import Element, derived_id
 from pytest_dura.reports.verdicts import (
@@ -33,7 +29,7 @@ from pytest_dura.reports.verdicts import (
     waiver_text,
 )
 from pytest_dura.reports.wording import evidence_option, model_options, names_text, replay_command
-from pytest_dura.requirements.campaign_verdicts import violation_text
+from pytest_dura.requirements.campaign_verdicts import Counterexample, violation_text
 
 
 def _place_text(case: str, component: str, *, several: bool) -> str:
@@ -134,7 +130,7 @@ class EpisodeFacts:
         self.seeds = (count + 1, min(least, seed), max(greatest, seed))
 
 
-def _shown_counterexamples(verdict: VerdictEntry) -> list[CounterexampleEntry]:
+def _shown_counterexamples(verdict: ItemVerdict) -> Sequence[Counterexample]:
     """The counterexamples of a verdict that become elements."""
     return verdict.counterexamples[:MAX_COUNTEREXAMPLES]
 
@@ -150,7 +146,7 @@ class VerdictElements:
         elements: All its elements, the goal first.
     """
 
-    verdict: VerdictEntry
+    verdict: ItemVerdict
     goal: str
     challenge: str
     elements: tuple[Element, ...]
@@ -186,7 +182,7 @@ class _VerdictBuilder:
     record: SessionRecord
     facts: EpisodeFacts
     index: int
-    verdict: VerdictEntry
+    verdict: ItemVerdict
     apart: tuple[str, ...]
     several: bool
     shown: bool
@@ -263,7 +259,7 @@ class _VerdictBuilder:
             brief=tuple(short_evidence_text(self.verdict)),
         )
 
-    def _waiver(self, waiver: WaiverEntry) -> Element:
+    def _waiver(self, waiver: Waiver) -> Element:
         return Element(
             self.identifier("J", "waiver"),
             waiver_text(waiver, self.verdict.verdict),
@@ -294,7 +290,7 @@ class _VerdictBuilder:
         )
         yield from evidence
 
-    def _counterexample(self, index: int, counterexample: CounterexampleEntry) -> Element:
+    def _counterexample(self, index: int, counterexample: Counterexample) -> Element:
         episode = counterexample.episode
         when = violation_text(
             counterexample.time, counterexample.margin, valid=counterexample.valid

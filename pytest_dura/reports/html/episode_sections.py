@@ -11,8 +11,8 @@ from pytest_dura.evidence.case_model import (
     CellEntry,
     ParameterEntry,
 )
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.contents import (
     CaseKey,
@@ -98,7 +98,7 @@ def case_section(record: SessionRecord, contents: ReportContents, links: Episode
     cases = record.head.cases
     columns = shown_in(case_columns(cases, record.head.measures), Shown.PAGE)
     shown, rest = split_folded(cases, contents.folded, case_key)
-    verdicts: dict[CaseKey, list[VerdictEntry]] = defaultdict(list)
+    verdicts: dict[CaseKey, list[ItemVerdict]] = defaultdict(list)
     for verdict in record.head.verdicts:
         verdicts[verdict_key(verdict)].append(verdict)
     episodes: dict[CaseKey, list[Data]] = defaultdict(list)
@@ -235,7 +235,7 @@ def _scenario_key(cell: CellEntry) -> tuple[str, str]:
     return cell.scenario, cell.faults
 
 
-def _cell_key(verdict: VerdictEntry | CellEntry) -> tuple[str, str, str]:
+def _cell_key(verdict: ItemVerdict | CellEntry) -> tuple[str, str, str]:
     """Key that a cell and the verdicts on it have in common."""
     return verdict.requirement, verdict.case, verdict.component
 
@@ -296,7 +296,7 @@ def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
         left_out: Names of faults without a row; only folded cases have them.
     """
     faults_of = {case_key(case): [fault.id for fault in case.faults] for case in record.head.cases}
-    cells: dict[tuple[str, str], list[VerdictEntry]] = defaultdict(list)
+    cells: dict[tuple[str, str], list[ItemVerdict]] = defaultdict(list)
     names: dict[str, None] = {}
     for ids in faults_of.values():
         names.update(dict.fromkeys(ids or [_NO_FAULT]))
@@ -315,7 +315,7 @@ def _heat_map(record: SessionRecord, left_out: Collection[str]) -> Data:
     )
 
 
-def _heat_cell(verdicts: list[VerdictEntry] | None) -> Data:
+def _heat_cell(verdicts: list[ItemVerdict] | None) -> Data:
     if not verdicts:
         return {"word": "untested"}
     n = sum(verdict.episodes for verdict in verdicts)

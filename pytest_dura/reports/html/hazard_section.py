@@ -8,8 +8,8 @@ from typing import Any
 
 from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.hazards import HazardEvidence
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
@@ -57,7 +57,7 @@ def _hazard_row(evidence: HazardEvidence, contents: ReportContents, links: Episo
 
 def _requirement_row(
     requirement: RequirementEntry,
-    verdicts: Sequence[VerdictEntry],
+    verdicts: Sequence[ItemVerdict],
     contents: ReportContents,
     links: EpisodeLinks,
 ) -> Data:
@@ -75,7 +75,7 @@ def _requirement_row(
     }
 
 
-def _step(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
+def _step(verdict: ItemVerdict, links: EpisodeLinks) -> Data:
     episodes = verdict.counterexamples[:_MAX_EPISODES]
     return {
         "case": verdict.case,

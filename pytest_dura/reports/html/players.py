@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from pytest_dura.core.errors import describe_error
 from pytest_dura.evidence.episode_model import TraceEntry
 from pytest_dura.evidence.files import file_entry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports.contents import (
     BriefEpisode,
     CaseKey,
@@ -176,7 +176,7 @@ def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[
     return violated + others
 
 
-def _satisfied_verdict(verdict: VerdictEntry, episode: BriefEpisode) -> tuple[str, str]:
+def _satisfied_verdict(verdict: ItemVerdict, episode: BriefEpisode) -> tuple[str, str]:
     """A verdict's status on an episode that is none of its counterexamples, and a note on it.
 
     The record names single episodes where they violate; of others it has the sums.

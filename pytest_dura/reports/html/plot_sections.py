@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pytest_dura.evidence.case_model import PairEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import counted, name
-from pytest_dura.evidence.verdict_model import MarginsEntry, VerdictEntry
 from pytest_dura.reports.columns import measure_label, role_name
 from pytest_dura.reports.contents import (
     EpisodeLinks,
@@ -51,6 +51,7 @@ from pytest_dura.reports.plots import (
     strip_plot,
 )
 from pytest_dura.reports.svg import Svg
+from pytest_dura.requirements.campaign_verdicts import Margins
 
 Data = Mapping[str, Any]
 
@@ -192,7 +193,7 @@ _STATUS_ORDER = ("violated", "undecided", "supported")
 
 def _margin_plots(record: SessionRecord, contents: ReportContents) -> Data:
     """One plot for each requirement with margins: violated ones first, safety before comfort."""
-    by_requirement: dict[str, list[VerdictEntry]] = defaultdict(list)
+    by_requirement: dict[str, list[ItemVerdict]] = defaultdict(list)
     bare = 0
     for verdict in record.head.verdicts:
         if verdict.margins is None:
@@ -222,7 +223,7 @@ def _margin_plots(record: SessionRecord, contents: ReportContents) -> Data:
 
 
 def _margin_plot(
-    requirement: str, verdicts: Sequence[VerdictEntry], place: int, contents: ReportContents
+    requirement: str, verdicts: Sequence[ItemVerdict], place: int, contents: ReportContents
 ) -> Data:
     several = len({verdict.component for verdict in verdicts}) > 1
     shown, rest = split_folded(verdicts, contents.folded, verdict_key)
@@ -243,7 +244,7 @@ def _margin_plot(
     }
 
 
-def _margin_strip(verdict: VerdictEntry, *, several: bool) -> Strip:
+def _margin_strip(verdict: ItemVerdict, *, several: bool) -> Strip:
     margins = verdict.margins
     assert margins is not None  # verdicts without any have no row
     crosses = [
@@ -256,7 +257,7 @@ def _margin_strip(verdict: VerdictEntry, *, several: bool) -> Strip:
     return Strip(label, _box_of(margins), (), crosses[:MAX_CROSSES], note, verdict.violations > 0)
 
 
-def _box_of(margins: MarginsEntry) -> FiveNumbers | None:
+def _box_of(margins: Margins) -> FiveNumbers | None:
     """The quartiles; of margins without an end those alone that are finite."""
     known = [margins.min, margins.q25, margins.median, margins.q75, margins.max]
     # The quartiles of five numbers are these numbers.

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from typing import Any
 
 from pytest_dura.evidence.case_model import RequirementEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry
-from pytest_dura.evidence.verdict_model import MonitorEntry, PairsEntry, VerdictEntry
+from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.contents import (
     EpisodeLinks,
@@ -60,6 +62,7 @@ from pytest_dura.reports.usage import spending_text
 from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.model import FAULTS
+from pytest_dura.requirements.pairs import PairTable
 
 Data = Mapping[str, Any]
 
@@ -79,7 +82,7 @@ def requirement_section(
     methods: dict[tuple[str, str], int] = {}
     shown, rest = split_folded(record.head.verdicts, contents.folded, verdict_key)
     faults_of = faults_by_case(record)
-    folded: dict[str, list[VerdictEntry]] = {}
+    folded: dict[str, list[ItemVerdict]] = {}
     for verdict in rest:
         folded.setdefault(verdict.requirement, []).append(verdict)
     shown.sort(key=_verdict_rank)
@@ -129,11 +132,11 @@ def requirement_section(
     }
 
 
-def _verdict_rank(verdict: VerdictEntry) -> int:
+def _verdict_rank(verdict: ItemVerdict) -> int:
     return WORST_FIRST.index(verdict.verdict)
 
 
-def _folded_verdicts(verdicts: list[VerdictEntry]) -> Data:
+def _folded_verdicts(verdicts: list[ItemVerdict]) -> Data:
     """Sums of the verdicts without rows; all of them are supported, by valid episodes."""
     margins = [verdict.margin for verdict in verdicts if verdict.margin is not None]
     bounds = [verdict.bound.upper for verdict in verdicts if verdict.bound.upper is not None]
@@ -146,15 +149,18 @@ def _folded_verdicts(verdicts: list[VerdictEntry]) -> Data:
     }
 
 
-def _verdict_row(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
+def _verdict_row(verdict: ItemVerdict, links: EpisodeLinks) -> Data:
     shown = verdict.counterexamples[:MAX_COUNTEREXAMPLES]
     return {
-        **dict(verdict),
+        **{field.name: getattr(verdict, field.name) for field in fields(verdict)},
         "verdict_entry": verdict,
         "case_anchor": links.known(case_anchor(verdict.case)),
         "worst": [
             {
-                **dict(counterexample),
+                **{
+                    field.name: getattr(counterexample, field.name)
+                    for field in fields(counterexample)
+                },
                 "link": links.of_episode(counterexample.episode, verdict.component),
                 "when": violation_text(
                     counterexample.time, counterexample.margin, valid=counterexample.valid
@@ -164,7 +170,7 @@ def _verdict_row(verdict: VerdictEntry, links: EpisodeLinks) -> Data:
         ],
         "by_assertion": assertion_sentences(verdict),
         "more": len(verdict.counterexamples) - len(shown),
-        "pairs": verdict.pairs if isinstance(verdict.pairs, PairsEntry) else None,
+        "pairs": verdict.pairs if isinstance(verdict.pairs, PairTable) else None,
         "fixed_n": has_fixed_n(verdict),
     }
 
@@ -183,7 +189,7 @@ def monitor_section(record: SessionRecord, _contents: ReportContents, _links: Ep
         anchor = verdict_anchor(verdict.requirement, verdict.case)
         if verdict.pairs is not None and verdict.pairs.without == FAULTS:
             attacks.append(AttackRow(verdict, anchor))
-        elif isinstance(verdict.pairs, PairsEntry):
+        elif isinstance(verdict.pairs, PairTable):
             pairs.append(
                 PairRow(verdict, verdict.pairs, switching.get(verdict_key(verdict)), anchor)
             )

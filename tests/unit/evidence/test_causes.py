@@ -230,7 +230,7 @@ def test_a_missing_run_names_role_and_message():
 
     (cause,) = causes_of(record)
 
-    detail = record.head.verdicts[0].spoilt.detail.removeprefix("infrastructure: ")
+    detail = record.head.verdicts[0].first_uncounted.detail.removeprefix("infrastructure: ")
     assert detail
     assert detail in cause.headline
     assert cause.episode == f"{CLEAR}#1"

@@ -8,7 +8,7 @@ from pytest_dura.evidence import conclude as module
 from pytest_dura.evidence import coverage
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 
 
 def case(name, *faults, component="C", requirements=("R",), variation=None, without=()):
@@ -20,7 +20,7 @@ def case(name, *faults, component="C", requirements=("R",), variation=None, with
 
 
 def verdict(name, word="supported", requirement="R", component="C"):
-    return make(VerdictEntry, case=name, requirement=requirement, component=component, verdict=word)
+    return make(ItemVerdict, case=name, requirement=requirement, component=component, verdict=word)
 
 
 def cells(cases, verdicts, *keys):

@@ -9,18 +9,19 @@ from entries import make
 
 from pytest_dura.evidence import PairedCourses, effectiveness
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.verdict_model import MonitorEntry, VerdictEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.evidence.verdict_model import MonitorEntry
 
 OWN, TWIN = "a/b", "a/b~recovery_planner"
 
 
 def verdict(
     case: str = OWN, component: str = "C", without: str = "recovery_planner", **counts: int
-) -> VerdictEntry:
+) -> ItemVerdict:
     names = ("only_with", "only_without", "both", "neither")
     table = {name: 0 for word in names for name in (word, f"acted_{word}")} | counts
     pairs = {"case": f"{case}~recovery_planner", "without": without, **table}
-    return make(VerdictEntry, requirement="R", case=case, component=component, pairs=pairs)
+    return make(ItemVerdict, requirement="R", case=case, component=component, pairs=pairs)
 
 
 def episode(case: str, run: int, *, acted: bool = False, jerk: float = 1.0) -> EpisodeEntry:
@@ -41,7 +42,7 @@ def monitor(
     )  # fmt: skip
 
 
-def of_recovery(*verdicts: VerdictEntry, episodes: Any = ()) -> dict[str, Any]:
+def of_recovery(*verdicts: ItemVerdict, episodes: Any = ()) -> dict[str, Any]:
     courses = PairedCourses(verdicts)
     for one in episodes:
         courses.add(one)

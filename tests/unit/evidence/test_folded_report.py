@@ -53,7 +53,7 @@ def passing(number: int, changes: Mapping[int, Any] | None = None) -> SessionRec
         judged |= {
             "case": name, "item": f"{name}::{VERDICT}", "requirement": VERDICT, "waiver": None,
             "verdict": "supported", "violations": 0, "invalid": 0, "missing": 0, "attempts": [],
-            "counterexamples": [], "spoilt": None, "pairs": None, "margin": 1.0 + place,
+            "counterexamples": [], "first_uncounted": None, "pairs": None, "margin": 1.0 + place,
         }  # fmt: skip
         if changes and place in changes:
             changes[place](own, judged)

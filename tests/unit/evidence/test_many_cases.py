@@ -22,7 +22,7 @@ from pytest_dura.evidence import (
 )
 from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
 from pytest_dura.evidence.conclude import missing_runs, verdicts_on_cases
-from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.plugin.xdist import MOST, shares
 
 SIZES = (20, 40, 80)
@@ -126,7 +126,7 @@ def test_coverage_of_scenarios_with_faults_of_their_own() -> None:
 
 def test_missing_runs_of_a_comparison_are_those_of_both_its_cases() -> None:
     told = make(
-        VerdictEntry, case="a", component="C", planned=3, pairs={"case": "a~x", "without": "x"}
+        ItemVerdict, case="a", component="C", planned=3, pairs={"case": "a~x", "without": "x"}
     )
     found = verdicts_on_cases([told])
     for name in ("a", "a~x"):

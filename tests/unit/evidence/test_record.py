@@ -11,8 +11,8 @@ from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.gather import claim
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.session_model import ComponentEntry
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.requirements.judgements import Judgement
 
 REQUIREMENT = make(RequirementEntry, id="R", text="t", confidence=0.95).to_json()
@@ -358,8 +358,8 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
         for one in (case(planned=3), {**case(), "id": "c/d"}, twin, free, case("D"))
     ]
     verdicts = [
-        make(VerdictEntry, case="a/b", pairs={"case": twin["id"], "without": "faults"}),
-        make(VerdictEntry, case="c/d", pairs={"case": free["id"], "without": "faults"}),
+        make(ItemVerdict, case="a/b", pairs={"case": twin["id"], "without": "faults"}),
+        make(ItemVerdict, case="c/d", pairs={"case": free["id"], "without": "faults"}),
     ]
     pooled = PooledMetrics(cases, verdicts)
     runs = [
@@ -375,7 +375,7 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
     assert (own["component"], own["cases"], own["metrics"]["planned"]) == ("C", 2, 5)
     assert own["metrics"]["measures"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
     assert (other["component"], other["metrics"]["valid"]) == ("D", 1)
-    judged = PooledMetrics(cases, [*verdicts, make(VerdictEntry, case=free["id"])])
+    judged = PooledMetrics(cases, [*verdicts, make(ItemVerdict, case=free["id"])])
     assert judged.to_json()[0]["cases"] == 3, "who is judged for its own sake is no mere twin"
 
 

@@ -7,7 +7,7 @@ from entries import make
 from session_records import session_record
 
 from pytest_dura.evidence import Redactor, count_redactions, holds_redaction
-from pytest_dura.evidence.verdict_model import MeasuredChange
+from pytest_dura.requirements.pairs import Change
 
 SECRET = "tok-AbCdEf0123456789"
 
@@ -219,5 +219,5 @@ def test_hostile_texts_take_no_longer_than_others(text):
 
 
 def test_marks_are_counted_in_entries_too_whatever_their_fields_are_called():
-    change = make(MeasuredChange, values=[1.5], lost=["x [redacted: MY_KEY]"])
+    change = make(Change, values=[1.5], lost=["x [redacted: MY_KEY]"])
     assert count_redactions([change]) == {"MY_KEY": 1}

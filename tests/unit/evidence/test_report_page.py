@@ -17,8 +17,8 @@ from stated_counts import stated_counts
 from pytest_dura.evidence.bundle import FORMATS
 from pytest_dura.evidence.case_model import FaultMetricsEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import name
-from pytest_dura.evidence.verdict_model import VerdictEntry
 from pytest_dura.reports import anchor, case_anchor, contents, generated_argument, verdict_anchor
 from pytest_dura.reports.causes import causes_of
 from pytest_dura.reports.contents import requirement_anchor
@@ -104,7 +104,7 @@ def test_pairs_are_told_with_and_without_and_their_p():
         "without": "recovery_planner", "case": "a/clear~recovery_planner", "pairs": 5,
         "only_with": 1, "only_without": 3, "both": 0, "neither": 1, "incomplete": 0,
         "acted_only_with": 0, "acted_only_without": 2, "acted_both": 2, "acted_neither": 4,
-        "violated_with": 1, "violated_without": 3, "p_value": 0.625, "success_rate": 0.5,
+        "violated_with": 1, "violated_without": 3, "p_value": 0.625,
     }  # fmt: skip
     one = verdict("SAF-1", "a/clear", ("satisfied",) * 5, pairs=pairs)
     html = render(session_record(verdicts=[one]))
@@ -463,7 +463,7 @@ RUN = contents.BriefEpisode.of(EpisodeEntry.model_validate(episode("case", 1)))
     ],
 )
 def test_a_player_says_satisfied_only_where_the_record_does(verdict_, episode_, word):
-    asked = make(VerdictEntry, **SURE | verdict_)
+    asked = make(ItemVerdict, **SURE | verdict_)
     assert players._satisfied_verdict(asked, replace(RUN, **episode_))[0] == word
 
 
@@ -498,7 +498,7 @@ def test_coverage_tells_verdicts_without_any_run():
     assert "4 of 5 cells" in words
     assert "1 supported, 2 violated, 1 undecided. 1 are untested" in words
     verdicts = [
-        one.replace(run=0) if one.verdict == "undecided" else one for one in record.head.verdicts
+        replace(one, run=0) if one.verdict == "undecided" else one for one in record.head.verdicts
     ]
     words = section(render(session_record(verdicts=verdicts)), "matrix")
     assert "1 undecided, 1 of these without any run that was judged" in words
@@ -593,7 +593,6 @@ def test_a_mcnemar_test_without_a_pair_has_no_p():
         "pairs": 3,
         "incomplete": 3,
         "p_value": 1.0,
-        "success_rate": None,
     }
     one = verdict("SAF-1", "a/clear", ("invalid",) * 3, pairs=pairs)
     words = section(render(session_record(verdicts=[one])), "monitors")

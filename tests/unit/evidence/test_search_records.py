@@ -32,8 +32,8 @@ from pytest_dura.evidence import (
 )
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.gather import claim
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.search_model import SearchEntry
-from pytest_dura.evidence.verdict_model import VerdictEntry
 
 WAIVER = {"kind": "xfail", "reason": "ticket 7"}
 
@@ -80,7 +80,7 @@ def test_what_excuses_a_test_excuses_its_searches_and_changes_no_word():
     (found,) = searches_of(
         report(ITEM, searches=[search("falsified")]), waived=(ITEM, "xfail", "ticket 7")
     )
-    assert found.waiver.to_json() == WAIVER
+    assert encode(found.waiver) == WAIVER
     assert found.outcomes[0].word == "falsified"
 
 
@@ -126,7 +126,7 @@ def test_what_it_did_not_search_stays_undecided(changes):
 
 def gate(*searches, warn=False, verdicts=()):
     return Gate.of(
-        [make(VerdictEntry, **one) for one in verdicts], (),
+        [make(ItemVerdict, **one) for one in verdicts], (),
         searches=[make(SearchEntry, **plain_data(one)) for one in searches],
         interrupted=False, exit_code=0, failed=0, warn_undecided=warn,
     )  # fmt: skip
@@ -170,7 +170,7 @@ TYPES = {
     "search_outcome": SearchOutcome,
     "found_counterexample": FoundCounterexample,
     "searcher": SearcherReport,
-    "change": ParameterChange,
+    "parameter_change": ParameterChange,
     "shrinking": Shrinking,
 }
 OF_THE_SESSION = {"item", "waiver", "scenario", "simulator", "roles"}

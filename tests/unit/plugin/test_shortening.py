@@ -5,12 +5,12 @@ from __future__ import annotations
 from entries import make
 
 from pytest_dura.evidence.case_model import CaseEntry
-from pytest_dura.evidence.verdict_model import VerdictEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.plugin.terminal_tables import keep_worst, worst_cases
 
 
 def verdict(case, word, pairs=None):
-    return make(VerdictEntry, case=case, component="C", verdict=word, pairs=pairs)
+    return make(ItemVerdict, case=case, component="C", verdict=word, pairs=pairs)
 
 
 def test_the_worst_stay_in_their_own_order():

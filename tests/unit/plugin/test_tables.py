@@ -6,8 +6,10 @@ from typing import Any
 
 from entries import make
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence.case_model import CaseEntry, OverallEntry
-from pytest_dura.evidence.verdict_model import EffectivenessEntry, VerdictEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.evidence.verdict_model import EffectivenessEntry
 from pytest_dura.plugin.terminal_tables import (
     case_table,
     effectiveness_lines,
@@ -47,7 +49,7 @@ def cells(line: str) -> list[str]:
     return line.split()
 
 
-def verdict(name: str, *cells: int) -> VerdictEntry:
+def verdict(name: str, *cells: int) -> ItemVerdict:
     prevented, introduced, futile, unnecessary, neither = cells
     counts = PairCounts(
         pairs=sum(cells), only_with=introduced, only_without=prevented, both=futile,
@@ -55,9 +57,9 @@ def verdict(name: str, *cells: int) -> VerdictEntry:
         acted_only_without=prevented, acted_both=futile, acted_neither=unnecessary,
         violated_with=introduced + futile, violated_without=prevented + futile, p_value=1.0,
     )  # fmt: skip
-    pairs = {"without": "recovery_planner", "case": f"{name}~recovery_planner", **counts.to_json()}
+    pairs = {"without": "recovery_planner", "case": f"{name}~recovery_planner", **encode(counts)}
     return make(
-        VerdictEntry, requirement="R", case=name, component="C", method="every episode", pairs=pairs
+        ItemVerdict, requirement="R", case=name, component="C", method="every episode", pairs=pairs
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from pytest_dura import ConfigurationError, Requirement
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.requirements import CampaignJudge, CampaignVerdict, EpisodeVerdict, judge_campaign
 from pytest_dura.requirements.campaign_verdicts import UncountedEpisode
 
@@ -88,7 +89,7 @@ def test_an_infrastructure_error_is_named_before_a_test_that_failed() -> None:
     by_test = one(0, "missing", detail="the test failed: KeyError: 'speed'")
     ended = one(1, "missing", detail="infrastructure: simulator at tick 2")
     verdict = judge([by_test, ended])
-    assert verdict.spoilt == UncountedEpisode("case#1", "missing", ended.detail)
+    assert verdict.first_uncounted == UncountedEpisode("case#1", "missing", ended.detail)
     assert "2 of 2 episodes are missing (infrastructure)" in verdict.reason
 
 
@@ -214,22 +215,24 @@ def test_two_components_are_two_campaigns() -> None:
 
 def test_the_record_has_the_keys_of_the_design_and_survives_json() -> None:
     found = judge([one(0), one(1, "violated", -1.0)], at_most=0.3)
-    plain = json.loads(json.dumps(found.to_json()))
+    plain = json.loads(json.dumps(encode(found)))
     assert set(plain) >= KEYS_OF_THE_RECORD
     assert set(plain["bound"]) >= {"confidence", "upper", "method"}
     counterexample = {"episode": "case#1", "time": 2.0, "margin": -1.0, "valid": True}
     assert plain["counterexamples"] == [counterexample]
     assert plain["vacuous"] == 0
-    assert CampaignVerdict.from_json(plain) == found
+    assert decode(CampaignVerdict, plain) == found
 
 
-def test_the_first_spoilt_episode_is_named_a_missing_one_before_an_invalid_one() -> None:
+def test_the_first_uncounted_episode_is_named_a_missing_one_before_an_invalid_one() -> None:
     verdicts = [one(0), one(1, "invalid"), one(2, "missing"), one(3, "missing")]
     found = judge(verdicts)
-    assert found.spoilt == UncountedEpisode("case#2", "missing", verdicts[2].detail)
-    assert judge(verdicts[:2]).spoilt == UncountedEpisode("case#1", "invalid", verdicts[1].detail)
-    assert judge(verdicts[:1]).spoilt is None
-    assert CampaignVerdict.from_json(found.to_json()) == found
+    assert found.first_uncounted == UncountedEpisode("case#2", "missing", verdicts[2].detail)
+    assert judge(verdicts[:2]).first_uncounted == UncountedEpisode(
+        "case#1", "invalid", verdicts[1].detail
+    )
+    assert judge(verdicts[:1]).first_uncounted is None
+    assert decode(CampaignVerdict, encode(found)) == found
 
 
 def test_one_violation_shows_that_the_condition_held() -> None:

@@ -13,6 +13,7 @@ from scipy.stats import binomtest
 from thermostat import HeatMonitor, Overheater, SwitchOff
 
 from pytest_dura import ConfigurationError, Episode
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.requirements import (
     Change,
     EpisodeVerdict,
@@ -107,9 +108,9 @@ def test_no_pairs_show_nothing() -> None:
 
 def test_counts_are_plain_data_that_reads_back_equal() -> None:
     found = several((2, "violated", "satisfied", True), (1, "satisfied", "satisfied", False))
-    data = json.loads(json.dumps(found.to_json()))
+    data = json.loads(json.dumps(encode(found)))
     assert (data["only_with"], data["acted_only_with"], data["neither"]) == (2, 2, 1)
-    assert PairCounts.from_json({"without": "faults", **data}) == found
+    assert decode(PairCounts, data) == found
 
 
 @pytest.mark.parametrize(
@@ -162,8 +163,8 @@ def test_a_change_is_the_value_with_it_less_the_value_without() -> None:
     found = Change.between("time", {"a": (12.0, 10.0), "b": (9.0, 10.0), "c": (15.0, 10.0)})
     assert found.values == (2.0, -1.0, 5.0)
     assert (found.n, found.mean, found.median) == (3, 2.0, 2.0)
-    assert found.greatest == ("c", 5.0)
-    assert found.least == ("b", -1.0)
+    assert (found.max_pair, found.max) == ("c", 5.0)
+    assert (found.min_pair, found.min) == ("b", -1.0)
 
 
 def test_a_pair_without_a_change_is_kept_with_the_reason() -> None:
@@ -194,16 +195,16 @@ def test_the_sign_test_passes_over_pairs_that_do_not_change() -> None:
 
 def test_without_any_change_there_is_no_summary() -> None:
     found = Change.between("time", {"a": (None, 1.0)})
-    assert (found.mean, found.median, found.greatest, found.least) == (None, None, None, None)
+    assert (found.mean, found.median, found.max_pair, found.min_pair) == (None, None, None, None)
     assert found.p_value == 1.0
 
 
 def test_a_change_is_plain_data_that_reads_back_equal() -> None:
     found = Change.between("time", {"a": (3.0, 1.0), "b": (math.nan, 1.0), "c": (0.0, 5.0)})
-    data = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    data = json.loads(json.dumps(encode(found), allow_nan=False))
     assert (data["max"], data["max_pair"], data["min"], data["min_pair"]) == (2.0, "a", -5.0, "c")
     assert (data["n"], data["mean"], data["lost"], data["p_value"]) == (2, -1.5, ["b"], 1.0)
-    assert Change.from_json(data) == found
+    assert decode(Change, data) == found
 
 
 @pytest.mark.parametrize(
