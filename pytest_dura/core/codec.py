@@ -31,6 +31,7 @@ from typing import (
     get_args,
     get_origin,
     get_type_hints,
+    overload,
 )
 
 from pytest_dura.core.errors import DuraError
@@ -182,7 +183,11 @@ def _field_names(kind: type) -> tuple[str, ...] | None:
     return tuple(field.name for field in dataclasses.fields(kind) if field.init)
 
 
-def decode(type_: type[_T] | Any, data: Any, most: int = MAX_MISMATCHES) -> _T:
+@overload
+def decode(type_: type[_T], data: Any, most: int = ...) -> _T: ...
+@overload
+def decode(type_: Any, data: Any, most: int = ...) -> Any: ...
+def decode(type_: Any, data: Any, most: int = MAX_MISMATCHES) -> Any:
     """Make a value of a type of plain JSON data.
 
     Args:
@@ -194,10 +199,9 @@ def decode(type_: type[_T] | Any, data: Any, most: int = MAX_MISMATCHES) -> _T:
         MismatchError: If the data is not exactly a value of the type.
         TypeError: If the type is not one of those that can be read.
     """
-    compiled: Any = type_
     mismatches = Mismatches(most)
     try:
-        value: _T = shape_of(compiled).read(data, None, mismatches)
+        value = shape_of(type_).read(data, None, mismatches)
     except EnoughError:
         pass
     except RecursionError:

@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
-from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import SpecEntry
 from pytest_dura.evidence.files import file_entry
@@ -28,6 +27,7 @@ from pytest_dura.requirements.comparison import (
     comparison_status,
     holm,
 )
+from pytest_dura.requirements.model import Requirement
 
 _CONDITION_KEYS = ("simulator", "scenario", "faults", "termination", "time_step", "time_budget")
 """Keys of an episode's spec. Roles and policy are left out: they may be what is compared."""
@@ -178,7 +178,7 @@ def claims_of(record: SessionRecord) -> list[Claim]:
 
 def _claim(
     verdict: ItemVerdict,
-    requirements: Mapping[str, RequirementEntry],
+    requirements: Mapping[str, Requirement],
     conditions: Mapping[tuple[str, str], Mapping[int, Conditions]],
 ) -> Claim:
     run, episodes, violations = verdict.run, verdict.episodes, verdict.violations
@@ -211,7 +211,7 @@ def _claim(
     )
 
 
-def _check(verdict: ItemVerdict, requirement: RequirementEntry | None) -> str:
+def _check(verdict: ItemVerdict, requirement: Requirement | None) -> str:
     """Describe what was judged; for a test on single episodes, its node id."""
     check = verdict.check
     if not check:

@@ -9,8 +9,6 @@ from pydantic import Discriminator, Field, Tag
 from pytest_dura.evidence.entry import (
     Absent,
     Amount,
-    Coded,
-    Confidence,
     Count,
     Entry,
     JsonObject,
@@ -20,39 +18,6 @@ from pytest_dura.evidence.entry import (
     Sha256,
     Share,
 )
-from pytest_dura.requirements.model import Paired
-
-
-class RequirementEntry(Entry):
-    """A requirement."""
-
-    id: str
-    """Unique name."""
-    text: str
-    """What is required, in words."""
-    kind: Literal["safety", "security", "performance", "recovery"]
-    """The kind of dependability it belongs to."""
-    source: str
-    """Where it comes from: a standard, a hazard analysis, a contract."""
-    check: str
-    """Formula that an episode must satisfy, or the import path of a function of the episode; empty
-    where test code checks."""
-    reason: str
-    """Why the bound is what it is."""
-    at_most: Share | None
-    """Greatest acceptable rate of episodes that violate it; null accepts none."""
-    confidence: Confidence
-    """One-sided confidence of the bound on that rate."""
-    method: Literal["fixed", "sprt", "e-process"] | None
-    """How a rate is decided; null for the default."""
-    p0: Share | None
-    """For `sprt`: the rate below `at_most` up to which a component is rarely rejected."""
-    applies_to: list[str]
-    """Globs of scenarios to which it applies besides those that name it."""
-    paired: Coded[Paired] | None
-    """For a requirement on pairs of runs."""
-    mitigates: Absent[list[str]] = None
-    """Ids of the hazards that meeting it mitigates; absent where it names none."""
 
 
 class RangeEntry(Entry):

@@ -24,7 +24,7 @@ from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.measures import Measure, measured
-from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.entry import Coded, Entry, JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.metrics import with_chains
@@ -167,7 +167,7 @@ class ItemReport:
     cases: list[CasePlan] = field(default_factory=list)
     measures: list[MeasureEntry] = field(default_factory=list)
     hazards: list[Coded[Hazard]] = field(default_factory=list)
-    requirements: list[RequirementEntry] = field(default_factory=list)
+    requirements: list[Coded[Requirement]] = field(default_factory=list)
     episodes: list[JsonObject] = field(default_factory=list)
     judgements: list[Coded[Judgement]] = field(default_factory=list)
     verdicts: list[Coded[CampaignVerdict]] = field(default_factory=list)

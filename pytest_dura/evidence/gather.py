@@ -9,8 +9,9 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
+from pytest_dura.core.codec import decode
 from pytest_dura.core.episode import canonical
-from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.conclude import measure_cases, with_verdicts
 from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT, test_function
 from pytest_dura.evidence.entry import JsonObject
@@ -29,6 +30,7 @@ from pytest_dura.evidence.sessions import ReuseRecord
 from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
+from pytest_dura.requirements.model import Requirement
 
 
 class Components:
@@ -200,7 +202,7 @@ class RecordBuilder:
     _components: Components = field(default_factory=Components)
     _measures: dict[str, MeasureEntry] = field(default_factory=dict)
     _hazards: dict[str, Hazard] = field(default_factory=dict)
-    _requirements: dict[str, RequirementEntry] = field(default_factory=dict)
+    _requirements: dict[str, Requirement] = field(default_factory=dict)
     _cases: dict[tuple[str, str], CasePlan] = field(default_factory=dict)
     _components_of: dict[str, list[str]] = field(default_factory=dict)
     """Names of components by the id of a case."""
@@ -229,7 +231,7 @@ class RecordBuilder:
 
     def expect(self, item: str, requirement: JsonObject, case: JsonObject) -> None:
         """Announce an item of a campaign; if it never reports, its verdict is undecided."""
-        plan, known = CasePlan.model_validate(case), RequirementEntry.model_validate(requirement)
+        plan, known = CasePlan.model_validate(case), decode(Requirement, requirement)
         self._claimed.setdefault(plan.id, plan)
         self._add_requirement(known)
         self.add_judgement(claim(item, known.id, plan))
@@ -239,7 +241,7 @@ class RecordBuilder:
         for hazard in hazards:
             self._hazards.setdefault(hazard.id, hazard)
 
-    def _add_requirement(self, requirement: RequirementEntry) -> None:
+    def _add_requirement(self, requirement: Requirement) -> None:
         self._requirements.setdefault(requirement.id, requirement)
 
     def add(self, report: ItemReport) -> None:

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.requirements.hazards import Hazard
+from pytest_dura.requirements.model import Requirement
 
 HazardStatus = Literal[
     "violated", "no requirement", "no verdict", "none supported", "partly supported", "supported"
@@ -33,7 +33,7 @@ class HazardEvidence:
     """
 
     hazard: Hazard
-    requirements: tuple[RequirementEntry, ...]
+    requirements: tuple[Requirement, ...]
     verdicts: tuple[ItemVerdict, ...]
 
     @property
@@ -57,7 +57,7 @@ class HazardEvidence:
         """Whether any verdict supports a requirement that mitigates it."""
         return any(verdict.verdict == "supported" for verdict in self.verdicts)
 
-    def verdicts_on(self, requirement: RequirementEntry) -> list[ItemVerdict]:
+    def verdicts_on(self, requirement: Requirement) -> list[ItemVerdict]:
         """List the verdicts on one of its requirements."""
         return [verdict for verdict in self.verdicts if verdict.requirement == requirement.id]
 
@@ -65,9 +65,9 @@ class HazardEvidence:
 def hazard_evidence(record: SessionRecord) -> list[HazardEvidence]:
     """What the session has on each of its hazards, in the order of the record."""
     requirements = record.head.requirements
-    by_hazard: dict[str, list[RequirementEntry]] = {}
+    by_hazard: dict[str, list[Requirement]] = {}
     for requirement in requirements:
-        for mitigated in requirement.mitigates or ():
+        for mitigated in requirement.mitigates:
             by_hazard.setdefault(mitigated, []).append(requirement)
     by_requirement: dict[str, list[ItemVerdict]] = {}
     for verdict in record.head.verdicts:
@@ -86,7 +86,7 @@ def hazard_problems(record: SessionRecord) -> Iterator[str]:
     if len(set(ids)) < len(ids):
         yield "hazards: one of them is listed twice"
     for requirement in record.head.requirements:
-        named = requirement.mitigates or []
+        named = requirement.mitigates
         for hazard in dict.fromkeys(named):
             if hazard not in ids:
                 yield f"requirement {requirement.id}: it mitigates {hazard}, which is not listed"

@@ -9,12 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.core.display import Shown
-from pytest_dura.evidence.case_model import (
-    CaseEntry,
-    CoverageEntry,
-    OverallEntry,
-    RequirementEntry,
-)
+from pytest_dura.evidence.case_model import CaseEntry, CoverageEntry, OverallEntry
 from pytest_dura.evidence.entry import Absent, Coded, Count, Entry, JsonObject, Positive
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import Gate
@@ -46,6 +41,7 @@ from pytest_dura.evidence.verdict_model import (
 )
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
+from pytest_dura.requirements.model import Requirement
 
 
 class Totals(Entry):
@@ -131,7 +127,7 @@ class RecordHead(Entry):
     hazards: Absent[list[Coded[Hazard]]] = None
     """Sorted by id: those of the user's files, and of the built-in ones those that a requirement of
     the session mitigates. Absent where there are none."""
-    requirements: list[RequirementEntry]
+    requirements: list[Coded[Requirement]]
     """Sorted by id."""
     cases: list[CaseEntry]
     """Sorted by id and component."""

@@ -17,7 +17,7 @@ from pytest_dura.core.episode import canonical, outcome_of
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.bundle import RECORD_FILE
-from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.conclusions.verdicts import question_key
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, EpisodeMetricsEntry
@@ -39,6 +39,7 @@ from pytest_dura.provenance import digest_of
 from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
 from pytest_dura.requirements.episode_verdicts import EARLY_ENDS
 from pytest_dura.requirements.judgements import Judgement
+from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.runs import CheckVerdict
 
@@ -340,7 +341,7 @@ def _problems_of_searcher(searcher: SearcherEntry, names: Sequence[str]) -> Iter
             yield f"violated {name} at {first} of its {searcher.simulations} simulations"
 
 
-def _outcome_problems(search: SearchEntry, listed: Mapping[str, RequirementEntry]) -> Iterator[str]:
+def _outcome_problems(search: SearchEntry, listed: Mapping[str, Requirement]) -> Iterator[str]:
     for outcome in search.outcomes:
         name = outcome.requirement
         problems = [
@@ -564,9 +565,7 @@ def _question_problems(record: SessionRecord) -> Iterator[str]:
             yield f"verdicts: {' '.join(question[:4])} is answered twice"
 
 
-def _problems_of_question(
-    verdict: ItemVerdict, requirement: RequirementEntry | None
-) -> Iterator[str]:
+def _problems_of_question(verdict: ItemVerdict, requirement: Requirement | None) -> Iterator[str]:
     """Compare check and limits of a verdict with those of its requirement, as far as it has any."""
     if requirement is None:
         return

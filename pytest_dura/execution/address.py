@@ -18,6 +18,7 @@ from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+from pytest_dura.core.codec import encode
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
@@ -225,8 +226,8 @@ def _inputs(task: EpisodeTask) -> dict[str, str]:
     }
     if task.judging:
         # All that ends an episode; another rate or wording makes no other one of it.
-        judging = [requirement.to_json() for requirement in task.judging]
-        groups["requirements that end it"] = [[each["check"], each["paired"]] for each in judging]
+        judging = [[each.check, encode(each.paired)] for each in task.judging]
+        groups["requirements that end it"] = judging
     if spec.timeouts is not None:
         groups["recorded timeouts"] = list(spec.timeouts)
     return {

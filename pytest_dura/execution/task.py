@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.orchestrator import Orchestrator
@@ -171,7 +172,7 @@ class EpisodeTask:
         }
         return {
             "spec": self.spec.to_json(),
-            "judging": [requirement.to_json() for requirement in self.judging],
+            "judging": encode(self.judging),
             "metrics": paths,
             "recorded": self.recorded,
             "again": self.again,
@@ -187,7 +188,7 @@ class EpisodeTask:
         """
         return cls(
             EpisodeSpec.from_json(data["spec"]),
-            tuple(map(Requirement.from_json, data["judging"])),
+            decode(tuple[Requirement, ...], data["judging"]),
             {name: RoleSpec(path).resolve() for name, path in data["metrics"].items()},
             data["recorded"],
             data["again"],

@@ -128,11 +128,12 @@ def _expected_items(
     """
     if not context.plan:
         return []
+    from pytest_dura.core.codec import encode
     from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT
 
     chosen_ids, requirements = set(chosen), context.library().requirements
     used = {name for planned in context.plan for name in planned.requirements}
-    recorded = {name: requirements[name].to_json() for name in sorted(used)}
+    recorded = {name: encode(requirements[name]) for name in sorted(used)}
     overrides = roles.chosen()
     in_conftest = root_conftest_with(context.config, "generator") is not None
     components: dict[tuple[str, tuple[str, ...]], str] = {}
@@ -300,7 +301,7 @@ class SessionEvidence:
         from pytest_dura.core.codec import decode, encode
         from pytest_dura.requirements.hazards import Hazard
 
-        named = {name for _, known, _ in expected for name in known.get("mitigates", ())}
+        named = {name for _, known, _ in expected for name in known["mitigates"]}
         hazards = self.context.library().hazards_of(named)
         return [decode(Hazard, self.context.redact(encode(hazard))) for hazard in hazards]
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.baseline import Baseline
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.requirements.model import Requirement
 
 
 Data = Mapping[str, Any]
@@ -83,7 +84,7 @@ class SessionInputs:
         for case in (*report.cases, *report.claimed):
             self._add_scenario(case.scenario)
         for requirement in report.requirements:
-            self._add_requirement(requirement.id, requirement.to_json())
+            self._add_requirement(requirement.id, requirement)
         for episode in report.episodes:
             spec = episode["spec"]
             roles = {name: role["path"] for name, role in spec["roles"].items()}
@@ -113,22 +114,21 @@ class SessionInputs:
                 for requirement in scenario.requirements:
                     self._add_requirement(requirement)
 
-    def _add_requirement(self, name: str, definition: Data | None = None) -> None:
+    def _add_requirement(self, name: str, definition: Requirement | None = None) -> None:
         if not self._is_new("requirement", name):
             return
         library = self.context.library()
         file = library.defined_in.get(name)
         if file is not None:
             self.inputs.add("requirements", Path(file))
-            definition = library.requirements[name].to_json()
-        for hazard in library.hazards_of(
-            () if definition is None else definition.get("mitigates", ())
-        ):
+            definition = library.requirements[name]
+        for hazard in library.hazards_of(() if definition is None else definition.mitigates):
             if self._is_new("hazard", hazard.id):
                 self.inputs.add("hazards", Path(library.hazards_in[hazard.id]))
         if definition is not None:
-            self._add_module("check", definition["check"])
-            self._add_module("check", (definition["paired"] or {}).get("measure", ""))
+            self._add_module("check", definition.check)
+            if definition.paired is not None:
+                self._add_module("check", definition.paired.measure)
 
     def _add_module(self, kind: InputKind, path: str) -> None:
         """Add the user's own file behind ``package.module:name`` or ``tests/conftest.py:name``."""

@@ -265,12 +265,7 @@ def _decided_results(
 ) -> list[ItemResult]:
     if report is None:
         return []
-    from pytest_dura.requirements.model import Requirement
-
-    known = {
-        requirement.id: Requirement.from_json(requirement.to_json())
-        for requirement in report.requirements
-    }
+    known = {requirement.id: requirement for requirement in report.requirements}
     known.update(claimed)
     results = [
         ItemResult(

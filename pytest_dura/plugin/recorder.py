@@ -43,7 +43,7 @@ if TYPE_CHECKING:
         VerdictReached,
     )
     from pytest_dura.core.role_spec import RoleSpec
-    from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
+    from pytest_dura.evidence.case_model import CasePlan
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.execution.store import EpisodeKey
     from pytest_dura.library.cases import Case
@@ -162,7 +162,6 @@ class ItemRecorder:
         self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
         self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
-        self._requirements: dict[Requirement, RequirementEntry] = {}
         self._own_hazards_reported = False
         self._last_episode: JudgedEpisode | None = None
         self._body_passed = False
@@ -483,16 +482,8 @@ class ItemRecorder:
         ]
 
     def _requirement_used(self, requirement: Requirement) -> None:
-        from pytest_dura.evidence.case_model import RequirementEntry
-        from pytest_dura.evidence.entry import plain_data
-
-        if requirement not in self._requirements:
-            self._requirements[requirement] = RequirementEntry.model_validate(
-                plain_data(requirement.to_json())
-            )
-        entry = self._requirements[requirement]
-        if entry not in self._report.requirements:
-            self._report.requirements.append(entry)
+        if requirement not in self._report.requirements:
+            self._report.requirements.append(requirement)
             self._hazards_named(requirement.mitigates)
 
     def _hazards_named(self, names: Sequence[str]) -> None:

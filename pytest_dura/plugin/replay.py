@@ -158,7 +158,6 @@ def _recorded_episode(
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.core.trust import check_registered
     from pytest_dura.evidence.redaction import holds_redaction
-    from pytest_dura.requirements.model import Requirement
 
     given = episode.spec.to_json()
     if holds_redaction(given):
@@ -179,10 +178,7 @@ def _recorded_episode(
     spec = replace(spec, roles=roles, simulator=_local_role(config, spec.simulator, option))
     head = record.head
     cases = {(case.id, case.component): case for case in head.cases}
-    known = {
-        requirement.id: Requirement.from_json(requirement.to_json())
-        for requirement in head.requirements
-    }
+    known = {requirement.id: requirement for requirement in head.requirements}
     violated = [
         verdict.requirement
         for verdict in head.verdicts

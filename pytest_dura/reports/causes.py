@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.objections import other_objections
@@ -41,6 +40,7 @@ from pytest_dura.reports.wording import (
     replay_command,
 )
 from pytest_dura.requirements.campaign_verdicts import violation_text
+from pytest_dura.requirements.model import Requirement
 
 _STATUSES = ("violated", "incomplete", "undecided")
 
@@ -70,7 +70,7 @@ class Cause:
     status: str
     kind: str
     headline: str
-    requirements: tuple[RequirementEntry, ...]
+    requirements: tuple[Requirement, ...]
     case: str
     component: str
     episode: str | None
@@ -168,7 +168,7 @@ def _badness(cause: Cause) -> tuple[bool, int, int, int]:
 
 
 def _violated(
-    record: SessionRecord, episodes: Episodes, requirements: Mapping[str, RequirementEntry]
+    record: SessionRecord, episodes: Episodes, requirements: Mapping[str, Requirement]
 ) -> Iterator[Cause]:
     """Causes of violated verdicts."""
     incidents: dict[EpisodeKey, Incident] = {}
@@ -265,7 +265,7 @@ def _violated_cause(record: SessionRecord, episodes: Episodes, group: Sequence[I
 
 
 def _undecided(
-    record: SessionRecord, episodes: Episodes, requirements: Mapping[str, RequirementEntry]
+    record: SessionRecord, episodes: Episodes, requirements: Mapping[str, Requirement]
 ) -> Iterator[Cause]:
     """Causes of undecided verdicts, one for each reason."""
     groups: dict[tuple[str, str], tuple[Obstacle, list[ItemVerdict]]] = {}
@@ -299,7 +299,7 @@ def _cause(
     status: str,
     headline: str,
     verdicts: Sequence[ItemVerdict],
-    requirements: Mapping[str, RequirementEntry],
+    requirements: Mapping[str, Requirement],
     *,
     next_step: str,
     episode: str | None = None,

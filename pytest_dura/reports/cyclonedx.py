@@ -31,7 +31,6 @@ from urllib.parse import quote
 
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence.bundle import RECORD_FILE
-from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.conclude import verdict_counts
 from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.gate import NOTHING_FOUND, OBJECTIONABLE_OUTCOMES, outcome_status
@@ -47,6 +46,7 @@ from pytest_dura.reports.wording import (
     shard_text,
     valid_sha256,
 )
+from pytest_dura.requirements.model import Requirement
 
 _PREFIX = "pytest-dura:"
 
@@ -432,7 +432,7 @@ def _standard(record: SessionRecord) -> JsonObject:
     }
 
 
-def _requirement(number: int, requirement: RequirementEntry) -> JsonObject:
+def _requirement(number: int, requirement: Requirement) -> JsonObject:
     at_most = "every valid episode satisfies it"
     if requirement.at_most is not None:
         at_most = (
@@ -454,7 +454,7 @@ def _requirement(number: int, requirement: RequirementEntry) -> JsonObject:
             {"name": f"{_PREFIX}kind", "value": visible(requirement.kind or "")},
             *(
                 {"name": f"{_PREFIX}mitigates", "value": name(hazard, NAME_LIMIT)}
-                for hazard in requirement.mitigates or ()
+                for hazard in requirement.mitigates
             ),
         ],
     }

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry, EventEntry, FaultEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
@@ -18,7 +18,7 @@ from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.reports.wording import event_text, names_text
 from pytest_dura.requirements.campaign_verdicts import Counterexample
-from pytest_dura.requirements.model import FAULTS
+from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.pairs import PairTable
 
 KINDS = ("safety", "security", "recovery", "performance")
@@ -259,7 +259,7 @@ def _twin_cases(cases: Sequence[CaseEntry]) -> dict[tuple[str, str], list[tuple[
 class Violation:
     """A violation of one requirement in one episode."""
 
-    requirement: RequirementEntry
+    requirement: Requirement
     verdict: ItemVerdict
     counterexample: Counterexample
 

@@ -16,7 +16,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 
-from pytest_dura.evidence.case_model import CaseEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.conclude import faults_of
 from pytest_dura.evidence.conclusions.verdicts import question_key
 from pytest_dura.evidence.entry import JsonObject
@@ -26,6 +26,7 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.reports.verdicts import rate_bound
 from pytest_dura.reports.wording import is_incomplete, review_text, shard_text
+from pytest_dura.requirements.model import Requirement
 
 FILE = "needs.json"
 TYPES = ("hazard", "requirement", "testcase", "verdict", "session")
@@ -115,12 +116,12 @@ def _hazard(evidence: HazardEvidence) -> JsonObject:
     )
 
 
-def _requirement(requirement: RequirementEntry) -> JsonObject:
+def _requirement(requirement: Requirement) -> JsonObject:
     return _need(
         "requirement",
         _requirement_id(requirement.id),
         f"{name(requirement.id)}: {requirement.text}",
-        links=[_hazard_id(hazard) for hazard in requirement.mitigates or ()],
+        links=[_hazard_id(hazard) for hazard in requirement.mitigates],
         kind=requirement.kind,
         source=requirement.source,
         check=requirement.check,

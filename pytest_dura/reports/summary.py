@@ -12,10 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, groupby
 from typing import TypeVar
 
-from pytest_dura.evidence.case_model import (
-    RequirementEntry,
-    ShareEntry,
-)
+from pytest_dura.evidence.case_model import ShareEntry
 from pytest_dura.evidence.conclude import verdict_counts
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.item_verdicts import ItemVerdict
@@ -69,6 +66,7 @@ from pytest_dura.reports.wording import (
     shard_text,
 )
 from pytest_dura.requirements.campaign_verdicts import Counterexample, violation_text
+from pytest_dura.requirements.model import Requirement
 
 
 def _model_lines(record: SessionRecord, most: int) -> Iterator[str]:
@@ -334,7 +332,7 @@ def _requirement_rows(record: SessionRecord) -> Iterator[RequirementRow]:
     untested = Counter(cell.requirement for cell in cells if cell.verdict is None)
     more = " or more" if record.head.coverage.left_out else ""
 
-    def failing(requirement: RequirementEntry) -> tuple[bool, bool]:
+    def failing(requirement: Requirement) -> tuple[bool, bool]:
         own = counts[requirement.id]
         return not own["violated"], not own["undecided"]
 

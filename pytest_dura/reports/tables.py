@@ -10,12 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from pytest_dura.core.metrics import REACTIONS
-from pytest_dura.evidence.case_model import (
-    CaseEntry,
-    MeasuredNumbers,
-    OverallEntry,
-    RequirementEntry,
-)
+from pytest_dura.evidence.case_model import CaseEntry, MeasuredNumbers, OverallEntry
 from pytest_dura.evidence.gate import outcome_status
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry, SearchOutcomeEntry
@@ -44,6 +39,7 @@ from pytest_dura.reports.searches import (
 )
 from pytest_dura.reports.verdicts import no_rate_reason, rate_bound
 from pytest_dura.requirements.campaign_verdicts import weakness
+from pytest_dura.requirements.model import Requirement
 
 # Cases.
 
@@ -231,7 +227,7 @@ def _user_column(user: str) -> Column[CaseRow]:
 class RequirementRow:
     """A requirement, its verdicts by status, and how many cells have none."""
 
-    requirement: RequirementEntry
+    requirement: Requirement
     counts: dict[str, int]
     untested: str
 

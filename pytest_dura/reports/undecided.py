@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.gate import NOT_REPEATABLE
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import counted, name, one_line
@@ -14,6 +13,7 @@ from pytest_dura.requirements.campaign_verdicts import (
     TEST_FAILED,
     rate_advice,
 )
+from pytest_dura.requirements.model import Requirement
 
 _MAX_DETAIL = 300
 
@@ -37,7 +37,7 @@ class Obstacle:
     shows_event: bool = False
 
 
-def obstacle_of(verdict: ItemVerdict, requirement: RequirementEntry) -> Obstacle:
+def obstacle_of(verdict: ItemVerdict, requirement: Requirement) -> Obstacle:
     """Name the gravest obstacle of an undecided verdict.
 
     Args:
@@ -159,7 +159,7 @@ def _vacuous(verdict: ItemVerdict) -> Obstacle | None:
     )
 
 
-def _by_rate(verdict: ItemVerdict, requirement: RequirementEntry) -> Obstacle:
+def _by_rate(verdict: ItemVerdict, requirement: Requirement) -> Obstacle:
     """Too few runs for the rate that is asked for, or another reason of the verdict's own."""
     worst = verdict.counterexamples[0].episode if verdict.counterexamples else None
     at_most, upper = requirement.at_most, verdict.bound.upper

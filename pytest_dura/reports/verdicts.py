@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.requirements.campaign_verdicts import SITUATIONS, weakness
+from pytest_dura.requirements.model import Requirement
 
 MAX_TEXT = 400
 """Characters of a user's text in a sentence; the record has all of it."""
@@ -132,12 +132,12 @@ def part_text(share: float) -> str:
     return f"{100 * share:.4g} %"
 
 
-def requirement_text(requirement: RequirementEntry) -> str:
+def requirement_text(requirement: Requirement) -> str:
     """The requirement as a proposition, with its bound."""
     return f"{name(requirement.id)}: {as_sentence(requirement.text)} {_bound_text(requirement)}"
 
 
-def _bound_text(requirement: RequirementEntry) -> str:
+def _bound_text(requirement: Requirement) -> str:
     """The bound that the requirement sets a campaign."""
     pairs = requirement.paired
     what = "episodes"

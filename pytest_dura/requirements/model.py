@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal, get_args
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
 
-from pytest_dura.core.codec import Number
+from pytest_dura.core.codec import Confidence, Number, Share
 from pytest_dura.core.display import Shown, short_repr
 
 Kind = Literal["safety", "security", "performance", "recovery"]
@@ -66,10 +66,10 @@ class Requirement(Shown):
     source: str = ""
     check: str = ""
     reason: str = ""
-    at_most: float | None = None
-    confidence: float = 0.95
+    at_most: Share | None = None
+    confidence: Confidence = 0.95
     method: Method | None = None
-    p0: float | None = None
+    p0: Share | None = None
     applies_to: tuple[str, ...] = ()
     paired: Paired | None = None
     mitigates: tuple[str, ...] = ()
@@ -84,25 +84,6 @@ class Requirement(Shown):
         yield "check", describe_check(self)
         yield "reason", self.reason
         yield "source", self.source
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for files and the evidence record; ``mitigates`` only where there are any."""
-        data = asdict(self) | {"applies_to": list(self.applies_to)}
-        mitigates = data.pop("mitigates")
-        return {**data, "mitigates": list(mitigates)} if mitigates else data
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Requirement:
-        """The inverse of :meth:`to_json`."""
-        paired = data.get("paired")
-        return cls(
-            **{
-                **data,
-                "applies_to": tuple(data.get("applies_to", ())),
-                "paired": None if paired is None else Paired(**paired),
-                "mitigates": tuple(data.get("mitigates", ())),
-            }
-        )
 
 
 def describe_check(requirement: Requirement) -> list[str]:

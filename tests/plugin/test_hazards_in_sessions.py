@@ -54,7 +54,7 @@ def test_a_session_answers_for_each_hazard_of_the_user(project, mode):
     first = record.hazards[0]
     assert (first.severity, first.operating_condition) == ("S2", "At full speed.")
     assert {each.id: each.mitigates for each in record.requirements} == {
-        "GAP-1": ["H-1"], "GO-1": ["H-1", "H-2"],
+        "GAP-1": ("H-1",), "GO-1": ("H-1", "H-2"),
     }  # fmt: skip
     assert ("scenarios/hazards.yaml", "hazards") in [(e.path, e.kind) for e in record.inputs]
     assert "hazards without evidence: 1 of 3: H-3 (S3)" in result.outlines
@@ -112,7 +112,7 @@ def test_a_marker_names_the_hazards_of_its_requirement(project):
     project.write("test_it.py", TEST.format(mitigates='["H-3"]'))
     project.run("test_it.py").assert_outcomes(passed=1)
     record = project.evidence()
-    assert ("T-1", ["H-3"]) in [(each.id, each.mitigates) for each in record.requirements]
+    assert ("T-1", ("H-3",)) in [(each.id, each.mitigates) for each in record.requirements]
     summary = (project.path / "dura-evidence/summary.md").read_text()
     # The requirements of its scenario are recorded, and no test was asked to judge them.
     assert "nothing was judged that is to mitigate them: H-1 (S2), H-2 (S0)." in summary

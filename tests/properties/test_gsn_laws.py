@@ -10,6 +10,7 @@ from printed import blocks_of
 from session_records import REQUIREMENTS, episode, session_record, verdict
 from stated_counts import dead_references, elements_of, stated_counts
 
+from pytest_dura.core.codec import encode
 from pytest_dura.reports import root_ids, rule_problems
 from pytest_dura.reports.gsn import svg_file, yaml_file
 
@@ -35,7 +36,7 @@ def records(draw):
                           unique=True))  # fmt: skip
     requirements = [
         {
-            **REQUIREMENTS[draw(st.sampled_from(sorted(REQUIREMENTS)))].to_json(),
+            **encode(REQUIREMENTS[draw(st.sampled_from(sorted(REQUIREMENTS)))]),
             "id": one, "text": draw(TEXTS), "reason": draw(TEXTS), "source": draw(TEXTS),
         }
         for one in names

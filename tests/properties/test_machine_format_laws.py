@@ -142,7 +142,7 @@ def test_needs_are_linked_without_markup_and_state_the_records_counts(record):
     hazards = [need["id"] for need in found if need["type"] == "hazard"]
     assert len(hazards) == len(record.head.hazards)
     mitigated = [need["links"] for need in found if need["type"] == "requirement"]
-    named = [requirement.mitigates or [] for requirement in record.head.requirements]
+    named = [requirement.mitigates for requirement in record.head.requirements]
     assert [len(links) for links in mitigated] == [len(ids) for ids in named]
 
 

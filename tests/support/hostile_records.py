@@ -7,6 +7,8 @@ from pydantic import ValidationError
 from searches import entry
 from session_records import REQUIREMENTS, hazard, session_record, totals, verdict
 
+from pytest_dura.core.codec import encode
+from pytest_dura.core.mismatches import MismatchError
 from pytest_dura.evidence import SessionRecord
 from pytest_dura.evidence.model import WholeRecord
 
@@ -71,7 +73,7 @@ def hostile_records(draw, directory=Path("nowhere")):
     record = session_record(
         hazards=[hazard("H", "S2"), hazard("I")],
         requirements=[
-            REQUIREMENTS[name].to_json() | ({"mitigates": mitigates} if mitigates else {})
+            encode(REQUIREMENTS[name]) | ({"mitigates": mitigates} if mitigates else {})
             for name in sorted(REQUIREMENTS)
         ],
         verdicts=verdicts, status=status, searches=[entry(*searched)] if searched else [],
@@ -90,14 +92,26 @@ def spoilt_record(record, spoil, directory):
     return SessionRecord.of(after, directory)
 
 
+def _locations(problem):
+    """Places of an error of pydantic, which is one for all mismatches that the codec finds."""
+    refused = problem.get("ctx", {}).get("error")
+    if not isinstance(refused, MismatchError):
+        return [problem["loc"]]
+    pointers = (mismatch.pointer.split("/")[1:] for mismatch in refused.mismatches)
+    return [
+        (*problem["loc"], *(int(key) if key.isdigit() else key for key in path))
+        for path in pointers
+    ]
+
+
 def _restore(told, before):
     """Put back the texts that cannot be any other: hashes, and words of which there are few."""
     try:
         WholeRecord.model_validate(told)
     except ValidationError as error:
-        for problem in error.errors():
+        for location in (each for problem in error.errors() for each in _locations(problem)):
             here, there, last = told, before, None
-            for key in problem["loc"]:
+            for key in location:
                 if isinstance(here, (dict, list)) and (isinstance(key, int) or key in here):
                     parent, here, there, last = here, here[key], there[key], key
             parent[last] = there

@@ -167,7 +167,7 @@ def session_data(**changes):
         "gate": {"result": "failed", "exit_code": 1, "warn_undecided": False, "failed": 2,
                  "reasons": ["SAF-1 on a/clear+ghost is violated",
                              "SEC-1 on a/clear+ghost is undecided"]},
-        "requirements": [REQUIREMENTS[name].to_json() for name in sorted(REQUIREMENTS)],
+        "requirements": [encode(REQUIREMENTS[name]) for name in sorted(REQUIREMENTS)],
         "cases": [_case(name) for name in CASES[:2]],
         "episodes": [
             episode("a/clear", 0), episode("a/clear", 1),

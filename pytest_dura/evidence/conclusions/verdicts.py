@@ -13,7 +13,7 @@ from functools import cached_property
 from operator import attrgetter
 
 from pytest_dura.core.codec import encode
-from pytest_dura.evidence.case_model import CasePlan, RepeatEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import with_repeats
 from pytest_dura.evidence.item_verdicts import (
@@ -64,7 +64,7 @@ class VerdictLines:
 
     judgements: Sequence[Judgement]
     cases: Mapping[CaseKey, CasePlan]
-    requirements: Mapping[str, RequirementEntry]
+    requirements: Mapping[str, Requirement]
     waivers: Mapping[str, Waiver] = field(default_factory=dict)
     repeats: Mapping[CaseKey, RepeatEntry | None] = field(default_factory=dict)
     doubts: Mapping[CaseKey, str] = field(default_factory=dict)
@@ -80,7 +80,7 @@ class Runs:
     """
 
     def __init__(
-        self, cases: Mapping[CaseKey, CasePlan], requirements: Mapping[str, RequirementEntry]
+        self, cases: Mapping[CaseKey, CasePlan], requirements: Mapping[str, Requirement]
     ) -> None:
         self._cases = cases
         self._alone = {name for name, known in requirements.items() if known.paired is None}
@@ -347,8 +347,7 @@ class _Verdicts:
         return _verdict(verdict, item, waiver=waivers.get(waived))
 
     def _requirement(self, name: str) -> Requirement:
-        known = self.lines.requirements.get(name)
-        return Requirement.from_json({"id": name} if known is None else known.to_json())
+        return self.lines.requirements.get(name) or Requirement(name)
 
     def qualified(self, verdict: ItemVerdict) -> ItemVerdict:
         """Apply doubts about the case's episodes."""

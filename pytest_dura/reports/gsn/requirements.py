@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pytest_dura.evidence.case_model import CellEntry, RequirementEntry
+from pytest_dura.evidence.case_model import CellEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
@@ -25,6 +25,7 @@ from pytest_dura.reports.searches import (
     outcome_headline,
 )
 from pytest_dura.reports.verdicts import MAX_TEXT, requirement_text
+from pytest_dura.requirements.model import Requirement
 
 _MAX_SEARCH_ELEMENTS = 5
 """Counterexamples of a requirement that are elements; the record has all."""
@@ -50,7 +51,7 @@ class SearchElements:
     accepted: bool
 
 
-def _search_elements(record: SessionRecord, requirement: RequirementEntry) -> SearchElements:
+def _search_elements(record: SessionRecord, requirement: Requirement) -> SearchElements:
     violations: list[tuple[int, int, SearchEntry, SearchOutcomeEntry]] = []
     unviolated: list[tuple[int, int, SearchEntry, SearchOutcomeEntry]] = []
     for number, search in enumerate(record.head.searches):
@@ -97,7 +98,7 @@ def _counter_solution(
 
 
 def _search_contexts(
-    requirement: RequirementEntry, unviolated: list[tuple[SearchEntry, SearchOutcomeEntry]]
+    requirement: Requirement, unviolated: list[tuple[SearchEntry, SearchOutcomeEntry]]
 ) -> tuple[Element, ...]:
     if not unviolated:
         return ()
@@ -161,7 +162,7 @@ def requirement_elements(
 
 
 def _elements_of_requirement(
-    requirement: RequirementEntry,
+    requirement: Requirement,
     index: int,
     own: list[VerdictElements],
     cells: list[tuple[int, CellEntry]],
@@ -218,7 +219,7 @@ def _elements_of_requirement(
     )
 
 
-def _justification(requirement: RequirementEntry, index: int) -> list[Element]:
+def _justification(requirement: Requirement, index: int) -> list[Element]:
     reason = one_line(requirement.reason, MAX_TEXT)
     if not reason:
         return []

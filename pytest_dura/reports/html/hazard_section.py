@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pytest_dura.evidence.case_model import RequirementEntry
 from pytest_dura.evidence.hazards import HazardEvidence
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
@@ -21,6 +20,7 @@ from pytest_dura.reports.contents import (
     verdict_key,
 )
 from pytest_dura.reports.hazards import condition_lines, hazards_by_need, status_sentence
+from pytest_dura.requirements.model import Requirement
 
 _MAX_STEPS = 12
 """Verdicts of a requirement that are shown under a hazard; the table of requirements has more."""
@@ -56,7 +56,7 @@ def _hazard_row(evidence: HazardEvidence, contents: ReportContents, links: Episo
 
 
 def _requirement_row(
-    requirement: RequirementEntry,
+    requirement: Requirement,
     verdicts: Sequence[ItemVerdict],
     contents: ReportContents,
     links: EpisodeLinks,

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence.bundle import FORMATS, RECORD_FILE
 from pytest_dura.evidence.files import MANIFEST_FILE, REVIEW_FILE
 from pytest_dura.evidence.model import SessionRecord
@@ -108,7 +109,7 @@ def _supported(record: SessionRecord) -> Data:
     for verdict in record.head.verdicts:
         statuses.setdefault(verdict.requirement, Counter())[verdict.verdict] += 1
     rows = [
-        {**dict(requirement), "anchor": requirement_anchor(requirement.id), "number": number}
+        {**encode(requirement), "anchor": requirement_anchor(requirement.id), "number": number}
         for requirement in record.head.requirements
         if (counts := statuses.get(requirement.id)) and (number := counts["supported"])
         and len(+counts) == 1

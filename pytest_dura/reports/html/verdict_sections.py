@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
-from pytest_dura.evidence.case_model import RequirementEntry
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry
@@ -61,7 +61,7 @@ from pytest_dura.reports.tables import (
 from pytest_dura.reports.usage import spending_text
 from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.requirements.campaign_verdicts import violation_text
-from pytest_dura.requirements.model import FAULTS
+from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.pairs import PairTable
 
 Data = Mapping[str, Any]
@@ -97,7 +97,7 @@ def requirement_section(
     ranks = {verdict.requirement: _verdict_rank(verdict) for verdict in reversed(shown)}
     groups = [
         {
-            **dict(requirement),
+            **encode(requirement),
             "declared": True,
             "anchor": requirement_anchor(requirement.id),
             "rows": rows.pop(requirement.id, []),
@@ -110,7 +110,7 @@ def requirement_section(
     ]
     others = [
         {
-            **dict.fromkeys(RequirementEntry.model_fields, ""),
+            **dict.fromkeys((field.name for field in fields(Requirement)), ""),
             "declared": False,
             "id": name,
             "rows": rows.get(name, []),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import replace
 
 import pytest
 from session_records import CASES, REQUIREMENTS, episode, session_data, session_record, verdict
@@ -272,8 +273,9 @@ def test_thousands_of_violating_runs_are_one_cause_read_in_one_pass(runs):
     )
     (known,) = whole.head.verdicts
     (first, *_) = known.counterexamples
-    many = known.replace(
-        counterexamples=[first.replace(episode=f"{CLEAR}#{run}") for run in range(runs)]
+    many = replace(
+        known,
+        counterexamples=tuple(replace(first, episode=f"{CLEAR}#{run}") for run in range(runs)),
     )
     entry = next(whole.episodes())
     passes = []

@@ -8,6 +8,7 @@ import yaml
 from session_records import REQUIREMENTS, episode, session_record, verdict
 from stated_counts import dead_references, elements_of, stated_counts
 
+from pytest_dura.core.codec import encode
 from pytest_dura.reports import generated_argument, root_ids, rule_problems
 from pytest_dura.reports.gsn import svg_file, yaml_file
 
@@ -181,7 +182,7 @@ def test_a_verdict_on_an_unlisted_requirement_is_refused():
 
 
 def test_what_looks_like_a_number_to_yaml_1_2_is_quoted():
-    given = {**REQUIREMENTS["SAF-1"].to_json(), "source": "1e3"}
+    given = {**encode(REQUIREMENTS["SAF-1"]), "source": "1e3"}
     record = session_record(
         requirements=[given], verdicts=[], coverage={"cells": [], "left_out": 0, "parameters": []}
     )

@@ -8,6 +8,7 @@ import pytest
 from session_records import REQUIREMENTS, session_record, verdict
 from stated_counts import stated_counts
 
+from pytest_dura.core.codec import encode
 from pytest_dura.reports import svg
 from pytest_dura.reports.gsn import svg_file
 from pytest_dura.reports.gsn.drawing import text_width, wrap_text
@@ -39,7 +40,7 @@ def large(requirements, cases):
     """A record of many requirements and cases; every tenth verdict is violated."""
     given, verdicts = [], []
     for i in range(requirements):
-        given.append({**REQUIREMENTS["SAF-1"].to_json(), "id": f"R-{i}"})
+        given.append({**encode(REQUIREMENTS["SAF-1"]), "id": f"R-{i}"})
         for j in range(cases):
             one = VIOLATED if (i * cases + j) % 10 == 0 else SUPPORTED
             verdicts.append({**one, "case": f"a/{j}", "requirement": f"R-{i}"})

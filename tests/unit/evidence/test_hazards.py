@@ -10,6 +10,7 @@ import pytest
 from session_records import REQUIREMENTS, hazard, session_record
 from stated_counts import dead_references, elements_of, stated_counts
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import record_problems
 from pytest_dura.library import parse_yaml
 from pytest_dura.library.hazards import read_hazards
@@ -28,7 +29,7 @@ MITIGATES = {"SAF-1": ["H-1"], "SEC-1": ["H-1", "H-2"], "PERF-1": ["H-5"]}
 def record(hazards=HAZARDS, mitigates=MITIGATES, **changes):
     """SAF-1 is supported and violated, SEC-1 undecided, PERF-1 violated and waived."""
     requirements = [
-        REQUIREMENTS[name].to_json() | ({"mitigates": mitigates[name]} if name in mitigates else {})
+        encode(REQUIREMENTS[name]) | ({"mitigates": mitigates[name]} if name in mitigates else {})
         for name in sorted(REQUIREMENTS)
     ]
     return session_record(**{"hazards": hazards, "requirements": requirements, **changes})
@@ -56,8 +57,7 @@ def test_hazards_that_contradict_the_requirements_are_problems_of_the_record(
 ):
     changes = {} if hazards is None else {"hazards": hazards}
     requirements = record(HAZARDS, mitigates).head.requirements
-    plain = [requirement.to_json() for requirement in requirements]
-    found = session_record(requirements=plain, **changes)
+    found = session_record(requirements=list(requirements), **changes)
     assert f"evidence.json: {problem}" in list(record_problems(found))
     assert not any("mitigates" in told or "hazard" in told for told in record_problems(record()))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from session_records import session_record, verdict
 
@@ -71,7 +73,7 @@ def test_an_incomplete_session_shows_no_more_than_it_ran(status, end):
 
 def test_report_and_summary_say_the_same_and_names_in_it_are_escaped():
     requirement = session_record().head.requirements[0]
-    named = requirement.replace(id="<b>|x")
+    named = replace(requirement, id="<b>|x")
     bad = {**verdict("PERF-1", "a/clear", ("violated",)), "requirement": "<b>|x"}
     record = session_record(requirements=[named], verdicts=[bad])
     page, text = render(record), summary.render(record)

@@ -13,6 +13,7 @@ import pytest
 from entries import make
 from session_records import HEADER, session_record
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import (
     RECORD_FILE,
     UNKNOWN_COMPONENT,
@@ -20,10 +21,11 @@ from pytest_dura.evidence import (
     all_formats,
     coverage,
 )
-from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
+from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclude import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.plugin.xdist import MOST, shares
+from pytest_dura.requirements.model import Requirement
 
 SIZES = (20, 40, 80)
 
@@ -55,7 +57,7 @@ def assert_linear(build: Callable[[int], Any], work: Callable[[Any], object]) ->
 
 
 def requirement() -> dict[str, Any]:
-    return make(RequirementEntry, id="R", text="t", confidence=0.95).to_json()
+    return encode(Requirement("R", "t"))
 
 
 def case(number: int, component: str) -> dict[str, Any]:

@@ -7,15 +7,16 @@ from session_records import HEADER
 
 from pytest_dura.core.codec import decode, encode
 from pytest_dura.evidence import UNKNOWN_COMPONENT, CaseMetrics, PooledMetrics, RecordBuilder
-from pytest_dura.evidence.case_model import CasePlan, RequirementEntry
+from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.gather import claim
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.session_model import ComponentEntry
 from pytest_dura.requirements.judgements import Judgement
+from pytest_dura.requirements.model import Requirement
 
-REQUIREMENT = make(RequirementEntry, id="R", text="t", confidence=0.95).to_json()
+REQUIREMENT = encode(Requirement("R", "t"))
 
 
 def case(component="C", planned=2):
