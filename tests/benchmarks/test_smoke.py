@@ -71,6 +71,7 @@ SMALLEST = {
         *("--select", "*/conflicting-traffic"),
     ],
     "structure.py": [],
+    "structure_counts.py": [],
     "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
     "tiny_driver.py": ["drives", "--runs", "1", "--component", "tiny"],
@@ -125,6 +126,7 @@ HEADERS = {
     "session_scale.py": ["times faster", "requirements on one campaign"],
     "shrinking.py": ["need a fault"],
     "structure.py": ["measure"],
+    "structure_counts.py": ["measure", "its twin"],
     "stl_speed.py": ["with verdict", "us per sample", "parse"],
     "sequential_cost.py": [
         "mean runs, SPRT",
