@@ -7,7 +7,10 @@ from .bundle import (
     write_bundle,
     write_record,
 )
-from .conclude import PairedCourses, conclude_record, coverage, effectiveness, totals
+from .conclude import complete, conclude
+from .conclusions.cases import UNTRACED_FAULT, CaseMetrics, Cases, FailureModes
+from .conclusions.coverage import Coverage
+from .conclusions.effectiveness import Effectiveness
 from .conclusions.verdicts import UNKNOWN_COMPONENT
 from .entry import plain_data
 from .episodes import episode_record
@@ -25,7 +28,6 @@ from .gather import SCHEMA_VERSION, RecordBuilder
 from .junit import junit_name
 from .mcap import pack_columns, read_trace, trace_bytes, unpack_columns, write_trace
 from .merge import merge_bundles
-from .metrics import UNTRACED_FAULT, CaseMetrics, FailureModes, PooledMetrics
 from .model import SessionRecord
 from .redaction import Redactor, count_redactions, holds_redaction
 from .schema import check_record, record_schema
@@ -45,12 +47,13 @@ __all__ = [
     "UNTRACED_FAULT",
     "Baseline",
     "CaseMetrics",
+    "Cases",
+    "Coverage",
     "DirectoryLock",
+    "Effectiveness",
     "FailureModes",
     "Gate",
     "InputFiles",
-    "PairedCourses",
-    "PooledMetrics",
     "RecordBuilder",
     "Redactor",
     "SessionRecord",
@@ -61,10 +64,9 @@ __all__ = [
     "claims_of",
     "code",
     "compare_claims",
-    "conclude_record",
+    "complete",
+    "conclude",
     "count_redactions",
-    "coverage",
-    "effectiveness",
     "episode_name",
     "episode_record",
     "file_entry",
@@ -87,7 +89,6 @@ __all__ = [
     "record_problems",
     "record_schema",
     "split_units",
-    "totals",
     "trace_bytes",
     "trace_path",
     "unpack_columns",

@@ -25,9 +25,9 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
 from pytest_dura.core.measures import Measure, measured
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
+from pytest_dura.evidence.conclusions.cases import with_chains
 from pytest_dura.evidence.entry import Coded, Entry, JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.metrics import with_chains
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import OWN_ORIGIN
 from pytest_dura.evidence.verdict_model import MonitorEntry

@@ -12,7 +12,8 @@ from typing import Any, Literal
 from pytest_dura.core.codec import decode
 from pytest_dura.core.episode import canonical
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
-from pytest_dura.evidence.conclude import measure_cases, with_verdicts
+from pytest_dura.evidence.conclude import conclude
+from pytest_dura.evidence.conclusions.cases import CaseMetrics
 from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT, test_function
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episodes import (
@@ -22,7 +23,6 @@ from pytest_dura.evidence.episodes import (
 )
 from pytest_dura.evidence.gate import Gate, worse_repeat
 from pytest_dura.evidence.item_verdicts import Waiver, WaiverKind
-from pytest_dura.evidence.metrics import CaseMetrics
 from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
 from pytest_dura.evidence.search_model import SearchRecords
 from pytest_dura.evidence.session_model import MeasureEntry
@@ -146,12 +146,12 @@ _UNCONCLUDED: JsonObject = {
     "redacted": {},
     "totals": {"gate": "incomplete", **dict.fromkeys(COUNTED, 0)},
 }  # fmt: skip
-"""What follows from the rest of the record, until :func:`conclude_record` computes it."""
+"""What follows from the rest of the record, until it is concluded and completed."""
 _NO_EPISODES: JsonObject = {"taken_over": 0, "sessions": [], "outdated": []}
 
 
 def _unmeasured(case: CasePlan) -> JsonObject:
-    """Return what :func:`measure_cases` computes of a case, before it does."""
+    """Return what :func:`conclude` computes of a case, before it does."""
     metrics = CaseMetrics().to_json(case.planned)
     return {"metrics": metrics, "missing_runs": [], "missing_runs_total": 0}
 
@@ -362,7 +362,7 @@ class RecordBuilder:
             }
         )
         record = SessionRecord(head, self.directory or Path(), self._spool.__iter__)
-        return measure_cases(with_verdicts(record))
+        return conclude(record)
 
     def _hazards_json(self) -> JsonObject:
         """The record's key ``hazards``, if there are any."""

@@ -17,7 +17,8 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.baseline import Baseline, regression_objections
 from pytest_dura.evidence.bundle import begin_bundle, write_bundle
 from pytest_dura.evidence.case_model import CasePlan
-from pytest_dura.evidence.conclude import conclude_record
+from pytest_dura.evidence.conclude import complete
+from pytest_dura.evidence.conclusions.cases import UNTRACED_FAULT
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.episodes import ItemReport, RepeatReport
 from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
@@ -31,7 +32,6 @@ from pytest_dura.evidence.merge_checks import (
     check_consistent,
     read_parts,
 )
-from pytest_dura.evidence.metrics import UNTRACED_FAULT
 from pytest_dura.evidence.model import SessionRecord, Totals, components_under_test
 from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.search_model import SearchEntry
@@ -447,7 +447,7 @@ def _conclude_merged(
 ) -> SessionRecord:
     timings = [part.record.head.timings for part in parts]
     finished = max(part.record.head.finished or "" for part in parts)
-    return conclude_record(
+    return complete(
         record,
         finished=None if record.head.status == "running" else finished,
         gate=gate,

@@ -27,11 +27,11 @@ from pytest_dura.evidence.baseline import (
     uncorrected_comparisons,
 )
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
+from pytest_dura.evidence.conclusions.cases import percentile_summary
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, UsageEntry
 from pytest_dura.evidence.files import file_entry, files_below
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.metrics import percentile_summary
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.session_model import MeasureEntry, PriceEntry
 from pytest_dura.evidence.text import one_line

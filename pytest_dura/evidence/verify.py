@@ -35,7 +35,7 @@ from pytest_dura.evidence.bundle import (
     open_record,
     rendered_files,
 )
-from pytest_dura.evidence.conclude import conclude_record, measure_cases, with_verdicts
+from pytest_dura.evidence.conclude import complete, conclude
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import outcome_figures
@@ -300,8 +300,8 @@ def conclusion_problems(record: SessionRecord) -> Iterator[str]:
 def conclude_again(record: SessionRecord) -> SessionRecord:
     """Conclude a recorded session as it was concluded itself, from its episodes and verdicts."""
     timings = record.head.timings
-    return conclude_record(
-        measure_cases(with_verdicts(record)),
+    return complete(
+        conclude(record),
         finished=record.head.finished,
         gate=judge_again(record.head),
         inputs=record.head.inputs,

@@ -281,11 +281,11 @@ def _write_reduced(
 ) -> None:
     """Write a record of the reduced episode alone, in the form of the original one."""
     from pytest_dura.evidence.bundle import write_record
-    from pytest_dura.evidence.conclude import measure_cases
+    from pytest_dura.evidence.conclude import conclude
+    from pytest_dura.evidence.conclusions.cases import with_chains
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.episodes import episode_record
     from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text, write_file
-    from pytest_dura.evidence.metrics import with_chains
     from pytest_dura.evidence.model import SessionRecord
 
     episode = reduction.episode
@@ -299,9 +299,12 @@ def _write_reduced(
     head = record.head.replace(
         cases=[case],
         measures=episode.described_measures,
-        verdicts=[],
+        judgements=[],
+        waivers={},
+        doubts=[],
+        searches=[],
         monitors=[],
         baseline=None,
     )
-    file = write_record(folder, measure_cases(SessionRecord(head, folder, lambda: iter([entry]))))
+    file = write_record(folder, conclude(SessionRecord(head, folder, lambda: iter([entry]))))
     write_file(folder / MANIFEST_FILE, [manifest_text({file.name: file_entry(file)})])

@@ -511,13 +511,13 @@ class SessionEvidence:
     ) -> SessionRecord:
         """Return the record with everything that follows from it."""
         assert self.record is not None
-        from pytest_dura.evidence.conclude import conclude_record
+        from pytest_dura.evidence.conclude import complete
 
         if record is None:
             record = self.given.with_baseline(self.record.record(status))
         if status != "running":
             record = self._models.completed(record, self._sources())
-        return conclude_record(
+        return complete(
             record,
             finished=None if status == "running" else _now(),
             gate=gate,

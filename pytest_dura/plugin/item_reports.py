@@ -244,9 +244,9 @@ def event_sentence(
 
 def _brief_run(episode: Episode) -> BriefRun:
     """Summarise an episode that is not in the record yet."""
+    from pytest_dura.evidence.conclusions.cases import with_chains
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.episodes import episode_record
-    from pytest_dura.evidence.metrics import with_chains
     from pytest_dura.evidence.session_model import MeasureEntry
 
     entry = EpisodeEntry.model_validate(with_chains(episode_record(episode, planned=True), {}))

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.evidence.conclude import RECOVERY_ROLE
+from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.episodes import show_repeats

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.evidence.conclude import RECOVERY_ROLE
+from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.terminal_tables import WIDTH, effectiveness_lines

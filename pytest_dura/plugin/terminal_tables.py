@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
-from pytest_dura.evidence.conclude import RECOVERY_ROLE
+from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.text import name
 from pytest_dura.plugin.messages import indent_if_reserved
 from pytest_dura.reports.columns import Column, Shown, legend, shown_in

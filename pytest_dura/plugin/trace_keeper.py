@@ -25,7 +25,7 @@ MAX_TWINS = 24
 
 def twin_cases(case: Case) -> list[Case]:
     """Cases whose runs are the twins of a case's: without its faults, without recovery."""
-    from pytest_dura.evidence.conclude import RECOVERY_ROLE
+    from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 
     twins = [case.without_faults()] if case.faults else []
     if RECOVERY_ROLE not in case.without:

@@ -31,7 +31,7 @@ from urllib.parse import quote
 
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence.bundle import RECORD_FILE
-from pytest_dura.evidence.conclude import verdict_counts
+from pytest_dura.evidence.conclusions.totals import verdict_counts
 from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.gate import NOTHING_FOUND, OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.item_verdicts import ItemVerdict
@@ -86,10 +86,8 @@ _PREDICATES = {
     "violated": "The evidence refutes that {what}",
     "undecided": "The evidence does not decide whether {what}",
 }
-_FIGURES = {
-    "verdict", "planned", "run", "episodes", "violations", "open", "without_effect", "invalid",
-    "missing", "bound",
-}  # fmt: skip
+_FIGURES = ("verdict", "planned", "run", "episodes", "violations", "open", "without_effect",
+            "invalid", "missing", "bound")  # fmt: skip
 
 
 def declarations(record: SessionRecord) -> JsonObject:

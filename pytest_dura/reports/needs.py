@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from pytest_dura.evidence.case_model import CaseEntry
-from pytest_dura.evidence.conclude import faults_of
+from pytest_dura.evidence.conclusions.coverage import faults_of
 from pytest_dura.evidence.conclusions.verdicts import question_key
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.hazards import HazardEvidence, hazard_evidence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pytest_dura.evidence.conclude import RECOVERY_ROLE
+from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.episode_model import EventEntry, FaultEntry
 from pytest_dura.evidence.text import name
 from pytest_dura.reports.incidents import (

@@ -12,7 +12,7 @@ from pytest_dura.evidence.case_model import (
     LatencyEntry,
     SwitchingFigures,
 )
-from pytest_dura.evidence.conclude import RECOVERY_ROLE
+from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import name
 from pytest_dura.evidence.verdict_model import MonitorEntry

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from pytest_dura.evidence.baseline import BaselineComparison
-from pytest_dura.evidence.metrics import share
+from pytest_dura.evidence.conclusions.cases import share
 from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.side_by_side import (
     Contrast,

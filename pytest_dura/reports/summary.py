@@ -13,7 +13,7 @@ from itertools import chain, groupby
 from typing import TypeVar
 
 from pytest_dura.evidence.case_model import ShareEntry
-from pytest_dura.evidence.conclude import verdict_counts
+from pytest_dura.evidence.conclusions.totals import verdict_counts
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test

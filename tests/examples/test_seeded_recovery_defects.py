@@ -5,10 +5,12 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
+from conclusions import concluded
 from entries import make
 
 from pytest_dura import CampaignVerdict, RoleSpec, Runner
-from pytest_dura.evidence import PairedCourses, effectiveness
+from pytest_dura.core.codec import encode
+from pytest_dura.evidence import Effectiveness
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.library import Range, Scenario, expand_cases, load_library
 
@@ -69,14 +71,14 @@ def test_the_defect_violates_the_requirement_and_the_default_roles_do_not(requir
 
 def test_the_pairs_tell_what_the_recovery_introduced():
     sound, defective = judged("REC-1").pairs, judged("REC-1", defective=True).pairs
-    assert sound["only_with"] == sound["only_without"] == 0
-    assert sound["acted_neither"] > 0, "recovery must act for the comparison to say anything"
-    assert defective["only_with"] > 0 == defective["only_without"]
+    assert sound.only_with == sound.only_without == 0
+    assert sound.acted_neither > 0, "recovery must act for the comparison to say anything"
+    assert defective.only_with > 0 == defective.only_without
 
 
 def test_a_recovery_that_only_does_harm_is_seen_as_such_in_the_record():
-    verdicts = [make(ItemVerdict, **judged("REC-1", defective=True).to_json())]
-    (found,) = effectiveness(verdicts, [], PairedCourses(verdicts))
+    verdicts = [make(ItemVerdict, **encode(judged("REC-1", defective=True)))]
+    (found,) = concluded(Effectiveness, verdicts=verdicts)["effectiveness"]
     assert found["finding"] == "introduced"
     assert "and prevented none of 0 violations of REC-1 without it in 4 pairs" in found["detail"]
 

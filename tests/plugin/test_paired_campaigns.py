@@ -9,6 +9,7 @@ import pytest
 from corridors import IDLE, expect, scenario
 
 from pytest_dura.__main__ import main
+from pytest_dura.core.codec import encode
 from pytest_dura.requirements import Change
 
 HARM = {
@@ -120,9 +121,7 @@ pairs.require(measure='checks:farthest', change_at_most={bound})"""
     assert main(["verify", str(folder)]) == 0
     problems = {
         "/pairs/change/mean: found 1.0": lambda change: change.update(mean=1.0),
-        "/pairs/change/values/0: found": lambda change: change.update(
-            Change("m", *REVERSED).to_json()
-        ),
+        "/pairs/change/values/0: found": lambda change: change.update(encode(REVERSED)),
     }
     for problem, forge in problems.items():
         forged = shutil.copytree(folder, project.path / "forged", dirs_exist_ok=True)
@@ -135,7 +134,7 @@ pairs.require(measure='checks:farthest', change_at_most={bound})"""
         assert problem in capsys.readouterr().out
 
 
-REVERSED = (("corridor/it#0", "corridor/it#1", "corridor/it#2"), (-1.0, -1.0, -1.0))
+REVERSED = Change.between("m", {f"corridor/it#{run}": (0.0, 1.0) for run in range(3)})
 """Pairs in which the measure shrinks, so that no bound is passed."""
 
 

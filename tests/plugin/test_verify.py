@@ -409,7 +409,7 @@ def test_a_record_of_another_form_is_refused_with_its_version(bundle, capsys):
 @pytest.mark.parametrize(
     "broken, told",
     [
-        ("pytest_dura.evidence.verify.measure_cases", "evidence.json: damaged (ZeroDivisionError"),
+        ("pytest_dura.evidence.verify.conclude", "evidence.json: damaged (ZeroDivisionError"),
         ("pytest_dura.evidence.verify.record_problems", "evidence.json: damaged (ZeroDivision"),
         ("pytest_dura.reports.summary.render", "summary.md: cannot be rendered again (ZeroDiv"),
         ("pytest_dura.evidence.verify.read_trace", "cannot be read as the trace of corridor/"),

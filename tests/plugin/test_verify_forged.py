@@ -20,12 +20,13 @@ from pytest_dura.core import ConfigurationError
 from pytest_dura.evidence import (
     SessionRecord,
     check_record,
+    conclude,
     open_record,
     record_problems,
     record_schema,
-    totals,
     verify_bundle,
 )
+from pytest_dura.evidence.conclusions.totals import Totals
 from pytest_dura.evidence.verify import conclude_again, conclusion_problems, trace_problems
 from pytest_dura.requirements import upper_bound
 
@@ -291,7 +292,8 @@ def test_what_follows_from_the_rest_is_computed_again(made, change):
     change(record)
     assert json.dumps(record) != before
     if not check_record(record):  # else there is nothing to count
-        record["totals"] = totals(SessionRecord.of(record, made)).to_json()
+        counted = conclude(SessionRecord.of(record, made), [Totals])
+        record["totals"] = counted.head.totals.to_json()
     problems = problems_of(made, record)
     assert problems
     cut_short = (",", " the", " say", " valid", " planned")
@@ -443,7 +445,7 @@ def is_refuted(made, record, on_traces):
     if check_record(record):
         return True
     read = SessionRecord.of(record, made)
-    read = read.changed(totals=totals(read))
+    read = read.changed(totals=conclude(read, [Totals]).head.totals)
     checks = (
         lambda: record_problems(read),
         lambda: conclusion_problems(read),

@@ -13,7 +13,6 @@ import os
 import re
 import shutil
 import sys
-from collections import defaultdict
 from contextlib import redirect_stdout
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,13 +26,13 @@ from traces import simple_trace
 from pytest_dura.core import Line, Scene, Tracks, derive_seed
 from pytest_dura.evidence import (
     Baseline,
-    CaseMetrics,
+    Cases,
+    Coverage,
+    Effectiveness,
     Gate,
-    PairedCourses,
-    PooledMetrics,
     SessionRecord,
-    conclude_record,
-    effectiveness,
+    complete,
+    conclude,
     open_record,
     plain_data,
     read_trace,
@@ -41,11 +40,9 @@ from pytest_dura.evidence import (
     trace_path,
     write_trace,
 )
-from pytest_dura.evidence.case_model import CaseEntry
-from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.conclusions.totals import Totals
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.search_model import SearchEntry
-from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.provenance import digest_of
 
 PROJECT = Path(__file__).parents[1] / "plugin" / "project"
@@ -307,23 +304,7 @@ def session(real, directory, spoil):
         one["seed"] = one["spec"]["seed"] = derive_seed(told["base_seed"], name, run)
         if trace is not None:
             one["trace"] |= _trace(directory, one, trace, spoil)
-    metrics = defaultdict(CaseMetrics)
-    episodes = [EpisodeEntry.model_validate(one) for one in told["episodes"]]
     verdicts = [ItemVerdict.model_validate(one) for one in told["verdicts"]]
-    monitors = [MonitorEntry.model_validate(one) for one in told["monitors"]]
-    for one in episodes:
-        metrics[one.case, one.component].add(one)
-    for one in told["cases"]:
-        one["metrics"] = metrics[one["id"], one["component"]].to_json(one["planned"])
-    pooled, courses = (
-        PooledMetrics([CaseEntry.model_validate(one) for one in told["cases"]], verdicts),
-        PairedCourses(verdicts),
-    )
-    for one in episodes:
-        pooled.add(one)
-        courses.add(one)
-    told["overall"] = pooled.to_json()
-    told["effectiveness"] = effectiveness(verdicts, monitors, courses)
     told["requirements"].sort(key=lambda one: one["id"])
     told["cases"].sort(key=lambda one: (one["id"], one["component"]))
     told["episodes"].sort(key=lambda one: (one["case"], one["component"], one["spec"]["run"]))
@@ -335,8 +316,9 @@ def session(real, directory, spoil):
         interrupted=False, exit_code=1,
         failed=3, warn_undecided=False,
     )  # fmt: skip
-    return conclude_record(
-        SessionRecord.of(plain_data(told), directory), finished=told["finished"],
+    record = SessionRecord.of(plain_data(told), directory)
+    return complete(
+        conclude(record, [Cases, Effectiveness, Coverage, Totals]), finished=told["finished"],
         gate=gate,
         inputs=told["inputs"], wall_seconds=2.0, evidence_seconds=1.0, redact=lambda same: same,
     )  # fmt: skip

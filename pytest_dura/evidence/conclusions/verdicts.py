@@ -11,9 +11,11 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from operator import attrgetter
+from typing import Any
 
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
+from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import with_repeats
 from pytest_dura.evidence.item_verdicts import (
@@ -23,6 +25,8 @@ from pytest_dura.evidence.item_verdicts import (
     ItemVerdict,
     Waiver,
 )
+from pytest_dura.evidence.model import RecordHead
+from pytest_dura.evidence.search_model import searched_claims
 from pytest_dura.requirements.campaign_judge import judge_campaign
 from pytest_dura.requirements.campaign_verdicts import (
     CampaignVerdict,
@@ -69,6 +73,20 @@ class VerdictLines:
     repeats: Mapping[CaseKey, RepeatEntry | None] = field(default_factory=dict)
     doubts: Mapping[CaseKey, str] = field(default_factory=dict)
     searched: Collection[tuple[str, str, str]] = ()
+
+    @classmethod
+    def of(cls, head: RecordHead) -> VerdictLines:
+        """Select them from the head of a record."""
+        cases = {(case.id, case.component): case for case in head.cases}
+        return cls(
+            head.judgements,
+            cases,
+            {requirement.id: requirement for requirement in head.requirements},
+            head.waivers,
+            {key: case.repeat for key, case in cases.items()},
+            {(doubt.case, doubt.component): doubt.reason for doubt in head.doubts},
+            searched_claims(head.searches),
+        )
 
 
 class Runs:
@@ -148,6 +166,23 @@ def _run_of(episode: EpisodeEntry, alone: Collection[str]) -> Run:
         verdicts=verdicts,
         violates=any(verdicts[name].status == "violated" for name in alone if name in verdicts),
     )
+
+
+class Verdicts(Conclusion):
+    """Concludes the key ``verdicts``."""
+
+    def __init__(self, head: RecordHead) -> None:
+        super().__init__(head)
+        lines = VerdictLines.of(head)
+        self._runs = Runs(lines.cases, lines.requirements)
+
+    def add(self, episode: EpisodeEntry) -> None:
+        """Add an episode."""
+        self._runs.add(episode)
+
+    def concluded(self, head: RecordHead) -> Mapping[str, Any]:
+        """Conclude them from judgements and runs."""
+        return {"verdicts": conclude_verdicts(VerdictLines.of(head), self._runs)}
 
 
 def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[ItemVerdict]:

@@ -1,12 +1,13 @@
 import json
 
 import pytest
+from conclusions import concluded
 from entries import make
 from session_records import episode, session_record
 
-from pytest_dura.evidence import conclude as module
-from pytest_dura.evidence import coverage
+from pytest_dura.evidence import Coverage
 from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence.conclusions import coverage as module
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 
@@ -21,6 +22,10 @@ def case(name, *faults, component="C", requirements=("R",), variation=None, with
 
 def verdict(name, word="supported", requirement="R", component="C"):
     return make(ItemVerdict, case=name, requirement=requirement, component=component, verdict=word)
+
+
+def coverage(cases, verdicts=(), episodes=()):
+    return concluded(Coverage, episodes, cases=cases, verdicts=verdicts)["coverage"]
 
 
 def cells(cases, verdicts, *keys):

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from conclusions import concluded
 from entries import make
 
-from pytest_dura.evidence import PairedCourses, effectiveness
+from pytest_dura.evidence import Effectiveness
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.verdict_model import MonitorEntry
@@ -26,7 +27,7 @@ def verdict(
 
 def episode(case: str, run: int, *, acted: bool = False, jerk: float = 1.0) -> EpisodeEntry:
     return make(
-        EpisodeEntry, case=case, component="C", spec={"run": run},
+        EpisodeEntry, case=case, component="C", spec={"run": run}, planned=True, validity="valid",
         outcome={"switching": {"takeovers": int(acted)}},
         metrics={"performance": {"jerk": {"last": 0.0, "min": -jerk, "max": jerk}}},
         timings={"simulated_seconds": 9.0},
@@ -42,11 +43,15 @@ def monitor(
     )  # fmt: skip
 
 
+def effectiveness(
+    verdicts: Any = (), monitors: Any = (), episodes: Any = ()
+) -> list[dict[str, Any]]:
+    head = {"verdicts": verdicts, "monitors": monitors}
+    return concluded(Effectiveness, episodes, **head)["effectiveness"]
+
+
 def of_recovery(*verdicts: ItemVerdict, episodes: Any = ()) -> dict[str, Any]:
-    courses = PairedCourses(verdicts)
-    for one in episodes:
-        courses.add(one)
-    (found,) = effectiveness(verdicts, [], courses)
+    (found,) = effectiveness(verdicts, episodes=episodes)
     assert (found["role"], found["requirement"], found["component"]) == (
         "recovery_planner", "R", "C",
     )  # fmt: skip
@@ -108,7 +113,7 @@ def test_one_run_that_went_otherwise_is_enough() -> None:
 
 def test_pairs_without_something_else_say_nothing_of_recovery() -> None:
     other = verdict(only_without=1, without="faults")
-    assert effectiveness([other], [], PairedCourses([other])) == []
+    assert effectiveness([other]) == []
 
 
 @pytest.mark.parametrize(
@@ -122,7 +127,7 @@ def test_pairs_without_something_else_say_nothing_of_recovery() -> None:
     ],
 )
 def test_what_runs_without_recovery_show_of_a_monitor(told: Any, finding: str, detail: str) -> None:
-    (found,) = effectiveness([], told, PairedCourses([]))
+    (found,) = effectiveness([], told)
     assert (found["role"], found["requirement"]) == ("watch", None)
     assert found["finding"] == finding
     assert detail in found["detail"]
@@ -130,6 +135,6 @@ def test_what_runs_without_recovery_show_of_a_monitor(told: Any, finding: str, d
 
 def test_an_assessor_that_speaks_by_alerts_alone_is_no_silent_monitor() -> None:
     told = [monitor("R", fn=2, name="security_assessor")]
-    assert effectiveness([], told, PairedCourses([])) == []
+    assert effectiveness([], told) == []
     told = [monitor("R", tp=2, name="security_assessor")]
-    assert effectiveness([], told, PairedCourses([]))[0]["finding"] == "warned"
+    assert effectiveness([], told)[0]["finding"] == "warned"

@@ -10,8 +10,8 @@ from entries import make
 from pytest_dura.core import FaultRecord
 from pytest_dura.evidence import UNTRACED_FAULT
 from pytest_dura.evidence.case_model import CaseEntry
+from pytest_dura.evidence.conclusions.cases import FaultMetrics, with_chains
 from pytest_dura.evidence.episode_model import EpisodeEntry, FaultEntry
-from pytest_dura.evidence.metrics import FaultMetrics, with_chains
 from pytest_dura.plugin.terminal_tables import chain_line, fault_table
 
 

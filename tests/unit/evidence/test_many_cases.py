@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conclusions import concluded
 from entries import make
 from session_records import HEADER, session_record
 
@@ -17,12 +18,13 @@ from pytest_dura.core.codec import encode
 from pytest_dura.evidence import (
     RECORD_FILE,
     UNKNOWN_COMPONENT,
+    Coverage,
     RecordBuilder,
     all_formats,
-    coverage,
+    conclude,
 )
 from pytest_dura.evidence.case_model import CasePlan
-from pytest_dura.evidence.conclude import missing_runs, verdicts_on_cases
+from pytest_dura.evidence.conclusions.cases import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.plugin.xdist import MOST, shares
 from pytest_dura.requirements.model import Requirement
@@ -97,8 +99,7 @@ def many_cases(number: int) -> Any:
         item = f"{name}::{verdict['requirement']}"
         head["verdicts"].append({**verdict, "case": name, "item": item})
     whole = found.changed(**head)
-    again = coverage(whole.head.cases, whole.head.verdicts, found.episodes())
-    return whole.changed(coverage=again)
+    return conclude(whole, [Coverage])
 
 
 @pytest.mark.parametrize("form", list(all_formats()), ids=lambda form: form.FILE)
@@ -117,10 +118,10 @@ def test_coverage_of_scenarios_with_faults_of_their_own() -> None:
 
     def work(number: int) -> Callable[[], object]:
         cases = placed(number)
-        return lambda: coverage(cases, [], [])
+        return lambda: concluded(Coverage, cases=cases)
 
     most = 300  # squared, this is more than can be listed
-    found = coverage(placed(most), [], [])
+    found = concluded(Coverage, cases=placed(most))["coverage"]
     assert len(found["cells"]) == most, "one for each scenario and requirement"
     assert found["left_out"] == most * (most + 1) - most
     assert steps(work(2 * most)) <= 2.2 * steps(work(most))

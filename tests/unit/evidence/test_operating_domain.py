@@ -1,11 +1,12 @@
 """Pairs of what scenarios vary, as the record counts them."""
 
+from conclusions import concluded
 from entries import make
 from session_records import episode
 
-from pytest_dura.evidence import coverage
-from pytest_dura.evidence import operating_domain as module
+from pytest_dura.evidence import Coverage
 from pytest_dura.evidence.case_model import CasePlan, CoverageEntry
+from pytest_dura.evidence.conclusions import operating_domain as module
 from pytest_dura.evidence.episode_model import EpisodeEntry
 
 SQUARE = {"world.x": {"min": 0.0, "max": 10.0}, "world.y": {"min": 0.0, "max": 10.0}}
@@ -29,7 +30,7 @@ def run(name, seed, world=None, **changes):
 
 
 def computed(cases, episodes):
-    return CoverageEntry.model_validate(coverage(cases, [], iter(episodes)))
+    return CoverageEntry.model_validate(concluded(Coverage, episodes, cases=cases)["coverage"])
 
 
 def test_a_pair_is_counted_in_fifths_of_both_ranges():

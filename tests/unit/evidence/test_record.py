@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import copy
 
+from conclusions import concluded
 from entries import make
 from session_records import HEADER
 
 from pytest_dura.core.codec import decode, encode
-from pytest_dura.evidence import UNKNOWN_COMPONENT, CaseMetrics, PooledMetrics, RecordBuilder
-from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence import UNKNOWN_COMPONENT, CaseMetrics, Cases, RecordBuilder
+from pytest_dura.evidence.case_model import CaseEntry, CasePlan
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.gather import claim
@@ -355,14 +356,13 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
     twin = {**case(), "id": "a/b~recovery_planner", "without": ["recovery_planner"]}
     free = {**case(), "id": "c/d+none"}
     cases = [
-        make(CasePlan, **one)
+        make(CaseEntry, **one)
         for one in (case(planned=3), {**case(), "id": "c/d"}, twin, free, case("D"))
     ]
     verdicts = [
         make(ItemVerdict, case="a/b", pairs={"case": twin["id"], "without": "faults"}),
         make(ItemVerdict, case="c/d", pairs={"case": free["id"], "without": "faults"}),
     ]
-    pooled = PooledMetrics(cases, verdicts)
     runs = [
         episode(0, clearance_time=8.0, gridlock=False),
         {**episode(0, clearance_time=12.0, gridlock=False), "case": "c/d"},
@@ -370,14 +370,14 @@ def test_all_cases_of_a_component_are_pooled_without_their_twins():
         {**episode(0, clearance_time=99.0, gridlock=False), "case": free["id"]},
         {**episode(0, clearance_time=5.0, gridlock=False), "component": "D"},
     ]
-    for one in runs:
-        pooled.add(make(EpisodeEntry, **one))
-    own, other = pooled.to_json()
+    episodes = [make(EpisodeEntry, **{**one, "planned": True}) for one in runs]
+    own, other = concluded(Cases, episodes, cases=cases, verdicts=verdicts)["overall"]
     assert (own["component"], own["cases"], own["metrics"]["planned"]) == ("C", 2, 5)
     assert own["metrics"]["measures"]["clearance_time"] == {"runs": 2, "mean": 10.0, "sd": 8.0**0.5}
     assert (other["component"], other["metrics"]["valid"]) == ("D", 1)
-    judged = PooledMetrics(cases, [*verdicts, make(ItemVerdict, case=free["id"])])
-    assert judged.to_json()[0]["cases"] == 3, "who is judged for its own sake is no mere twin"
+    judged = [*verdicts, make(ItemVerdict, case=free["id"])]
+    overall = concluded(Cases, cases=cases, verdicts=judged)["overall"]
+    assert overall[0]["cases"] == 3, "who is judged for its own sake is no mere twin"
 
 
 def test_cases_come_in_the_order_of_their_scenarios_then_by_name():

@@ -1,4 +1,7 @@
-"""Metrics of a case: sums over its episodes, their faults and their failure modes."""
+"""Cases: sums over the episodes of a case, their faults and failure modes, and missing runs.
+
+Those of all cases of a component together are sums of them.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,13 @@ import math
 import statistics
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 from pytest_dura.core.metrics import DISCOMFORT
-from pytest_dura.evidence.case_model import CasePlan
+from pytest_dura.evidence.case_model import CaseEntry, CasePlan
+from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import (
     EpisodeEntry,
@@ -19,6 +24,7 @@ from pytest_dura.evidence.episode_model import (
     SwitchingEntry,
 )
 from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.evidence.model import RecordHead
 from pytest_dura.requirements.rate_tests import upper_bound
 
 CONFIDENCE = 0.95
@@ -48,6 +54,14 @@ class FailureModes:
             counts["of_episodes"] += tally.of > 0
         self._seconds.extend(metrics.answer_seconds)
         self._ages.extend(metrics.answer_ages)
+
+    def join(self, other: FailureModes) -> None:
+        """Add the sums of another case."""
+        self._kinds = {**other._kinds, **self._kinds}
+        for name, counts in other._counts.items():
+            self._counts.setdefault(name, Counter()).update(counts)
+        self._seconds.extend(other._seconds)
+        self._ages.extend(other._ages)
 
     def to_json(self) -> list[dict[str, Any]]:
         """Convert to plain data: an entry for each failure mode, in the order of appearance.
@@ -167,6 +181,15 @@ class FaultMetrics:
                     if seconds is not None:
                         self._times.setdefault((name, latency), array("d")).append(seconds)
 
+    def join(self, other: FaultMetrics) -> None:
+        """Add the sums of another case."""
+        self._targets = {**other._targets, **self._targets}
+        for name, counts in other._counts.items():
+            self._readers.setdefault(name, set()).update(other._readers[name])
+            self._counts.setdefault(name, Counter()).update(counts)
+        for key, times in other._times.items():
+            self._times.setdefault(key, array("d")).extend(times)
+
     def to_json(self) -> list[dict[str, Any]]:
         """Convert to plain data, fault by fault.
 
@@ -199,42 +222,6 @@ class FaultMetrics:
                 for latency in _LATENCIES
             },
         }
-
-
-class SharedViolations:
-    """Counts, verdict by verdict, violations that the same seed has without any fault as well.
-
-    Args:
-        verdicts: Of the record.
-    """
-
-    def __init__(self, verdicts: Sequence[ItemVerdict]) -> None:
-        self._counts: list[int | None] = [None] * len(verdicts)
-        self._claims: dict[tuple[str, str], list[tuple[int, str]]] = {}
-        for place, verdict in enumerate(verdicts):
-            valid = [
-                counterexample.episode
-                for counterexample in verdict.counterexamples
-                if counterexample.valid
-            ]
-            for episode in valid:
-                key = verdict.component, episode
-                self._claims.setdefault(key, []).append((place, verdict.requirement))
-
-    def add(self, episode: EpisodeEntry) -> None:
-        """Add a planned episode of :func:`with_chains`."""
-        for place, requirement in self._claims.get((episode.component, episode.id), ()):
-            known = [
-                requirement in fault.violated_without
-                for fault in episode.faults
-                if requirement in fault.violated and fault.violated_without is not None
-            ]
-            if known:
-                self._counts[place] = (self._counts[place] or 0) + any(known)
-
-    def to_json(self) -> list[int | None]:
-        """List a count for each verdict; ``None`` where no violation was compared."""
-        return self._counts
 
 
 def _passed_steps(fault: FaultEntry) -> list[str]:
@@ -333,6 +320,31 @@ class CaseMetrics:
         self._switching.update({key: getattr(switching, key) for key in _SUMMED_METRICS})
         self._times_to_safe.extend(time for time in switching.time_to_safe if time is not None)
 
+    def join(self, other: CaseMetrics) -> None:
+        """Add the sums of another case."""
+        self._early += other._early
+        self._known |= other._known
+        self._truths |= other._truths
+        for own, added in (
+            (self._validity, other._validity),
+            (self._in_run, other._in_run),
+            (self._in_valid, other._in_valid),
+            (self._sums, other._sums),
+            (self._switching, other._switching),
+            (self._reactions, other._reactions),
+            (self._usage, other._usage),
+        ):
+            own.update(added)
+        for columns, added_columns in (
+            (self._measures, other._measures),
+            (self._user, other._user),
+        ):
+            for name, column in added_columns.items():
+                columns.setdefault(name, array("d")).extend(column)
+        self._times_to_safe.extend(other._times_to_safe)
+        self._faults.join(other._faults)
+        self._failure_modes.join(other._failure_modes)
+
     def to_json(self, planned: int) -> dict[str, Any]:
         """Convert to plain data.
 
@@ -415,47 +427,6 @@ def case_order(case: CasePlan) -> tuple[float, str, str]:
     return place, case.id, case.component
 
 
-class PooledMetrics:
-    """Sums up the planned episodes of all cases of a component, without the twins of pairs.
-
-    Args:
-        cases: Of the record, with or without their metrics.
-        verdicts: Of the record.
-    """
-
-    def __init__(self, cases: Iterable[CasePlan], verdicts: Iterable[ItemVerdict] = ()) -> None:
-        self._planned: Counter[str] = Counter()
-        self._cases: dict[str, set[str]] = {}
-        judged, twins = set(), set()
-        for verdict in verdicts:
-            judged.add(verdict.case)
-            if verdict.pairs:
-                twins.add(verdict.pairs.case)
-        for case in cases:
-            # A case without faults may be a twin, or be judged for its own sake.
-            if not case.without and case.id not in twins - judged:
-                self._planned[case.component] += case.planned
-                self._cases.setdefault(case.component, set()).add(case.id)
-        self._metrics = {component: CaseMetrics() for component in self._cases}
-
-    def add(self, episode: EpisodeEntry) -> None:
-        """Add a planned episode of any of the record's cases."""
-        component = episode.component
-        if episode.case in self._cases.get(component, ()):
-            self._metrics[component].add(episode)
-
-    def to_json(self) -> list[dict[str, Any]]:
-        """Convert to plain data: an entry for each component, by name."""
-        return [
-            {
-                "component": component,
-                "cases": len(self._cases[component]),
-                "metrics": self._metrics[component].to_json(self._planned[component]),
-            }
-            for component in sorted(self._cases)
-        ]
-
-
 def _derived(episode: EpisodeEntry) -> dict[str, bool | None]:
     """Derive outcomes from an episode's measures; ``None`` where they are not measured."""
     discomfort = episode.metrics.performance.get(DISCOMFORT)
@@ -501,3 +472,61 @@ def missing_runs(
         needed = case.planned  # more than any verdict needs
     missing = [run for run in range(needed) if run not in reported]
     return {"missing_runs": missing[:_MAX_LISTED_RUNS], "missing_runs_total": len(missing)}
+
+
+class Cases(Conclusion):
+    """Concludes metrics and missing runs of the cases, and the key ``overall``.
+
+    ``overall`` sums up the cases of each component, without the twins of pairs.
+
+    Args:
+        head: With its cases, in any order.
+    """
+
+    def __init__(self, head: RecordHead) -> None:
+        super().__init__(head)
+        self._cases: Sequence[CaseEntry] = sorted(head.cases, key=case_order)
+        self._metrics = {(case.id, case.component): CaseMetrics() for case in self._cases}
+        self._reported: dict[tuple[str, str], set[int]] = {key: set() for key in self._metrics}
+
+    def add(self, episode: EpisodeEntry) -> None:
+        """Add an episode."""
+        metrics = self._metrics.get((episode.case, episode.component))
+        if metrics is not None and episode.planned:
+            metrics.add(episode)
+            self._reported[episode.case, episode.component].add(episode.spec.run)
+
+    def concluded(self, head: RecordHead) -> Mapping[str, Any]:
+        """Conclude them with the verdicts, which say how many runs were needed."""
+        judged = verdicts_on_cases(head.verdicts)
+        cases = [
+            case.replace(
+                metrics=metrics.to_json(case.planned),
+                **missing_runs(case, judged.get(key, []), self._reported[key]),
+            )
+            for (key, metrics), case in zip(self._metrics.items(), self._cases, strict=True)
+        ]
+        return {"cases": cases, "overall": list(self._overall(head.verdicts))}
+
+    def _overall(self, verdicts: Iterable[ItemVerdict]) -> Iterator[dict[str, Any]]:
+        """Yield the sums of each component, by name."""
+        judged, twins = set(), set()
+        for verdict in verdicts:
+            judged.add(verdict.case)
+            if verdict.pairs:
+                twins.add(verdict.pairs.case)
+        # A case without faults may be a twin, or be judged for its own sake.
+        counted = [
+            case for case in self._cases if not case.without and case.id not in twins - judged
+        ]
+        for component in sorted({case.component for case in counted}):
+            cases = [case for case in counted if case.component == component]
+            pooled = CaseMetrics()
+            for case in sorted(cases, key=attrgetter("id")):
+                pooled.join(self._metrics[case.id, component])
+            planned = sum(case.planned for case in cases)
+            yield {
+                "component": component,
+                "cases": len(cases),
+                "metrics": pooled.to_json(planned),
+            }

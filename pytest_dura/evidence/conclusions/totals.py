@@ -1,0 +1,72 @@
+"""Totals: counts that every format states, times of the episodes, their origins and redactions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pytest_dura.evidence.conclusions.conclusion import Conclusion
+from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.evidence.model import RecordHead
+from pytest_dura.evidence.redaction import count_redactions
+from pytest_dura.evidence.sessions import OriginCounts
+
+
+class Totals(Conclusion):
+    """Concludes what counts episodes in ``totals``, ``timings``, ``reuse`` and ``redacted``.
+
+    What the session's end adds to them, :func:`pytest_dura.evidence.conclude.complete` adds.
+    """
+
+    def __init__(self, head: RecordHead) -> None:
+        super().__init__(head)
+        self._validity: Counter[str] = Counter()
+        self._simulated = 0.0
+        self._processing: Counter[str] = Counter()
+        self._taken_over: Counter[str] = Counter()
+        self._outdated: Counter[tuple[str, ...]] = Counter()
+        self._redactions: Counter[str] = Counter()
+
+    def add(self, episode: EpisodeEntry) -> None:
+        """Add an episode."""
+        self._validity[episode.validity] += 1
+        self._simulated += episode.timings.simulated_seconds
+        self._processing.update(episode.timings.processing_seconds)
+        if episode.origin.session is not None:
+            self._taken_over[episode.origin.session] += 1
+        elif episode.origin.changed is not None:
+            self._outdated[tuple(episode.origin.changed)] += 1
+        self._redactions += count_redactions(episode.to_json())
+
+    def concluded(self, head: RecordHead) -> Mapping[str, Any]:
+        """Conclude them."""
+        seconds = {role: self._processing[role] for role in sorted(self._processing)}
+        origins = OriginCounts.of(self._taken_over, self._outdated)
+        validity = {name: self._validity[name] for name in ("valid", "invalid", "missing")}
+        return {
+            "totals": head.totals.replace(
+                gate=head.gate.result,
+                requirements=len(head.requirements),
+                cases=len(head.cases),
+                episodes=self._validity.total(),
+                **validity,
+                **verdict_counts(head.verdicts),
+            ),
+            "timings": head.timings.replace(
+                simulated_seconds=self._simulated, processing_seconds=seconds
+            ),
+            "reuse": head.reuse.replace(**origins._asdict()),
+            "redacted": dict(self._redactions),
+        }
+
+
+def verdict_counts(verdicts: Iterable[ItemVerdict]) -> dict[str, int]:
+    """Count verdicts by status; ``waived`` ones also count under their own status."""
+    known = list(verdicts)
+    statuses = Counter(verdict.verdict for verdict in known)
+    return {
+        **{status: statuses[status] for status in ("supported", "violated", "undecided")},
+        "waived": sum(verdict.waiver is not None for verdict in known),
+    }
