@@ -12,6 +12,9 @@ import re
 import sys
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from importlib import import_module
+from pkgutil import iter_modules
+from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from pytest_dura.core.boundary import let_pass
@@ -248,3 +251,21 @@ class Registry(Generic[T]):
                 remedy=f"correct or uninstall {entry.provider}",
             ) from error
         return target
+
+
+def objects_below(package: str, kind: type[T]) -> Iterator[T]:
+    """Yield the objects of a kind that the modules of a package define, module by module.
+
+    Args:
+        package: Name of a package of this distribution.
+        kind: Their class.
+    """
+    for module in modules_below(package):
+        yield from (value for value in vars(module).values() if isinstance(value, kind))
+
+
+def modules_below(package: str) -> Iterator[ModuleType]:
+    """Import the modules of a package, in the order of their names."""
+    folder = import_module(package)
+    for found in sorted(module.name for module in iter_modules(folder.__path__)):
+        yield import_module(f"{package}.{found}")

@@ -11,6 +11,7 @@ from .conclude import complete, conclude
 from .conclusions.cases import UNTRACED_FAULT, CaseMetrics, Cases, FailureModes
 from .conclusions.coverage import Coverage
 from .conclusions.effectiveness import Effectiveness
+from .conclusions.tables import TABLES, ConcludedColumn, Table
 from .conclusions.verdicts import UNKNOWN_COMPONENT
 from .entry import plain_data
 from .episodes import episode_record
@@ -43,11 +44,13 @@ __all__ = [
     "MANIFEST_FILE",
     "RECORD_FILE",
     "SCHEMA_VERSION",
+    "TABLES",
     "UNKNOWN_COMPONENT",
     "UNTRACED_FAULT",
     "Baseline",
     "CaseMetrics",
     "Cases",
+    "ConcludedColumn",
     "Coverage",
     "DirectoryLock",
     "Effectiveness",
@@ -58,6 +61,7 @@ __all__ = [
     "Redactor",
     "SessionRecord",
     "ShardUnit",
+    "Table",
     "Trace",
     "all_formats",
     "check_record",

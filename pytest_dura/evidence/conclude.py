@@ -14,6 +14,7 @@ from pytest_dura.evidence.conclusions.cases import Cases
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.conclusions.coverage import Coverage
 from pytest_dura.evidence.conclusions.effectiveness import Effectiveness
+from pytest_dura.evidence.conclusions.tables import Tables
 from pytest_dura.evidence.conclusions.totals import Totals
 from pytest_dura.evidence.conclusions.verdicts import Verdicts
 from pytest_dura.evidence.entry import JsonObject
@@ -28,6 +29,7 @@ CONCLUSIONS: Sequence[type[Conclusion]] = (
     Cases,
     Effectiveness,
     Coverage,
+    Tables,
     Totals,
 )
 """In order: each may read what those before it concluded."""

@@ -141,6 +141,7 @@ _UNCONCLUDED: JsonObject = {
     "gate": Gate.running(warn_undecided=False),
     "inputs": [],
     "coverage": {"cells": [], "left_out": 0, "parameters": []},
+    "conclusions": {},
     "timings": {"wall_seconds": 0, "evidence_seconds": 0, "simulated_seconds": 0,
                 "processing_seconds": {}},
     "redacted": {},

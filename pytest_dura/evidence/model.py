@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from pytest_dura.core import codec
 from pytest_dura.core.display import Shown
 from pytest_dura.evidence.case_model import CaseEntry, CoverageEntry, OverallEntry
 from pytest_dura.evidence.entry import Absent, Coded, Count, Entry, JsonObject, Positive
@@ -42,6 +43,35 @@ from pytest_dura.evidence.verdict_model import (
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
 from pytest_dura.requirements.model import Requirement
+
+CellValue = str | codec.Number | bool | None
+"""Value of a cell of a concluded table."""
+
+
+@dataclass(frozen=True)
+class ConcludedColumn:
+    """A column of a further table."""
+
+    name: str
+    """Its heading."""
+    meaning: str = ""
+    """What it counts or measures."""
+    unit: str = ""
+    """Of its numbers."""
+
+
+@dataclass(frozen=True)
+class ConcludedTable:
+    """A further table of the session, which follows from its episodes."""
+
+    title: str
+    """Its heading."""
+    about: str
+    """What it shows, in one sentence."""
+    columns: tuple[ConcludedColumn, ...]
+    """The first one names the row."""
+    rows: tuple[tuple[CellValue, ...], ...]
+    """A value for each column; null where there is none."""
 
 
 class Totals(Entry):
@@ -163,6 +193,8 @@ class RecordHead(Entry):
     """The files that the session was run from."""
     coverage: CoverageEntry
     """What was tried of what there is."""
+    conclusions: dict[str, Coded[ConcludedTable]]
+    """Further tables, of this package or of others, by name."""
     timings: SessionTimings
     """Where the session's time went."""
     redacted: dict[str, Positive]

@@ -36,6 +36,7 @@ from pytest_dura.evidence.bundle import (
     rendered_files,
 )
 from pytest_dura.evidence.conclude import complete, conclude
+from pytest_dura.evidence.conclusions.tables import unknown_tables
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import outcome_figures
@@ -290,6 +291,11 @@ def conclusion_problems(record: SessionRecord) -> Iterator[str]:
     """Conclude from the recorded episodes and judgements again, and yield the differences."""
     for problem in _measure_problems(record):
         yield f"{RECORD_FILE}: {problem}"
+    for name in unknown_tables(record.head):
+        yield (
+            f"{RECORD_FILE}: conclusions: the table {name!r} cannot be concluded again, as no "
+            "installed package has it; install the package that does"
+        )
     head, again = record.head.to_json(), conclude_again(record).head.to_json()
     for key in dict.fromkeys([*head, *again]):
         found, expected = ({key: each[key]} if key in each else {} for each in (head, again))

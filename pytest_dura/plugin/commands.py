@@ -159,6 +159,7 @@ def _registered_lines() -> Iterator[str]:
     from pytest_dura.core.simulator import SIMULATORS
     from pytest_dura.domains import DOMAINS, ROLES
     from pytest_dura.evidence.bundle import FORMATS
+    from pytest_dura.evidence.conclusions.tables import TABLES
     from pytest_dura.execution.executors import EXECUTORS
     from pytest_dura.faults.catalogue import FAULT_TYPES
 
@@ -166,6 +167,7 @@ def _registered_lines() -> Iterator[str]:
         "simulators (for `simulator` in a scenario)": SIMULATORS,
         "executors (for --dura-executor)": EXECUTORS,
         "report formats (files of each bundle)": FORMATS,
+        "tables of a session": TABLES,
     }
     for title, registry in listed.items():
         yield from ("", title)

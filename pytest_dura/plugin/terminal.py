@@ -33,6 +33,7 @@ from pytest_dura.plugin.terminal_tables import (
     effectiveness_lines,
     failure_mode_table,
     fault_table,
+    further_tables,
     model_lines,
     monitor_table,
     most_rows,
@@ -427,6 +428,8 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
     by_hand = sum(not episode.planned for episode in record.episodes())
     if by_hand:
         terminal.line(f"and {counted(by_hand, 'episode')} with a seed chosen by hand")
+    for line in further_tables(record, most):
+        terminal.line(line)
     if context.config.option.verbose <= 0:
         terminal.line("")
         for line in [

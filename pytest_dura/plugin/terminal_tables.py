@@ -7,11 +7,11 @@ They cover cases, attacks, pairs, monitors, faults and failure modes, with the c
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
-from pytest_dura.evidence.text import name
+from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.plugin.messages import indent_if_reserved
 from pytest_dura.reports.columns import Column, Shown, legend, shown_in
 from pytest_dura.reports.failure_modes import (
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
     from pytest_dura.evidence.episode_model import FaultEntry
     from pytest_dura.evidence.item_verdicts import ItemVerdict
-    from pytest_dura.evidence.model import RecordHead
+    from pytest_dura.evidence.model import RecordHead, SessionRecord
     from pytest_dura.evidence.session_model import LanguageModelEntry, MeasureEntry, PriceEntry
     from pytest_dura.evidence.verdict_model import EffectivenessEntry, MonitorEntry
     from pytest_dura.plugin.context import SessionContext
@@ -396,3 +396,19 @@ def _failure_mode_rows(modes: Sequence[FailureModeEntry], whose: str) -> list[st
         rows.append([column.cell(FailureModeRow(mode)).terminal for column in columns])
     title, headings = FAILURE_MODE_HEADINGS["failure"] + whose, [each.label for each in columns]
     return [line.rstrip() for line in aligned(title, headings, names, rows)]
+
+
+def further_tables(record: SessionRecord, most: int | None) -> Iterator[str]:
+    """Write the further tables of a session, each with at most so many rows."""
+    from pytest_dura.reports.concluded import concluded_tables
+
+    for shown in concluded_tables(record):
+        first = shown.columns[0]
+        rows = [(first.cell(row).terminal, row) for row in shown.rows[:most]]
+        yield from [
+            "",
+            one_line(shown.title),
+            *table(first.name, shown.columns, rows, shown.about.rstrip(".")),
+        ]
+        if len(rows) < len(shown.rows):
+            yield f"and {counted(len(shown.rows) - len(rows), 'row')} more; {WHERE_ALL_ARE}"

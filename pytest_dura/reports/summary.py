@@ -24,6 +24,7 @@ from pytest_dura.evidence.session_model import (
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.reports.causes import Cause, card_entries, card_heading, causes_of
 from pytest_dura.reports.columns import Column, Shown, measure_label, shown_in
+from pytest_dura.reports.concluded import TableShown, concluded_tables
 from pytest_dura.reports.failure_modes import (
     NULL_NOTE,
     decision_age_lines,
@@ -150,7 +151,7 @@ MAX_BYTES = 1024 * 1024
 _KIB = 1024
 _SHARES = {"causes": 60 * _KIB, "failures": 240 * _KIB, "verdicts": 320 * _KIB,
            "requirements": 100 * _KIB, "cases": 150 * _KIB, "failure modes": 30 * _KIB,
-           "searches": 40 * _KIB, "hazards": 40 * _KIB}  # fmt: skip
+           "searches": 40 * _KIB, "tables": 20 * _KIB, "hazards": 40 * _KIB}  # fmt: skip
 """Bytes of the tables; the rest is for what has a small bound: the head, reasons, provenance."""
 _REASONS = 20
 _MAX_CELLS = 10
@@ -173,6 +174,7 @@ def render(record: SessionRecord) -> str:
             chain(_failure_lines(record, failures), _search_failures(record)),
             "failures",
         ),
+        *chain.from_iterable(map(_further_table, concluded_tables(record))),
         *(_table("Searches", SEARCH_COLUMNS, searched, "searches") if searched else ()),
         *_table("Verdicts", VERDICT_COLUMNS, verdicts, "verdicts"),
         *_hazard_table(record),
@@ -377,6 +379,13 @@ def _overall_lines(record: SessionRecord) -> Iterator[str]:
         yield f"- {whose}: {markdown(effect.detail, 400)}"
     if len(effectiveness) > _MAX_CELLS:
         yield f"- and {len(effectiveness) - _MAX_CELLS} more in the report"
+
+
+def _further_table(table: TableShown) -> Iterator[str]:
+    """A further table of the session."""
+    yield from _table(markdown(table.title, 100), table.columns, table.rows, "tables")
+    if table.about:
+        yield from ["", markdown(table.about, 400)]
 
 
 def _failure_mode_section(record: SessionRecord) -> Iterator[str]:

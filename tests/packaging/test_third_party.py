@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from pytest_dura.__main__ import main
+
 PACKAGE = Path(__file__).parents[1] / "third_party"
 SCENARIO = """
 name: shaft/up
@@ -98,6 +100,7 @@ def test_what_the_package_registers_is_listed(python):
         "  lift: lift_dura.domain:Lift (lift-dura 1.2)",
         "  fresh: lift_dura.outputs:Fresh (lift-dura 1.2)",
         "  verdicts.csv: lift_dura.outputs (lift-dura 1.2)",
+        "  heights: lift_dura.outputs:Heights (lift-dura 1.2)",
     ):
         assert line in done.stdout.splitlines(), done.stdout
 
@@ -146,6 +149,28 @@ def test_measures_of_the_package_are_shown_everywhere_and_verified(python, sessi
     assert "coll" not in " ".join(head)
     (episode,) = [one for one in record["episodes"] if one["case"].endswith("slip")]
     assert episode["outcome"]["measures"] == {"arrival_time": pytest.approx(4.0), "overrun": True}
+
+
+def test_a_table_of_the_package_is_shown_everywhere_and_verified(python, session, capsys):
+    bundle = python.project / "dura-evidence"
+    file = bundle / "evidence.json"
+    whole = file.read_text()
+    record = json.loads(whole)
+    (row, *_) = record["conclusions"]["heights"]["rows"]
+    assert row[:2] == ["shaft/up", 1]
+    lines = [line.split() for line in session.stdout.splitlines()]
+    assert ["case", "episodes", "time", "s"] in lines
+    assert ["Heights"] in lines
+    assert "## Heights" in (bundle / "summary.md").read_text()
+    assert "Heights</span>" in (bundle / "report.html").read_text()
+    row[1] = 2
+    file.write_text(json.dumps(record))
+    done = python("pytest_dura", "verify", str(bundle))
+    assert "/conclusions/heights/rows/0/1: found 2, expected 1" in done.stdout
+    file.write_text(whole)
+    # Where the package is not installed, what it concluded cannot be concluded again.
+    assert main(["verify", str(bundle)]) == 1
+    assert "the table 'heights' cannot be concluded again" in capsys.readouterr().out
 
 
 def test_the_catalogue_of_a_domain_has_the_package_s_faults(python):

@@ -196,6 +196,7 @@ def session_data(**changes):
         "execution": {"executor": "in-process", "processes": None},
         "reuse": {"mode": "none", "session": "5" * 32, "problems": [], "taken_over": 0,
                   "sessions": [], "outdated": [], "searched": None},
+        "conclusions": {},
         "coverage": {
             "left_out": 0,
             "cells": [

@@ -12,6 +12,7 @@ from pytest_dura.evidence.bundle import FORMATS, RECORD_FILE
 from pytest_dura.evidence.files import MANIFEST_FILE, REVIEW_FILE
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.reports.causes import Cause
+from pytest_dura.reports.concluded import concluded_tables
 from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
@@ -228,3 +229,9 @@ def _traces(record: SessionRecord, links: EpisodeLinks) -> Iterator[Data]:
                 "episode": episode.id,
                 "link": links.of_episode(episode.id, episode.component),
             }
+
+
+def table_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
+    """The further tables of the session."""
+    tables = list(concluded_tables(record))
+    return {"tables": tables} if tables else {}

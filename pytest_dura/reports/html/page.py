@@ -145,6 +145,7 @@ VIEWS: Sequence[View] = (
     View("monitors", "Monitors", verdict_sections.monitor_section),
     View("faults", "Faults", episode_sections.fault_section),
     View("failure_modes", "Failure modes", episode_sections.failure_mode_section),
+    View("tables", "Further tables", overview_sections.table_section, printed=True),
     View("provenance", "Provenance", verdict_sections.provenance_section),
     View("files", "Files", overview_sections.files_section),
 )

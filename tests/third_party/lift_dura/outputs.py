@@ -1,4 +1,4 @@
-"""An executor with a fresh process for each episode, and a table of the verdicts as a file."""
+"""An executor with a fresh process for each episode, a table, and one of the verdicts as a file."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from concurrent.futures import Executor, Future
 from typing import Any
 
 from pytest_dura import ExecutorKind
+from pytest_dura.evidence import ConcludedColumn, Table
 
 CALL = (
     "import importlib, json, sys; module, name, args = json.load(sys.stdin); "
@@ -60,3 +61,27 @@ def render(record: Any) -> str:
     for verdict in record.head.verdicts:
         rows.writerow([verdict.case, verdict.requirement, verdict.verdict])
     return table.getvalue()
+
+
+class Heights(Table):
+    """How far each case reached."""
+
+    name = "heights"
+    title = "Heights"
+    about = "Events of the cabin in each case."
+    columns = (ConcludedColumn("case"), ConcludedColumn("episodes", "episodes that were run"),
+               ConcludedColumn("time", "simulated time", "s"))  # fmt: skip
+
+    def __init__(self, head: Any) -> None:
+        """Begin to count."""
+        super().__init__(head)
+        self.seconds: dict[str, list[float]] = {}
+
+    def add(self, episode: Any) -> None:
+        """Add an episode."""
+        self.seconds.setdefault(episode.case, []).append(episode.timings.simulated_seconds)
+
+    def rows(self) -> Any:
+        """Return a row for each case."""
+        for case, seconds in sorted(self.seconds.items()):
+            yield case, len(seconds), sum(seconds)

@@ -2,7 +2,7 @@
 
 They fit wherever a function of an episode is asked for: as a user-defined metric, or as the measure
 of a requirement on pairs, such as ``pytest_dura.driving.measures:clearance_time``. An episode that
-has no value gives NaN.
+has no value gives NaN. A further measure of each episode is a module of this folder.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.measures import Measure
+from pytest_dura.core.registry import objects_below
 from pytest_dura.driving.roles.performance import STANDING
 
 
@@ -37,40 +38,6 @@ def gridlock(episode: Episode) -> bool:
 def collided(episode: Episode) -> bool:
     """Whether the ego was in contact with anything at any time."""
     return episode.ever("collided")
-
-
-MEASURES = (
-    Measure(
-        "collided",
-        heading="coll",
-        meaning="runs with a collision",
-        function=collided,
-        shown="share",
-        signals=("collided",),
-        severity="grave",
-        signal="collided",
-        event="collision",
-    ),
-    Measure(
-        "clearance_time",
-        heading="clearance",
-        meaning="time until the junction was cleared, over the runs that cleared it",
-        function=clearance_time,
-        shown="mean",
-        unit="s",
-        signals=("cleared",),
-    ),
-    Measure(
-        "gridlock",
-        heading="grid",
-        meaning="runs that had not cleared the junction when their time was up",
-        function=gridlock,
-        shown="count",
-        signals=("cleared",),
-        severity="notable",
-    ),
-)
-"""Measures of each driving episode."""
 
 
 def minimum_gap(episode: Episode) -> float:
@@ -103,3 +70,38 @@ def time_stopped(episode: Episode) -> float:
     """
     standing = episode.signal("speed")[:-1] < STANDING
     return float(np.diff(episode.time)[standing].sum()) if episode.ticks else math.nan
+
+
+MEASURES = (
+    Measure(
+        "collided",
+        heading="coll",
+        meaning="runs with a collision",
+        function=collided,
+        shown="share",
+        signals=("collided",),
+        severity="grave",
+        signal="collided",
+        event="collision",
+    ),
+    Measure(
+        "clearance_time",
+        heading="clearance",
+        meaning="time until the junction was cleared, over the runs that cleared it",
+        function=clearance_time,
+        shown="mean",
+        unit="s",
+        signals=("cleared",),
+    ),
+    Measure(
+        "gridlock",
+        heading="grid",
+        meaning="runs that had not cleared the junction when their time was up",
+        function=gridlock,
+        shown="count",
+        signals=("cleared",),
+        severity="notable",
+    ),
+    *objects_below(__name__, Measure),
+)
+"""Measures of each driving episode."""

@@ -1,0 +1,140 @@
+"""What a feature costs: adds it to a copy of the package, uses it, and prints the new file.
+
+Run: python benchmarks/prices.py
+
+Each feature is one file of ``benchmarks/prices/``, which is put into a copy of the package; no
+other file of the copy changes. Two shards of a session are run with it, verified and merged. The
+table says whether the feature's figures are in the terminal, in the page and in the merged record,
+and whether ``verify`` finds one that was changed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from machine import table
+
+ROOT = Path(__file__).resolve().parents[1]
+FEATURES = Path(__file__).with_name("prices")
+SESSION = ("-m", "pytest", "--dura-scenarios", "--dura-select=intersection/[np]*",
+           "--dura-runs=2", "-p", "no:cacheprovider", "-v")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Price:
+    """A feature.
+
+    Args:
+        feature: What it is.
+        file: Its file in ``prices/``.
+        folder: Where it goes.
+        heading: Its heading in the terminal and the page.
+        figure: Returns the object that holds its first figure in a record, and the key.
+    """
+
+    feature: str
+    file: str
+    folder: str
+    heading: str
+
+    def figure(self, record: dict[str, Any]) -> tuple[Any, Any]:
+        """The object that holds a figure of it in a record, and the key there."""
+        if self.file == "near_misses.py":
+            return record["conclusions"]["near_misses"]["rows"][0], 2
+        return record["episodes"][0]["outcome"]["measures"], "hardest_braking"
+
+
+PRICES = (
+    Price("figure of an episode", "hardest_braking.py", "driving/measures", "braking"),
+    Price("table of the session", "near_misses.py", "evidence/conclusions", "Near misses"),
+)
+
+
+def run(package: Path, *command: str) -> str:
+    """Run a command of Python with the copy of the package."""
+    environment = {**os.environ, "PYTHONPATH": str(package), "COLUMNS": "120"}
+    done = subprocess.run(
+        [sys.executable, *command],
+        cwd=package,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.stdout + done.stderr
+
+
+def measured(price: Price) -> list[str]:
+    """A row of the table: what one file brings."""
+    with tempfile.TemporaryDirectory() as folder:
+        package = Path(folder)
+        shutil.copytree(
+            ROOT / "pytest_dura",
+            package / "pytest_dura",
+            ignore=shutil.ignore_patterns("__pycache__"),
+        )
+        shutil.copytree(ROOT / "scenarios", package / "scenarios")
+        shutil.copy(FEATURES / price.file, package / "pytest_dura" / price.folder)
+        parts = [package / f"part-{number}" for number in (1, 2)]
+        shown = [
+            run(package, *SESSION, f"--dura-shard={number}/2", f"--dura-evidence={part}")
+            for number, part in enumerate(parts, 1)
+        ]
+        intact = all(
+            is_intact(run(package, "-m", "pytest_dura", "verify", str(part))) for part in parts
+        )
+        whole = package / "whole"
+        run(package, "-m", "pytest_dura", "merge", *map(str, parts), "--output", str(whole))
+        record = json.loads((whole / "evidence.json").read_text("utf-8"))
+        place, key = price.figure(record)
+        merged = place[key] is not None and is_intact(
+            run(package, "-m", "pytest_dura", "verify", str(whole))
+        )
+        page = price.heading.lower() in (whole / "report.html").read_text("utf-8").lower()
+        place[key] += 1
+        (whole / "evidence.json").write_text(json.dumps(record), encoding="utf-8")
+        forged = run(package, "-m", "pytest_dura", "verify", str(whole))
+        found = bool(re.search(r"evidence.json: /|its hardest_braking is", forged))
+    return [
+        price.feature,
+        f"`pytest_dura/{price.folder}/{price.file}`",
+        str(len((FEATURES / price.file).read_text("utf-8").splitlines())),
+        "yes" if any(price.heading in text for text in shown) else "no",
+        "yes" if page else "no",
+        "yes" if intact and found else "no",
+        "yes" if merged else "no",
+    ]
+
+
+def is_intact(output: str) -> bool:
+    """Whether ``verify`` found a bundle intact."""
+    return output.rstrip().endswith("\nintact")
+
+
+def main() -> None:
+    """Print the table, and each file."""
+    headers = [
+        "feature",
+        "new file; no other is edited",
+        "lines",
+        "terminal",
+        "page",
+        "verify",
+        "merge",
+    ]
+    print(table(headers, [measured(price) for price in PRICES]))
+    for price in PRICES:
+        print(f"\n```python\n{(FEATURES / price.file).read_text('utf-8')}```")
+
+
+if __name__ == "__main__":
+    main()

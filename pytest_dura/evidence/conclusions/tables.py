@@ -1,0 +1,93 @@
+"""Tables: further tables of a session, of this package and of others, which every format shows.
+
+A table is a class with columns and rows. One of this package is a module of this folder, one of
+another package an entry point; nothing else names it.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar
+
+from pytest_dura.core.registry import Registry, modules_below
+from pytest_dura.evidence.conclusions.conclusion import Conclusion
+from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.model import (
+    CellValue,
+    ConcludedColumn,
+    ConcludedTable,
+    RecordHead,
+)
+
+__all__ = ["TABLES", "ConcludedColumn", "Table", "Tables", "unknown_tables"]
+
+
+class Table(Conclusion):
+    """A table of a session, concluded from its episodes.
+
+    Its rows follow from the episodes and the head of the record alone, in an order of their own.
+    """
+
+    name: ClassVar[str]
+    """Its key in ``conclusions``."""
+    title: ClassVar[str]
+    """Its heading."""
+    about: ClassVar[str] = ""
+    """What it shows, in one sentence."""
+    columns: ClassVar[Sequence[ConcludedColumn]]
+    """The first one names the row."""
+
+    @abstractmethod
+    def rows(self) -> Iterable[Sequence[CellValue]]:
+        """Return its rows, each with a value for each column; ``head`` has verdicts by now."""
+
+    def concluded(self, head: RecordHead) -> Mapping[str, Any]:
+        """Return its entry of ``conclusions``; nothing without rows."""
+        self.head = head
+        rows = tuple(map(tuple, self.rows()))
+        columns = tuple(self.columns)
+        return {self.name: ConcludedTable(self.title, self.about, columns, rows)} if rows else {}
+
+
+TABLES: Registry[type[Table]] = Registry(
+    "pytest_dura.conclusions",
+    "table of a session",
+    lambda value: isinstance(value, type) and issubclass(value, Table),
+    "a subclass of pytest_dura.evidence.Table",
+)
+"""Tables of other packages by their names."""
+
+
+def all_tables() -> Iterator[type[Table]]:
+    """Import the tables, those of this package first."""
+    for module in modules_below(__package__ or ""):
+        for value in vars(module).values():
+            if isinstance(value, type) and issubclass(value, Table) and value is not Table:
+                yield value
+    yield from (table for _, table in TABLES.items())
+
+
+class Tables(Conclusion):
+    """Concludes the key ``conclusions``."""
+
+    def __init__(self, head: RecordHead) -> None:
+        super().__init__(head)
+        self._tables = [table(head) for table in all_tables()]
+
+    def add(self, episode: EpisodeEntry) -> None:
+        """Add an episode."""
+        for table in self._tables:
+            table.add(episode)
+
+    def concluded(self, head: RecordHead) -> Mapping[str, Any]:
+        """Conclude them; those that only the record knows stay as they are."""
+        known = {name: head.conclusions[name] for name in unknown_tables(head)}
+        for table in self._tables:
+            known.update(table.concluded(head))
+        return {"conclusions": dict(sorted(known.items()))}
+
+
+def unknown_tables(head: RecordHead) -> list[str]:
+    """List the tables of a record that cannot be concluded here, as they are not installed."""
+    return sorted(head.conclusions.keys() - {table.name for table in all_tables()})
