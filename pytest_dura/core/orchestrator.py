@@ -105,8 +105,9 @@ MAX_YOUNG_OBJECTS = 10_000
 def rare_collections() -> Iterator[None]:
     """Context in which Python looks for cycles after more new objects than the usual 700.
 
-    All that a tick leaves is kept until the episode ends, so that looking through it again and
-    again frees nothing: that took a tenth of a session. Where the collector is off, or looks no
+    All that a tick leaves is kept until the episode ends, and all that is collected until the
+    session does, so that looking through it again and again frees nothing: that took a tenth of a
+    session. Where the collector is off, or looks no
     more often, nothing changes; and what others set meanwhile stays.
     """
     before = gc.get_threshold()

@@ -57,7 +57,14 @@ def offers(group: str) -> Mapping[str, tuple[Offer, ...]]:
 
 
 def _import_path() -> tuple[str, ...]:
-    return tuple(sys.path) if "" not in sys.path else (str(Path.cwd()), *filter(None, sys.path))
+    return (
+        tuple(sys.path) if "" not in sys.path else (_working_directory(), *filter(None, sys.path))
+    )
+
+
+def _working_directory() -> str:
+    """Return the working directory; a path object of it is dear where a grid has thousands."""
+    return os.getcwd()  # noqa: PTH109
 
 
 @lru_cache(maxsize=64)

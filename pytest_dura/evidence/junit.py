@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 from pytest_dura.evidence import text
-from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.requirements.campaign_verdicts import CAMPAIGN_STATUSES
 from pytest_dura.requirements.episode_verdicts import EPISODE_STATUSES
+
+if TYPE_CHECKING:
+    from pytest_dura.evidence.model import SessionRecord
 
 JunitKey = tuple[str, str, str]
 """Case, requirement, and node id of the test; see :func:`junit_key`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, ClassVar, get_args
 
 from pydantic import BaseModel, Field, ValidationError, create_model
@@ -188,7 +188,7 @@ class FaultForm(FaultPart):
 
     effect_class: ClassVar[Callable[..., FaultEffect]]
 
-    @property
+    @cached_property
     def effect(self) -> FaultEffect:
         """What it does while it acts."""
         given = {PARAMETERS: getattr(self, PARAMETERS)} if hasattr(self, PARAMETERS) else {}
@@ -211,19 +211,24 @@ def form_of(kind: type[FaultEffect]) -> type[FaultForm]:
     return form
 
 
-def fault_form(data: Mapping[str, Any] | Fault, targets: Mapping[str, str] = NOTHING) -> FaultForm:
+def fault_form(
+    data: Mapping[str, Any] | Fault,
+    targets: Mapping[str, str] = NOTHING,
+    class_of: Callable[[str], type[FaultEffect]] = fault_class,
+) -> FaultForm:
     """Validate a fault, with defaults for ``id`` (the type) and ``target``.
 
     Args:
         data: As in a scenario file; or a fault.
         targets: Default target of each kind that a type can act on.
+        class_of: Returns the class of a type, as :func:`fault_class` does.
 
     Raises:
         ConfigurationError: For an unknown type or key, or a value out of range; ``key`` is the
             dotted path within the fault.
     """
     given = data.plain() if isinstance(data, Fault) else data
-    kind = fault_class(given.get("type", ""))
+    kind = class_of(given.get("type", ""))
     filled = {"id": given["type"], **given, "type": _registered_type(given["type"])}
     filled.pop(BY_CHANCE, None)
     target = targets.get(kind.acts_on, kind.default_target)

@@ -158,7 +158,7 @@ def _with_value(data: Any, path: Sequence[str], value: Any) -> Any:
     """Copy data with the value at a path, and create mappings on the way."""
     if not path:
         return value
-    inner = data if isinstance(data, Mapping) else {}
+    inner = data if isinstance(data, dict) else {}
     return {**inner, path[0]: _with_value(inner.get(path[0]), path[1:], value)}
 
 

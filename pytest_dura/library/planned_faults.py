@@ -11,7 +11,7 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean, error_at
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.trust import check_registered
 from pytest_dura.faults.activation import TOLERANCE, Until, by_channels, parse_condition
-from pytest_dura.faults.catalogue import FaultForm, fault_form
+from pytest_dura.faults.catalogue import FaultForm, fault_class, fault_form
 from pytest_dura.faults.model import (
     Channel,
     FaultEffect,
@@ -46,6 +46,7 @@ class FaultReader:
         self._channels = None if domain is None else domain.channels
         last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
         self._duration, self._end = scenario.lasts, last * scenario.time_step
+        self._classes: dict[str, type[FaultEffect]] = {}
         self._places: dict[tuple[str, str], Channel] = {}
         """The channels of types and targets that fit each other."""
         self._conditions: set[tuple[str, str, bool]] = set()
@@ -64,7 +65,7 @@ class FaultReader:
         """
         if ":" in str(data.get("type")):
             check_registered(str(data["type"]))
-        form = fault_form(self.by_channels(data), self._targets)
+        form = fault_form(self.by_channels(data), self._targets, self._class_of)
         fault = form.fault
         if self._channels is not None:
             self._check_place(fault, form.effect, self._channels)
@@ -82,6 +83,14 @@ class FaultReader:
     def by_channels(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Copy a fault's plain data, with each channel under its own name."""
         return by_channels(data, self._aliases)
+
+    def _class_of(self, name: str) -> type[FaultEffect]:
+        """Import the class of a type; a grid has many faults of one."""
+        if not isinstance(name, str):
+            return fault_class(name)
+        if name not in self._classes:
+            self._classes[name] = fault_class(name)
+        return self._classes[name]
 
     def _check_place(
         self, fault: Fault, effect: FaultEffect, channels: Mapping[str, Channel]

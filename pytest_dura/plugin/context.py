@@ -56,6 +56,8 @@ class SessionContext:
         """Ids that the markers of collected tests name."""
         self.marked: dict[str, Requirement] = {}
         """Requirements that are defined by markers alone."""
+        self.by_marker: dict[int, tuple[pytest.Mark, Requirement]] = {}
+        """By the identity of each marker, which is kept, so that no other object takes it."""
         self._faults_of: dict[str, Faults] = {}
         self._library: Library | ConfigurationError | None = None
         self._redactor: Redactor | None = None
@@ -98,15 +100,17 @@ class SessionContext:
             ConfigurationError: For files that cannot be used; the same one at every call.
         """
         if self._library is None:
+            from pytest_dura.core.orchestrator import rare_collections
             from pytest_dura.library.loading import load_library
 
             self.extend_import_path()
             try:
-                self._library = load_library(
-                    self.options.paths,
-                    builtin=self.options.builtin_scenarios,
-                    brought=self._brought_requirements(),
-                )
+                with rare_collections():
+                    self._library = load_library(
+                        self.options.paths,
+                        builtin=self.options.builtin_scenarios,
+                        brought=self._brought_requirements(),
+                    )
             except ConfigurationError as error:
                 self._library = error
         if isinstance(self._library, ConfigurationError):

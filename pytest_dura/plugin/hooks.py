@@ -185,10 +185,14 @@ class SessionHooks:
             baseline=session.evidence.given.baseline,
         )
 
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_collection(self) -> None:
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_collection(self) -> Generator[None, Any, Any]:
         """Take scenario items out of the arguments, which pytest would look up as files."""
+        from pytest_dura.core.orchestrator import rare_collections
+
         self.session.take_arguments()
+        with rare_collections():
+            return (yield)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Make one test per case and run."""

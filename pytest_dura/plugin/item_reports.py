@@ -35,7 +35,6 @@ from pytest_dura.plugin.outcomes import (
     episode_of,
     target_of,
 )
-from pytest_dura.reports.incidents import BriefRun, what_happened
 from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
@@ -44,6 +43,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.reports.incidents import BriefRun
     from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
     from pytest_dura.requirements.judgements import Assertion
     from pytest_dura.requirements.model import Requirement
@@ -230,6 +230,8 @@ def event_sentence(
     shown = judged or (examples[0] if examples else None)
     if episode is None or shown is None:
         return ""
+    from pytest_dura.reports.incidents import what_happened
+
     brief = _brief_run(episode)
     paired = result.requirement.paired
     event = brief.event_before(
@@ -248,6 +250,7 @@ def _brief_run(episode: Episode) -> BriefRun:
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.episodes import episode_record
     from pytest_dura.evidence.session_model import MeasureEntry
+    from pytest_dura.reports.incidents import BriefRun
 
     entry = EpisodeEntry.model_validate(with_chains(episode_record(episode, planned=True), {}))
     return BriefRun.of(entry, [*map(MeasureEntry.model_validate, episode.described_measures)])

@@ -259,6 +259,8 @@ class Selection:
         self.context = context
         self._planned: dict[str, int] = {}
         """Runs that are declared for each verdict."""
+        self._last: list[pytest.Item] | None = None
+        """The items that were left last time."""
         self._selected: dict[str, Any] = {
             "planned": 0, "asked": 0, "left_out": [], "runs": None, "declared_runs": [],
         }  # fmt: skip
@@ -269,6 +271,9 @@ class Selection:
 
     def select(self, items: Sequence[pytest.Item]) -> None:
         """Note the verdicts of those items that are left."""
+        if items == self._last:
+            return
+        self._last = [*items]
         selected = dict(self._verdicts(items))
         left_out = [name for name in self._planned if name not in selected]
         runs = self.context.options.runs
@@ -296,29 +301,30 @@ class Selection:
 
     def _verdicts(self, items: Sequence[pytest.Item]) -> Iterator[tuple[str, int]]:
         """Yield the verdicts that items would come to, each with its declared runs."""
-        known: dict[tuple[str, str], list[str]] = {}
+        known: dict[tuple[str, int], list[str]] = {}
         for item in items:
             target = target_of(item)
             if hasattr(item, "planned"):
                 yield item.nodeid, target.case.scenario.planned
             elif target is not None:
-                key = item.nodeid.partition("[")[0], target.case.id
+                test = item.nodeid.partition("[")[0]
+                # Of all its items only those of parameters with marks decide something else.
+                key = test, id(item) if item.callspec.marks else 0  # type: ignore[attr-defined]
                 if key not in known:
-                    known[key] = self._decided_by(item, *key)
+                    known[key] = self._decided_by(item)
                 for name in known[key]:
-                    yield name, target.declared
+                    about = f"{name} on {target.case.id} by {test}" if name else ""
+                    yield about or f"{test} on {target.case.id}", target.declared
 
-    def _decided_by(self, item: pytest.Item, test: str, case: str) -> list[str]:
-        """List the verdicts of a test on a case: one per requirement, or its own."""
+    def _decided_by(self, item: pytest.Item) -> list[str]:
+        """List the requirements that a test decides; an empty name for its own verdict."""
         if decides_nothing(item):
             return []
         try:
             names = [requirement.id for requirement in marked_requirements(self.context, item)]
         except ConfigurationError:  # the test reports it itself
             names = []
-        return [f"{name} on {case} by {test}" for name in dict.fromkeys(names)] or [
-            f"{test} on {case}"
-        ]
+        return list(dict.fromkeys(names)) or [""]
 
 
 _SHARD_KEY = "dura_shard"

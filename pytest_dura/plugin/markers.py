@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cache
 from typing import TYPE_CHECKING, Any, get_args
 
 import pytest
@@ -32,6 +33,14 @@ def marked_requirements(context: SessionContext, node: pytest.Item) -> list[Requ
 
 
 def _requirement(context: SessionContext, marker: pytest.Mark) -> Requirement:
+    """Return the requirement of a marker, which the items of a test share."""
+    known = context.by_marker.get(id(marker))
+    if known is None:
+        known = context.by_marker[id(marker)] = marker, _read_requirement(context, marker)
+    return known[1]
+
+
+def _read_requirement(context: SessionContext, marker: pytest.Mark) -> Requirement:
     from pytest_dura.requirements.model import Kind, Requirement
 
     given = _marker_arguments(marker, _requirement_marker)
@@ -136,7 +145,7 @@ def _requirement_marker(
 
 def _marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
     """Return the marker's arguments by name, defaults filled in."""
-    known = inspect.signature(signature)
+    known = _signature(signature)
     try:
         bound = known.bind(*marker.args, **marker.kwargs)
     except TypeError as error:
@@ -153,6 +162,7 @@ def _marker_arguments(marker: pytest.Mark, signature: Any) -> dict[str, Any]:
     return dict(bound.arguments)
 
 
+_signature = cache(inspect.signature)
 _FALSIFY = "falsify"
 
 
