@@ -10,7 +10,8 @@ import os
 import re
 import shutil
 import subprocess
-from collections import defaultdict
+import sys
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
@@ -432,36 +433,43 @@ def free_names():
     return [name.strip() for names in FREE.values() for name in names.split(",")]
 
 
+def test_the_fields_that_nothing_but_a_hash_protects_are_named_to_users():
+    text = (Path(__file__).parents[2] / "docs" / "trust.md").read_text()
+    assert [name for name in free_names() if f"`{name}`" not in text] == []
+
+
 def names_it(name, field, kind):
     """Whether the name of a field, or of a kind of other value of it, is about this one."""
     return re.match(re.escape(name) + r"(?![\w*])", f"{field} ({kind})") is not None
 
 
-def is_refuted(made, record, on_traces):
-    """Whether verify says anything against a record: by itself or its traces, formats aside.
+def found_by(made, record):
+    """What verify finds against a record first, formats aside; ``None`` for nothing.
 
-    What is slow comes last: reading the traces, whose verdicts ``on_traces`` has.
+    What is slow comes last: reading the traces.
     """
     if check_record(record):
-        return True
+        return "form"
     read = SessionRecord.of(record, made)
     read = read.changed(totals=conclude(read, [Totals]).head.totals)
-    checks = (
-        lambda: record_problems(read),
-        lambda: conclusion_problems(read),
-        lambda: trace_problems(read, {}),
-    )
+    checks = {
+        "contradiction": lambda: record_problems(read),
+        "conclusion": lambda: conclusion_problems(read),
+        "trace": lambda: trace_problems(read, {}),
+    }
     try:
-        return any(True for check in checks for _ in check())
+        return next(name for name, check in checks.items() if any(True for _ in check()))
+    except StopIteration:
+        return None
     except Exception:  # as verify reports it
-        return True
+        return "conclusion"
 
 
 def test_one_forged_field_is_found_whatever_field_it_is(made):
     """Each field of the schema that this session fills, with each kind of other value.
 
     Where a field stands several times, it is enough that one of its places is found: not all
-    verdicts rest on traces.
+    verdicts rest on traces. What finds them is printed, for the table of ``docs/trust.md``.
     """
     text = (made / "evidence.json").read_text()
     by_field = defaultdict(list)
@@ -473,20 +481,28 @@ def test_one_forged_field_is_found_whatever_field_it_is(made):
         for key, names in free.items()
         if not names and key[0].partition(".")[0] != "totals"  # a forger counts anew
     ]
-    on_traces, intact = {}, SessionRecord.of(json.loads(text), made)
-    assert [*trace_problems(intact, on_traces)] == []
+    assert [*trace_problems(SessionRecord.of(json.loads(text), made), {})] == []
     assert {name for names in free.values() for name in names} == {*free_names()}
     assert len(claims) > 350
-    missed = []
+    missed, table = [], defaultdict(Counter)
+    for field, _ in by_field:
+        table[field.partition(".")[0].partition("[")[0]]["values"] += 1
     for key in claims:
         places = by_field[key]
         for number in dict.fromkeys((0, len(places) - 1, len(places) // 2)):
             record = json.loads(text)
             places[number].apply(record)
-            if is_refuted(made, record, on_traces):
+            finder = found_by(made, record)
+            if finder is not None:
+                table[key[0].partition(".")[0].partition("[")[0]][finder] += 1
                 break
         else:
             missed.append(key)
+    finders = "values", "form", "contradiction", "conclusion", "trace"
+    for name, counts in sorted(table.items()):
+        others = counts["values"] - sum(counts[finder] for finder in finders[1:])
+        cells = map(str, (*(counts[finder] for finder in finders), others))
+        sys.stdout.write(f"| `{name}` | {' | '.join(cells)} |\n")
     assert not missed, "\n".join(f"{field} ({kind})" for field, kind in missed)
 
 
