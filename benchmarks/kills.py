@@ -140,10 +140,10 @@ class Project:
 
 def outcome(record: SessionRecord) -> dict[str, Any]:
     """What two sessions have to agree in: every episode by its digest, and every verdict."""
-    keys = {"requirement", "case", "verdict", "episodes", "violations", "missing"}
+    keys = ("requirement", "case", "verdict", "episodes", "violations", "missing")
     return {
         "episodes": sorted((one.id, one.digest) for one in record.episodes()),
-        "verdicts": [one.to_json(include=keys) for one in record.head.verdicts],
+        "verdicts": [{key: getattr(one, key) for key in keys} for one in record.head.verdicts],
         "gate": record.head.gate.result,
     }
 

@@ -6,6 +6,8 @@ import pytest
 from corridors import requirement, scenario
 from outputs import output
 
+from pytest_dura.core.codec import encode
+
 REFUSED = "`gap > 0` is judged at the beginning of the episode alone"
 CERTAIN = "the formula holds whatever the signals are"
 
@@ -121,7 +123,7 @@ def test_a_verdict_by_assertion_says_so_and_what_the_test_looked_at(project, mod
     assert result.ret == 0
     found = project.verdict("OWN-1", "corridor/free")
     assert (found.verdict, found.check) == ("supported", "")
-    assert found.assertion.to_json() == {
+    assert encode(found.assertion) == {
         "alone": True, "by_check": 0, "observed": ["collided", "signals.gap"], "false": [],
         "failed": [],
     }  # fmt: skip
@@ -138,7 +140,7 @@ def test_a_verdict_by_the_own_check_of_a_requirement_says_nothing_of_assertions(
     result = project.run("test_it.py")
     assert result.ret == 0
     found = project.verdict("GAP-1", "corridor/free").assertion
-    assert (found.alone, found.observed) == (False, [])
+    assert (found.alone, found.observed) == (False, ())
     assert "by assertion" not in output(result)
 
 
@@ -166,7 +168,7 @@ def test_a_formula_that_is_false_in_a_passing_test_is_shown(project):
     result = project.run("test_it.py")
     assert result.ret == 0
     found = project.verdict("OWN-1", "corridor/free").assertion
-    assert [false.to_json() for false in found.false] == [
+    assert encode(found.false) == [
         {"check": "always (gap > 50)", "episodes": 2},
         {"check": "eventually (x > 99)", "episodes": 2},
     ]

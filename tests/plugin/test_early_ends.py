@@ -107,7 +107,7 @@ def test_one_open_run_leaves_a_requirement_without_a_rate_undecided(crashing):
 def test_an_eventuality_that_is_due_at_a_crash_is_violated(crashing, check):
     crash(crashing, check)
     found = expect(crashing, crashing.run("corridor/it"), "violated", "valid episodes violated it")
-    assert (found.violations, found.open) == (found.episodes, [])
+    assert (found.violations, found.open) == (found.episodes, ())
 
 
 def test_a_halt_leaves_open_what_was_to_hold_always(crashing):
@@ -147,7 +147,7 @@ def test_a_crash_that_no_requirement_sees_is_undecided(crashing):
     reason = "a crash that no requirement sees: corridor/it#0"
     found = expect(crashing, result, "undecided", reason)
     assert len(found.unseen_crashes) == found.run
-    assert found.open == []
+    assert found.open == ()
 
 
 def test_a_crash_that_another_requirement_sees_is_no_obstacle(crashing):

@@ -249,7 +249,7 @@ def test_an_attempt_that_asks_for_no_verdict_is_no_pass(project, retrying):
     result = project.run_apart("test_it.py", *retrying, "-k", "campaign")
     assert result.ret == 1
     verdict = project.verdict("OWN-1")
-    assert (verdict.verdict, verdict.waiver, verdict.attempts) == ("violated", None, [])
+    assert (verdict.verdict, verdict.waiver, verdict.attempts) == ("violated", None, ())
 
 
 def test_attempts_that_all_pass_need_no_waiver(project):

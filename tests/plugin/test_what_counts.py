@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from corridors import IDLE, expect, requirement, scenario
 
+from pytest_dura.requirements.campaign_verdicts import UncountedEpisode
+
 RULES = {
     "the Generator raises, exceeds its time budget, or returns no valid action": [
         "test_what_counts.py::test_a_generator_that_fails_is_an_event_and_the_episode_is_judged",
@@ -186,7 +188,7 @@ def test_another_role_or_the_simulator_fails_and_the_episode_is_missing(project,
     reason = "2 of 2 episodes are missing (infrastructure); none of the episodes was valid"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
     assert (found.planned, found.run, found.missing) == (2, 2, 2)
-    assert found.spoilt.detail.startswith(f"infrastructure: {start}")
+    assert found.first_uncounted.detail.startswith(f"infrastructure: {start}")
     message = result.stdout.str().partition("corridor/it::GAP-1 _")[2].splitlines()[1]
     assert message.startswith(f"infrastructure: {start}")
 
@@ -226,11 +228,8 @@ def test_a_planned_fault_that_never_manifested_is_invalid(project):
     result = project.run("-v", "corridor/it")
     reason = "3 of 3 episodes are invalid, more than 20%; none of the episodes was valid"
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
-    assert found.spoilt.to_json() == {
-        "episode": "corridor/it#0",
-        "verdict": "invalid",
-        "detail": "never manifested: ghost-obstacle",
-    }
+    detail = "never manifested: ghost-obstacle"
+    assert found.first_uncounted == UncountedEpisode("corridor/it#0", "invalid", detail)
     assert "invalid: corridor/it#0: never manifested: ghost-obstacle" in result.stdout.str()
 
 
@@ -285,7 +284,7 @@ def test_the_trace_ends_before_a_window_and_is_invalid_for_it_alone(project, lim
     result = project.run("corridor/it")
     reason = "1 of 1 episodes are invalid, more than 20%; none of the episodes was valid"
     found = expect(project, result, "undecided", reason)
-    assert "robustness between -0.25 and 0.05" in found.spoilt.detail
+    assert "robustness between -0.25 and 0.05" in found.first_uncounted.detail
     assert "robustness between -0.25 and 0.05" in result.stdout.str()
     other = expect(project, result, "supported", requirement="GAP-1", ret=1)
     assert (other.episodes, other.invalid) == (1, 0)
