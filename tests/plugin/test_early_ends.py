@@ -127,7 +127,7 @@ def test_an_end_by_goal_is_judged_on_the_trace_as_it_stands(crashing, check, wor
     # The first window lies behind the end altogether: such passes are vacuous.
     crash(crashing, check, world="{goal: 2}")
     found = expect(crashing, crashing.run("corridor/it"), word)
-    assert (found.open, found.invalid) == ([], 0)
+    assert (found.open, found.invalid) == ((), 0)
     assert ("vacuous" in found.reason) == (word == "undecided")
 
 
