@@ -28,9 +28,9 @@ from statistics import median
 
 from machine import machine, table
 
+from pytest_dura import Runner
 from pytest_dura.execution import EpisodeStore, EpisodeTask, Execution, ExecutorChoice
 from pytest_dura.library import expand_cases, load_library
-from pytest_dura.runner import Runner
 
 WIDTH = 2
 

@@ -1,8 +1,8 @@
 from .adapters.black_box import BlackBox, Input, InputCurve
-from .campaign.campaign import Campaign
+from .campaign.campaign import Campaign, RequirementViolated
 from .campaign.falsification import Falsification
 from .campaign.pairs import PairedCampaign
-from .campaign.runs import RequirementViolated
+from .campaign.runner import Runner
 from .core.conformance import check_role
 from .core.episode import Episode, EpisodeSpec, Policy, Termination
 from .core.errors import (
@@ -61,7 +61,6 @@ from .requirements.checks import CheckResult
 from .requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, SearchedEpisode
 from .requirements.model import Paired, Requirement
 from .requirements.monitoring.stl_monitor import StlSafetyMonitor
-from .runner import Runner
 from .search.falsify import Falsified
 
 __version__: str

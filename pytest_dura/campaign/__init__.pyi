@@ -1,5 +1,4 @@
 from .events import (
-    CausalChain,
     EpisodeUsed,
     EventStream,
     FaultsTraced,
@@ -22,6 +21,7 @@ from .falsification import (
     Shrinking,
     SpaceCoverage,
 )
+from .fault_tracing import CausalChain
 
 __all__ = [
     "CausalChain",

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from pytest_dura.campaign.falsification import BUDGET, SHRINK_BUDGET, Falsifier
+from pytest_dura.campaign.events import VerdictReached
+from pytest_dura.campaign.falsification import BUDGET, SHRINK_BUDGET
 from pytest_dura.campaign.pairs import PairedCampaign
-from pytest_dura.campaign.runs import CampaignRuns
-from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+from pytest_dura.core.display import Shown
+from pytest_dura.core.episode import Episode
+from pytest_dura.core.errors import ConfigurationError, DuraError
+from pytest_dura.core.text import one_line
+from pytest_dura.execution.task import UpcomingTasks
+from pytest_dura.library.cases import Case
+from pytest_dura.library.requirements import check_formula
+from pytest_dura.requirements.campaign_judge import RunSchedule
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, explain_verdict, varies
 from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_episode
-from pytest_dura.requirements.judgements import RunJudgement
-from pytest_dura.requirements.model import Method, Requirement
-from pytest_dura.requirements.runs import CheckVerdict
+from pytest_dura.requirements.judgements import CampaignCourse, Judgement, RunJudgement
+from pytest_dura.requirements.model import Method, Requirement, requirement_of_call
+from pytest_dura.requirements.runs import CheckVerdict, Run
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.falsification import Falsification
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.library.fault_campaigns import FaultCampaign
 
 
@@ -26,8 +34,37 @@ ObjectiveLike: TypeAlias = "str | Requirement | Check"
 """Objective of a search: id of a requirement, a requirement, or a check."""
 
 
+@dataclass
+class ComponentFailures:
+    """The first failure of the component itself, and in how many episodes there was one."""
+
+    first: str = ""
+    count: int = 0
+    episodes: int = 0
+
+    def add(self, episode: Episode) -> None:
+        """Take in an episode."""
+        self.episodes += 1
+        failed = [event for event in episode.events if event.kind == "component_failure"]
+        if failed:
+            text = f"{failed[0].subject} {failed[0].detail} (t = {failed[0].time:.2f} s)"
+            self.first = self.first or text
+            self.count += 1
+
+    def __str__(self) -> str:
+        return f"{self.first}; in {self.count} of {self.episodes} episodes" if self.first else ""
+
+
+class RequirementViolated(DuraError):  # noqa: N818 - it is an outcome, not an error
+    """A campaign does not support a requirement. ``verdict`` holds the counts it rests on."""
+
+    def __init__(self, message: str, verdict: CampaignVerdict) -> None:
+        self.verdict = verdict
+        super().__init__(message)
+
+
 @dataclass(repr=False)
-class Campaign(CampaignRuns):
+class Campaign(Shown):
     """All episodes of a case that a verdict rests on.
 
     Args:
@@ -38,94 +75,38 @@ class Campaign(CampaignRuns):
         until_decided: Whether runs end as soon as the requirement at hand is decided.
     """
 
-    search: Falsifier | None = field(default=None, kw_only=True)
+    runner: Runner
+    case: Case
+    planned: int
+    requirement: Requirement | None = None
+    until_decided: bool = False
+    failures: ComponentFailures = field(default_factory=ComponentFailures, init=False)
+    """Of the component itself, in the episodes that the last verdict rests on."""
+    judgement: Judgement | None = field(default=None, init=False)
+    """The last question that was decided, with the runs that decided it."""
 
-    def judge(self, requirement: Requirement, check: Check | None = None) -> CampaignVerdict:
-        """The verdict of a requirement on as many episodes as it needs.
+    def __repr__(self) -> str:
+        return f"Campaign({one_line(repr(self.case.id), 80)}, {self.planned} runs planned)"
 
-        Args:
-            requirement: The requirement; its rate and method say how many episodes it needs.
-            check: A check in place of the requirement's own.
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows; nothing is simulated for it."""
+        yield "case", self.case.id
+        yield "component", self.component
+        yield "runs planned", str(self.planned)
+        yield "requirement", None if self.requirement is None else self.requirement.id
 
-        Raises:
-            ConfigurationError: For a check that cannot be read, and a rate or method that makes
-                no sense.
-        """
-        if requirement.paired is not None:
-            return self.paired(requirement.paired.without).judge(requirement, check)
-        course, declared = self.course_of(requirement, check), self.is_declared(requirement, check)
+    @property
+    def component(self) -> str:
+        """Name of the component under test."""
+        return self.case.roles(self.runner.roles)["generator"].label
 
-        def judged() -> Iterator[tuple[RunJudgement, Sequence[JudgedEpisode]]]:
-            for episode in self.in_order([self.case], course):
-                verdict = CheckVerdict.of(judge_episode(requirement, episode, check))
-                stated = None if declared else verdict
-                yield RunJudgement(episode.digest, episode.spec.run, verdict=stated), [episode]
+    @property
+    def episodes(self) -> list[JudgedEpisode]:
+        """The planned runs, and a further run for each invalid one as far as the budget goes."""
+        return list(self)
 
-        self.decide(course, judged())
-        return course.verdict()
-
-    def falsify(
-        self,
-        requirement: ObjectiveLike | Sequence[ObjectiveLike] | None = None,
-        *,
-        budget: int = BUDGET,
-        faults: FaultCampaign | Sequence[FaultCampaign] = (),
-        at_most: int = 1,
-        shrink: int = SHRINK_BUDGET,
-        seed: int | None = None,
-    ) -> Falsification:
-        """Search this campaign's case for violations; what comes of it enters no rate.
-
-        What the scenario declares under ``variation`` is searched, and faults that may be added,
-        both in one space. A violation that is found is replayed, made simpler, and stored as
-        a scenario file, if the session has a place for it.
-
-        Args:
-            requirement: Id of a requirement, a formula, a function of the episode or its import
-                path, or several of them. Without one, that of the test's marker.
-            budget: Simulations of the search.
-            faults: Faults that may be added to those of the case: names of the catalogue, globs,
-                ``catalogue``, or faults as data.
-            at_most: How many of them may act together.
-            shrink: Simulations for making each counterexample simpler; 0 leaves it as it is.
-            seed: From which its draws follow; by default from the session's seed and the case.
-
-        Returns:
-            The search, if no violation was found.
-
-        Raises:
-            Falsified: If a violation was found, or too many simulations were inconclusive.
-            ConfigurationError: For what cannot be judged or searched.
-        """
-        __tracebackhide__ = True
-        if self.search is None:
-            raise ConfigurationError(
-                "this campaign was made without a search",
-                key="falsify",
-                remedy="take it from Runner.campaign(...)",
-            )
-        try:
-            return self.search(
-                self, requirement, budget=budget, faults=faults, at_most=at_most,
-                shrink=shrink, seed=seed,
-            )  # fmt: skip
-        except ConfigurationError as error:
-            raise error.with_traceback(None) from None
-
-    def paired(self, without: str) -> PairedCampaign:
-        """The same runs beside runs of equal seeds without something.
-
-        Args:
-            without: ``faults``, or the name of a role that is switched off there.
-
-        Raises:
-            ConfigurationError: If there is no such role, or there are no faults.
-        """
-        __tracebackhide__ = True
-        try:
-            return PairedCampaign(self, without)
-        except ConfigurationError as error:
-            raise error.with_traceback(None) from None
+    def __iter__(self) -> Iterator[JudgedEpisode]:
+        return self.in_order([self.case])
 
     def require(
         self,
@@ -161,9 +142,8 @@ class Campaign(CampaignRuns):
             given |= {"check": check_name(check)}
         try:
             own = self._own_requirement() if check is None else self.requirement
-            requirement = self.requirement_of_call(
-                own or Requirement(id=check_name(check or "")), given
-            )
+            own = own or Requirement(id=check_name(check or ""))
+            requirement = requirement_of_call(own, self.runner.library().requirements, given)
             verdict = self.judge(requirement, check)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
@@ -180,3 +160,208 @@ class Campaign(CampaignRuns):
                 remedy='call campaign.require("always (gap > 0)"), or add a `check` to the file',
             )
         return own
+
+    def judge(self, requirement: Requirement, check: Check | None = None) -> CampaignVerdict:
+        """The verdict of a requirement on as many episodes as it needs.
+
+        Args:
+            requirement: The requirement; its rate and method say how many episodes it needs.
+            check: A check in place of the requirement's own.
+
+        Raises:
+            ConfigurationError: For a check that cannot be read, and a rate or method that makes
+                no sense.
+        """
+        if requirement.paired is not None:
+            return self.paired(requirement.paired.without).judge(requirement, check)
+        course, declared = self.course_of(requirement, check), self.is_declared(requirement, check)
+
+        def judged() -> Iterator[tuple[RunJudgement, Sequence[JudgedEpisode]]]:
+            for episode in self.in_order([self.case], course):
+                verdict = CheckVerdict.of(judge_episode(requirement, episode, check))
+                stated = None if declared else verdict
+                yield RunJudgement(episode.digest, episode.spec.run, verdict=stated), [episode]
+
+        self.decide(course, judged())
+        return course.verdict()
+
+    def paired(self, without: str) -> PairedCampaign:
+        """The same runs beside runs of equal seeds without something.
+
+        Args:
+            without: ``faults``, or the name of a role that is switched off there.
+
+        Raises:
+            ConfigurationError: If there is no such role, or there are no faults.
+        """
+        __tracebackhide__ = True
+        try:
+            return PairedCampaign(self, without)
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+
+    def falsify(
+        self,
+        requirement: ObjectiveLike | Sequence[ObjectiveLike] | None = None,
+        *,
+        budget: int = BUDGET,
+        faults: FaultCampaign | Sequence[FaultCampaign] = (),
+        at_most: int = 1,
+        shrink: int = SHRINK_BUDGET,
+        seed: int | None = None,
+    ) -> Falsification:
+        """Search this campaign's case for violations; what comes of it enters no rate.
+
+        What the scenario declares under ``variation`` is searched, and faults that may be added,
+        both in one space. A violation that is found is replayed, made simpler, and stored as
+        a scenario file, if the session has a place for it.
+
+        Args:
+            requirement: Id of a requirement, a formula, a function of the episode or its import
+                path, or several of them. Without one, that of the test's marker.
+            budget: Simulations of the search.
+            faults: Faults that may be added to those of the case: names of the catalogue, globs,
+                ``catalogue``, or faults as data.
+            at_most: How many of them may act together.
+            shrink: Simulations for making each counterexample simpler; 0 leaves it as it is.
+            seed: From which its draws follow; by default from the session's seed and the case.
+
+        Returns:
+            The search, if no violation was found.
+
+        Raises:
+            Falsified: If a violation was found, or too many simulations were inconclusive.
+            ConfigurationError: For what cannot be judged or searched.
+        """
+        __tracebackhide__ = True
+        falsifier = self.runner.falsifier
+        if falsifier is None:
+            raise ConfigurationError(
+                "the runner of this campaign was made without a search",
+                key="falsify",
+                remedy="take the runner from the fixture `orchestrator`, or make it with "
+                "Runner(..., falsifier=pytest_dura.search.falsify_campaign)",
+            )
+        try:
+            return falsifier(
+                self, requirement, budget=budget, faults=faults, at_most=at_most,
+                shrink=shrink, seed=seed,
+            )  # fmt: skip
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+
+    def in_order(
+        self, cases: Sequence[Case], course: CampaignCourse | None = None
+    ) -> Iterator[JudgedEpisode]:
+        """The planned runs, and a further run for each invalid one as far as the budget goes.
+
+        Args:
+            cases: This campaign's, and those whose runs are judged along with it.
+            course: Ends the runs once they decide; each run is added to it before the next one.
+        """
+        judge = None if course is None else course.judge
+        schedule = RunSchedule(self.planned, sequential=self.until_decided)
+        schedule = schedule if course is None else course.schedule
+        decided = self.requirement if judge is None else judge.requirement
+        subject = "" if decided is None else decided.id
+        run, ahead = 0, self.upcoming(cases)
+        with self.runner.progress(self.case, subject, schedule.end, judge) as reach:
+            while run < schedule.end if course is None else course.goes_on:
+                ahead.reach(run)
+                reach(run, schedule.end)
+                episode = self.runner.episode(self.case, run, planned=self.planned, ahead=ahead)
+                yield episode
+                run += 1
+                if course is None:
+                    schedule.add(episode.validity)
+
+    def upcoming(self, cases: Sequence[Case]) -> UpcomingTasks:
+        """The planned runs of several cases as tasks, run by run."""
+        return UpcomingTasks(
+            self.planned, lambda run: [self.runner.task(case, run) for case in cases]
+        )
+
+    def decide(
+        self,
+        course: CampaignCourse,
+        judged: Iterable[tuple[RunJudgement, Sequence[JudgedEpisode]]],
+    ) -> list[int]:
+        """Add runs to a course one by one, then trace their faults.
+
+        Args:
+            course: The course.
+            judged: What the question's check says of each run, with the run itself, and with its
+                twin if it is one of a pair.
+
+        Returns:
+            The numbers of the runs.
+        """
+        requirements = self.runner.requirements_of(self.case)
+        self.failures = ComponentFailures()
+        runs, faulty = [], []
+        for judgement, episodes in judged:
+            course.add(judgement, *(Run.of(episode, requirements) for episode in episodes))
+            for episode in episodes:
+                self.failures.add(episode)
+            runs.append(episodes[0].spec.run)
+            if episodes[0].faults:
+                faulty.append(runs[-1])
+        # Once all have run, so that a component that remembers episodes meets no twin between them.
+        self.runner.trace_faults(self.case, faulty)
+        self.judgement = course.judgement
+        return runs
+
+    def course_of(
+        self, requirement: Requirement, check: Check | None = None, twins: str = ""
+    ) -> CampaignCourse:
+        """Begin the course of this campaign's runs.
+
+        Args:
+            requirement: What decides on them.
+            check: A check in place of the requirement's own.
+            twins: Id of the case of the second runs, if pairs are judged.
+
+        Raises:
+            ConfigurationError: Before anything is run, for a requirement that cannot be judged.
+        """
+        if self.runner.simulator is None:  # signals of another simulator are known once it runs
+            check_formula(self.case.scenario, requirement.check if check is None else check)
+        question = Judgement(
+            "campaign",
+            requirement.id,
+            self.case.id,
+            self.component,
+            self.planned,
+            requirement.check if check is None else check_name(check),
+            requirement.paired,
+            requirement.at_most,
+            requirement.confidence,
+            requirement.method,
+            requirement.p0,
+            self.until_decided,
+            twins,
+        )
+        faults = {fault.id for fault in self.case.faults}
+        return CampaignCourse(question, varies=varies(self.case.scenario.variation, faults))
+
+    def is_declared(self, requirement: Requirement, check: Check | None) -> bool:
+        """Whether runs have a verdict on a requirement themselves, as its case declares it."""
+        if requirement.id not in self.case.requirements or callable(check):
+            return False
+        declared = self.runner.library().requirements[requirement.id].check
+        return declared == (requirement.check if check is None else check)
+
+    def report_verdict(self, verdict: CampaignVerdict, requirement: Requirement) -> CampaignVerdict:
+        """Report a verdict, and return it if it is "supported".
+
+        Raises:
+            RequirementViolated: If it is not.
+        """
+        __tracebackhide__ = True
+        assert self.judgement is not None
+        self.runner.events.emit(VerdictReached(verdict, requirement, self.judgement))
+        if verdict.verdict != "supported":
+            raise RequirementViolated(
+                "\n".join(explain_verdict(verdict, requirement, str(self.failures))), verdict
+            )
+        return verdict

@@ -7,13 +7,12 @@ themselves, and no copies: a subscriber changes none of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.falsification import Falsification
-    from pytest_dura.core.episode import OutcomeStatus, PropagationStatus
-    from pytest_dura.core.metrics import FaultRecord
+    from pytest_dura.campaign.fault_tracing import CausalChain
     from pytest_dura.library.cases import Case, SearchedCase
     from pytest_dura.requirements.campaign_judge import CampaignJudge
     from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
@@ -21,42 +20,6 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.judgements import Judgement
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.monitoring.quality import MonitorQuality
-
-
-@dataclass(frozen=True)
-class CausalChain:
-    """One fault of one episode, from plan to outcome; times in s, ``None`` for what never was.
-
-    Args:
-        record: From plan to recovery, as the loop saw it.
-        propagation: Whether the proposals left those of the fault-free twin; ``None`` if the fault
-            never manifested or that was not measured.
-        propagated_at: When they did.
-        unknown: Why that cannot be said.
-        outcome: See :func:`outcome_of`.
-        violated: Requirements that were violated from its manifestation on.
-        violated_without: Those among them that the fault-free twin violates, too; ``None`` if
-            there is no twin to tell.
-    """
-
-    record: FaultRecord
-    propagation: PropagationStatus | None
-    propagated_at: float | None
-    unknown: str
-    outcome: OutcomeStatus
-    violated: tuple[str, ...] = ()
-    violated_without: tuple[str, ...] | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record."""
-        own = {key: value for key, value in vars(self).items() if key != "record"}
-        return {
-            **asdict(self.record),
-            **{
-                key: list(value) if isinstance(value, tuple) else value
-                for key, value in own.items()
-            },
-        }
 
 
 @dataclass(frozen=True, slots=True)

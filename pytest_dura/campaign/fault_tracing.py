@@ -1,22 +1,61 @@
-"""Causal chains: each fault of an episode from its plan to what came of it.
-
-FaultTracer compares a run with faults with the run of the same seed without any.
-"""
+"""Causal chains: each fault of an episode from its plan to what came of it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
-from pytest_dura.campaign.events import CausalChain, FaultsTraced
-from pytest_dura.campaign.runner import EpisodeRunner
-from pytest_dura.core.episode import Divergence, Episode, outcome_of
+from pytest_dura.core.episode import (
+    Divergence,
+    Episode,
+    OutcomeStatus,
+    PropagationStatus,
+    outcome_of,
+)
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.execution.store import EpisodeKey, key_of
-from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
-from pytest_dura.library.cases import Case
-from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_episode
+from pytest_dura.requirements.episode_verdicts import judge_episode
 from pytest_dura.requirements.model import Requirement
+
+TWINS_SUBJECT = "fault-free twins"
+"""Subject of these runs in reports of progress."""
+
+
+@dataclass(frozen=True)
+class CausalChain:
+    """One fault of one episode, from plan to outcome; times in s, ``None`` for what never was.
+
+    Args:
+        record: From plan to recovery, as the loop saw it.
+        propagation: Whether the proposals left those of the fault-free twin; ``None`` if the fault
+            never manifested or that was not measured.
+        propagated_at: When they did.
+        unknown: Why that cannot be said.
+        outcome: See :func:`outcome_of`.
+        violated: Requirements that were violated from its manifestation on.
+        violated_without: Those among them that the fault-free twin violates, too; ``None`` if
+            there is no twin to tell.
+    """
+
+    record: FaultRecord
+    propagation: PropagationStatus | None
+    propagated_at: float | None
+    unknown: str
+    outcome: OutcomeStatus
+    violated: tuple[str, ...] = ()
+    violated_without: tuple[str, ...] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data for the evidence record."""
+        own = {key: value for key, value in vars(self).items() if key != "record"}
+        return {
+            **asdict(self.record),
+            **{
+                key: list(value) if isinstance(value, tuple) else value
+                for key, value in own.items()
+            },
+        }
 
 
 def causal_chains(
@@ -80,81 +119,3 @@ def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[s
         if verdict.verdict == "violated":
             violated[requirement.id] = verdict.time
     return violated
-
-
-TWINS_SUBJECT = "fault-free twins"
-"""Subject of these runs in reports of progress."""
-
-
-class FaultTracer:
-    """Follows each fault of an episode from plan to outcome, once.
-
-    Args:
-        runner: Runs the episodes, and emits the chains of each that is traced.
-    """
-
-    def __init__(self, runner: EpisodeRunner) -> None:
-        self.runner = runner
-        self._reported: set[EpisodeKey] = set()
-
-    def follow(self, case: Case, runs: Sequence[int]) -> None:
-        """Emit the causal chains of episodes that were run before, each once.
-
-        Args:
-            case: The case.
-            runs: Numbers of the runs.
-        """
-        runner = self.runner
-        tasks = {run: runner.task(case, run) for run in runs}
-        due = [run for run in runs if key_of(tasks[run]) not in self._reported]
-        if not runner.store.execution.inside:
-            self._fetch_twins(case, [tasks[run] for run in due])
-        upcoming = UpcomingTasks(len(due), lambda step: self._twins(case, tasks[due[step]]))
-        with runner.progress(case, TWINS_SUBJECT, len(due)) as reach:
-            for step, run in enumerate(due):
-                upcoming.reach(step)
-                reach(step, len(due))
-                episode = runner.fetch(case, run)
-                self._reported.add(key_of(tasks[run]))
-                chains = self.chains(case, episode, upcoming)
-                runner.events.emit(FaultsTraced(case, episode, chains))
-
-    def _fetch_twins(self, case: Case, tasks: Sequence[EpisodeTask]) -> None:
-        """Let other processes simulate all twins first: then it is known which are repeated."""
-        store = self.runner.store
-        compared = [task for task in tasks if self._has_twin(store.get(task))]
-        twins = [self.runner.twin(case, task.spec) for task in compared]
-        for number, twin in enumerate(twins, 1):
-            store.get(twin, twins[number:])
-
-    def _has_twin(self, episode: JudgedEpisode) -> bool:
-        """Whether an episode is compared with its twin."""
-        return self.runner.twins and any(
-            fault.manifested_at is not None for fault in episode.faults
-        )
-
-    def _twins(self, case: Case, task: EpisodeTask) -> list[EpisodeTask]:
-        """The twin of an episode, and its repetition where it is known to be needed."""
-        twin = self.runner.twin(case, task.spec)
-        first, second = (self.runner.store.memory.find(each) for each in (task, twin))
-        if first is None or second is None or Divergence.of(first, second).at is None:
-            return [twin]
-        return [twin, twin.repeated()]
-
-    def chains(
-        self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()
-    ) -> list[CausalChain]:
-        """See :meth:`pytest_dura.runner.Runner.chains`; ``ahead`` are tasks that come next."""
-        runner, requirements = self.runner, self.runner.requirements_of(case)
-        if not self._has_twin(episode):
-            return causal_chains(episode, requirements)
-        task = runner.twin(case, episode.spec)
-
-        def second() -> JudgedEpisode:
-            # A component that remembers earlier episodes differs here as well, and then nothing
-            # can be said of the faults.
-            return runner.store.get(task.repeated(), ahead)
-
-        twin = runner.store.get(task, ahead)
-        divergence = Divergence.of(episode, twin, second)
-        return causal_chains(episode, requirements, twin, divergence)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pytest_dura.campaign.events import MonitorsMeasured
-from pytest_dura.campaign.runs import CampaignRuns, finite_number
 from pytest_dura.core.display import Shown
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
@@ -17,7 +16,14 @@ from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
 from pytest_dura.requirements.judgements import RunJudgement, finite_or_infinite
-from pytest_dura.requirements.model import FAULTS, Method, Paired, Requirement
+from pytest_dura.requirements.model import (
+    FAULTS,
+    Method,
+    Paired,
+    Requirement,
+    finite_number,
+    requirement_of_call,
+)
 from pytest_dura.requirements.monitoring.quality import (
     MonitorQuality,
     judge_alerts,
@@ -35,6 +41,7 @@ from pytest_dura.requirements.pairs import (
 from pytest_dura.requirements.runs import CheckVerdict
 
 if TYPE_CHECKING:
+    from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.execution.task import EpisodeTask
 
 
@@ -96,7 +103,7 @@ class PairedCampaign(Shown):
         ConfigurationError: If there is no such role, or there are no faults.
     """
 
-    def __init__(self, campaign: CampaignRuns, without: str) -> None:
+    def __init__(self, campaign: Campaign, without: str) -> None:
         self.campaign, self.without = campaign, without
         self.case = _twin_case(campaign.case, without)
         # Raises before anything runs if there is no such role to switch off.
@@ -176,16 +183,12 @@ class PairedCampaign(Shown):
         def twins() -> Iterator[JudgedEpisode]:
             return (self.campaign.runner.fetch(self.case, run) for run in runs)
 
-        return _monitor_qualities(twins, self._requirements())
+        return _monitor_qualities(twins, self.campaign.runner.requirements_of(self.case))
 
     def _report_monitors(self, runs: Sequence[int]) -> None:
         if self.without == _RECOVERY:
             measured = MonitorsMeasured(self.case, self._monitors(runs))
             self.campaign.runner.events.emit(measured)
-
-    def _requirements(self) -> list[Requirement]:
-        known = self.campaign.runner.library().requirements
-        return [known[name] for name in self.case.requirements]
 
     def require(
         self,
@@ -227,7 +230,8 @@ class PairedCampaign(Shown):
             paired = Paired(self.without, measure, change_at_most)
             if own.paired is not None and paired == Paired(self.without):
                 paired = replace(own.paired, without=self.without)
-            requirement = self.campaign.requirement_of_call(own, given | {"paired": paired})
+            known = self.campaign.runner.library().requirements
+            requirement = requirement_of_call(own, known, given | {"paired": paired})
             verdict = self.judge(requirement, check or None)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

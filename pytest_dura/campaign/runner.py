@@ -1,24 +1,28 @@
-"""EpisodeRunner: runs cases by name, each episode once."""
+"""Runner: runs cases by name, each episode once, and makes campaigns of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
+from pytest_dura.campaign.campaign import Campaign
 from pytest_dura.campaign.events import (
     EpisodeUsed,
     EventStream,
+    FaultsTraced,
     RunningCampaign,
     SearchedEpisodeUsed,
 )
+from pytest_dura.campaign.falsification import Falsifier
+from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT, CausalChain, causal_chains
 from pytest_dura.core.boundary import ROLE_TIMEOUT
-from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.episode import Divergence, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.execution.store import EpisodeKey, EpisodeStore, key_of
-from pytest_dura.execution.task import EpisodeTask, Metrics
+from pytest_dura.execution.task import EpisodeTask, Metrics, UpcomingTasks
 from pytest_dura.library.cases import (
     SWITCHED_OFF_MARK,
     Case,
@@ -37,8 +41,8 @@ from pytest_dura.requirements.model import Requirement
 
 
 @dataclass(repr=False)
-class EpisodeRunner:
-    """Runs single episodes; base of :class:`pytest_dura.Runner`.
+class Runner:
+    """Runs cases by name, and makes campaigns of them: what the ``orchestrator`` fixture returns.
 
     Args:
         library: All scenarios and requirements, read at the first call.
@@ -56,6 +60,7 @@ class EpisodeRunner:
         recorded: Whether episodes keep what a viewer shows of them.
         store: Where episodes come from.
         role_timeout: Seconds that a role, the component apart, or the simulator has for one call.
+        falsifier: Searches a campaign for violations; ``None`` where nothing is searched.
     """
 
     library: Callable[[], Library]
@@ -73,7 +78,9 @@ class EpisodeRunner:
     store: EpisodeStore = field(default_factory=EpisodeStore)
     role_timeout: float = ROLE_TIMEOUT
     resolver: ParameterResolver = field(default_factory=ParameterResolver)
+    falsifier: Falsifier | None = None
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
+    _traced: set[EpisodeKey] = field(default_factory=set, init=False)
 
     def __repr__(self) -> str:
         return f"Runner(base_seed={self.base_seed})"
@@ -131,6 +138,39 @@ class EpisodeRunner:
             planned += given  # given campaigns override
             self._cases[scenario.name] = {case.id: case for case in planned}
         return self._cases[scenario.name].get(name)
+
+    def campaign(
+        self,
+        case: Case | str,
+        runs: int | None = None,
+        requirement: Requirement | None = None,
+        *,
+        until_decided: bool | None = None,
+    ) -> Campaign:
+        """All planned runs of a case.
+
+        Args:
+            case: The case, or its name.
+            runs: Planned runs instead of the scenario's.
+            requirement: What :meth:`Campaign.require` decides.
+            until_decided: Whether runs end once the requirement is decided, instead of what the
+                scenario says.
+
+        Raises:
+            ConfigurationError: For an unknown name, and a case that a search chose.
+        """
+        chosen = self.case(case) if isinstance(case, str) else case
+        if isinstance(chosen, SearchedCase):
+            raise ConfigurationError(
+                f"the case {chosen.id!r} was chosen by a search, and no rate can be made of it",
+                found=chosen.id,
+                expected="a case of a scenario",
+                remedy="run it as such, orchestrator.episode(case), or keep it as a scenario file",
+            )
+        planned = self.runs or runs or chosen.scenario.planned
+        if until_decided is None:
+            until_decided = chosen.scenario.until_decided and runs is None
+        return Campaign(self, chosen, planned, requirement, until_decided)
 
     def episode(
         self,
@@ -270,3 +310,67 @@ class EpisodeRunner:
     def key(self, episode: Episode) -> EpisodeKey:
         """The key of an episode of this runner, by which stores and reports know it."""
         return key_of(EpisodeTask(episode.spec, metrics=self.metrics))
+
+    def trace_faults(self, case: Case, runs: Sequence[int]) -> None:
+        """Emit the causal chains of episodes that were run before, each once.
+
+        Args:
+            case: The case.
+            runs: Numbers of the runs.
+        """
+        tasks = {run: self.task(case, run) for run in runs}
+        due = [run for run in runs if key_of(tasks[run]) not in self._traced]
+        if not self.store.execution.inside:
+            self._fetch_twins(case, [tasks[run] for run in due])
+        upcoming = UpcomingTasks(len(due), lambda step: self._twins(case, tasks[due[step]]))
+        with self.progress(case, TWINS_SUBJECT, len(due)) as reach:
+            for step, run in enumerate(due):
+                upcoming.reach(step)
+                reach(step, len(due))
+                episode = self.fetch(case, run)
+                self._traced.add(key_of(tasks[run]))
+                chains = self.chains(case, episode, upcoming)
+                self.events.emit(FaultsTraced(case, episode, chains))
+
+    def _fetch_twins(self, case: Case, tasks: Sequence[EpisodeTask]) -> None:
+        """Let other processes simulate all twins first: then it is known which are repeated."""
+        compared = [task for task in tasks if self._has_twin(self.store.get(task))]
+        twins = [self.twin(case, task.spec) for task in compared]
+        for number, twin in enumerate(twins, 1):
+            self.store.get(twin, twins[number:])
+
+    def _has_twin(self, episode: JudgedEpisode) -> bool:
+        """Whether an episode is compared with its twin."""
+        return self.twins and any(fault.manifested_at is not None for fault in episode.faults)
+
+    def _twins(self, case: Case, task: EpisodeTask) -> list[EpisodeTask]:
+        """The twin of an episode, and its repetition where it is known to be needed."""
+        twin = self.twin(case, task.spec)
+        first, second = (self.store.memory.find(each) for each in (task, twin))
+        if first is None or second is None or Divergence.of(first, second).at is None:
+            return [twin]
+        return [twin, twin.repeated()]
+
+    def chains(
+        self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()
+    ) -> list[CausalChain]:
+        """Each fault of an episode from plan to outcome, with the help of fault-free twins.
+
+        Args:
+            case: The case that it belongs to.
+            episode: One of its runs.
+            ahead: Tasks that come next.
+        """
+        requirements = self.requirements_of(case)
+        if not self._has_twin(episode):
+            return causal_chains(episode, requirements)
+        task = self.twin(case, episode.spec)
+
+        def second() -> JudgedEpisode:
+            # A component that remembers earlier episodes differs here as well, and then nothing
+            # can be said of the faults.
+            return self.store.get(task.repeated(), ahead)
+
+        twin = self.store.get(task, ahead)
+        divergence = Divergence.of(episode, twin, second)
+        return causal_chains(episode, requirements, twin, divergence)

@@ -22,13 +22,13 @@ from pytest_dura.plugin.options import Options
 if TYPE_CHECKING:
     import pytest
 
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.evidence.redaction import Redactor
     from pytest_dura.library.cases import Case
     from pytest_dura.library.fault_campaigns import Faults
     from pytest_dura.library.loading import Library
     from pytest_dura.library.roles import ParameterResolver
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.runner import Runner
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pytest_dura.campaign.events import EpisodeUsed
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.execution.cache import EpisodeCache
     from pytest_dura.execution.executors import Execution, ExecutorChoice
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.requirements.second_engine import SecondEngine
-    from pytest_dura.runner import Runner
 
 
 _SIMULATED_HERE_KEY = "dura_simulated_here"

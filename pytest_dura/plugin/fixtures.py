@@ -12,13 +12,13 @@ import pytest
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.markers import Target
     from pytest_dura.plugin.session import DuraSession
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
-    from pytest_dura.runner import Runner
 
 
 def _session_of(request: pytest.FixtureRequest) -> DuraSession:

@@ -39,6 +39,7 @@ from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.core.episode import Episode
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.library.cases import Case
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
     from pytest_dura.requirements.judgements import Assertion
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.runner import Runner
 
 
 Properties = list[tuple[str, str]]

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     import pluggy
     from xdist.workermanage import WorkerController
 
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.evidence.shard_units import ShardUnit
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import Planned, SessionContext
     from pytest_dura.plugin.option_values import Shard
-    from pytest_dura.runner import Runner
 
 
 _COLLECTOR = "::scenarios"
@@ -171,7 +171,7 @@ def _later_tasks(runner: Runner, item: ScenarioItem) -> Iterator[EpisodeTask]:
     items = item.session.items
     known = runner.library().requirements
     # It keeps these roles while a test function has others.
-    runner = replace(runner, events=EventStream(), counterexamples=None)
+    runner = replace(runner, events=EventStream())
     seen: set[tuple[str, int]] = set()
     for later in items[items.index(item) :]:
         if not isinstance(later, ScenarioItem):

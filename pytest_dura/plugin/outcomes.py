@@ -19,6 +19,7 @@ from pytest_dura.plugin.options import LONG_NAMES
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     )
     from pytest_dura.requirements.judgements import Assertion
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.runner import Runner
 
 
 class UsedEpisodes:

@@ -25,9 +25,9 @@ from pytest_dura.plugin.options import LONG_NAMES, PROFILE, Options
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import SearchedEpisodeUsed
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.library.cases import SearchedCase
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.runner import Runner
     from pytest_dura.search.counterexamples import CounterexampleStore, StoredCounterexample
     from pytest_dura.search.trials import Objective
 

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         SearchEnded,
         VerdictReached,
     )
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.case_model import CasePlan
     from pytest_dura.evidence.episodes import ItemReport
@@ -54,7 +55,6 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
     from pytest_dura.requirements.judgements import Judgement
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.runner import Runner
 
 
 def case_record(

@@ -20,9 +20,9 @@ from pytest_dura.plugin.option_values import BUILTIN_DOMAIN
 from pytest_dura.plugin.options import LONG_NAMES, short_names
 
 if TYPE_CHECKING:
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.plugin.context import Planned
-    from pytest_dura.runner import Runner
 
 
 _OVERRIDABLE = (

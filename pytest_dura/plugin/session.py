@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,9 +32,9 @@ from pytest_dura.plugin.roles import SessionRoles
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.plugin.progress import ProgressHooks, WorkerFile
-    from pytest_dura.runner import Runner
 
 
 Chosen = tuple[str, str]
@@ -271,8 +271,9 @@ class DuraSession(SessionContext):
     @cached_property
     def runner(self) -> Runner:
         """Runner of episodes. Its roles follow the fixtures that the current item sees."""
+        from pytest_dura.campaign.runner import Runner
         from pytest_dura.plugin.property_tests import counterexample_store
-        from pytest_dura.runner import Runner
+        from pytest_dura.search import falsify_campaign
 
         return Runner(
             self.library,
@@ -284,12 +285,12 @@ class DuraSession(SessionContext):
             time_budget=self.options.time_budget,
             end_when_decided=self.options.end_when_decided,
             events=self.events,
-            counterexamples=counterexample_store(self),
             twins=self.options.twins,
             recorded=self.options.evidence_level != "summary",
             store=self.shared.store(),
             role_timeout=self.options.role_timeout,
             resolver=self.resolver,
+            falsifier=partial(falsify_campaign, store=counterexample_store(self)),
         )
 
     def _get_runner(self) -> Runner:

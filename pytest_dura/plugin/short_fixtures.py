@@ -19,8 +19,8 @@ from pytest_dura.plugin.fixtures import (
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
-    from pytest_dura.runner import Runner
 
 
 @pytest.fixture(scope="session")

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
     from pytest_dura.campaign.campaign import Campaign
+    from pytest_dura.campaign.runner import Runner
     from pytest_dura.requirements.model import Requirement
-    from pytest_dura.runner import Runner
 
 
 def steal_work(runner: Runner, last: pytest.Item) -> None:
@@ -37,7 +37,7 @@ def steal_work(runner: Runner, last: pytest.Item) -> None:
         return
     known = runner.library().requirements
     # What is simulated for another worker is no event here: that worker's items use it.
-    runner = replace(runner, events=EventStream(), counterexamples=None)
+    runner = replace(runner, events=EventStream())
     workers = int(vars(last.config)["workerinput"]["workercount"])
     for item in _last_items(last.session.items, known, workers):
         requirement = known[item.name]

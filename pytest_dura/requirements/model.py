@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal, get_args
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, get_args
 
 from pytest_dura.core.codec import Confidence, Number, Share
 from pytest_dura.core.display import Shown, short_repr
+from pytest_dura.core.errors import ConfigurationError
 
 Kind = Literal["safety", "security", "performance", "recovery"]
 KINDS: tuple[str, ...] = get_args(Kind)
@@ -105,3 +107,72 @@ def describe_check(requirement: Requirement) -> list[str]:
     if requirement.mitigates:
         lines.append(f"mitigates {', '.join(requirement.mitigates)}")
     return lines
+
+
+_NUMERIC_FIELDS = ("at_most", "confidence", "p0")
+
+
+def requirement_of_call(
+    own: Requirement, known: Mapping[str, Requirement], given: Mapping[str, Any]
+) -> Requirement:
+    """The requirement with the fields that a call gives in addition.
+
+    Args:
+        own: The requirement in the test's marker, or one made for the call.
+        known: The requirements of the files. One of these means the same wherever it is decided:
+            the call may repeat what its file says of check, rate and pairs, and change none of it.
+        given: Fields of :class:`Requirement` that the call gives; ``None`` where it does not.
+
+    Raises:
+        ConfigurationError: For a value that is not the file's, and one that is not a finite number.
+    """
+    values: dict[str, Any] = {
+        key: finite_number(key, value) if key in _NUMERIC_FIELDS else value
+        for key, value in given.items()
+        if value is not None
+    }
+    if known.get(own.id) != own:
+        return replace(own, **values)
+    # Without a check in its file, it is test code that says what is checked, and on what.
+    decided_by_code = not own.check and own.paired is None
+    free = ("check", "paired") if decided_by_code else ()
+    for key, value in values.items():
+        if key not in free and not _is_same(getattr(own, key), value):
+            raise ConfigurationError(
+                f"the requirement {own.id!r} is defined in a file, and is decided as it says there",
+                key=key,
+                found=_for_message(value),
+                expected=_for_message(getattr(own, key)),
+                remedy=f"leave `{key}` out, or decide a requirement of the test's own: "
+                'requirement("OWN-1", text="...")',
+            )
+    return replace(own, **{key: value for key, value in values.items() if key in free})
+
+
+def _is_same(own: Any, value: Any) -> bool:
+    if isinstance(own, str) and isinstance(value, str):
+        return own.split() == value.split()
+    return bool(own == value)
+
+
+def _for_message(value: Any) -> Any:
+    if value is None:
+        return "none"
+    return asdict(value) if hasattr(value, "__dataclass_fields__") else value
+
+
+def finite_number(key: str, value: Any) -> float:
+    """A number as Python's own, since the record is JSON.
+
+    Raises:
+        ConfigurationError: For what is not a finite number.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigurationError(
+            f"{key} is a finite number", key=key, found=value, remedy=f"correct {key}"
+        )
+    return number

@@ -1,5 +1,6 @@
 from .counterexamples import write_counterexample
 from .drawing import CaseDrawing
+from .falsify import falsify_campaign
 from .portfolio import Batch, Outcome, Portfolio, search, trivial_searchers
 from .searchers import Pulses
 from .shrinking import Reduction, minimise, reduce_faults, shrink
@@ -21,6 +22,7 @@ __all__ = [
     "Trials",
     "changes_of",
     "count_parameters",
+    "falsify_campaign",
     "minimise",
     "on_grid",
     "reduce_faults",

@@ -15,7 +15,7 @@ from pytest_dura.campaign.falsification import (
     SearchOutcome,
     SearchStatus,
 )
-from pytest_dura.campaign.runner import EpisodeRunner
+from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.library.cases import Case, SearchedCase
@@ -46,7 +46,7 @@ from pytest_dura.search.trials import Baseline, Objective, Trials, run_baselines
 
 
 def falsify(
-    runner: EpisodeRunner,
+    runner: Runner,
     case: Case,
     objectives: Sequence[Objective],
     *,
@@ -126,7 +126,7 @@ def falsify(
     return falsification
 
 
-def _nominal_duration(runner: EpisodeRunner, case: Case) -> float | None:
+def _nominal_duration(runner: Runner, case: Case) -> float | None:
     """Return the seconds that the campaign's first run lasts: later faults have no effect."""
     episode = runner.searched(case)
     return float(episode.time[-1]) if episode.ticks > 1 and episode.failure is None else None

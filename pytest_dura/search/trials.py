@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.campaign.falsification import ReplayCount
-from pytest_dura.campaign.runner import EpisodeRunner
+from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.execution.task import UpcomingTasks
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
@@ -61,9 +61,7 @@ class Trials:
         objectives: The requirements, in the order of an outcome's values.
     """
 
-    def __init__(
-        self, runner: EpisodeRunner, space: SearchSpace, objectives: Sequence[Objective]
-    ) -> None:
+    def __init__(self, runner: Runner, space: SearchSpace, objectives: Sequence[Objective]) -> None:
         self.runner, self.space, self.objectives = runner, space, tuple(objectives)
 
     def case(self, point: Sequence[float], world: int) -> SearchedCase:

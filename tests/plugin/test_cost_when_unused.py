@@ -80,7 +80,7 @@ def test_whoever_runs_episodes_does_not_load_hypothesis(project):
     )
     status, modules = session("--rootdir", project.path, project.path / "test_driven.py")
     assert status == 0
-    assert "pytest_dura.runner" in modules
+    assert "pytest_dura.campaign.runner" in modules
     assert "hypothesis" not in modules
 
 
@@ -89,7 +89,7 @@ def test_a_fixture_that_is_asked_for_while_a_test_runs_begins_the_session(projec
         "test_late.py",
         "def test_late(request):\n"
         "    import sys\n"
-        "    assert 'pytest_dura.runner' not in sys.modules\n"
+        "    assert 'pytest_dura.campaign.runner' not in sys.modules\n"
         "    runner = request.getfixturevalue('orchestrator')\n"
         "    assert runner.run('corridor/free', seed=1).digest\n",
     )

@@ -20,6 +20,7 @@ from pytest_dura import (
     Tick,
 )
 from pytest_dura.library import load_library
+from pytest_dura.search import falsify_campaign
 
 INJECTOR = "pytest_dura.faults.injector:CampaignInjector"
 BIAS = (
@@ -95,7 +96,7 @@ def rooms(
     (folder / "requirements.yaml").write_text(REQUIREMENTS)
     library = load_library([folder], builtin=False)
     CountedRoom.seeds.clear()
-    return Runner(lambda: library, **options)
+    return Runner(lambda: library, falsifier=falsify_campaign, **options)
 
 
 class Drifting(Controller):

@@ -10,13 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pytest_dura import Orchestrator, RoleSpec, Termination
+from pytest_dura import Orchestrator, RoleSpec, Runner, Termination
 from pytest_dura.core import GeneratorView, Proposal, RoleContext
 from pytest_dura.driving import RuleBased
 from pytest_dura.faults import parse_fault
 from pytest_dura.library import load_library
 from pytest_dura.llm import Prompt, driving_prompt, driving_templates
-from pytest_dura.runner import Runner
 
 GOLDEN = Path(__file__).parents[1] / "unit" / "llm" / "golden"
 

@@ -9,14 +9,13 @@ import pytest
 from handmade import SPEC, handmade
 from thermostat import Controller
 
-from pytest_dura import RoleSpec
+from pytest_dura import RoleSpec, Runner
 from pytest_dura.campaign import FaultsTraced
 from pytest_dura.core import EpisodeSpec, Event
 from pytest_dura.execution import EpisodeStore, EpisodeTask, run_episode
 from pytest_dura.execution.store import EpisodeMemory, size_of
 from pytest_dura.library import load_library
 from pytest_dura.requirements import JudgedEpisode, Requirement
-from pytest_dura.runner import Runner
 
 WARM = EpisodeSpec(
     "room/warm", 0, 1, RoleSpec("thermostat:Thermostat"),

@@ -5,12 +5,10 @@ from pathlib import Path
 import pytest
 from thermostat import Controller, Thermostat
 
-from pytest_dura import ConfigurationError, RoleSpec
+from pytest_dura import ConfigurationError, RequirementViolated, RoleSpec, Runner
 from pytest_dura.campaign import EpisodeUsed, Progress
-from pytest_dura.campaign.runs import RequirementViolated
 from pytest_dura.library import LocalRole, generator_of_option, load_library, role_of_fixture
 from pytest_dura.requirements import Requirement
-from pytest_dura.runner import Runner
 
 SCENARIO = """
 name: room/{name}
@@ -164,3 +162,9 @@ def test_what_is_defined_in_a_conftest_is_known_by_its_file():
     assert spec.path == "tests/a/conftest.py:Controller"
     assert spec.label == "Controller (tests/a)"
     assert role_of_fixture("generator", Controller, "conftest.py").label == "Controller"
+
+
+def test_a_runner_without_a_search_refuses_to_search(bench):
+    with pytest.raises(ConfigurationError, match="made without a search") as caught:
+        bench.campaign("room/warm").falsify("always (temperature > 0)")
+    assert "`orchestrator`" in str(caught.value)

@@ -19,11 +19,11 @@ from counted_rooms import (
     simulated,
 )
 
+from pytest_dura import Runner
 from pytest_dura.core import ConfigurationError, RoleSpec
 from pytest_dura.execution import CLAIM, EPISODE, Addresses, EpisodeCache, EpisodeStore, pack
 from pytest_dura.execution import store as store_module
 from pytest_dura.library import load_library
-from pytest_dura.runner import Runner
 
 needs_forks = pytest.mark.skipif(FORKS is None, reason="the system does not fork")
 N = 12

@@ -13,7 +13,7 @@ from dask_clusters import Cluster, children_of
 from distributed.scheduler import KilledWorker
 from shaky import begun, shaky
 
-from pytest_dura import ConfigurationError, RoleSpec
+from pytest_dura import ConfigurationError, RoleSpec, Runner
 from pytest_dura.execution import (
     IN_FLIGHT,
     CallFailedError,
@@ -25,7 +25,6 @@ from pytest_dura.execution import (
 from pytest_dura.execution.dask import DaskExecutor
 from pytest_dura.library import load_library
 from pytest_dura.requirements import Requirement
-from pytest_dura.runner import Runner
 
 SCENARIO = """
 name: room/shaky

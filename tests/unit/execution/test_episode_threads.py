@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from thermostat import Controller, HeatMonitor
 
-from pytest_dura import Assessment, EpisodeSpec, RoleSpec, stream
+from pytest_dura import Assessment, EpisodeSpec, RoleSpec, Runner, stream
 from pytest_dura.core import (
     ComponentEnvironmentError,
     Termination,
@@ -24,7 +24,6 @@ from pytest_dura.core.seeding import recording_draws
 from pytest_dura.execution import IN_FLIGHT, CallFailedError, EpisodeStore, EpisodeTask, Execution
 from pytest_dura.execution.threads import EpisodeThreads
 from pytest_dura.library import load_library
-from pytest_dura.runner import Runner
 
 LIMIT = 0.6
 ASKS = {"model": "m", "fingerprint": "f"}

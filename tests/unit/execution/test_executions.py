@@ -14,7 +14,7 @@ import pytest
 from shaky import begun, shaky
 from thermostat import Controller
 
-from pytest_dura import ConfigurationError, RoleSpec
+from pytest_dura import ConfigurationError, RoleSpec, Runner
 from pytest_dura.core import Policy, Termination
 from pytest_dura.execution import (
     IN_FLIGHT,
@@ -31,7 +31,6 @@ from pytest_dura.execution.processes import usable_cores
 from pytest_dura.execution.task import reason_not_portable
 from pytest_dura.library import LocalRole, load_library
 from pytest_dura.requirements import Requirement
-from pytest_dura.runner import Runner
 
 SCENARIO = """
 name: room/shaky
