@@ -93,6 +93,11 @@ class SessionContext:
             if str(folder) not in sys.path:
                 sys.path.append(str(folder))
 
+    @cached_property
+    def runner(self) -> Runner:
+        """Runner of episodes, made at the first use."""
+        raise NotImplementedError
+
     def library(self) -> Library:
         """Load all scenarios and requirements, at the first call.
 
@@ -222,12 +227,11 @@ def _quoted(argument: str) -> str:
 LIVE_MODEL = "a live language model answers"
 
 
-def draws_reason(context: SessionContext, runner: Runner, case: Case | None) -> str:
+def draws_reason(context: SessionContext, case: Case | None) -> str:
     """Name what declares that equal seeds may give other episodes; empty if nothing does.
 
     Args:
         context: The session's context.
-        runner: Of episodes.
         case: ``None`` where it is not known.
     """
     if not context.options.repeatable:
@@ -236,6 +240,7 @@ def draws_reason(context: SessionContext, runner: Runner, case: Case | None) -> 
         return ""
     from pytest_dura.execution.address import model_answers
 
+    runner = context.runner
     roles = case.roles(runner.roles)
     simulator = runner.simulator or case.scenario.simulator_spec()
     parts = {"component": roles.get("generator"), "simulator": simulator}

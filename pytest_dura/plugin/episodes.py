@@ -25,14 +25,13 @@ from pytest_dura.plugin.messages import safe_lines, typed_path
 from pytest_dura.plugin.outcomes import target_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, MutableMapping, Sequence
 
     import numpy as np
     import pytest
     from numpy.typing import NDArray
 
     from pytest_dura.campaign.events import EpisodeUsed
-    from pytest_dura.campaign.runner import Runner
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.execution.cache import EpisodeCache
     from pytest_dura.execution.executors import Execution, ExecutorChoice
@@ -611,7 +610,6 @@ class Repeats:
     Of the processes of a session one simulates the repetition.
 
     Args:
-        runner: Returns the runner of episodes.
         models: Whose counts leave repetitions out.
         shared: Which process repeats a case.
         executor: Who simulates.
@@ -619,12 +617,10 @@ class Repeats:
 
     def __init__(
         self,
-        runner: Callable[[], Runner],
         models: LanguageModels,
         shared: SharedEpisodes,
         executor: SessionExecutor,
     ) -> None:
-        self._runner = runner
         self._models, self._shared, self._executor = models, shared, executor
         self._due: dict[tuple[str, str], _DueRepetition] = {}
         self._done: set[tuple[str, str]] = set()
@@ -638,8 +634,8 @@ class Repeats:
             return
         from pytest_dura.library.scenario import tolerances_of
 
-        task = self._runner().task(case, episode.spec.run)
-        declared = draws_reason(self._shared.context, self._runner(), case)
+        task = self._shared.context.runner.task(case, episode.spec.run)
+        declared = draws_reason(self._shared.context, case)
         tolerances = tolerances_of(task.spec.simulator)
         signals = {} if tolerances is None else episode.signals
         self._due[key] = _DueRepetition(task, episode.digest, declared, signals, tolerances)
@@ -664,7 +660,7 @@ class Repeats:
         in_turn = list(reversed(self._due.items()))
         if not self._shared.context.is_worker:  # there another process may repeat it
             due_tasks = [due.task for _, due in in_turn if due.declared != LIVE_MODEL]
-            self._runner().store.begin_repeats(due_tasks)
+            self._shared.context.runner.store.begin_repeats(due_tasks)
         for (case, component), due in in_turn:
             repeated = self._repeated(due)
             self._done.add((case, component))
@@ -681,7 +677,7 @@ class Repeats:
             return None
         try:
             with self._models.uncounted():
-                repetition = self._runner().store.repeat(due.task)
+                repetition = self._shared.context.runner.store.repeat(due.task)
         except Exception as error:  # whatever user code raises, which it did not the first time
             return {
                 "result": "failed",

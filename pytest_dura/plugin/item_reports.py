@@ -39,7 +39,6 @@ from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream
-    from pytest_dura.campaign.runner import Runner
     from pytest_dura.core.episode import Episode
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.library.cases import Case
@@ -57,17 +56,16 @@ _NAMES = {"requirement", "case", "component", "item", "episode", "counterexample
 _PROPERTIES_KEY = pytest.StashKey[Properties]()
 
 
-def subscribe(context: SessionContext, runner: Callable[[], Runner], events: EventStream) -> None:
+def subscribe(context: SessionContext, events: EventStream) -> None:
     """Report what items come to as JUnit's properties, and to Allure where it is used.
 
     Args:
         context: The session's context.
-        runner: Returns the runner of episodes.
         events: On which the plugin emits :class:`ItemJudged`.
     """
-    events.subscribe(ItemJudged, partial(_add_properties, context, runner))
+    events.subscribe(ItemJudged, partial(_add_properties, context))
     if context.config.getoption("allure_report_dir", None):
-        events.subscribe(ItemJudged, partial(_report_item, context, runner))
+        events.subscribe(ItemJudged, partial(_report_item, context))
 
 
 def redact_results(config: pytest.Config, redact: Callable[[Any], Any]) -> None:
@@ -102,38 +100,34 @@ def _redact_entry(entry: Any, redact: Callable[[Any], Any]) -> None:
                 _redact_entry(part, redact)
 
 
-def _add_properties(
-    context: SessionContext, runner: Callable[[], Runner], event: ItemJudged
-) -> None:
+def _add_properties(context: SessionContext, event: ItemJudged) -> None:
     """Put an item's results among its properties, which cross processes with its reports."""
     item = event.item
     earlier = item.stash.get(_PROPERTIES_KEY, [])  # of an earlier attempt
     others = [entry for entry in item.user_properties if entry not in earlier]
-    ours = _properties(context, runner, event)
+    ours = _properties(context, event)
     item.stash[_PROPERTIES_KEY] = ours
     item.user_properties[:] = [*others, *ours]
     event.report.user_properties = list(item.user_properties)
 
 
-def _properties(
-    context: SessionContext, runner: Callable[[], Runner], event: ItemJudged
-) -> Properties:
+def _properties(context: SessionContext, event: ItemJudged) -> Properties:
     properties: list[tuple[str, Any]] = [
         ("item", event.item.nodeid),
         ("base_seed", context.options.seed),
         *_episode_properties(context, event.item),
     ]
     for result in event.results:
-        sentence = event_sentence(result, runner, context.redact)
+        sentence = event_sentence(context, result)
         properties += _result_properties(context, result, sentence)
-        properties.append(("draws", _draws(context, runner, result.case)))
+        properties.append(("draws", _draws(context, result.case)))
     return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
 
 
-def _draws(context: SessionContext, runner: Callable[[], Runner], case: Case | None) -> str:
+def _draws(context: SessionContext, case: Case | None) -> str:
     """Say what declares that the runs of a case count as draws; empty if nothing does."""
     try:
-        return draws_reason(context, runner(), case)
+        return draws_reason(context, case)
     except ConfigurationError:  # a part cannot be built, so that nothing ran
         return ""
 
@@ -210,15 +204,12 @@ def _verdict_properties(
         yield "replay", replay_command(context, episode)
 
 
-def event_sentence(
-    result: ItemResult, runner: Callable[[], Runner], redact: Callable[[str], str]
-) -> str:
+def event_sentence(context: SessionContext, result: ItemResult) -> str:
     """Say what happened in the violating episode that stands for a result; empty without one.
 
     Args:
+        context: The session's context.
         result: Of an item.
-        runner: Returns the runner of episodes.
-        redact: Takes secrets out of a text.
     """
     if result.status != "violated":
         return ""
@@ -226,7 +217,7 @@ def event_sentence(
     examples = result.verdict.counterexamples if result.verdict else ()
     episode: Episode | None = result.episode
     if episode is None and examples and result.case is not None:
-        episode = runner().fetch(result.case, int(examples[0].episode.rpartition("#")[2]))
+        episode = context.runner.fetch(result.case, int(examples[0].episode.rpartition("#")[2]))
     shown = judged or (examples[0] if examples else None)
     if episode is None or shown is None:
         return ""
@@ -240,8 +231,11 @@ def event_sentence(
         last=shown.time,
         compares_faults=paired is not None and paired.without == FAULTS,
     )
-    requirement = result.requirement.id
-    return redact(what_happened(brief, event, requirement, time=shown.time, margin=shown.margin))
+    sentence = what_happened(
+        brief, event, result.requirement.id, time=shown.time, margin=shown.margin
+    )
+    redacted: str = context.redact(sentence)
+    return redacted
 
 
 def _brief_run(episode: Episode) -> BriefRun:
@@ -332,7 +326,7 @@ _COUNTEREXAMPLES = 100
 """Counterexamples in the attached verdict."""
 
 
-def _report_item(context: SessionContext, runner: Callable[[], Runner], event: ItemJudged) -> None:
+def _report_item(context: SessionContext, event: ItemJudged) -> None:
     """Add an item's results to the open Allure result, which is not written yet."""
     from allure_commons import plugin_manager
 
@@ -345,11 +339,11 @@ def _report_item(context: SessionContext, runner: Callable[[], Runner], event: I
     for result in results:
         prefix = f"{one_line(result.requirement.id, 100)}: " if len(results) > 1 else ""
         parameters = _parameters(context, result)
-        draws = _draws(context, runner, result.case)
+        draws = _draws(context, result.case)
         for parameter, value in ({**parameters, "draws": draws} if draws else parameters).items():
             # Allure's history tells tests apart by parameters: results must not be among them.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
-    events = [event_sentence(result, runner, context.redact) for result in results]
+    events = [event_sentence(context, result) for result in results]
     description = _description(item, results, events)
     if description:
         allure.add_description(test_description=description)
@@ -362,7 +356,7 @@ def _report_item(context: SessionContext, runner: Callable[[], Runner], event: I
             text = _verdict_json(context.redact(data))
             _attach(text, f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
-        _show_worst(context, runner, item, results)
+        _show_worst(context, item, results)
 
 
 def _title(item: pytest.Item, results: Sequence[ItemResult]) -> str:
@@ -435,7 +429,6 @@ def _looked_at(assertion: Assertion) -> str:
 
 def _show_worst(
     context: SessionContext,
-    runner: Callable[[], Runner],
     item: pytest.Item,
     results: Sequence[ItemResult],
 ) -> None:
@@ -444,7 +437,7 @@ def _show_worst(
 
     result = next((result for result in results if result.status == "violated"), None)
     result = result or next(iter(results), None)
-    episode = episode_of(item) or (None if result is None else _worst_episode(runner, result))
+    episode = episode_of(item) or (None if result is None else _worst_episode(context, result))
     if episode is None:
         return
     # Attachments leave the machine as the bundle does.
@@ -455,7 +448,7 @@ def _show_worst(
     kind, problem = "Sample", None
     if result is not None and _is_counterexample(result, episode):
         kind = "Counterexample"
-        problem = event_sentence(result, runner, redact)
+        problem = event_sentence(context, result)
         if judged is not None:
             when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
             effect = " without effect of the fault" if judged.without_effect else ""
@@ -504,13 +497,13 @@ def _check_of(result: ItemResult | None) -> str:
     return (result.verdict and result.verdict.check) or str(result.requirement.check)
 
 
-def _worst_episode(runner: Callable[[], Runner], result: ItemResult) -> Episode | None:
+def _worst_episode(context: SessionContext, result: ItemResult) -> Episode | None:
     verdict = result.verdict
     if verdict is None or result.case is None or not verdict.run:
         return None
     shown = verdict.counterexamples[0] if verdict.counterexamples else verdict.first_uncounted
     run = int(shown.episode.rpartition("#")[2]) if shown else 0
-    return runner().fetch(result.case, run)
+    return context.runner.fetch(result.case, run)
 
 
 def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:

@@ -150,7 +150,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
     lines = explain_verdict(verdict, requirement, str(campaign.failures))
     if verdict.counterexamples:
         item_result = ItemResult(requirement, planned.case, verdict=verdict)
-        sentence = event_sentence(item_result, lambda: dura_orchestrator, context.redact)
+        sentence = event_sentence(context, item_result)
         lines += [f"event:    {sentence}"] if sentence else []
         lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))
     lines.append("rerun:    " + rerun_command(context, f"{planned.case.id}::{requirement.id}"))

@@ -6,7 +6,7 @@ the requirement's own check.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -185,7 +185,6 @@ _EARLIER_RESULTS = pytest.StashKey[list[ItemResult]]()
 
 def item_results(
     context: SessionContext,
-    runner: Callable[[], Runner],
     item: pytest.Item,
     report: ItemReport | None,
 ) -> list[ItemResult]:
@@ -193,7 +192,6 @@ def item_results(
 
     Args:
         context: The session's context.
-        runner: Returns the runner of episodes.
         item: An item that uses the runner.
         report: What it recorded when it ran.
 
@@ -203,7 +201,7 @@ def item_results(
         before anything else, as in the record.
     """
     claimed = {requirement.id: requirement for requirement in marked_requirements(context, item)}
-    results = _decided_results(runner, item, report, claimed)
+    results = _decided_results(context, item, report, claimed)
     answered = {verdict.requirement.id for verdict in results}
     if report is not None:
         # A search decides its requirements without a verdict.
@@ -258,7 +256,7 @@ def episode_of(item: pytest.Item) -> JudgedEpisode | None:
 
 
 def _decided_results(
-    runner: Callable[[], Runner],
+    context: SessionContext,
     item: pytest.Item,
     report: ItemReport | None,
     claimed: Mapping[str, Requirement],
@@ -270,7 +268,7 @@ def _decided_results(
     results = [
         ItemResult(
             known[verdict.requirement],
-            _case_of_result(runner, item, verdict.case),
+            _case_of_result(context, item, verdict.case),
             verdict=verdict,
         )
         for verdict in report.verdicts
@@ -279,7 +277,7 @@ def _decided_results(
     results += [
         ItemResult(
             known[outcome.judged.requirement],
-            _case_of_result(runner, item, outcome.case),
+            _case_of_result(context, item, outcome.case),
             outcome=outcome,
             episode=episode,
         )
@@ -316,14 +314,14 @@ def _undecided_result(
     return ItemResult(requirement, case, verdict=undecided)
 
 
-def _case_of_result(runner: Callable[[], Runner], item: pytest.Item, name: str) -> Case | None:
+def _case_of_result(context: SessionContext, item: pytest.Item, name: str) -> Case | None:
     """Return the case of this id; ``None`` for one that a test made by itself."""
     target = target_of(item)
     if target is not None and target.case.id == name:
         case: Case = target.case
         return case
     try:
-        return runner().case(name)
+        return context.runner.case(name)
     except ConfigurationError:  # faults that the test made itself have no name
         return None
 

@@ -25,7 +25,6 @@ from pytest_dura.plugin.options import LONG_NAMES, PROFILE, Options
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import SearchedEpisodeUsed
-    from pytest_dura.campaign.runner import Runner
     from pytest_dura.library.cases import SearchedCase
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.search.counterexamples import CounterexampleStore, StoredCounterexample
@@ -128,11 +127,10 @@ class PropertyTests:
 
     Args:
         context: The session's context.
-        runner: Returns the runner of episodes.
     """
 
-    def __init__(self, context: SessionContext, runner: Callable[[], Runner]) -> None:
-        self.context, self._runner = context, runner
+    def __init__(self, context: SessionContext) -> None:
+        self.context = context
         self._cases: list[SearchedCase] = []
         """Cases that the present run of a test function has looked at."""
         self._failed: deque[tuple[BaseException, list[SearchedCase]]] = deque(maxlen=_MOST_FAILURES)
@@ -241,7 +239,7 @@ class PropertyTests:
         from pytest_dura.plugin.markers import marked_requirements
         from pytest_dura.search.trials import Objective
 
-        runner = self._runner()
+        runner = self.context.runner
         named = {
             requirement.id: requirement for requirement in marked_requirements(self.context, item)
         }
@@ -269,7 +267,7 @@ class PropertyTests:
         from pytest_dura.search.space import SearchSpace
         from pytest_dura.search.trials import Trials
 
-        runner, name = self._runner(), objective.requirement.id
+        runner, name = self.context.runner, objective.requirement.id
         original = runner.case(case.scenario.name)
         trials = Trials(runner, SearchSpace(original, (), original.scenario.world), [objective])
         confirmed = confirm_violation(trials, objective, case, 0)

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
         SearchEnded,
         VerdictReached,
     )
-    from pytest_dura.campaign.runner import Runner
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.case_model import CasePlan
     from pytest_dura.evidence.episodes import ItemReport
@@ -133,7 +132,6 @@ class ItemRecorder:
 
     Args:
         context: The session's context.
-        runner: Returns the runner of episodes.
         models: Notes which language models episodes asked.
         shared: What could not be shared, and what searches took over.
         formulas: Where two engines for formulas differ.
@@ -144,7 +142,6 @@ class ItemRecorder:
     def __init__(
         self,
         context: SessionContext,
-        runner: Callable[[], Runner],
         *,
         models: LanguageModels,
         shared: SharedEpisodes,
@@ -152,7 +149,7 @@ class ItemRecorder:
         executor: SessionExecutor,
         take: Callable[[str], None],
     ) -> None:
-        self.context, self._runner = context, runner
+        self.context = context
         self._models, self._shared, self._executor, self._take = models, shared, executor, take
         self._formulas = formulas
         self._pending: ItemReport | None = None
@@ -191,12 +188,12 @@ class ItemRecorder:
         generator = episode.spec.roles["generator"]
         self._case_used(case, generator, planned)
         self._models.used(episode.spec)
-        key = self._runner().key(episode)
+        key = self.context.runner.key(episode)
         use = key, planned > 0
         if use not in self._recorded:
             self._recorded.add(use)
-            origin = self._runner().store.earlier.origin(key)
-            requirements = self._runner().requirements_of(case)
+            origin = self.context.runner.store.earlier.origin(key)
+            requirements = self.context.runner.requirements_of(case)
             record = episode_record(
                 episode, planned=planned > 0, origin=origin, requirements=requirements
             )
@@ -219,11 +216,11 @@ class ItemRecorder:
         verdict, requirement = event.verdict, event.requirement
         used = self._used.pop(verdict.case, None)
         for counterexample in verdict.counterexamples:
-            episode = used and used.episode(self._runner(), counterexample.episode)
+            episode = used and used.episode(self.context.runner, counterexample.episode)
             if used and episode:
                 self.traces.violated(episode)
                 if counterexample is verdict.counterexamples[0]:  # the worst
-                    self.traces.keep_twins(used.case, episode, self._runner().fetch)
+                    self.traces.keep_twins(used.case, episode, self.context.runner.fetch)
         if verdict.pairs is not None:
             self._used.pop(verdict.pairs.case, None)
         self._report.verdicts.append(verdict)
@@ -238,7 +235,7 @@ class ItemRecorder:
         from pytest_dura.requirements.model import Requirement
 
         case, falsification = event.case, event.search.to_json()
-        spec = self._runner().task(case).spec
+        spec = self.context.runner.task(case).spec
         self._component_used(spec.roles["generator"])
         self._models.used(spec)
         library = self.context.library().requirements
@@ -441,7 +438,7 @@ class ItemRecorder:
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
         report, component = self._report, self._component_used(generator)
         if not any((entry.id, entry.component) == (case.id, component) for entry in report.cases):
-            off = case.roles_off(self._runner().roles)
+            off = case.roles_off(self.context.runner.roles)
             runs = self.context.options.runs
             report.cases.append(_case_plan(case_record(case, component, planned, runs, off)))
             known = self.context.library().requirements
@@ -507,7 +504,7 @@ class ItemRecorder:
 
         component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
         override = self.context.options.runs
-        off = target.case.roles_off(self._runner().roles)
+        off = target.case.roles_off(self.context.runner.roles)
         case = _case_plan(case_record(target.case, component, target.planned, override, off))
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
@@ -533,7 +530,7 @@ class ItemRecorder:
         failed = "" if excinfo is None or self._body_passed else failed_assertion(item, excinfo)
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
-            of_case = self._runner().requirements_of(target.case)
+            of_case = self.context.runner.requirements_of(target.case)
             outcome = outcome_of_test(
                 requirement, of_case, target, episode, error=error, failed=failed
             )

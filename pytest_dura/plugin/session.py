@@ -158,8 +158,8 @@ class DuraSession(SessionContext):
         self.models = LanguageModels(self, self.roles)
         self.formulas = FormulaEngines(both=options.second_engine)
         self.shared = SharedEpisodes(self, self.executor, self.formulas)
-        self.repeats = Repeats(self._get_runner, self.models, self.shared, self.executor)
-        self.properties = PropertyTests(self, self._get_runner)
+        self.repeats = Repeats(self.models, self.shared, self.executor)
+        self.properties = PropertyTests(self)
         self.selection = Selection(self)
         self.evidence = SessionEvidence(
             self,
@@ -174,7 +174,6 @@ class DuraSession(SessionContext):
         )
         self.recorder = ItemRecorder(
             self,
-            self._get_runner,
             models=self.models,
             shared=self.shared,
             formulas=self.formulas,
@@ -293,10 +292,6 @@ class DuraSession(SessionContext):
             falsifier=partial(falsify_campaign, store=counterexample_store(self)),
         )
 
-    def _get_runner(self) -> Runner:
-        """Return the runner, which is made when the first part needs it."""
-        return self.runner
-
     @cached_property
     def events(self) -> EventStream:
         """Stream of what happens; those who follow it are called in the order of this list."""
@@ -314,7 +309,7 @@ class DuraSession(SessionContext):
         events.subscribe(SearchedEpisodeUsed, self.properties.searched_used)
         if self.progress is not None:
             events.subscribe(Progress, self.progress.update)
-        item_reports.subscribe(self, self._get_runner, events)
+        item_reports.subscribe(self, events)
         EventHook(self.config, self.recorder.add_problem).subscribe(events)
         return events
 
@@ -328,7 +323,7 @@ class DuraSession(SessionContext):
             report: Its report, which is not passed on yet.
             recorded: What it recorded.
         """
-        results = item_results(self, self._get_runner, item, recorded)
+        results = item_results(self, item, recorded)
         self.events.emit(ItemJudged(item, report, results))
 
     def make_plan(self) -> None:
