@@ -19,10 +19,10 @@ from pytest_dura.library.requirements import check_formula
 from pytest_dura.requirements.campaign_judge import RunSchedule
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, explain_verdict, varies
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_episode
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_run
 from pytest_dura.requirements.judgements import CampaignCourse, Judgement, RunJudgement
 from pytest_dura.requirements.model import Method, Requirement, requirement_of_call
-from pytest_dura.requirements.runs import CheckVerdict, Run
+from pytest_dura.requirements.runs import Run
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.falsification import Falsification
@@ -178,7 +178,7 @@ class Campaign(Shown):
 
         def judged() -> Iterator[tuple[RunJudgement, Sequence[JudgedEpisode]]]:
             for episode in self.in_order([self.case], course):
-                verdict = CheckVerdict.of(judge_episode(requirement, episode, check))
+                verdict = judge_run(requirement, episode, check)
                 stated = None if declared else verdict
                 yield RunJudgement(episode.digest, episode.spec.run, verdict=stated), [episode]
 

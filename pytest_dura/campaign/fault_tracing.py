@@ -15,7 +15,7 @@ from pytest_dura.core.episode import (
 )
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.requirements.episode_verdicts import judge_episode
+from pytest_dura.requirements.episode_verdicts import judge_run
 from pytest_dura.requirements.model import Requirement
 
 TWINS_SUBJECT = "fault-free twins"
@@ -113,9 +113,9 @@ def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[s
         if requirement.paired or not requirement.check:
             continue
         try:
-            verdict = judge_episode(requirement, episode)
+            verdict = judge_run(requirement, episode)
         except ConfigurationError:  # reported where the requirement itself is judged
             continue
-        if verdict.verdict == "violated":
+        if verdict.status == "violated":
             violated[requirement.id] = verdict.time
     return violated

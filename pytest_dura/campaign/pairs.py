@@ -14,7 +14,12 @@ from pytest_dura.core.text import one_line
 from pytest_dura.library.cases import Case
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
+from pytest_dura.requirements.episode_verdicts import (
+    EpisodeVerdict,
+    JudgedEpisode,
+    judge_episode,
+    judge_run,
+)
 from pytest_dura.requirements.judgements import RunJudgement, finite_or_infinite
 from pytest_dura.requirements.model import (
     FAULTS,
@@ -38,7 +43,6 @@ from pytest_dura.requirements.pairs import (
     judge_pairs,
     measured,
 )
-from pytest_dura.requirements.runs import CheckVerdict
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
@@ -282,7 +286,7 @@ def _judged_pair(
     if measure:
         own, other = (finite_or_infinite(_measured_value(measure, each)) for each in pair)
         return RunJudgement(episode.digest, episode.spec.run, twin.digest, values=(own, other))
-    verdicts = [CheckVerdict.of(judge_episode(requirement, each, check)) for each in pair]
+    verdicts = [judge_run(requirement, each, check) for each in pair]
     stated = [None, None] if declared else verdicts
     return RunJudgement(episode.digest, episode.spec.run, twin.digest, *stated)
 

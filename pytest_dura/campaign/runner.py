@@ -266,8 +266,8 @@ class Runner:
             self.events.emit(running.end())
 
     def search_task(self, case: Case, run: int = 0, again: int = 0) -> EpisodeTask:
-        """The task of :meth:`searched`, without a recording for viewers."""
-        return replace(self.task(case, run), recorded=False, again=again)
+        """The task of :meth:`searched`, without a recording and verdicts: the search judges it."""
+        return replace(self.task(case, run), recorded=False, again=again, checks=())
 
     def task(self, case: Case, run: int = 0, seed: int | None = None) -> EpisodeTask:
         """The task that simulates a run of a case.
@@ -293,10 +293,17 @@ class Runner:
         return self._task(case, spec)
 
     def _task(self, case: Case, spec: EpisodeSpec) -> EpisodeTask:
+        requirements = self.requirements_of(case)
         ends = spec.termination.violation or spec.termination.decided
-        judging = self.requirements_of(case) if ends else ()
+        # What a second engine is compared on is counted in this process.
+        checks = [each.check for each in requirements if self.store.second_engine is None]
         return EpisodeTask(
-            spec, tuple(judging), self.metrics, self.recorded, role_timeout=self.role_timeout
+            spec,
+            tuple(requirements) if ends else (),
+            self.metrics,
+            self.recorded,
+            role_timeout=self.role_timeout,
+            checks=tuple(dict.fromkeys(filter(None, checks))),
         )
 
     def twin(self, case: Case, spec: EpisodeSpec) -> EpisodeTask:

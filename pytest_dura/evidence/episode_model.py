@@ -21,7 +21,7 @@ from pytest_dura.evidence.entry import (
     Sha256,
     Share,
 )
-from pytest_dura.requirements.runs import CheckVerdict
+from pytest_dura.requirements.episode_verdicts import CheckVerdict
 
 
 class RoleEntry(Entry):

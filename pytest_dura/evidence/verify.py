@@ -49,9 +49,13 @@ from pytest_dura.evidence.redaction import holds_redaction
 from pytest_dura.evidence.traces import Trace, trace_path
 from pytest_dura.evidence.verify_record import differences, record_problems
 from pytest_dura.requirements.checks import is_function_path
-from pytest_dura.requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, judge_episode
+from pytest_dura.requirements.episode_verdicts import (
+    CheckVerdict,
+    EpisodeVerdict,
+    JudgedEpisode,
+    judge_episode,
+)
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.runs import CheckVerdict
 from pytest_dura.requirements.second_engine import ENGINES_DISAGREE
 
 _RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")

@@ -37,11 +37,10 @@ from pytest_dura.evidence.sessions import reuse_problems, shard_problems
 from pytest_dura.evidence.text import one_line
 from pytest_dura.provenance import digest_of
 from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
-from pytest_dura.requirements.episode_verdicts import EARLY_ENDS
+from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, CheckVerdict
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
-from pytest_dura.requirements.runs import CheckVerdict
 
 
 def episode_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> Iterator[str]:

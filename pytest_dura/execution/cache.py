@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.files import LockedFile, LockHeldError
 from pytest_dura.execution.address import Address
 from pytest_dura.execution.codec import MAX_UNPACKED_BYTES, DamagedEpisodeError, unpack
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 EPISODE, CLAIM, NEW = ".episode", ".claim", ".new"
 MAX_ATTEMPTS = 2
@@ -75,7 +76,7 @@ class EpisodeCache:
     def __init__(self, directory: Path, session: str, *, earlier: bool = False) -> None:
         self.directory, self.session, self.earlier = directory, session, earlier
 
-    def find(self, address: Address, spec: EpisodeSpec) -> tuple[Episode, CacheEntry] | None:
+    def find(self, address: Address, spec: EpisodeSpec) -> tuple[JudgedEpisode, CacheEntry] | None:
         """An episode and its header; ``None`` if it is not there, or not whole."""
         file = self._file(address, EPISODE)
         try:

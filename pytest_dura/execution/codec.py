@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.episode import Episode, EpisodeSpec, plain_value
 from pytest_dura.core.errors import DuraError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord, Tally
 from pytest_dura.core.simulator import Line, Recording, Scene, Tracks
 from pytest_dura.core.state import Event
+from pytest_dura.requirements.episode_verdicts import CheckVerdict, JudgedEpisode
 
 Data = dict[str, Any]
 
@@ -38,7 +40,7 @@ class DamagedEpisodeError(DuraError):
 
 
 def pack(episode: Episode) -> bytes:
-    """Pack all of an episode but its spec, compressed.
+    """Pack all of an episode but its spec, compressed, with what checks say of it by now.
 
     Floats come back to the bit, so that the digest is the same. Tuples in the data of events come
     back as lists.
@@ -64,6 +66,7 @@ def pack(episode: Episode) -> bytes:
         "timeouts": list(episode.timeouts),
         "recording": None if episode.recording is None else _recording(episode.recording, columns),
         "columns": columns.kinds,
+        "verdicts": encode(episode.check_verdicts if isinstance(episode, JudgedEpisode) else {}),
     }
     text = json.dumps(head, default=plain_value).encode()
     whole = b"%d\n" % len(text) + text + b"".join(columns.data)
@@ -73,7 +76,7 @@ def pack(episode: Episode) -> bytes:
     return hashlib.sha256(data).digest() + data
 
 
-def unpack(data: bytes, spec: EpisodeSpec) -> Episode:
+def unpack(data: bytes, spec: EpisodeSpec) -> JudgedEpisode:
     """Unpack an episode, the inverse of :func:`pack`.
 
     Args:
@@ -90,7 +93,8 @@ def unpack(data: bytes, spec: EpisodeSpec) -> Episode:
         head, columns = _split(inner)
         if head["key"] != spec.key:
             raise DamagedEpisodeError("it is the episode of another spec")
-        episode = _episode(head, columns, spec)
+        episode = JudgedEpisode.of(_episode(head, columns, spec))
+        episode.check_verdicts.update(decode(dict[str, CheckVerdict], head["verdicts"]))
         # As it was taken when the episode was made: taking it again would cost more than the rest.
         for name in _DIGESTS:
             vars(episode)[name] = head[name]
@@ -134,7 +138,7 @@ def _split(data: bytes) -> tuple[Data, list[NDArray[Any]]]:
             raise ValueError("a column is no plain data")
         kind = np.dtype(dtype)
         end = place + kind.itemsize * math.prod(shape)
-        # A copy: columns of an episode can be written to, wherever it comes from.
+        # A copy, as in the process that made it: those that a viewer shows can be written to.
         columns.append(np.frombuffer(rest[place:end], dtype=kind).reshape(shape).copy())
         place = end
     if place != len(rest):

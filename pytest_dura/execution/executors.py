@@ -8,16 +8,18 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from queue import Empty, SimpleQueue
 from typing import Any, ClassVar, ParamSpec, TypeVar
 
-from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.registry import Registry
 from pytest_dura.execution.address import Address, simulate
-from pytest_dura.execution.task import EpisodeTask, reason_not_portable
+from pytest_dura.execution.task import EpisodeTask, is_same_elsewhere, reason_not_portable
 from pytest_dura.execution.warning_filters import warning_filters
+from pytest_dura.requirements.checks import is_function_path
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 KEY = "--dura-executor"
 IN_FLIGHT = 2
@@ -239,7 +241,7 @@ class Execution:
 
     def submit(
         self, task: EpisodeTask, address: Address | None = None
-    ) -> Future[Episode] | Future[bytes]:
+    ) -> Future[JudgedEpisode] | Future[bytes]:
         """Begin an episode; the future is of the episode, or of a packed one from elsewhere.
 
         An episode that is not portable is simulated here, wherever the others are: in a thread if
@@ -257,13 +259,25 @@ class Execution:
             self.retreat.was_needless = False
         return executor.submit(
             simulate,
-            json.dumps(task.to_json()),
+            json.dumps(replace(task, checks=self._checks_to_send(task)).to_json()),
             conditions,
             warning_filters(),
             seconds=time_limit_of(task.spec, self.seconds),
         )
 
-    def run_here(self, task: EpisodeTask) -> Episode:
+    def _checks_to_send(self, task: EpisodeTask) -> tuple[str, ...]:
+        """Checks by which the executor can judge an episode; this process judges by the others.
+
+        A formula means the same everywhere, a function where the same files are imported.
+        """
+        same_files = getattr(self.executor, "imports_same_files", False)
+        return tuple(
+            check
+            for check in task.checks
+            if not is_function_path(check) or (same_files and is_same_elsewhere(check))
+        )
+
+    def run_here(self, task: EpisodeTask) -> JudgedEpisode:
         """Simulate an episode in this process; counted in `here` where that is the exception.
 
         Raises:

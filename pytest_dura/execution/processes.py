@@ -307,6 +307,9 @@ class ProcessPool(Executor):
         environment: Where they import from and work; by default as this process at the first call.
     """
 
+    imports_same_files = True
+    """Whether an import path leads to the same file there as here."""
+
     def __init__(self, width: int, environment: ProcessEnvironment | None = None) -> None:
         self.width = width
         self._environment = environment

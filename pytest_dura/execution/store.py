@@ -130,8 +130,9 @@ class EpisodeMemory:
         if key in self._spilled:
             return
         state = {name: getattr(episode, name) for name in _STORED}
+        stored = state, episode.check_verdicts
         try:
-            data = zlib.compress(pickle.dumps(state, pickle.HIGHEST_PROTOCOL), 1)
+            data = zlib.compress(pickle.dumps(stored, pickle.HIGHEST_PROTOCOL), 1)
             if self._file is None:
                 self._file = tempfile.TemporaryFile(prefix="pytest-dura-")  # noqa: SIM115 - stays
                 weakref.finalize(self, self._file.close)
@@ -148,8 +149,11 @@ class EpisodeMemory:
         place, size = self._spilled[key]
         self._file.seek(place)
         # Written by this process, into a file that no other one can name.
-        state = pickle.loads(zlib.decompress(self._file.read(size)))  # noqa: S301 - see above
-        return JudgedEpisode.of(Episode(spec=spec, **state))
+        stored = pickle.loads(zlib.decompress(self._file.read(size)))  # noqa: S301 - see above
+        state, verdicts = stored
+        episode = JudgedEpisode.of(Episode(spec=spec, **state))
+        episode.check_verdicts.update(verdicts)
+        return episode
 
 
 class EarlierEpisodes:
@@ -335,7 +339,7 @@ class EpisodeStore:
         alone = self.cache is None and not self.execution.width_of(task)
         address = None if alone else self._address(task)
         if address is None:
-            episode, cached = JudgedEpisode.of(self.execution.run_here(task)), False
+            episode, cached = self.execution.run_here(task), False
             self.simulated += 1
         else:
             episode, cached = self._shared(task, address, ahead)
@@ -372,7 +376,7 @@ class EpisodeStore:
             if not self._retreats(error):
                 raise
             result = self.execution.submit(task).result()
-        return JudgedEpisode.of(unpack(result, task.spec) if isinstance(result, bytes) else result)
+        return unpack(result, task.spec) if isinstance(result, bytes) else result
 
     def holds(self, task: EpisodeTask) -> bool:
         """Whether an episode need not be simulated: it is in memory or in the cache."""
@@ -423,9 +427,13 @@ class EpisodeStore:
 
     def _cached(self, task: EpisodeTask, address: Address) -> JudgedEpisode | None:
         hit = None if self.cache is None else self.cache.find(address, task.spec)
-        if hit is None or not self.earlier.counts(task, *hit):
+        if self.cache is None or hit is None or not self.earlier.counts(task, *hit):
             return None
-        return JudgedEpisode.of(hit[0])
+        episode, entry = hit
+        if entry.session != self.cache.session:
+            # Code that checks may have changed since then: it is judged again, in this process.
+            episode.check_verdicts.clear()
+        return episode
 
     def _begin(self, task: EpisodeTask, address: Address, *, wait: bool = True) -> _Flight | None:
         """Begin to simulate an episode.
@@ -580,7 +588,7 @@ class EpisodeStore:
         self.simulated += 1
         if isinstance(result, bytes):
             result = unpack(result, flight.task.spec)
-        return JudgedEpisode.of(result), flight.cached
+        return result, flight.cached
 
     def _address(self, task: EpisodeTask) -> Address | None:
         """The address of a task, made once: `get` looks at it again and again while it waits."""
@@ -618,5 +626,5 @@ def _packed(flight: _Flight) -> bytes | None:
         return pack(missing_episode(flight.task.spec, str(error)))
     if error is not None:
         return None
-    result: Episode | bytes = flight.future.result()
+    result: JudgedEpisode | bytes = flight.future.result()
     return result if isinstance(result, bytes) else pack(result)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary
 from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
@@ -21,7 +23,8 @@ from pytest_dura.core.simulator_process import simulating
 from pytest_dura.core.state import NOTHING, Event
 from pytest_dura.library.roles import LocalRole, local_object
 from pytest_dura.library.scenario import simulator_class
-from pytest_dura.requirements.checks import RequirementJudge
+from pytest_dura.requirements.checks import RequirementJudge, load_function
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_by_check
 from pytest_dura.requirements.model import Requirement
 
 
@@ -88,6 +91,19 @@ def _is_plain(params: Mapping[str, Any]) -> bool:
         return False
 
 
+def is_same_elsewhere(check: str) -> bool:
+    """Whether a function that checks is the same in another process that imports the same files.
+
+    This process imports it as well: it knows the secrets that a module puts into the environment.
+    """
+    try:
+        function = load_function(check)
+    except ConfigurationError:  # raised again where a verdict is asked for
+        return False
+    modules = check.strip().partition(":")[0], getattr(function, "__module__", None)
+    return not set(modules) & set(_PRIVATE)
+
+
 _PRIVATE = ("conftest", "__main__")
 """Modules that are others in another process."""
 Metrics = Mapping[str, Callable[[Episode], float]]
@@ -106,6 +122,7 @@ class EpisodeTask:
         again: Number of the repetition, of an episode that is compared with itself.
         role_timeout: Seconds for one call into a role or the simulator; see :class:`Orchestrator`.
             No part of an episode's address: one that it ends is missing, and not taken over.
+        checks: What the requirements of its case check, which is judged where it is simulated.
     """
 
     spec: EpisodeSpec
@@ -114,25 +131,34 @@ class EpisodeTask:
     recorded: bool = False
     again: int = 0
     role_timeout: float | None = field(default=ROLE_TIMEOUT, compare=False)
+    checks: tuple[str, ...] = field(default=(), compare=False)
 
-    def run(self) -> Episode:
-        """Simulate the episode in this process.
+    def run(self) -> JudgedEpisode:
+        """Simulate the episode in this process, and judge it by the checks.
+
+        A check that cannot be judged is left to whoever asks for its verdict: it may be one that
+        another process can import.
 
         Raises:
             ConfigurationError: If a part cannot be built.
         """
         judge = RequirementJudge(self.judging) if self.judging else None
-        return run_episode(
+        simulated = run_episode(
             self.spec,
             judge,
             self.metrics,
             recorded=self.recorded,
             role_timeout=self.role_timeout,
         )
+        episode = JudgedEpisode.of(simulated)
+        for check in self.checks:
+            with suppress(ConfigurationError):
+                judge_by_check(check, episode)
+        return episode
 
     def repeated(self) -> EpisodeTask:
-        """The next repetition, to be compared with the first."""
-        return replace(self, again=self.again + 1)
+        """The next repetition, to be compared with the first; its verdicts do not count."""
+        return replace(self, again=self.again + 1, checks=())
 
     @property
     def parts(self) -> dict[str, RoleSpec]:
@@ -177,6 +203,7 @@ class EpisodeTask:
             "recorded": self.recorded,
             "again": self.again,
             "role_timeout": self.role_timeout,
+            "checks": list(self.checks),
         }
 
     @classmethod
@@ -193,6 +220,7 @@ class EpisodeTask:
             data["recorded"],
             data["again"],
             data["role_timeout"],
+            tuple(data["checks"]),
         )
 
 
@@ -262,7 +290,7 @@ class UpcomingTasks:
             yield from self._tasks[step]
 
 
-def missing_episode(spec: EpisodeSpec, cause: str) -> Episode:
+def missing_episode(spec: EpisodeSpec, cause: str) -> JudgedEpisode:
     """Make an episode without a single tick, whose validity is missing.
 
     Args:
@@ -273,7 +301,7 @@ def missing_episode(spec: EpisodeSpec, cause: str) -> Episode:
     faults = tuple(
         FaultRecord(fault.id, fault.target, by_chance=fault.by_chance) for fault in spec.faults
     )
-    return Episode(
+    episode = Episode(
         spec=spec,
         time=np.zeros(0),
         signals={},
@@ -290,3 +318,4 @@ def missing_episode(spec: EpisodeSpec, cause: str) -> Episode:
         metrics=DependabilityMetrics(faults={fault.id: fault for fault in faults}),
         failure=failure,
     )
+    return JudgedEpisode.of(episode)

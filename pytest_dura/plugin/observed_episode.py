@@ -15,7 +15,7 @@ from pytest_dura.requirements.episode_verdicts import (
     JudgedEpisode,
     SealedColumns,
     evaluate_episode,
-    judged,
+    judge_by_check,
 )
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ class ObservedEpisode(JudgedEpisode):
     def satisfies(self, check: Check) -> bool:
         """See :meth:`JudgedEpisode.satisfies`."""
         with self._observations.pause():
-            holds = judged(check, self)[0] == "satisfied"
+            holds = judge_by_check(check, self).status == "satisfied"
         self._observations.checked(check_name(check), holds=holds)
         return holds
 

@@ -100,8 +100,8 @@ def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
 
 def _test_judgement(outcome: EpisodeOutcome, episode: JudgedEpisode) -> Judgement:
     """Return the outcome of a test on one episode as a line of the evidence."""
+    from pytest_dura.requirements.episode_verdicts import CheckVerdict
     from pytest_dura.requirements.judgements import Judgement, RunJudgement
-    from pytest_dura.requirements.runs import CheckVerdict
 
     judged = outcome.judged
     run = RunJudgement(episode.digest, episode.spec.run, verdict=CheckVerdict.of(judged))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pytest_dura.core.boundary import Boundary
+from pytest_dura.core.codec import Number
 from pytest_dura.core.display import Shown, short_repr
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
@@ -110,6 +111,28 @@ _WHOLE = (
 
 
 @dataclass(frozen=True, slots=True)
+class CheckVerdict:
+    """What a check says of one run, apart from what the run says of itself."""
+
+    status: EpisodeStatus
+    """`satisfied`, `violated`, `open` (the run ended before it was decided), `invalid` (it is no
+    sample) or `missing`."""
+    margin: Number | None
+    """Robustness, in the unit of the check; null where there is no trace to measure it on."""
+    time: Number | None
+    """When it was violated first, in simulated seconds; null for none."""
+    detail: str
+    """Why, in words."""
+    vacuous: bool
+    """Whether it is satisfied only because its condition never held."""
+
+    @classmethod
+    def of(cls, verdict: EpisodeVerdict) -> CheckVerdict:
+        """Take the part of a verdict that the run does not say itself."""
+        return cls(verdict.verdict, verdict.margin, verdict.time, verdict.detail, verdict.vacuous)
+
+
+@dataclass(frozen=True, slots=True)
 class EpisodeVerdict(Shown):
     """Verdict of one requirement on one episode; plain data that crosses processes.
 
@@ -182,7 +205,38 @@ class EpisodeVerdict(Shown):
 def judge_episode(
     requirement: Requirement, episode: Episode, check: Check | None = None
 ) -> EpisodeVerdict:
-    """The verdict of a requirement's check on an episode.
+    """The verdict of a requirement on an episode, with what the episode says of itself.
+
+    Args:
+        requirement: The requirement.
+        episode: The episode.
+        check: A check in place of the requirement's own.
+
+    Raises:
+        ConfigurationError: See :func:`judge_run`.
+    """
+    said = judge_run(requirement, episode, check)
+    return EpisodeVerdict(
+        requirement=requirement.id,
+        episode=episode.id,
+        component=episode.spec.component,
+        verdict=said.status,
+        margin=said.margin,
+        time=said.time,
+        detail=said.detail,
+        proposals=episode.metrics.proposals,
+        valid_proposals=episode.metrics.valid_proposals,
+        vacuous=said.vacuous,
+        not_manifested=episode.not_manifested,
+        without_effect=said.status == "violated" and episode.validity == "invalid",
+        ended=episode.termination if episode.termination in EARLY_ENDS else "",
+    )
+
+
+def judge_run(
+    requirement: Requirement, episode: Episode, check: Check | None = None
+) -> CheckVerdict:
+    """What a requirement's check says of an episode of a campaign.
 
     Args:
         requirement: The requirement.
@@ -208,51 +262,43 @@ def judge_episode(
             expected="a formula such as `always (gap > 0)`, or the path of a function",
             remedy="add a check, or judge it in test code",
         )
-    known = episode.known_verdicts if isinstance(episode, JudgedEpisode) else {}
-    if isinstance(check, str) and (requirement.id, check) in known:
-        return known[requirement.id, check]
-    status, result = _judged_by_both(requirement, check, episode)
-    early = episode.termination in EARLY_ENDS
-    verdict = EpisodeVerdict(
-        requirement=requirement.id,
-        episode=episode.id,
-        component=episode.spec.component,
-        verdict=status,
-        margin=result.margin,
-        time=result.time if status == "violated" else None,
-        detail=result.detail,
-        proposals=episode.metrics.proposals,
-        valid_proposals=episode.metrics.valid_proposals,
-        vacuous=result.vacuous and status == "satisfied",
-        not_manifested=episode.not_manifested,
-        without_effect=status == "violated" and episode.validity == "invalid",
-        ended=episode.termination if early else "",
-    )
-    if isinstance(check, str):
-        known[requirement.id, check] = verdict
-    return verdict
+    return _judged_by_both(requirement, check, episode)
 
 
-def _judged_by_both(
-    requirement: Requirement, check: Check, episode: Episode
-) -> tuple[EpisodeStatus, CheckResult]:
-    """As :func:`judged`; the episode is missing where two engines differ."""
+def _judged_by_both(requirement: Requirement, check: Check, episode: Episode) -> CheckVerdict:
+    """As :func:`judge_by_check`; the episode is missing where two engines differ."""
     try:
-        return judged(check, episode)
+        return judge_by_check(check, episode)
     except EnginesDisagreeError as error:
         values = f"`{check}`: {error.values}"
         detail = str(EnginesDisagreeError(requirement.id, error.episode, values))
-        return "missing", CheckResult(False, detail=detail)
+        return CheckVerdict("missing", None, None, detail, vacuous=False)
 
 
-def judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
-    """Status and result of a check on an episode of any kind.
+def judge_by_check(check: Check, episode: Episode) -> CheckVerdict:
+    """What a check says of an episode of any kind.
+
+    A formula and an import path are evaluated once an episode, wherever that is: the verdict stays
+    with the episode, also on its way from another process and on disk.
 
     Raises:
         ConfigurationError: If the check cannot be read or imported, or names a signal that the
             episode does not have.
         EnginesDisagreeError: If two engines evaluate a formula, and differ.
     """
+    known = episode.check_verdicts if isinstance(episode, JudgedEpisode) else {}
+    if isinstance(check, str) and check in known:
+        return known[check]
+    status, result = _judged(check, episode)
+    time = result.time if status == "violated" else None
+    vacuous = result.vacuous and status == "satisfied"
+    verdict = CheckVerdict(status, result.margin, time, result.detail, vacuous)
+    if isinstance(check, str):
+        known[check] = verdict
+    return verdict
+
+
+def _judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
     if isinstance(check, str) and not is_function_path(check):
         return _by_formula(read_formula(check), episode)
     _pass_over(check_name(check), episode, FUNCTION)
@@ -430,7 +476,9 @@ class JudgedEpisode(Episode):
     def of(cls, episode: Episode) -> Self:
         """The same episode with these methods, read-only: all requirements share it."""
         made = cls(**{field.name: getattr(episode, field.name) for field in fields(Episode)})
-        made.evaluate_also_by(_second_engine(episode))
+        if isinstance(episode, JudgedEpisode):
+            made.evaluate_also_by(episode.second_engine)
+            vars(made)["_check_verdicts"] = episode.check_verdicts
         made.time.flags.writeable = False
         made.signals = SealedColumns(made.signals)
         made.decisions = SealedColumns(made.decisions)
@@ -438,10 +486,10 @@ class JudgedEpisode(Episode):
         return made
 
     @property
-    def known_verdicts(self) -> dict[tuple[str, str], EpisodeVerdict]:
-        """Verdicts by requirement and check; each is made once."""
-        known: dict[tuple[str, str], EpisodeVerdict] = vars(self).setdefault("_known_verdicts", {})
-        return known
+    def check_verdicts(self) -> dict[str, CheckVerdict]:
+        """What checks say of the episode, by their text; one for it and all of its copies."""
+        verdicts: dict[str, CheckVerdict] = vars(self).setdefault("_check_verdicts", {})
+        return verdicts
 
     def evaluate_also_by(self, engine: SecondEngine | None) -> None:
         """Set the second engine, which is no part of what happened in the episode."""
@@ -472,7 +520,7 @@ class JudgedEpisode(Episode):
         Raises:
             ConfigurationError: If a formula cannot be read or names an unknown signal.
         """
-        return judged(check, self)[0] == "satisfied"
+        return judge_by_check(check, self).status == "satisfied"
 
 
 class SearchedEpisode(JudgedEpisode):
@@ -520,13 +568,7 @@ def judge_searched(
             episode does not have.
     """
     check = requirement.check if check is None else check
-    status, result = _judged_by_both(requirement, check, episode)
+    said = _judged_by_both(requirement, check, episode)
     return SearchVerdict(
-        requirement.id,
-        episode.id,
-        status,
-        result.margin,
-        result.time if status == "violated" else None,
-        result.detail,
-        result.vacuous and status == "satisfied",
+        requirement.id, episode.id, said.status, said.margin, said.time, said.detail, said.vacuous
     )

@@ -15,7 +15,7 @@ from typing import Annotated, Literal, NamedTuple
 from pytest_dura.core.codec import Confidence, Count, Limit, Sha256, Share
 from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situations, with_doubt
-from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
+from pytest_dura.requirements.episode_verdicts import CheckVerdict, EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Method, Paired, Requirement
 from pytest_dura.requirements.pairs import (
     Change,
@@ -26,7 +26,7 @@ from pytest_dura.requirements.pairs import (
     judge_pairs,
     pair_verdict,
 )
-from pytest_dura.requirements.runs import CheckVerdict, Run
+from pytest_dura.requirements.runs import Run
 
 RECOVERY_ROLE = "recovery_planner"
 

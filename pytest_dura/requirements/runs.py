@@ -9,38 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from pytest_dura.core.codec import Number
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.episode_verdicts import (
     EARLY_ENDS,
-    EpisodeStatus,
+    CheckVerdict,
     EpisodeVerdict,
-    judge_episode,
+    judge_run,
 )
 from pytest_dura.requirements.model import Requirement
-
-
-@dataclass(frozen=True, slots=True)
-class CheckVerdict:
-    """What a check says of one run, apart from what the run says of itself."""
-
-    status: EpisodeStatus
-    """`satisfied`, `violated`, `open` (the run ended before it was decided), `invalid` (it is no
-    sample) or `missing`."""
-    margin: Number | None
-    """Robustness, in the unit of the check; null where there is no trace to measure it on."""
-    time: Number | None
-    """When it was violated first, in simulated seconds; null for none."""
-    detail: str
-    """Why, in words."""
-    vacuous: bool
-    """Whether it is satisfied only because its condition never held."""
-
-    @classmethod
-    def of(cls, verdict: EpisodeVerdict) -> CheckVerdict:
-        """Take the part of a verdict that the run does not say itself."""
-        return cls(verdict.verdict, verdict.margin, verdict.time, verdict.detail, verdict.vacuous)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +129,7 @@ class Run:
 def declared_verdicts(
     episode: Episode, requirements: Iterable[Requirement]
 ) -> dict[str, CheckVerdict]:
-    """Judge an episode by the checks of the requirements that its case declares.
+    """Verdicts of an episode on the requirements that its case declares.
 
     Args:
         episode: The episode.
@@ -163,7 +140,7 @@ def declared_verdicts(
     for requirement in requirements:
         if requirement.check:
             try:
-                verdicts[requirement.id] = CheckVerdict.of(judge_episode(requirement, episode))
+                verdicts[requirement.id] = judge_run(requirement, episode)
             except ConfigurationError:
                 continue
     return verdicts

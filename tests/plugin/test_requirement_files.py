@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from corridors import expect, requirement, scenario
 
@@ -257,3 +259,80 @@ def test_unused_requirements_are_named_at_collection(project):
     warnings = [one for one in result.outlines if "uses the requirement" in one]
     assert [one.endswith(line) for one in warnings] == [True]
     assert result.ret == 0
+
+
+COUNTED = """
+import os
+from pathlib import Path
+
+
+def {name}(episode):
+    with Path("calls.txt").open("a") as calls:
+        calls.write(f"{{os.getpid()}} {{episode.id}}\\n")
+    return float(episode.signals["gap"].min())
+"""
+ASKED_THRICE = """
+import os
+
+import pytest
+
+@pytest.mark.dura(scenario="corridor/it", runs=4)
+@pytest.mark.requirement("OWN-1")
+def test_each_run(episode):
+    assert episode.satisfies("always (gap > 0)")
+
+@pytest.mark.dura(scenario="corridor/it", runs=4)
+@pytest.mark.requirement("OWN-1")
+def test_all_runs(campaign):
+    campaign.require()
+"""
+OWN = """
+requirements:
+  - {{id: OWN-1, text: t, kind: safety, check: "{check}"}}
+  - {{id: OWN-2, text: t, kind: recovery, check: "{check}", paired: {{without: recovery_planner}}}}
+"""
+
+
+@pytest.mark.parametrize(
+    "mode, is_here",
+    [
+        (["--dura-executor=in-process"], {"counted": True, "conftest": True}),
+        (["--dura-executor=processes:2"], {"counted": False, "conftest": True}),
+        (["-n", "2"], {"counted": False, "conftest": False}),
+    ],
+    ids=["in-process", "processes", "xdist"],
+)
+@pytest.mark.parametrize("module", ["counted", "conftest"])
+def test_an_own_check_is_called_once_an_episode(project, module, mode, is_here):
+    """However many items ask, and where it was simulated, unless only this process can reach it."""
+    check = f"is_clear_in_{module}"
+    project.write(f"{module}.py", COUNTED.format(name=check))
+    project.write("test_asked.py", ASKED_THRICE)
+    project.write("scenarios/requirements_own.yaml", OWN.format(check=f"{module}:{check}"))
+    scenario(project, runs=4, requirements="[OWN-1, OWN-2, GAP-1]", recovery_planner="Brake")
+    result = project.run("corridor/it", "test_asked.py", "--alluredir=allure", *mode)
+    result.assert_outcomes(passed=8)
+    calls = [line.split() for line in (project.path / "calls.txt").read_text().splitlines()]
+    cases = ("corridor/it", "corridor/it~recovery_planner")
+    expected = [f"{case}#{run}" for case in cases for run in range(4)]
+    assert sorted(episode for _, episode in calls) == expected
+    assert {process == str(os.getpid()) for process, _ in calls} == {is_here[module]}
+
+
+def test_a_check_that_changed_is_called_again_on_episodes_that_a_session_takes_over(project):
+    holds = "def holds(episode):\n    return {}\n"
+    project.write("changing.py", holds.format(True))
+    requirement(project, "changing:holds")
+    scenario(project, "a", requirements="[R-1]")
+    scenario(project, "b", requirements="[GAP-1]", generator="Reckless", world="{wall: 0.4}")
+    scenario(project, "c", requirements="[GAP-1]")
+    names = "corridor/a", "corridor/b", "corridor/c"
+    assert project.run_apart(*names, "-x").ret == 1
+    assert project.verdicts() == {
+        ("corridor/a", "R-1"): "supported",
+        ("corridor/b", "GAP-1"): "violated",
+        ("corridor/c", "GAP-1"): "undecided",
+    }
+    project.write("changing.py", holds.format(False))
+    project.run_apart(*names, "--dura-resume")
+    assert project.verdicts()["corridor/a", "R-1"] == "violated"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import shutil
 import stat
 import zlib
 from base64 import b64decode, b64encode
@@ -13,7 +14,7 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from corridors import scenario
+from corridors import requirement, scenario
 from mcap.reader import make_reader
 from outputs import output
 
@@ -141,6 +142,34 @@ def test_an_episode_whose_spec_held_a_secret_says_why_it_cannot_be_replayed(leak
     result = leaking.run("--dura-replay=corridor/tight#0")
     assert result.ret == 4
     result.stderr.fnmatch_lines(["*what it was run from held a secret*"])
+
+
+NAMES_THE_KEY = """
+import os
+from pytest_dura import CheckResult
+
+def names_the_key(episode):
+    return CheckResult(False, detail=f"asked with {os.environ['PLANNER_API_KEY']}")
+"""
+
+
+@pytest.mark.parametrize("executor", ["in-process", "processes:1"])
+def test_a_key_that_a_check_names_is_in_no_file_and_not_in_the_terminal(leaking, executor):
+    """Also where another process calls the check: what comes back from it is redacted here."""
+    leaking.write("conftest.py", "")
+    leaking.write("naming.py", NAMES_THE_KEY)
+    requirement(leaking, "naming:names_the_key")
+    scenario(leaking, requirements="[R-1]")
+    result = leaking.run_apart("corridor/it", f"--dura-executor={executor}", "--junit-xml=j.xml")
+    assert result.ret == 1
+    (leaking.path / "dura-evidence" / "printed").write_text(output(result))
+    shutil.copy(leaking.path / "j.xml", leaking.path / "dura-evidence")
+    found = {name for name, data in texts(leaking.path / "dura-evidence") if KEY.encode() in data}
+    assert found == set()
+    evidence = leaking.evidence()
+    said = [one.verdicts["R-1"].detail for one in evidence.episodes]
+    assert said == ["asked with [redacted: PLANNER_API_KEY]"] * 2
+    assert evidence.execution.executor == executor.partition(":")[0]
 
 
 RAISING = """

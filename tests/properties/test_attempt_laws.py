@@ -18,8 +18,8 @@ from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.requirements.episode_verdicts import CheckVerdict
 from pytest_dura.requirements.judgements import Assertion, Judgement, RunJudgement
-from pytest_dura.requirements.runs import CheckVerdict
 
 Word = Literal["satisfied", "violated", "invalid"]
 WORDS: tuple[Word, ...] = ("satisfied", "violated", "invalid")

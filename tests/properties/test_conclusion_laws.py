@@ -9,13 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pytest_dura.requirements import Paired, Requirement
+from pytest_dura.requirements.episode_verdicts import CheckVerdict
 from pytest_dura.requirements.judgements import (
     CampaignCourse,
     Judgement,
     RunJudgement,
     conclude_campaign,
 )
-from pytest_dura.requirements.runs import CheckVerdict, Run
+from pytest_dura.requirements.runs import Run
 
 lawful = settings(derandomize=True, deadline=None, max_examples=150)
 

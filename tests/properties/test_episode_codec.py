@@ -22,6 +22,8 @@ from pytest_dura.core import EpisodeSpec, Event, Orchestrator, RoleSpec, Tally, 
 from pytest_dura.evidence import episode_record
 from pytest_dura.execution import missing_episode, pack
 from pytest_dura.execution.codec import DamagedEpisodeError, unpack
+from pytest_dura.requirements import JudgedEpisode
+from pytest_dura.requirements.episode_verdicts import EPISODE_STATUSES, CheckVerdict
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60, database=None)
 GHOST = {"type": "ghost-obstacle", "activation": {"at": 1.0}, "duration": 2.0}
@@ -45,6 +47,8 @@ def check_equal(found, episode):
     assert [one.wall_clock for one in found.events] == [one.wall_clock for one in episode.events]
     assert repr(plain(found.recording)) == repr(plain(episode.recording))
     for one in (found.time, *found.signals.values(), *found.decisions.values()):
+        assert not one.flags.writeable
+    for one in () if found.recording is None else found.recording.flags.values():
         assert one.flags.writeable
 
 
@@ -156,6 +160,22 @@ def test_real_episodes_come_back_as_they_were(made):
 
 EPISODE = room()
 PACKED = pack(EPISODE)
+
+
+finite = st.none() | st.floats(allow_nan=False, allow_infinity=False)
+check_verdicts = st.builds(
+    CheckVerdict, st.sampled_from(EPISODE_STATUSES), finite, finite, st.text(), st.booleans()
+)
+
+
+@SETTINGS
+@given(st.dictionaries(st.text(), check_verdicts, max_size=4))
+def test_what_checks_say_of_an_episode_comes_back_with_it(said):
+    episode = JudgedEpisode.of(EPISODE)
+    episode.check_verdicts.update(said)
+    found = unpack(pack(episode), episode.spec)
+    assert found.check_verdicts == said
+    assert found.digest == EPISODE.digest
 
 
 def sealed(inner):

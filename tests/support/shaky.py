@@ -12,7 +12,7 @@ from typing import Any
 
 from thermostat import Thermostat
 
-from pytest_dura import EpisodeSpec, RoleSpec, Tick
+from pytest_dura import EpisodeSpec, JudgedEpisode, RoleSpec, Tick
 from pytest_dura.core import NOTHING
 from pytest_dura.execution import EpisodeTask
 
@@ -43,6 +43,11 @@ class ShakyRoom(Thermostat):
                     time.sleep(1.0)
         time.sleep(self.seconds)
         return super().reset(scenario, seed)
+
+
+def is_warm(episode: JudgedEpisode) -> bool:
+    """Check that the room is warm in the end."""
+    return bool(episode.signals["temperature"][-1] > 10.0)
 
 
 def begun(log: Path) -> list[int]:

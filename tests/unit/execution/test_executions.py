@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import time
+from concurrent.futures import Executor, Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from pytest_dura.execution.processes import usable_cores
 from pytest_dura.execution.task import reason_not_portable
 from pytest_dura.library import LocalRole, load_library
 from pytest_dura.requirements import Requirement
+from pytest_dura.requirements.episode_verdicts import judge_by_check
 
 SCENARIO = """
 name: room/shaky
@@ -268,6 +270,28 @@ def test_a_machine_with_other_versions_is_refused():
     assert str(refused.value).startswith("the worker X would simulate other episodes")
     assert "expected: numpy: 0.1" in str(refused.value)
     assert f"found:    'numpy: {address.parts['numpy']}'" in str(refused.value)
+
+
+class OtherMachine(Executor):
+    """Carries out calls at once, and says nothing of the files that it imports."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        future = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
+
+
+def test_a_function_that_checks_is_called_where_the_same_files_are_imported(pool):
+    """A formula means the same everywhere, and a lambda in a conftest is known here alone."""
+    formula, function = "always (temperature < 90)", "shaky:is_warm"
+    checks = (formula, function, "conftest:whatever")
+    judged_there = {OtherMachine(): {formula}, pool: {formula, function}}
+    for executor, there in judged_there.items():
+        store = EpisodeStore(execution=Execution("elsewhere", executor))
+        episode = store.get(replace(shaky(1), checks=checks))
+        assert set(episode.check_verdicts) == there
+        for check in (formula, function):
+            assert judge_by_check(check, episode).status == "satisfied"
 
 
 def test_the_limit_leaves_the_component_its_time():
