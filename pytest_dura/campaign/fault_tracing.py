@@ -13,10 +13,9 @@ from pytest_dura.core.episode import (
     PropagationStatus,
     outcome_of,
 )
-from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import FaultRecord
-from pytest_dura.requirements.episode_verdicts import judge_run
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.runs import declared_verdicts
 
 TWINS_SUBJECT = "fault-free twins"
 """Subject of these runs in reports of progress."""
@@ -108,14 +107,9 @@ def _chain(
 
 def _violations(episode: Episode, requirements: Sequence[Requirement]) -> dict[str, float | None]:
     """Time of violation by requirement, of those that an episode violates by itself."""
-    violated: dict[str, float | None] = {}
-    for requirement in requirements:
-        if requirement.paired or not requirement.check:
-            continue
-        try:
-            verdict = judge_run(requirement, episode)
-        except ConfigurationError:  # reported where the requirement itself is judged
-            continue
-        if verdict.status == "violated":
-            violated[requirement.id] = verdict.time
-    return violated
+    alone = {requirement.id for requirement in requirements if requirement.paired is None}
+    return {
+        name: verdict.time
+        for name, verdict in declared_verdicts(episode, requirements).items()
+        if name in alone and verdict.status == "violated"
+    }
