@@ -1,7 +1,6 @@
 from .adapters.black_box import BlackBox, Input, InputCurve
-from .campaign.campaign import Campaign, RequirementViolated
+from .campaign.campaign import Campaign, PairedCampaign, RequirementViolated
 from .campaign.falsification import Falsification
-from .campaign.pairs import PairedCampaign
 from .campaign.runner import Runner
 from .core.conformance import check_role
 from .core.episode import Episode, EpisodeSpec, Policy, Termination

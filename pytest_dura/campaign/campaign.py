@@ -1,33 +1,43 @@
-"""Campaign: all episodes of a case that a verdict rests on."""
+"""Campaign: all episodes of a case that a verdict rests on, alone or in pairs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from pytest_dura.campaign.events import VerdictReached
+from pytest_dura.campaign.events import EventStream, MonitorsMeasured, VerdictReached
 from pytest_dura.campaign.falsification import BUDGET, SHRINK_BUDGET
-from pytest_dura.campaign.pairs import PairedCampaign
+from pytest_dura.campaign.pairs import judged_pair, measured_value, monitor_qualities, twin_case
 from pytest_dura.core.display import Shown
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, DuraError
 from pytest_dura.core.text import one_line
-from pytest_dura.execution.task import UpcomingTasks
+from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
-from pytest_dura.requirements.campaign_judge import RunSchedule
+from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, explain_verdict, varies
 from pytest_dura.requirements.checks import Check, check_name
-from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_run
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_episode, judge_run
 from pytest_dura.requirements.judgements import CampaignCourse, Judgement, RunJudgement
-from pytest_dura.requirements.model import Method, Requirement, requirement_of_call
+from pytest_dura.requirements.model import (
+    Method,
+    Paired,
+    Requirement,
+    finite_number,
+    requirement_of_call,
+)
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.pairs import Change, Pair, PairCounts, check_comparison, judge_pairs
 from pytest_dura.requirements.runs import Run
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.falsification import Falsification
-    from pytest_dura.campaign.runner import Runner
+    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.library.fault_campaigns import FaultCampaign
+    from pytest_dura.library.loading import Library
 
 
 ObjectiveLike: TypeAlias = "str | Requirement | Check"
@@ -63,6 +73,45 @@ class RequirementViolated(DuraError):  # noqa: N818 - it is an outcome, not an e
         super().__init__(message)
 
 
+class RunsEpisodes(Protocol):
+    """What a campaign asks of its runner, see :class:`pytest_dura.campaign.runner.Runner`."""
+
+    roles: Mapping[str, RoleSpec | None]
+    simulator: RoleSpec | None
+    events: EventStream
+
+    @property
+    def library(self) -> Callable[[], Library]:
+        """All scenarios and requirements."""
+
+    def task(self, case: Case, run: int = 0) -> EpisodeTask:
+        """The task that simulates a run of a case."""
+
+    def episode(
+        self, case: Case, run: int = 0, *, planned: int = 1, ahead: Iterable[EpisodeTask] = ()
+    ) -> JudgedEpisode:
+        """One run of a case; simulated once per session."""
+
+    def fetch(self, case: Case, run: int = 0) -> JudgedEpisode:
+        """One run of a case, without an event."""
+
+    def requirements_of(self, case: Case) -> list[Requirement]:
+        """The requirements of a case."""
+
+    def progress(
+        self, case: Case, subject: str, budget: int, judge: CampaignJudge | None = None
+    ) -> AbstractContextManager[Callable[[int, int], None]]:
+        """Emit the progress of some runs of a case."""
+
+    def trace_faults(self, case: Case, runs: Sequence[int]) -> None:
+        """Emit the causal chains of episodes that were run before, each once."""
+
+    def falsify(
+        self, case: Case, own: Requirement | None, requirement: Any, **limits: Any
+    ) -> Falsification:
+        """Search a case for violations."""
+
+
 @dataclass(repr=False)
 class Campaign(Shown):
     """All episodes of a case that a verdict rests on.
@@ -75,7 +124,7 @@ class Campaign(Shown):
         until_decided: Whether runs end as soon as the requirement at hand is decided.
     """
 
-    runner: Runner
+    runner: RunsEpisodes
     case: Case
     planned: int
     requirement: Requirement | None = None
@@ -234,19 +283,11 @@ class Campaign(Shown):
             ConfigurationError: For what cannot be judged or searched.
         """
         __tracebackhide__ = True
-        falsifier = self.runner.falsifier
-        if falsifier is None:
-            raise ConfigurationError(
-                "the runner of this campaign was made without a search",
-                key="falsify",
-                remedy="take the runner from the fixture `orchestrator`, or make it with "
-                "Runner(..., falsifier=pytest_dura.search.falsify_campaign)",
-            )
+        limits = {"budget": budget, "faults": faults, "at_most": at_most, "shrink": shrink}
         try:
-            return falsifier(
-                self, requirement, budget=budget, faults=faults, at_most=at_most,
-                shrink=shrink, seed=seed,
-            )  # fmt: skip
+            return self.runner.falsify(
+                self.case, self.requirement, requirement, **limits, seed=seed
+            )
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
 
@@ -365,3 +406,182 @@ class Campaign(Shown):
                 "\n".join(explain_verdict(verdict, requirement, str(self.failures))), verdict
             )
         return verdict
+
+
+_RECOVERY = "recovery_planner"
+
+
+class PairedCampaign(Shown):
+    """Pairs of episodes: one of a campaign, and its twin of the same seed without something.
+
+    Args:
+        campaign: The campaign.
+        without: ``faults``, or the name of a role that is switched off in the twins.
+
+    Raises:
+        ConfigurationError: If there is no such role, or there are no faults.
+    """
+
+    def __init__(self, campaign: Campaign, without: str) -> None:
+        self.campaign, self.without = campaign, without
+        self.case = twin_case(campaign.case, without)
+        # Raises before anything runs if there is no such role to switch off.
+        self.case.roles(campaign.runner.roles)
+
+    def __repr__(self) -> str:
+        name = one_line(repr(self.campaign.case.id), 64)
+        return f"PairedCampaign({name}, without={self.without!r})"
+
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows; nothing is simulated for it."""
+        yield "case", self.campaign.case.id
+        yield "twins without", self.without
+        yield "component", self.campaign.component
+        yield "pairs planned", str(self.campaign.planned)
+
+    def __iter__(self) -> Iterator[tuple[JudgedEpisode, JudgedEpisode]]:
+        """The pairs of all planned runs."""
+        cases = [self.campaign.case, self.case]
+        yield from self._with_twins(self.campaign.in_order(cases), cases)
+
+    def twin(self, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()) -> JudgedEpisode:
+        """The episode of the same run and seed without something.
+
+        Args:
+            episode: One of the campaign's.
+            ahead: Tasks that come next.
+        """
+        return self.campaign.runner.episode(
+            self.case, episode.spec.run, planned=self.campaign.planned, ahead=ahead
+        )
+
+    def _with_twins(
+        self, episodes: Iterable[JudgedEpisode], cases: Sequence[Case]
+    ) -> Iterator[tuple[JudgedEpisode, JudgedEpisode]]:
+        """Each episode with its twin; a process that waits for one simulates the next ones."""
+        ahead = self.campaign.upcoming(cases)
+        for episode in episodes:
+            ahead.reach(episode.spec.run)
+            yield episode, self.twin(episode, ahead)
+
+    def judge(self, requirement: Requirement, check: Check | None = None) -> CampaignVerdict:
+        """The verdict of a requirement on pairs; its counts are counts of pairs.
+
+        Raises:
+            ConfigurationError: For a check or measure that cannot be used.
+        """
+        check_comparison(requirement)
+        campaign, cases = self.campaign, [self.campaign.case, self.case]
+        course = campaign.course_of(requirement, check, self.case.id)
+        declared = campaign.is_declared(requirement, check)
+
+        def judged() -> Iterator[tuple[RunJudgement, Sequence[JudgedEpisode]]]:
+            for pair in self._with_twins(campaign.in_order(cases, course), cases):
+                yield judged_pair(requirement, check, pair, declared=declared), pair
+
+        self._report_monitors(campaign.decide(course, judged()))
+        return course.verdict()
+
+    def monitors(self) -> list[MonitorQuality]:
+        """Quality of the monitors on all planned runs without recovery, where they cannot act.
+
+        Raises:
+            ConfigurationError: If it is not the recovery that the twins lack.
+        """
+        if self.without != _RECOVERY:
+            raise ConfigurationError(
+                "monitors are judged where nobody acts on their word",
+                key="without",
+                found=self.without,
+                expected=_RECOVERY,
+                remedy=f'compare with campaign.paired(without="{_RECOVERY}")',
+            )
+        return self._monitors([episode.spec.run for episode, _ in self])
+
+    def _monitors(self, runs: Sequence[int]) -> list[MonitorQuality]:
+        def twins() -> Iterator[JudgedEpisode]:
+            return (self.campaign.runner.fetch(self.case, run) for run in runs)
+
+        return monitor_qualities(twins, self.campaign.runner.requirements_of(self.case))
+
+    def _report_monitors(self, runs: Sequence[int]) -> None:
+        if self.without == _RECOVERY:
+            measured = MonitorsMeasured(self.case, self._monitors(runs))
+            self.campaign.runner.events.emit(measured)
+
+    def require(
+        self,
+        check: Check = "",
+        at_most: float | None = None,
+        confidence: float | None = None,
+        method: Method | None = None,
+        p0: float | None = None,
+        *,
+        measure: str = "",
+        change_at_most: float | None = None,
+    ) -> CampaignVerdict:
+        """The verdict on the pairs, if the campaign supports it.
+
+        Args:
+            check: No pair, or at most a share, may violate it only with what the twins lack.
+            at_most: Greatest acceptable rate of such pairs; by default there may be none.
+            confidence: As in :meth:`Campaign.require`.
+            method: As there.
+            p0: As there.
+            measure: Import path of a function of an episode to a number, in place of a check.
+            change_at_most: By how much the measure may grow in a pair.
+
+        Raises:
+            RequirementViolated: If it is violated or undecided.
+            ConfigurationError: For a check or measure that cannot be used, and what is not as the
+                requirement's file says.
+        """
+        __tracebackhide__ = True
+        given: dict[str, Any] = {"at_most": at_most, "confidence": confidence}
+        given |= {"method": method, "p0": p0}
+        if check:
+            given |= {"check": check_name(check)}
+        own = self.campaign.requirement
+        own = own or Requirement(check_name(check) or measure, kind="recovery")
+        try:
+            if change_at_most is not None:
+                change_at_most = finite_number("change_at_most", change_at_most)
+            paired = Paired(self.without, measure, change_at_most)
+            if own.paired is not None and paired == Paired(self.without):
+                paired = replace(own.paired, without=self.without)
+            known = self.campaign.runner.library().requirements
+            requirement = requirement_of_call(own, known, given | {"paired": paired})
+            verdict = self.judge(requirement, check or None)
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+        return self.campaign.report_verdict(verdict, requirement)
+
+    def counts(self, check: Check) -> PairCounts:
+        """How many of all planned pairs violate a check in both runs, one of them, or neither."""
+        __tracebackhide__ = True
+        requirement = Requirement(check_name(check), check=check_name(check))
+        pairs = []
+        try:
+            for episode, twin in self:
+                own = judge_episode(requirement, episode, check)
+                other = judge_episode(requirement, twin, check)
+                pairs.append(Pair(own, other, bool(episode.metrics.recoveries)))
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+        return judge_pairs(pairs)
+
+    def change(self, measure: str | Callable[[Episode], float]) -> Change:
+        """By how much a measure differs in each of the planned pairs.
+
+        Args:
+            measure: A function of an episode to a number, or its import path. NaN is no value.
+        """
+        __tracebackhide__ = True
+        try:
+            values = {
+                episode.id: (measured_value(measure, episode), measured_value(measure, twin))
+                for episode, twin in self
+            }
+        except ConfigurationError as error:
+            raise error.with_traceback(None) from None
+        return Change.between(check_name(measure), values)

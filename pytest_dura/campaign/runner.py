@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from pytest_dura.campaign.campaign import Campaign
 from pytest_dura.campaign.events import (
@@ -14,7 +15,7 @@ from pytest_dura.campaign.events import (
     RunningCampaign,
     SearchedEpisodeUsed,
 )
-from pytest_dura.campaign.falsification import Falsifier
+from pytest_dura.campaign.falsification import Falsification, Falsifier
 from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT, CausalChain, causal_chains
 from pytest_dura.core.boundary import ROLE_TIMEOUT
 from pytest_dura.core.episode import Divergence, Episode, EpisodeSpec
@@ -317,6 +318,31 @@ class Runner:
     def key(self, episode: Episode) -> EpisodeKey:
         """The key of an episode of this runner, by which stores and reports know it."""
         return key_of(EpisodeTask(episode.spec, metrics=self.metrics))
+
+    def falsify(
+        self, case: Case, own: Requirement | None, requirement: Any, **limits: Any
+    ) -> Falsification:
+        """Search a case for violations; see :meth:`Campaign.falsify`.
+
+        Args:
+            case: The case.
+            own: What is searched a violation of where nothing is given.
+            requirement: What is given.
+            limits: Of the search.
+
+        Raises:
+            Falsified: If a violation was found, or too many simulations were inconclusive.
+            ConfigurationError: For what cannot be judged or searched.
+        """
+        __tracebackhide__ = True
+        if self.falsifier is None:
+            raise ConfigurationError(
+                "this runner was made without a search",
+                key="falsify",
+                remedy="take the runner from the fixture `orchestrator`, or make it with "
+                "Runner(..., falsifier=pytest_dura.search.falsify_case)",
+            )
+        return self.falsifier(self, case, own, requirement, **limits)
 
     def trace_faults(self, case: Case, runs: Sequence[int]) -> None:
         """Emit the causal chains of episodes that were run before, each once.

@@ -272,7 +272,7 @@ class DuraSession(SessionContext):
         """Runner of episodes. Its roles follow the fixtures that the current item sees."""
         from pytest_dura.campaign.runner import Runner
         from pytest_dura.plugin.property_tests import counterexample_store
-        from pytest_dura.search import falsify_campaign
+        from pytest_dura.search import falsify_case
 
         return Runner(
             self.library,
@@ -289,7 +289,7 @@ class DuraSession(SessionContext):
             store=self.shared.store(),
             role_timeout=self.options.role_timeout,
             resolver=self.resolver,
-            falsifier=partial(falsify_campaign, store=counterexample_store(self)),
+            falsifier=partial(falsify_case, store=counterexample_store(self)),
         )
 
     @cached_property

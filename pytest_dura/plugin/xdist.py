@@ -46,7 +46,7 @@ def steal_work(runner: Runner, last: pytest.Item) -> None:
             # A component that asks a language model runs only where its requests are counted.
             if not runner.task(campaign.case).portable:
                 return
-            if not _is_simulated(campaign, requirement):
+            if not _is_simulated(runner, campaign, requirement):
                 campaign.judge(requirement)
         except Exception:  # whatever it is, the worker that has the item reports it
             return
@@ -76,9 +76,9 @@ def _last_items(
             yield item
 
 
-def _is_simulated(campaign: Campaign, requirement: Requirement) -> bool:
+def _is_simulated(runner: Runner, campaign: Campaign, requirement: Requirement) -> bool:
     """Whether all planned runs are stored, those of pairs included."""
-    cases, runner = [campaign.case], campaign.runner
+    cases = [campaign.case]
     if requirement.paired is not None:
         cases.append(campaign.paired(requirement.paired.without).case)
     runs = range(campaign.planned)

@@ -1,6 +1,6 @@
 from .counterexamples import write_counterexample
 from .drawing import CaseDrawing
-from .falsify import falsify_campaign
+from .falsify import falsify_case
 from .portfolio import Batch, Outcome, Portfolio, search, trivial_searchers
 from .searchers import Pulses
 from .shrinking import Reduction, minimise, reduce_faults, shrink
@@ -22,7 +22,7 @@ __all__ = [
     "Trials",
     "changes_of",
     "count_parameters",
-    "falsify_campaign",
+    "falsify_case",
     "minimise",
     "on_grid",
     "reduce_faults",

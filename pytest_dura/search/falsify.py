@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from pytest_dura.campaign.campaign import Campaign
 from pytest_dura.campaign.events import SearchEnded
 from pytest_dura.campaign.falsification import (
     Falsification,
@@ -242,9 +241,11 @@ class Falsified(DuraError):  # noqa: N818 - it is an outcome, not an error
         super().__init__(message)
 
 
-def falsify_campaign(
-    campaign: Campaign,
-    requirements: Any,
+def falsify_case(
+    runner: Runner,
+    case: Case,
+    own: Requirement | None,
+    given: Any,
     *,
     faults: FaultCampaign | Sequence[FaultCampaign],
     budget: int,
@@ -253,15 +254,14 @@ def falsify_campaign(
     seed: int | None,
     store: CounterexampleStore | None = None,
 ) -> Falsification:
-    """Search a campaign's case; see :meth:`pytest_dura.campaign.campaign.Campaign.falsify`."""
+    """Search a case; see :meth:`pytest_dura.campaign.campaign.Campaign.falsify`."""
     __tracebackhide__ = True
-    runner = campaign.runner
     limits = Limits(budget, shrink, at_most)
-    objectives = [_objective(campaign, given) for given in _as_list(requirements)]
+    objectives = [_objective(runner, case, own, each) for each in _as_list(given)]
     store_errors: list[ConfigurationError] = []
     falsification = falsify(
         runner,
-        campaign.case,
+        case,
         objectives,
         limits=limits,
         faults=_faults(faults),
@@ -316,9 +316,9 @@ def _as_list(given: Any) -> list[Any]:
     return [given]
 
 
-def _objective(campaign: Campaign, given: Any) -> Objective:
+def _objective(runner: Runner, case: Case, own: Requirement | None, given: Any) -> Objective:
     """Make an objective of what a user gave, and check that the case can be judged by it."""
-    requirement, check = _requirement(campaign, given)
+    requirement, check = _requirement(runner, own, given)
     if requirement.paired is not None:
         raise ConfigurationError(
             f"the requirement {requirement.id!r} is about pairs, and a search runs none",
@@ -334,8 +334,8 @@ def _objective(campaign: Campaign, given: Any) -> Objective:
             expected="a check, or a requirement with one in its file",
             remedy="call campaign.falsify('always (gap > 0)'), or add a `check` to the file",
         )
-    if campaign.runner.simulator is None:  # another simulator's signals show at run time
-        check_formula(campaign.case.scenario, check or requirement.check)
+    if runner.simulator is None:  # another simulator's signals show at run time
+        check_formula(case.scenario, check or requirement.check)
     return Objective(requirement, check)
 
 
@@ -344,10 +344,10 @@ def is_formula(text: str) -> bool:
     return _ID.fullmatch(text) is None and not is_function_path(text)
 
 
-def _requirement(campaign: Campaign, given: Any) -> tuple[Requirement, Any]:
-    known = campaign.runner.library().requirements
+def _requirement(runner: Runner, own: Requirement | None, given: Any) -> tuple[Requirement, Any]:
+    known = runner.library().requirements
     if given is None:
-        if campaign.requirement is None:
+        if own is None:
             raise ConfigurationError(
                 "there is no requirement to search a violation of",
                 key="requirement",
@@ -355,7 +355,7 @@ def _requirement(campaign: Campaign, given: Any) -> tuple[Requirement, Any]:
                 expected="a requirement's id or a formula",
                 remedy="call campaign.falsify('SAF-1'), or add the marker",
             )
-        return campaign.requirement, None
+        return own, None
     if isinstance(given, Requirement):
         return given, None
     if isinstance(given, str) and given in known:

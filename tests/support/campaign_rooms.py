@@ -20,7 +20,7 @@ from pytest_dura import (
     Tick,
 )
 from pytest_dura.library import load_library
-from pytest_dura.search import falsify_campaign
+from pytest_dura.search import falsify_case
 
 INJECTOR = "pytest_dura.faults.injector:CampaignInjector"
 BIAS = (
@@ -96,7 +96,7 @@ def rooms(
     (folder / "requirements.yaml").write_text(REQUIREMENTS)
     library = load_library([folder], builtin=False)
     CountedRoom.seeds.clear()
-    return Runner(lambda: library, falsifier=falsify_campaign, **options)
+    return Runner(lambda: library, falsifier=falsify_case, **options)
 
 
 class Drifting(Controller):

@@ -10,7 +10,7 @@ from pytest_dura.campaign import Progress
 from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT
 from pytest_dura.library import load_library, role_of_fixture
 from pytest_dura.requirements import Requirement
-from pytest_dura.search import falsify_campaign
+from pytest_dura.search import falsify_case
 
 SCENARIO = """
 name: room/{name}
@@ -41,7 +41,7 @@ def bench(tmp_path, told):
         varied + "world: {start: 18.0}\nvariation: {world.start: {min: 15.0, max: 20.0}}\n"
     )
     library = load_library([tmp_path], builtin=False)
-    found = Runner(lambda: library, falsifier=falsify_campaign)
+    found = Runner(lambda: library, falsifier=falsify_case)
 
     def tell(event):
         if event.budget:  # there may be no twins to be run
