@@ -207,7 +207,7 @@ class Trial:
             if self.project.resumable:
                 process = self._begun(stack, "--dura-resume", again=True)
                 last = process.wait(_STUCK)
-                taken = self.project.record().head.reuse.taken_over
+                taken = self.project.record().head.resume.taken_over
                 resumed = f"{taken} of {RUNS} taken over"
             self._compare(expected, last)
             twice = sum(Counter(seed for seed, _ in self.project.simulations()).values()) - RUNS

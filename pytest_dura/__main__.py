@@ -118,16 +118,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     compare.add_argument(
         "--json", metavar="FILE", type=Path, help="write everything to this file, too"
     )
-    prune = commands.add_parser(
-        "prune", help="remove what no session has used for long from a directory of --dura-reuse"
-    )
-    prune.add_argument("directory", metavar="DIR", type=Path, help="the directory of episodes")
-    prune.add_argument(
-        "--older-than", metavar="TIME", help="episodes unused for so long: 12h, 30d, 8w"
-    )
-    prune.add_argument(
-        "--at-most", metavar="SIZE", help="the longest unused ones beyond this size: 500M, 2G"
-    )
     try:
         options = parser.parse_args(arguments)
         return _COMMANDS[options.command](options)
@@ -221,28 +211,6 @@ def _compare(options: argparse.Namespace) -> int:
     return 0
 
 
-def _prune(options: argparse.Namespace) -> int:
-    from pytest_dura.execution.cache import prune, read_age, read_size
-
-    older_than, at_most = options.older_than, options.at_most
-    if older_than is None and at_most is None:
-        raise ConfigurationError(
-            "it is not said what is to be removed",
-            expected="--older-than, --at-most, or both",
-            remedy="for example --older-than=30d",
-        )
-    result = prune(
-        options.directory,
-        older_than=None if older_than is None else read_age(older_than),
-        at_most=None if at_most is None else read_size(at_most),
-    )
-    _print(
-        f"removed: {result.removed} episodes, {result.removed_bytes / 1e6:.1f} MB; "
-        f"left: {result.kept} episodes, {result.kept_bytes / 1e6:.1f} MB"
-    )
-    return 0
-
-
 def _print(text: str, file: TextIO | None = None) -> None:
     """Print lines on which no CI acts."""
     print(without_commands(text), file=file)
@@ -333,7 +301,6 @@ _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "cassette": _use_cassette,
     "merge": _merge,
     "compare": _compare,
-    "prune": _prune,
 }
 
 

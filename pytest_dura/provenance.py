@@ -224,62 +224,33 @@ def _python_files(package: Path, most: int) -> Iterator[Path]:
                     return
 
 
-_EXCLUDED = re.compile(r"PYTEST_|.*(?:KEY|TOKEN|SECRET|PASSW|CREDENTIAL)", re.IGNORECASE)
-"""Variables that differ by process or user, and that no episode should depend on."""
-
-
-def describe_variable(name: str) -> str:
-    """Hash the value of an environment variable, or state that it is not set."""
-    value = os.environ.get(name)
-    if value is None:
-        return "not set"
-    return hashlib.sha256(f"{name}={value}".encode("utf-8", "surrogateescape")).hexdigest()
-
-
 _MAX_PACKAGE_FILES = 5000
-"""Files that are read of a package; a larger one has no digest."""
+"""Files that are read of a package at most."""
 _OURS = "pytest_dura"
 
 
-@dataclass(frozen=True)
-class UserCode:
-    """The user's own code that a component depends on.
-
-    Args:
-        digest: SHA-256 over names and digests of all files.
-        files: The files, sorted.
-        variables: Names of the environment variables that they read by name.
-    """
-
-    digest: str
-    files: tuple[Path, ...]
-    variables: frozenset[str]
-
-
-def user_code(file: Path, module: str, root: Path | None = None) -> UserCode | None:
-    """Collect the code that a component depends on; ``None`` if it cannot be read.
+def imported_files(file: Path, module: str, root: Path | None = None) -> list[Path]:
+    """List the user's own files that a component comes with, for the record, sorted.
 
     That is the top-level package that defines it, and in turn the packages and modules that any of
-    their files imports by name, as far as they are not installed: the versions of installed
-    packages are recorded elsewhere. Imports within a function count too. Imports by a computed name
-    are not found, nor are data files. A file that this Python cannot parse, and therefore cannot
-    import either, counts by its content alone, and so does a package outside of the project.
+    their files imports by name, as far as they are not installed. Imports by a computed name are
+    not found, nor are data files. Empty if one cannot be read.
 
     Args:
         file: The file that defines it.
         module: The dotted name of that file's module.
         root: The project's root; without it, all that is not installed is the project's.
     """
-    collector = _FileCollector(root)
+    collector = _ImportCollector(root)
     try:
         collector.add(file, module)
     except OSError:  # gone, or not for us to read
-        return None
-    return collector.user_code()
+        return []
+    return sorted(collector.files)
 
 
-class _FileCollector:
-    """Collects files, and names for them that are equal on all machines.
+class _ImportCollector:
+    """Collects the files that modules of the user's own come with, and what they import.
 
     Args:
         root: The project's root. What is imported from elsewhere is not searched for imports.
@@ -287,23 +258,9 @@ class _FileCollector:
 
     def __init__(self, root: Path | None) -> None:
         self._root = None if root is None else _resolved(root)
-        self._files: dict[Path, tuple[str, str]] = {}
-        self._looked_for: set[str] = set()
-        self._variables: set[str] = set()
-
-    @property
-    def looked_for(self) -> frozenset[str]:
+        self.files: set[Path] = set()
+        self.looked_for: set[str] = set()
         """Top-level modules that the files import, and their own."""
-        return frozenset(self._looked_for)
-
-    def user_code(self) -> UserCode | None:
-        """Return the result; ``None`` if there are too many files."""
-        if len(self._files) > _MAX_PACKAGE_FILES:
-            return None
-        state = hashlib.sha256()
-        for name, sha256 in sorted(self._files.values()):
-            state.update(f"{name}\0{sha256}\n".encode("utf-8", "surrogateescape"))
-        return UserCode(state.hexdigest(), tuple(sorted(self._files)), frozenset(self._variables))
 
     def add(self, file: Path, module: str, *, searched: bool = True) -> None:
         """Add a file with the rest of its package, and all that they import.
@@ -317,26 +274,21 @@ class _FileCollector:
             OSError: If one of them cannot be read.
         """
         package = _top_package(file, module)
-        self._looked_for.add(module.partition(".")[0])
+        self.looked_for.add(module.partition(".")[0])
         files = [] if package is None else list(_python_files(package, _MAX_PACKAGE_FILES))
-        if package is None or file not in files:
-            self._read(file, file.parent, searched=searched)
-        for path in files:
-            self._read(path, (package or path).parent, searched=searched)
+        for path in files if file in files else [file, *files]:
+            self._read(path, searched=searched)
 
-    def _read(self, file: Path, base: Path, *, searched: bool) -> None:
-        if file in self._files or len(self._files) > _MAX_PACKAGE_FILES:
+    def _read(self, file: Path, *, searched: bool) -> None:
+        if file in self.files or len(self.files) > _MAX_PACKAGE_FILES:
             return
         data = file.read_bytes()
-        name = file.relative_to(base).as_posix()
-        self._files[file] = name, hashlib.sha256(data).hexdigest()
+        self.files.add(file)
         if file.suffix != ".py" or not searched:
             return
-        variables, tops = _names_in(data)
-        self._variables |= variables
-        for top in tops:
-            if top not in self._looked_for:
-                self._looked_for.add(top)
+        for top in _imports_in(data):
+            if top not in self.looked_for:
+                self.looked_for.add(top)
                 for origin in _origins(top, file.parent):
                     if not is_installed(origin):
                         self.add(origin, top, searched=self._is_own(origin))
@@ -345,44 +297,26 @@ class _FileCollector:
         return self._root is None or _resolved(file).is_relative_to(self._root)
 
 
-_READERS = {"environ", "environb"}
-_READING = {"get", "setdefault", "pop"}
-_GETTERS = {"getenv", "getenvb"}
 _IMPORTERS = {"import_module", "__import__"}
 
 
 @lru_cache(maxsize=512)  # each item asks for the code of its roles
-def _names_in(source: bytes) -> tuple[frozenset[str], tuple[str, ...]]:
-    """Find the environment variables that Python code reads, and the packages that it imports.
+def _imports_in(source: bytes) -> tuple[str, ...]:
+    """Find the top-level packages that Python code imports by literal names.
 
-    Both by literal names. Of variables secrets are left out, and what pytest sets for each of its
-    processes and tests; of packages the standard library, and those of relative imports, which are
-    the code's own package.
+    The standard library is left out, and relative imports, which are the code's own package.
     """
-    variables: set[str] = set()
     modules: list[str] = []
     for node in ast.walk(_parsed(source)):
         if isinstance(node, ast.Import):
             modules += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             modules.append(node.module or "")
-        elif isinstance(node, ast.Subscript) and _last_name(node.value) in _READERS:
-            variables.add(_literal(node.slice))
-        elif isinstance(node, ast.Call) and node.args:
-            name, of = _last_name(node.func), getattr(node.func, "value", None)
-            if name in _GETTERS or (name in _READING and _last_name(of) in _READERS):
-                variables.add(_literal(node.args[0]))
-            elif name in _IMPORTERS:
-                modules.append(_literal(node.args[0]))
+        elif isinstance(node, ast.Call) and node.args and _last_name(node.func) in _IMPORTERS:
+            modules.append(_literal(node.args[0]))
     tops = dict.fromkeys(module.partition(".")[0] for module in modules)
-    return (
-        frozenset(name for name in variables if name.isidentifier() and not _EXCLUDED.match(name)),
-        tuple(
-            top
-            for top in tops
-            if top.isidentifier() and top not in {_OURS, *sys.stdlib_module_names}
-        ),
-    )
+    ours = {_OURS, *sys.stdlib_module_names}
+    return tuple(top for top in tops if top.isidentifier() and top not in ours)
 
 
 def _parsed(source: bytes) -> ast.AST:
@@ -401,10 +335,9 @@ def _last_name(node: ast.AST | None) -> str:
 
 
 def _literal(node: ast.AST) -> str:
-    """Find the text of a literal, in bytes too; empty for anything else."""
+    """Find the text of a literal; empty for anything else."""
     value = node.value if isinstance(node, ast.Constant) else ""
-    text = value.decode(errors="replace") if isinstance(value, bytes) else value
-    return text if isinstance(text, str) else ""
+    return value if isinstance(value, str) else ""
 
 
 def _origins(top: str, beside: Path) -> Iterator[Path]:
@@ -499,9 +432,9 @@ def imported_versions(files: Mapping[str, Path], root: Path | None = None) -> di
     for module, file in files.items():
         try:
             if module.partition(".")[0] == _OURS or is_installed(file):
-                tops.update((module.partition(".")[0], *_names_in(file.read_bytes())[1]))
+                tops.update((module.partition(".")[0], *_imports_in(file.read_bytes())))
             else:
-                collector = _FileCollector(root)
+                collector = _ImportCollector(root)
                 collector.add(file, module)
                 tops |= collector.looked_for
         except OSError:  # noqa: PERF203 - gone, or not for us to read
@@ -560,21 +493,50 @@ _TOOLS = ("pytest", "hypothesis", "allure", "execnet", "ruff", "mypy", "pip", "s
 def describe_packages() -> dict[str, str]:
     """Describe the versions of installed packages that may change an episode.
 
-    Components may depend on any package; the names of the metadata folders on the path give all
-    versions without reading them.
+    Those on which most episodes depend are listed; the others have one digest.
     """
-    folders: set[str] = set()
+    others = [f"{name}-{version}" for name, version in installed_versions().items()]
+    versions = {name: version for name in _NUMERIC if (version := _version(name))}
+    digest = hashlib.sha256("\n".join(sorted(others)).encode()).hexdigest()
+    return {**versions, "other packages": digest}
+
+
+def installed_versions() -> Mapping[str, str]:
+    """List the versions of installed packages that may change an episode.
+
+    Components may depend on any package; the names of the metadata folders on the path give all
+    versions without reading them. Of two packages of a name the first on the path counts.
+    """
+    versions: dict[str, str] = {}
+    for folder in _metadata_folders():
+        name, _, version = folder.stem.partition("-")
+        if not name.lower().startswith((*_TOOLS, _OURS)):
+            versions.setdefault(name, version)
+    return versions
+
+
+def installed_in_place() -> Iterator[tuple[str, Path]]:
+    """Yield name and folder of the packages whose files stay where they are developed."""
+    for folder in _metadata_folders():
+        name = folder.stem.partition("-")[0]
+        try:
+            source = json.loads((folder / "direct_url.json").read_bytes())
+            if name != _OURS and source.get("dir_info", {}).get("editable"):
+                from urllib.parse import urlsplit
+                from urllib.request import url2pathname
+
+                yield name, Path(url2pathname(urlsplit(source["url"]).path))
+        except (OSError, LookupError, TypeError, ValueError, AttributeError):  # installed otherwise
+            continue
+
+
+def _metadata_folders() -> Iterator[Path]:
     for place in sys.path:
         try:
-            names = [path.name for path in Path(place or ".").iterdir()]
+            paths = list(Path(place or ".").iterdir())
         except OSError:  # no folder, or not for us to read
             continue
-        folders.update(
-            Path(name).stem for name in names if name.endswith((".dist-info", ".egg-info"))
-        )
-    rest = sorted(name for name in folders if not name.lower().startswith((*_TOOLS, "pytest_dura")))
-    versions = {name: version for name in _NUMERIC if (version := _version(name))}
-    return {**versions, "other packages": hashlib.sha256("\n".join(rest).encode()).hexdigest()}
+        yield from sorted(path for path in paths if path.suffix in (".dist-info", ".egg-info"))
 
 
 def describe_component(

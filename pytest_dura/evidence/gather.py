@@ -26,7 +26,7 @@ from pytest_dura.evidence.item_verdicts import Waiver, WaiverKind
 from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
 from pytest_dura.evidence.search_model import SearchRecords
 from pytest_dura.evidence.session_model import MeasureEntry
-from pytest_dura.evidence.sessions import ReuseRecord
+from pytest_dura.evidence.sessions import ResumeRecord
 from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
@@ -219,7 +219,7 @@ class RecordBuilder:
     _clashes: dict[tuple[str, str], str] = field(default_factory=dict)
     _models: LanguageModels = field(default_factory=LanguageModels)
     _problems: set[str] = field(default_factory=set)
-    _reuse: ReuseRecord = field(default_factory=ReuseRecord)
+    _resume: ResumeRecord = field(default_factory=ResumeRecord)
     _repeats: dict[tuple[str, str], RepeatEntry] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -273,7 +273,7 @@ class RecordBuilder:
         self._models.add(report.models)
         self._problems.update(report.problems)
         self.objections.update(dict.fromkeys(report.objections))
-        self._reuse.add(report.notes, report.searched)
+        self._resume.add(report.notes, report.searched)
         for judgement in report.judgements:
             self.add_judgement(_asked_by(report, judgement))
         self.searches.add(report.recorded_as or item, report.searches)
@@ -341,7 +341,7 @@ class RecordBuilder:
                 **self.header,
                 "schema_version": SCHEMA_VERSION,
                 "status": status,
-                "reuse": {**_NO_EPISODES, **self._reuse.to_json(self.header["reuse"])},
+                "resume": {**_NO_EPISODES, **self._resume.to_json(self.header["resume"])},
                 "component_under_test": self._components.to_json(),
                 "models": self._models.to_json(),
                 "measures": sorted(self._measures.values(), key=attrgetter("place", "name")),

@@ -36,7 +36,7 @@ from pytest_dura.evidence.model import SessionRecord, Totals, components_under_t
 from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.search_model import SearchEntry
 from pytest_dura.evidence.session_model import LanguageModelEntry, MergedShard
-from pytest_dura.evidence.sessions import merged_reuse
+from pytest_dura.evidence.sessions import merged_resume
 from pytest_dura.evidence.traces import is_trace_path
 
 _PLANNED_KEYS = set(CasePlan.model_fields)
@@ -66,7 +66,7 @@ def _merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]
         **_merged_second_engine(parts),
         **({} if first.llm_price is None else {"llm_price": first.llm_price}),
         **({} if first.looks is None else {"looks": first.looks}),
-        "reuse": merged_reuse(part.record.head.reuse for part in parts),
+        "resume": merged_resume(part.record.head.resume for part in parts),
         "shard": None,
         "selection": first.selection,
         "merged_from": [_shard_summary(part) for part in parts],
@@ -154,7 +154,7 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
         report.requirements += head.requirements
         report.monitors += head.monitors
         report.models += [{**model.to_json(), "process": part.name} for model in head.models]
-        report.notes += head.reuse.problems
+        report.notes += head.resume.problems
         report.claimed += report.cases
         record.add(report)
         for judgement in head.judgements:

@@ -26,7 +26,7 @@ from pytest_dura.evidence.session_model import (
     MeasureEntry,
     MergedShard,
     PriceEntry,
-    ReuseEntry,
+    ResumeEntry,
     SecondEngineEntry,
     SelectionEntry,
     SessionTimings,
@@ -135,9 +135,8 @@ class RecordHead(Entry):
     second_engine: Absent[SecondEngineEntry] = None
     """What a second engine for formulas was compared on (ini `dura_stl_engine`); of merged shards
     their sums. Absent without one."""
-    reuse: ReuseEntry
-    """What was taken over from earlier sessions (`--dura-resume`, `--dura-reuse`), fault-free twins
-    apart."""
+    resume: ResumeEntry
+    """What was taken over from earlier sessions (`--dura-resume`), fault-free twins apart."""
     shard: ShardEntry | None
     """Which part of a session this is (`--dura-shard`); null for a whole one."""
     merged_from: list[MergedShard] | None

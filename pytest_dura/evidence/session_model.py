@@ -138,10 +138,10 @@ class OutdatedEpisodes(Entry):
     """How many."""
 
 
-class SearchReuse(Entry):
+class SearchOrigins(Entry):
     """The same of what searches and property tests simulated, whose episodes are in no record.
 
-    Null where no earlier session was asked. Replays are never taken over.
+    Null where none was resumed. Replays are never taken over.
     """
 
     simulations: Count
@@ -154,20 +154,35 @@ class SearchReuse(Entry):
     """Episodes that were simulated again, by the reason."""
 
 
-class ReuseEntry(Entry):
-    """What a session took over from earlier ones, and what it simulated again.
+class SourcesEntry(Entry):
+    """What all episodes of a session rest on, as `--dura-resume` compares it."""
 
-    Computed again from the episodes, apart from mode, session, problems and searched.
+    digest: Sha256
+    """SHA-256 over names and contents of the files, and the versions."""
+    files: Count
+    """Python files below the root directory. Folders of `norecursedirs`, virtual environments and
+    the evidence are left out, and so are test modules; `conftest.py` files count."""
+    versions: Count
+    """Versions of installed packages, of Python, the platform, the arithmetic and pytest-dura."""
+
+
+class ResumeEntry(Entry):
+    """What a session took over from the one that it resumed, and what it simulated again.
+
+    Computed again from the episodes, apart from resumed, session, sources, problems and searched.
     """
 
-    searched: SearchReuse | None
+    searched: SearchOrigins | None
     """The same of what searches and property tests simulated, whose episodes are in no record; null
-    where no earlier session was asked. Replays are never taken over."""
-    mode: Literal["none", "resume", "reuse"]
-    """`resume`: from the interrupted session in the same place. `reuse`: from whichever kept
-    episodes in a directory. Of merged shards that of any of them."""
+    where none was resumed. Replays are never taken over."""
+    resumed: bool
+    """Whether the session went on with an interrupted one (`--dura-resume`). Of merged shards
+    whether any did."""
     session: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")] | None
     """Id of this session; null for merged shards."""
+    sources: SourcesEntry | None
+    """What all of its episodes rest on, as `--dura-resume` compares it; null where those are too
+    many files, and for merged shards that differ."""
     problems: list[str]
     """Why episodes could not be kept for other processes or a later session, in words."""
     taken_over: Count

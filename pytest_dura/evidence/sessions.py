@@ -12,17 +12,16 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.session_model import (
     EarlierSession,
     OutdatedEpisodes,
-    ReuseEntry,
-    SearchReuse,
+    ResumeEntry,
+    SearchOrigins,
 )
 from pytest_dura.evidence.shard_units import plan_digest
 
 OWN_ORIGIN: JsonObject = {"session": None, "changed": None}
 """The origin of an episode that was simulated by the session itself, for the first time."""
-_REUSE_MODES = ("none", "resume", "reuse")
 
 
-class ReuseRecord:
+class ResumeRecord:
     """Collects what items report of earlier sessions, beside the episodes of the record."""
 
     def __init__(self) -> None:
@@ -36,14 +35,12 @@ class ReuseRecord:
             self._searched.setdefault(simulation["run"], simulation)
 
     def to_json(self, header: JsonObject) -> JsonObject:
-        """Build the record's key ``reuse``, apart from what follows from its episodes.
+        """Build the record's key ``resume``, apart from what follows from its episodes.
 
         Args:
-            header: ``mode`` and ``session`` of the session itself.
+            header: ``resumed``, ``session`` and ``sources`` of the session itself.
         """
-        searched = (
-            None if header["mode"] == "none" else _search_origin_counts(self._searched.values())
-        )
+        searched = _search_origin_counts(self._searched.values()) if header["resumed"] else None
         return {"searched": searched, **header, "problems": sorted(self._notes)}
 
 
@@ -53,7 +50,7 @@ def _search_origin_counts(runs: Collection[JsonObject]) -> JsonObject:
 
 
 class OriginCounts(NamedTuple):
-    """Counts of the origins of episodes, for the record's key ``reuse``.
+    """Counts of the origins of episodes, for the record's key ``resume``.
 
     Args:
         taken_over: Episodes that an earlier session simulated.
@@ -90,18 +87,19 @@ def origin_counts(origins: Iterable[OriginEntry]) -> OriginCounts:
     return OriginCounts.of(sessions, changes)
 
 
-def merged_reuse(parts: Iterable[ReuseEntry]) -> dict[str, Any]:
-    """Merge what shards, each a session of its own, say of reuse."""
+def merged_resume(parts: Iterable[ResumeEntry]) -> dict[str, Any]:
+    """Merge what shards, each a session of its own, say of earlier sessions."""
     shards = list(parts)
     searched = [shard.searched for shard in shards if shard.searched is not None]
     return {
-        "mode": max((shard.mode for shard in shards), key=_REUSE_MODES.index),
+        "resumed": any(shard.resumed for shard in shards),
         "session": None,
+        "sources": shards[0].sources if len({shard.sources for shard in shards}) == 1 else None,
         "searched": _summed_origins(searched) if searched else None,
     }
 
 
-def _summed_origins(counts: Sequence[SearchReuse]) -> dict[str, Any]:
+def _summed_origins(counts: Sequence[SearchOrigins]) -> dict[str, Any]:
     """Sum of several :func:`_search_origin_counts`; no two shards make the same search."""
     sessions: Counter[str] = Counter()
     changes: Counter[tuple[str, ...]] = Counter()
@@ -120,39 +118,39 @@ def outdated_reason(changed: Iterable[str]) -> str:
     return f"{names} changed" if names else "missing or damaged in the earlier session"
 
 
-def reuse_problems(record: SessionRecord) -> Iterator[str]:
+def resume_problems(record: SessionRecord) -> Iterator[str]:
     """Yield the contradictions in what a record says of earlier sessions."""
-    reuse = record.head.reuse
-    if reuse.mode == "none" and (reuse.taken_over or reuse.outdated):
-        yield "reuse: episodes of earlier sessions, though none was asked for"
-    if reuse.session in {session.session for session in reuse.sessions}:
-        yield "reuse: the session took over episodes from itself"
-    if (reuse.session is None) != (record.head.merged_from is not None):
-        yield "reuse: a session has an id, and merged shards have none"
-    yield from _searched_problems(reuse.mode, reuse.session, reuse.searched)
+    resume = record.head.resume
+    if not resume.resumed and (resume.taken_over or resume.outdated):
+        yield "resume: episodes of earlier sessions, though none was resumed"
+    if resume.session in {session.session for session in resume.sessions}:
+        yield "resume: the session took over episodes from itself"
+    if (resume.session is None) != (record.head.merged_from is not None):
+        yield "resume: a session has an id, and merged shards have none"
+    yield from _searched_problems(resume.session, resume.searched, resumed=resume.resumed)
     for episode in record.episodes():
         if episode.origin.session is not None and episode.validity == "missing":
             yield f"episode {episode.id}: it was taken over, and it is missing"
 
 
 def _searched_problems(
-    mode: str, session: str | None, searched: SearchReuse | None
+    session: str | None, searched: SearchOrigins | None, *, resumed: bool
 ) -> Iterator[str]:
     """Yield the contradictions in the counts of searches, whose episodes are in no record."""
-    if (mode == "none") != (searched is None):
-        yield "reuse: searches are counted where earlier sessions are asked, and only there"
+    if resumed == (searched is None):
+        yield "resume: searches are counted where earlier sessions are asked, and only there"
     if searched is None:
         return
     taken_over = sum(session.episodes for session in searched.sessions)
     outdated = sum(reason.episodes for reason in searched.outdated)
     if searched.taken_over != taken_over:
         runs = f"{searched.taken_over} runs of searches"
-        yield f"reuse: {runs}, and their sessions say {taken_over}"
+        yield f"resume: {runs}, and their sessions say {taken_over}"
     if taken_over + outdated > searched.simulations:
         runs = f"{searched.simulations} runs of searches"
-        yield f"reuse: {runs}, and {taken_over + outdated} origins"
+        yield f"resume: {runs}, and {taken_over + outdated} origins"
     if session in {session.session for session in searched.sessions}:
-        yield "reuse: the session took over runs of searches from itself"
+        yield "resume: the session took over runs of searches from itself"
 
 
 def shard_problems(record: SessionRecord) -> Iterator[str]:

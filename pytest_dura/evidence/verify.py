@@ -58,7 +58,9 @@ from pytest_dura.requirements.episode_verdicts import (
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.second_engine import ENGINES_DISAGREE
 
-_RESUME_FILE = re.compile(r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)")
+_RESUME_FILE = re.compile(
+    r"\.episodes/([0-9a-f]{2}/[0-9a-f]{64}\.(episode|claim)|[0-9a-f]{32}\.sources)"
+)
 """Name of a file from which a failed session can be resumed, which is no evidence."""
 JudgedOnTraces: TypeAlias = "dict[tuple[str, str, str, str], EpisodeVerdict]"
 """Verdicts on traces, by requirement, check, component and the episode's id."""

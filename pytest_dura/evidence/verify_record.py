@@ -33,7 +33,7 @@ from pytest_dura.evidence.search_model import (
     SearchOutcomeEntry,
 )
 from pytest_dura.evidence.session_model import ComponentEntry, ComponentUnderTest
-from pytest_dura.evidence.sessions import reuse_problems, shard_problems
+from pytest_dura.evidence.sessions import resume_problems, shard_problems
 from pytest_dura.evidence.text import one_line
 from pytest_dura.provenance import digest_of
 from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
@@ -495,7 +495,7 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
     yield from _question_problems(record)
     yield from _monitor_problems(record, cases)
     yield from search_problems(record)
-    yield from reuse_problems(record)
+    yield from resume_problems(record)
     yield from shard_problems(record)
 
 

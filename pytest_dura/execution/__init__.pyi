@@ -1,8 +1,9 @@
-from .address import Addresses, describe_machine
-from .cache import CLAIM, EPISODE, EpisodeCache, prune, read_age, read_size
+from .address import address_of, describe_machine
+from .cache import CLAIM, EPISODE, EpisodeCache
 from .codec import pack
 from .executors import IN_FLIGHT, Execution, ExecutorChoice
 from .processes import MAX_STARTS, ProcessPool
+from .sources import SourceRules, Sources
 from .store import EpisodeStore
 from .task import EpisodeTask, missing_episode, run_episode
 from .worker import CallFailedError, ProcessLostError
@@ -12,7 +13,6 @@ __all__ = [
     "EPISODE",
     "IN_FLIGHT",
     "MAX_STARTS",
-    "Addresses",
     "CallFailedError",
     "EpisodeCache",
     "EpisodeStore",
@@ -21,11 +21,11 @@ __all__ = [
     "ExecutorChoice",
     "ProcessLostError",
     "ProcessPool",
+    "SourceRules",
+    "Sources",
+    "address_of",
     "describe_machine",
     "missing_episode",
     "pack",
-    "prune",
-    "read_age",
-    "read_size",
     "run_episode",
 ]

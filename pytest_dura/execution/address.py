@@ -1,7 +1,7 @@
-"""Address of an episode: what it was simulated from and by, so that equal ones are shared.
+"""Address of an episode: what it is run from, so that equal ones are shared within a session.
 
 With it :func:`simulate`, which every process calls that simulates for another one, and which
-refuses an episode whose address would be another one there.
+refuses to where the machine or the code would be another one.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import inspect
 import json
 import platform
 import sys
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,162 +23,67 @@ from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.execution.codec import pack
-from pytest_dura.execution.task import EpisodeTask
+from pytest_dura.execution.sources import LoadedModules, differences, module_file
+from pytest_dura.execution.task import EpisodeTask, is_named
 from pytest_dura.execution.warning_filters import filtered
 from pytest_dura.execution.worker import begin
 from pytest_dura.library.roles import LocalRole
-from pytest_dura.provenance import (
-    describe_arithmetic,
-    describe_packages,
-    describe_variable,
-    tool_code,
-    user_code,
-)
+from pytest_dura.provenance import describe_arithmetic, describe_packages, tool_code
 
-PACKAGE = "pytest_dura"
-VARIABLE_PREFIX = "environment variable "
-"""How the parts begin that hold the value of an environment variable."""
 _MODELS = "pytest_dura.llm.session"
 _THIS_SESSION = "another process of this session"
 _LONGEST_VALUE = 60
-_File = tuple[Path, str]
-"""A file, and the dotted name of its module."""
+_MODULE = "module "
+"""How the parts begin that hold the content of a module."""
 
 
 @dataclass(frozen=True)
 class Address:
-    """Content address of an episode: equal addresses mean equal episodes.
+    """Address of an episode within a session: equal addresses mean equal episodes.
 
     Args:
         name: SHA-256 of the parts.
-        parts: What the episode depends on, in words, and the digest or version of each: the
-            inputs, the code of each role, the versions of packages.
-        root: The root of the project whose code it names; ``None`` if that is not known.
+        parts: What the episode is run from, in words, and a digest of each.
     """
 
     name: str
     parts: Mapping[str, str]
-    root: str | None = None
-
-    @classmethod
-    def of(cls, parts: Mapping[str, str], root: str | None = None) -> Address:
-        """The address that has these parts."""
-        return cls(hashlib.sha256(canonical(parts)).hexdigest(), parts, root)
 
     def changed(self, parts: Mapping[str, str]) -> list[str]:
         """Names of the parts that another episode does not share, sorted."""
-        names = sorted(self.parts.keys() | parts.keys())
-        return [name for name in names if self.parts.get(name) != parts.get(name)]
-
-    @property
-    def of_any_machine(self) -> Address:
-        """Without environment variables, which say where workers find their devices and folders."""
-        return Address.of({
-            name: part for name, part in self.parts.items() if not name.startswith(VARIABLE_PREFIX)
-        })  # fmt: skip
+        return differences(self.parts, parts)
 
 
-@dataclass(frozen=True)
-class _Code:
-    """A digest of code, and the environment variables that it reads."""
-
-    digest: str
-    variables: frozenset[str] = frozenset()
-
-    @classmethod
-    def joined(cls, codes: Sequence[_Code | None]) -> _Code | None:
-        """That of several files; ``None`` if one of them is not known, or there is none."""
-        known = [code for code in codes if code is not None]
-        if not known or len(known) < len(codes):
-            return None
-        variables = frozenset().union(*(code.variables for code in known))
-        return cls(" ".join(code.digest for code in known), variables)
+def address_of(task: EpisodeTask) -> Address | None:
+    """Make the address of an episode; ``None`` for one that means something here only."""
+    if reason_unaddressed(task):
+        return None
+    parts = _inputs(task)
+    return Address(hashlib.sha256(canonical(parts)).hexdigest(), parts)
 
 
-class Addresses:
-    """Makes addresses; each piece of code is read once, as it is when it is first needed.
-
-    Args:
-        root: The project's root, see :func:`pytest_dura.provenance.user_code`.
-    """
-
-    def __init__(self, root: str | None = None) -> None:
-        self._root = root
-        self._by_file: dict[_File, _Code | None] = {}
-        self._by_target: dict[Hashable, _Code | None] = {}
-
-    def of(self, task: EpisodeTask) -> Address | None:
-        """The address of an episode.
-
-        ``None`` for one that means something in this process only, or whose code is in no file
-        that can be read: such an episode cannot be compared with any other.
-
-        Raises:
-            ConfigurationError: If a part cannot be imported.
-        """
-        if task.local:
-            return None
-        parts = {**describe_machine(), **_inputs(task)}
-        codes = {f"{name} {part.path}": self._of_part(part) for name, part in task.parts.items()}
-        for name, metric in sorted(task.metrics.items()):
-            codes[f"metric {name}"] = self._of_files(metric, partial(_file_of, metric))
-        for name, code in codes.items():
-            if code is None:
-                return None
-            parts[f"code of the {name}"] = code.digest
-            parts |= {
-                VARIABLE_PREFIX + variable: describe_variable(variable)
-                for variable in code.variables
-            }
-        answers = model_answers(task)
-        if answers is not None:
-            parts["answers of language models"] = answers
-        return Address.of(parts, self._root)
-
-    def _of_part(self, part: RoleSpec) -> _Code | None:
-        key = part.target if isinstance(part, LocalRole) else part.path
-        return self._of_files(key, partial(_files_of, part))
-
-    def _of_files(self, target: Hashable, files: Callable[[], Iterable[_File]]) -> _Code | None:
-        if target not in self._by_target:
-            self._by_target[target] = _Code.joined([self._code(*file) for file in files()])
-        return self._by_target[target]
-
-    def _code(self, file: Path, module: str) -> _Code | None:
-        """The code that a file rests on, ours apart, which is a part of its own."""
-        if module.partition(".")[0] == PACKAGE:
-            return _Code(PACKAGE)
-        if (file, module) not in self._by_file:
-            code = user_code(file, module, None if self._root is None else Path(self._root))
-            known = None if code is None else _Code(code.digest, code.variables)
-            self._by_file[file, module] = known
-        return self._by_file[file, module]
+def reason_unaddressed(task: EpisodeTask) -> str:
+    """Why an episode can be compared with none of another process or session; empty if it can."""
+    for name, metric in task.metrics.items():
+        if not is_named(metric):
+            return f"the metric {name} is a lambda, or stands within a function or class"
+    for name, part in task.parts.items():
+        if part.opaque:
+            return f"its {name} is a bare instance"
+        if isinstance(part, LocalRole) and not is_named(part.target):
+            return f"the class of its {name} stands within a function or class"
+        if not _has_file(part):
+            return f"the class of its {name} is in no file"
+    return ""
 
 
-def _files_of(part: RoleSpec) -> dict[_File, None]:
-    """Where a part is defined: its class or function, and what its path names, if it differs."""
-    files = _file_of(part.resolve())
+def _has_file(part: RoleSpec) -> bool:
+    """Whether a part comes from a file, so that another session sees whether it has changed."""
+    target = inspect.unwrap(part.resolve())
+    modules = {getattr(target, "__module__", None) or ""}
     if not isinstance(part, LocalRole):
-        files |= _file_of_module(part.path.partition(":")[0])
-    return files
-
-
-def _file_of(target: Callable[..., Any]) -> dict[_File, None]:
-    """File and module of a class or function; nothing for what is built in."""
-    target = inspect.unwrap(target)
-    module = getattr(target, "__module__", None) or ""
-    try:
-        file = inspect.getsourcefile(target)
-    except TypeError:  # no class or function, or one of a module without Python code
-        return _file_of_module(module)
-    if file is None or not Path(file).is_file():
-        return _file_of_module(module)
-    return {(Path(file).absolute(), module): None}
-
-
-def _file_of_module(name: str) -> dict[_File, None]:
-    file = getattr(sys.modules.get(name), "__file__", None)
-    return {(Path(file).absolute(), name): None} if file and Path(file).is_file() else {}
+        modules.add(part.path.partition(":")[0])
+    return any(module_file(module) is not None for module in modules)
 
 
 def model_answers(task: EpisodeTask) -> str | None:
@@ -228,8 +133,14 @@ def _inputs(task: EpisodeTask) -> dict[str, str]:
         # All that ends an episode; another rate or wording makes no other one of it.
         judging = [[each.check, encode(each.paired)] for each in task.judging]
         groups["requirements that end it"] = judging
+    if task.metrics:
+        groups["metrics"] = {
+            name: f"{metric.__module__}:{metric.__qualname__}"
+            for name, metric in task.metrics.items()
+        }
     if spec.timeouts is not None:
         groups["recorded timeouts"] = list(spec.timeouts)
+    answers = model_answers(task)
     return {
         "case": spec.case,
         "run": str(spec.run),
@@ -237,18 +148,23 @@ def _inputs(task: EpisodeTask) -> dict[str, str]:
         "kept for viewers": str(task.recorded),
         "repetition": str(task.again),
         **{name: hashlib.sha256(canonical(group)).hexdigest() for name, group in groups.items()},
+        **({} if answers is None else {"answers of language models": answers}),
     }
 
 
 @cache
 def describe_machine() -> dict[str, str]:
     """What every episode of this process depends on: our code, Python, packages, arithmetic."""
+    return {**describe_interpreter(), **describe_packages()}
+
+
+def describe_interpreter() -> dict[str, str]:
+    """The same without packages."""
     return {
         "code of pytest-dura": tool_code(),
         "arithmetic": hashlib.sha256(canonical(describe_arithmetic())).hexdigest(),
         "platform": f"{platform.system()} {platform.machine()}",
         "Python": sys.version.split()[0],
-        **describe_packages(),
     }
 
 
@@ -275,14 +191,18 @@ def _import(paths: Iterable[str]) -> None:
             RoleSpec(path).resolve()
 
 
-@cache
-def _addresses_here(root: str | None) -> Addresses:
-    """Those of a process that simulates for others.
+_LOADED = LoadedModules()
+"""Modules of a process that simulates for others. As long as it lives, as the modules do that it
+has imported: calls from other processes reach it by the names of functions, and share no object."""
 
-    As long as the process lives, as the modules do that it has imported: calls from other
-    processes reach it by the names of functions, and share no object.
+
+def conditions_of(modules: LoadedModules) -> dict[str, Any]:
+    """What must be equal in another process that simulates for this one.
+
+    Args:
+        modules: Those of this process.
     """
-    return Addresses(root)
+    return {"machine": describe_machine(), "modules": modules.digests()}
 
 
 def simulate(
@@ -296,8 +216,8 @@ def simulate(
 
     Args:
         task: JSON of :meth:`EpisodeTask.to_json`.
-        conditions: ``name``, ``parts`` and ``root`` of the :class:`Address` that the episode must
-            have here, and ``where`` this is in words, if it is no process of the same session.
+        conditions: Of :func:`conditions_of`, and ``where`` this is in words, if it is not a
+            process of the same session.
         filters: The warning filters that apply while it runs, see
             :func:`pytest_dura.execution.warning_filters.warning_filters`.
         seconds: The limit that the process is held to, once all has been imported.
@@ -309,9 +229,9 @@ def simulate(
         ConfigurationError: If a part cannot be built here, or is not the same here.
     """
     here = EpisodeTask.from_json(json.loads(task))
-    if conditions is not None:
-        _check_address(here, **conditions)
     _import(part.path for part in here.parts.values())
+    if conditions is not None:
+        _check_conditions(**conditions)
     begin()
     calls = _model_call_count()
     with filtered(filters):
@@ -336,33 +256,30 @@ def simulate(
         ) from None
 
 
-def _check_address(
-    task: EpisodeTask,
-    name: str,
-    parts: Mapping[str, str],
-    root: str | None = None,
-    where: str = _THIS_SESSION,
+def _check_conditions(
+    machine: Mapping[str, str], modules: Mapping[str, str], where: str = _THIS_SESSION
 ) -> None:
-    """Refuse a task whose address in this process is another one than that given."""
-    expected, here = Address(name, parts), _addresses_here(root).of(task)
-    if where != _THIS_SESSION:
-        expected, here = expected.of_any_machine, here and here.of_any_machine
-    if here is None or here.name != expected.name:
-        refuse_differences(where, expected.parts, {} if here is None else here.parts)
+    """Refuse to simulate where the machine, or a module that was imported here, is another one."""
+    here = {name: _LOADED.digest_of(name) for name in modules}
+    refuse_differences(
+        where,
+        {**machine, **{_MODULE + name: modules[name] for name in modules if here[name]}},
+        {**describe_machine(), **{_MODULE + name: sha for name, sha in here.items() if sha}},
+    )
 
 
 def refuse_differences(where: str, expected: Mapping[str, str], found: Mapping[str, str]) -> None:
-    """Refuse to simulate where a part of an address differs.
+    """Refuse to simulate where something differs that episodes rest on.
 
     Args:
         where: The place, in words.
-        expected: Parts of this session.
-        found: Parts at the place.
+        expected: What this session rests on, by name.
+        found: The same at the place.
 
     Raises:
-        ConfigurationError: If any part differs; the first one is shown.
+        ConfigurationError: If anything differs; the first is shown.
     """
-    changed = Address("", expected).changed(found)
+    changed = differences(expected, found)
     if not changed:
         return
     first = changed[0]
@@ -376,14 +293,12 @@ def refuse_differences(where: str, expected: Mapping[str, str], found: Mapping[s
     )
 
 
-def _difference_remedy(part: str, where: str) -> str:
-    if part.startswith(VARIABLE_PREFIX):
-        return "set it before the session begins: processes that simulate are started once"
+def _difference_remedy(name: str, where: str) -> str:
     if where == _THIS_SESSION:
         return "files changed while the session ran: start it again"
-    if part.startswith("code "):
+    if name.startswith(("code ", _MODULE)):
         return "install or mount the same files there, and start the worker again"
-    if part == "arithmetic":
+    if name == "arithmetic":
         return "use machines with the same kind of processor and the same build of NumPy"
     return "install the same there; `python -m pip freeze` on both tells what differs"
 

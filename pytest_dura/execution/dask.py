@@ -72,7 +72,7 @@ def _reply_with_machine(client: Mapping[str, Any]) -> bytes:
 def _reply_with_episode(
     client: Mapping[str, Any],
     task: str,
-    conditions: Mapping[str, Any] | None,
+    conditions: Mapping[str, Any],
     filters: Sequence[Sequence[Any]],
     seconds: float,
 ) -> bytes:
@@ -87,7 +87,7 @@ def _reply_with_episode(
     """
     from distributed import get_worker
 
-    here = conditions and {**conditions, "where": f"the Dask worker {get_worker().address}"}
+    here = {**conditions, "where": f"the Dask worker {get_worker().address}"}
     call = _pool(client).submit
     return reply_of(lambda: call(simulate, task, here, filters, seconds=seconds).result())
 
@@ -319,7 +319,7 @@ class DaskExecutor(Executor):
     """Executor that simulates on the workers of a Dask cluster.
 
     Specs and episodes travel as plain data. Each worker is compared with this process at the
-    beginning, and again, with the code of the components, before each episode. Dask gives what a
+    beginning, and again, with the modules of the user's own, before each episode. Dask gives what a
     lost worker had to another one; its own limit says how many workers one episode may take along.
 
     Args:

@@ -8,14 +8,15 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from queue import Empty, SimpleQueue
 from typing import Any, ClassVar, ParamSpec, TypeVar
 
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.registry import Registry
-from pytest_dura.execution.address import Address, simulate
+from pytest_dura.execution.address import conditions_of, simulate
+from pytest_dura.execution.sources import LoadedModules
 from pytest_dura.execution.task import EpisodeTask, is_same_elsewhere, reason_not_portable
 from pytest_dura.execution.warning_filters import warning_filters
 from pytest_dura.requirements.checks import is_function_path
@@ -208,6 +209,8 @@ class Execution:
     """Takes the episodes whose component asks a language model, if there is such an executor."""
     alone: bool = True
     """Whether no other process of the session runs tests."""
+    modules: LoadedModules = field(default_factory=LoadedModules, compare=False)
+    """Modules of this process, which must be the same wherever an episode is simulated."""
 
     @property
     def width(self) -> int:
@@ -239,9 +242,7 @@ class Execution:
             return self.threads
         return None if self.inside or not task.portable else self.executor
 
-    def submit(
-        self, task: EpisodeTask, address: Address | None = None
-    ) -> Future[JudgedEpisode] | Future[bytes]:
+    def submit(self, task: EpisodeTask) -> Future[JudgedEpisode] | Future[bytes]:
         """Begin an episode; the future is of the episode, or of a packed one from elsewhere.
 
         An episode that is not portable is simulated here, wherever the others are: in a thread if
@@ -249,18 +250,16 @@ class Execution:
 
         Args:
             task: The episode to simulate.
-            address: Its address here, which it must have wherever it is simulated.
         """
         executor = self._executor_of(task)
         if executor is None or executor is self.threads:
             return (executor or InProcessExecutor()).submit(self.run_here, task)
-        conditions = None if address is None else asdict(address)
         if self.retreat is not None:
             self.retreat.was_needless = False
         return executor.submit(
             simulate,
             json.dumps(replace(task, checks=self._checks_to_send(task)).to_json()),
-            conditions,
+            conditions_of(self.modules),
             warning_filters(),
             seconds=time_limit_of(task.spec, self.seconds),
         )

@@ -16,10 +16,19 @@ from typing import IO, Any
 
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError, DuraError, describe_error
-from pytest_dura.execution.address import Address, Addresses
+from pytest_dura.execution.address import Address, address_of, reason_unaddressed
 from pytest_dura.execution.cache import MAX_ATTEMPTS, CacheEntry, Claim, EpisodeCache
 from pytest_dura.execution.codec import SERIES, pack, unpack
 from pytest_dura.execution.executors import IN_FLIGHT, MAX_SECONDS, Execution, time_limit_of
+from pytest_dura.execution.sources import (
+    EpisodeFiles,
+    LoadedModules,
+    SourceRules,
+    changed_meanwhile,
+    changed_sources,
+    differences,
+    shortened,
+)
 from pytest_dura.execution.task import EpisodeTask, missing_episode
 from pytest_dura.execution.worker import CallFailedError, ProcessLostError
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
@@ -161,31 +170,49 @@ class EarlierEpisodes:
 
     Args:
         cache: The shared cache, if there is one.
+        rules: Which files are sources of the session.
     """
 
-    def __init__(self, cache: EpisodeCache | None) -> None:
-        self._cache = cache
-        self._index: dict[tuple[str, str], list[Mapping[str, str]]] | None = None
+    def __init__(self, cache: EpisodeCache | None, rules: SourceRules | None = None) -> None:
+        self._cache, self._rules, self._files = cache, rules, EpisodeFiles(rules)
+        self._changes: dict[str, tuple[str, ...]] = {}
+        self._compared, self._meanwhile = 0, ""
+        self._index: dict[tuple[str, str], list[CacheEntry]] | None = None
         self.origins: dict[EpisodeKey, str] = {}
         """Ids of the sessions that simulated the episodes taken over."""
         self.searched: dict[EpisodeKey, None] = {}
         """Episodes that searches used, in this order, where earlier sessions may have had them."""
         self.outdated: dict[EpisodeKey, tuple[str, ...]] = {}
-        """Parts that changed since an earlier session simulated these, which are simulated again.
-        None did where the earlier episode was missing."""
+        """What changed since an earlier session simulated these, which are simulated again.
+        Nothing did where the earlier episode was missing."""
+
+    def files_of(self, task: EpisodeTask) -> Mapping[str, str]:
+        """Files that an episode rests on beside the sources of the session."""
+        sources = None if self._cache is None else self._cache.sources(self._cache.session)
+        return self._files.of(task, () if sources is None else sources.files)
+
+    def may_count(self, task: EpisodeTask, entry: CacheEntry) -> bool:
+        """Whether an episode of the cache counts in this session, unless it is missing.
+
+        One of another session does if such are taken over, and all that it rests on is equal. A
+        repetition does not: it is to show that this session, too, comes to the same.
+        """
+        if self._cache is None or entry.session == self._cache.session:
+            return True
+        return self._cache.earlier and not task.again and not self._changed(task, entry)
 
     def counts(self, task: EpisodeTask, episode: Episode, entry: CacheEntry) -> bool:
-        """Whether an episode of the cache counts in this session.
+        """Whether an episode of the cache counts in this session; it is noted where it does.
 
-        One of another session does if such are taken over, and if it was not missing there: what
-        was wrong may be mended. A repetition does not: it is to show that this session, too, comes
-        to the same.
+        One that was missing in another session does not: what was wrong may be mended.
         """
+        if not self.may_count(task, entry):
+            return False
         if self._cache is None or entry.session == self._cache.session:
             if entry.changed is not None:
                 self.outdated[key_of(task)] = entry.changed
             return True
-        if not self._cache.earlier or episode.failure is not None or task.again:
+        if episode.failure is not None:
             return False
         self.origins[key_of(task)] = entry.session
         return True
@@ -194,17 +221,35 @@ class EarlierEpisodes:
         """Note why an episode has to be simulated, if an earlier session had one of its name.
 
         Returns:
-            Parts that changed since the earlier one that it is closest to.
+            What changed since the earlier one that it is closest to.
         """
         if self._cache is None or not self._cache.earlier or task.again:
             return None
         known = self._indexed(self._cache).get((task.spec.id, task.spec.component))
         if not known:
             return None
-        changes = [tuple(address.changed(parts)) for parts in known]
+        changes = [(*address.changed(each.parts), *self._changed(task, each)) for each in known]
         least = min(changes, key=lambda change: (len(change), change))
         self.outdated[key_of(task)] = least
         return least
+
+    def _changed(self, task: EpisodeTask, entry: CacheEntry) -> tuple[str, ...]:
+        """What changed of all that an earlier episode rests on, but for what it was run from."""
+        assert self._cache is not None
+        if entry.session not in self._changes:
+            now, then = map(self._cache.sources, (self._cache.session, entry.session))
+            self._changes[entry.session] = changed_sources(now, then)
+        files = shortened(differences(entry.files, self.files_of(task)))
+        return (*self._changes[entry.session], *files)
+
+    def changed_meanwhile(self, modules: LoadedModules) -> str:
+        """Name what changed since the session began, of what this process imported; or nothing."""
+        sources = None if self._cache is None else self._cache.sources(self._cache.session)
+        count = len(modules.digests())
+        if sources is not None and self._rules is not None and count != self._compared:
+            names = changed_meanwhile(modules, sources, self._rules.root)
+            self._compared, self._meanwhile = count, ", ".join(shortened(sorted(names)))
+        return self._meanwhile
 
     def origin(self, key: EpisodeKey) -> dict[str, Any]:
         """Where an episode comes from, as the record has it; see :meth:`miss`."""
@@ -219,12 +264,12 @@ class EarlierEpisodes:
         if self._cache is not None and self._cache.earlier:
             self.searched[key_of(task)] = None
 
-    def _indexed(self, cache: EpisodeCache) -> Mapping[tuple[str, str], list[Mapping[str, str]]]:
+    def _indexed(self, cache: EpisodeCache) -> Mapping[tuple[str, str], list[CacheEntry]]:
         if self._index is None:
             self._index = defaultdict(list)
             for entry in cache.entries():
                 if entry.session != cache.session:
-                    self._index[entry.id, entry.component].append(entry.parts)
+                    self._index[entry.id, entry.component].append(entry)
         return self._index
 
 
@@ -274,7 +319,7 @@ class EpisodeStore:
         execution: The executor; by default this process.
         memory: What this process keeps.
         second_engine: Evaluates the formulas of all its episodes as well.
-        root: The project's root; only code below it is the project's.
+        rules: Which files are sources of the session.
     """
 
     def __init__(
@@ -283,12 +328,12 @@ class EpisodeStore:
         execution: Execution | None = None,
         memory: EpisodeMemory | None = None,
         second_engine: SecondEngine | None = None,
-        root: str | None = None,
+        rules: SourceRules | None = None,
     ) -> None:
         self.cache, self.second_engine = cache, second_engine
         self.execution = execution or Execution()
         self.memory = memory or EpisodeMemory()
-        self.earlier = EarlierEpisodes(cache)
+        self.earlier = EarlierEpisodes(cache, rules)
         self.simulated = 0
         """Episodes that were simulated for this process."""
         self.problems: list[str] = []
@@ -297,7 +342,6 @@ class EpisodeStore:
         """Whether an episode is missing from the session since its executor was lost."""
         self.is_broken = False
         """Whether an episode closed files of this process; see :class:`DescriptorsClosedError`."""
-        self._addresses = Addresses(root)
         self._flights: dict[str, _Flight] = {}
         self._certain: Iterator[EpisodeTask] = iter(())
         self._has_plan = False
@@ -353,8 +397,7 @@ class EpisodeStore:
                 self._repetitions[key_of(task)] = self._submit_repetition(task)
 
     def _submit_repetition(self, task: EpisodeTask) -> Future[Any]:
-        address = self._address(task) if self.execution.width_of(task) else None
-        return self.execution.submit(task, address)
+        return self.execution.submit(task)
 
     def repeat(self, task: EpisodeTask) -> JudgedEpisode:
         """An episode simulated once more, to be compared with itself; it is kept nowhere.
@@ -385,7 +428,12 @@ class EpisodeStore:
         if self.cache is None:
             return False
         address = self._address(task)
-        return address is not None and self.cache.has(address)
+        return address is not None and self._is_kept(task, address)
+
+    def _is_kept(self, task: EpisodeTask, address: Address) -> bool:
+        """Whether there is an episode in the cache, whole or not, that counts in this session."""
+        entry = None if self.cache is None else self.cache.entry(address)
+        return entry is not None and self.earlier.may_count(task, entry)
 
     def cancel(self) -> None:
         """Give up the episodes that were begun ahead, apart from what later items need."""
@@ -457,7 +505,7 @@ class EpisodeStore:
                     claim.release()
                     return None
         try:
-            future = self._submit(task, address, 0 if claim is None else claim.attempts)
+            future = self._submit(task, 0 if claim is None else claim.attempts)
         except BaseException:  # also on ctrl-C others may claim it; it is raised again
             if claim is not None:
                 claim.release()
@@ -467,9 +515,9 @@ class EpisodeStore:
         future.add_done_callback(lambda _: self._put(flight))
         return flight
 
-    def _submit(self, task: EpisodeTask, address: Address, attempts: int) -> Future[Any]:
+    def _submit(self, task: EpisodeTask, attempts: int) -> Future[Any]:
         if attempts < MAX_ATTEMPTS:
-            return self.execution.submit(task, address)
+            return self.execution.submit(task)
         future: Future[Any] = Future()
         future.set_exception(
             ProcessLostError(f"the episode ended {attempts} processes that simulated it")
@@ -489,7 +537,7 @@ class EpisodeStore:
             if address is None or self.memory.holds(task):
                 continue
             flight = self._flights.get(address.name)
-            if flight is None and not (self.cache is not None and self.cache.has(address)):
+            if flight is None and not self._is_kept(task, address):
                 flight = self._begin(task, address)
                 room -= 1
             if flight is not None:
@@ -532,7 +580,7 @@ class EpisodeStore:
                 continue
             if address.name in self._flights or self.memory.find(task) is not None:
                 continue
-            if self.cache is not None and self.cache.has(address):
+            if self._is_kept(task, address):
                 continue
             flight = self._begin(task, address)
             if flight is None:
@@ -556,10 +604,13 @@ class EpisodeStore:
         try:
             if flight.claim is not None and not flight.claim.is_held:
                 flight.broken = _descriptors_closed(flight.task)
+            elif meanwhile := self.earlier.changed_meanwhile(self.execution.modules):
+                self._note_text(f"episodes are not kept: {meanwhile} changed as the session ran")
             elif self.cache is not None and not flight.future.cancelled():
                 packed = _packed(flight)
                 if packed is not None:
-                    self.cache.put(flight.address, flight.task.spec, packed, flight.changed)
+                    files = self.earlier.files_of(flight.task)
+                    self.cache.put(flight.address, flight.task.spec, packed, files, flight.changed)
                     flight.cached = True
         except Exception as problem:  # a disk may be full, an event no plain data
             self._note(problem)
@@ -594,16 +645,25 @@ class EpisodeStore:
         """The address of a task, made once: `get` looks at it again and again while it waits."""
         known = vars(task)
         if "address" not in known:
-            known["address"] = self._addresses.of(task)
+            known["address"] = address_of(task)
+            if known["address"] is None:
+                self._note_unkept(task)
         address: Address | None = known["address"]
         return address
+
+    def _note_unkept(self, task: EpisodeTask) -> None:
+        component, reason = task.spec.component, reason_unaddressed(task)
+        self._note_text(f"episodes of {component} are not kept for --dura-resume: {reason}")
 
     def _note(self, problem: Exception) -> None:
         # Without the file's name: it is another one for each episode.
         reason = problem.strerror if isinstance(problem, OSError) else None
         reason = reason or describe_error(problem)
-        text = f"episodes cannot be shared with other processes, nor with a later session: {reason}"
-        if text not in self.problems:
+        what = "episodes cannot be shared with other processes, nor with a later session"
+        self._note_text(f"{what}: {reason}")
+
+    def _note_text(self, text: str) -> None:
+        if self.cache is not None and text not in self.problems:
             self.problems.append(text)
 
 

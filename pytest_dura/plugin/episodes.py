@@ -1,7 +1,7 @@
 """Simulation of episodes in this process, sharing between processes, and repetition.
 
-One episode per case is repeated. Sharing covers what ``--dura-resume`` and ``--dura-reuse`` take
-over from earlier sessions.
+One episode per case is repeated. Sharing covers what ``--dura-resume`` takes over from earlier
+sessions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.evidence.text import counted
 from pytest_dura.plugin.context import LIVE_MODEL, draws_reason
-from pytest_dura.plugin.messages import safe_lines, typed_path
+from pytest_dura.plugin.messages import safe_lines
 from pytest_dura.plugin.outcomes import target_of
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from pytest_dura.execution.cache import EpisodeCache
     from pytest_dura.execution.executors import Execution, ExecutorChoice
     from pytest_dura.execution.processes import ProcessPool
+    from pytest_dura.execution.sources import SourceRules, Sources
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.plugin.context import SessionContext
@@ -381,28 +382,74 @@ class SharedEpisodes:
         from pytest_dura.execution.cache import EpisodeCache
 
         options = self.context.options
-        directory = options.reuse or self.context.options.evidence / EPISODES_FOLDER
-        return EpisodeCache(directory, self.id, earlier=options.resume or options.reuse is not None)
+        return EpisodeCache(options.evidence / EPISODES_FOLDER, self.id, earlier=options.resume)
 
-    @property
-    def mode(self) -> str:
-        """Whether episodes are taken over: ``none``, ``resume`` or ``reuse``, as in the record."""
-        options = self.context.options
-        return "resume" if options.resume else "none" if options.reuse is None else "reuse"
+    @cached_property
+    def rules(self) -> SourceRules:
+        """Rules for which files the episodes of the session rest on."""
+        from pytest_dura.execution.sources import SourceRules
+
+        config, root = self.context.config, self.context.config.rootpath
+        return SourceRules(
+            root,
+            config.getini("norecursedirs"),
+            config.getini("python_files"),
+            (self.context.options.evidence,),
+        )
+
+    @cached_property
+    def sources(self) -> Sources | None:
+        """What all episodes of the session rest on; ``None`` if those are too many files.
+
+        Raises:
+            ConfigurationError: If they are, and an earlier session is to be compared with them.
+        """
+        from pytest_dura.execution.address import describe_interpreter
+        from pytest_dura.execution.sources import MAX_FILES, Sources, TooManyFilesError
+
+        try:
+            return self.cache.sources(self.id) or Sources.of(self.rules, describe_interpreter())
+        except TooManyFilesError:
+            if not self.context.options.resume:
+                return None
+        raise ConfigurationError(
+            f"more than {MAX_FILES} Python files, or ten times as many others, lie below the root "
+            "directory, so that they cannot be compared with those of the session to resume",
+            key="--dura-resume",
+            found=str(self.context.config.rootpath),
+            expected="a root directory with the code of one project",
+            remedy="name the folders in `norecursedirs` that no component is imported from",
+        )
 
     def to_json(self) -> dict[str, Any]:
-        """The record's key ``reuse`` at its beginning; the rest follows from its episodes."""
-        return {"mode": self.mode, "session": self.id}
+        """The record's key ``resume`` at its beginning; the rest follows from its episodes."""
+        sources = self.sources
+        covered = (
+            None
+            if sources is None
+            else {
+                "digest": sources.digest,
+                "files": len(sources.files),
+                "versions": len(sources.versions),
+            }
+        )
+        return {
+            "resumed": self.context.options.resume,
+            "session": self.id,
+            "sources": covered,
+        }
 
     def store(self) -> EpisodeStore:
         """Make the store from which the runner of this process takes episodes."""
         from pytest_dura.execution.store import EpisodeStore
 
+        if self.context.is_worker:  # the controller may begin its record later
+            self.put_sources()
         self._store = EpisodeStore(
             self.cache,
             self._executor.execution(),
             second_engine=self._formulas.second_engine,
-            root=str(self.context.config.rootpath),
+            rules=self.rules,
         )
         return self._store
 
@@ -481,23 +528,39 @@ class SharedEpisodes:
         """
         options = self.context.options
         count = self.cache.count()
-        episodes = f"{count} episode{'' if count == 1 else 's'}"
+        episodes = counted(count, "episode")
         # It is removed once a session is whole, so that only other sessions leave it.
         unfinished = self.cache.directory.is_dir()
-        if options.reuse is not None:
-            place = typed_path(options.reuse, self.context.config.invocation_params.dir)
-            self.lines = [f"reusing: {episodes} of earlier sessions in {place}"]
-            return
         # Reading a great record takes its time, and after most sessions there is nothing left.
         session = self._unfinished(left_episodes=unfinished) if options.resume or count else None
         if options.resume:
             anew = "; it begins anew" if session == _BEFORE_RECORD and not count else ""
-            self.lines = [f"resuming: {episodes} of {session}{anew}"]
+            self.lines = [f"resuming: {episodes} of {session}{anew}", *self._changes()]
             return
         if session is not None:
             dropped = f"dropped: {episodes} of {session}"
             self.lines = [f"{dropped}; --dura-resume would have taken them over"]
         self._clear()
+
+    def put_sources(self) -> None:
+        """Store what the episodes rest on, unless another process of the session has done so.
+
+        Without that, as on a full disk, no later session takes an episode over.
+        """
+        if self.sources is not None and self.cache.sources(self.id) is None:
+            with suppress(OSError):
+                self.cache.put_sources(self.sources)
+
+    def _changes(self) -> Iterator[str]:
+        """Say what changed since the session that is resumed, and for how many episodes."""
+        from pytest_dura.execution.sources import changed_sources
+
+        sessions = Counter(entry.session for entry in self.cache.entries())
+        for session, number in sessions.items():
+            changed = ", ".join(changed_sources(self.sources, self.cache.sources(session)))
+            if changed:
+                are = "is" if number == 1 else "are"
+                yield f"{counted(number, 'episode')} {are} simulated anew: {changed} changed since"
 
     @property
     def _lost_here(self) -> bool:
@@ -525,13 +588,13 @@ class SharedEpisodes:
         shutil.rmtree(self._repetition_marks, ignore_errors=True)
         lost = self._lost or self._lost_here or record.head.totals.missing
         self.is_whole = written and record.head.status == "complete" and not lost
-        if self.context.options.reuse is None and not self.is_whole:
+        if not self.is_whole:
             with suppress(OSError):  # so that it can be resumed, also if nothing was simulated
                 self.cache.directory.mkdir(exist_ok=True)
 
     def remove_if_whole(self) -> None:
         """Remove the episodes of a session that is whole."""
-        if self.is_whole and self.context.options.reuse is None:
+        if self.is_whole:
             # What cannot be removed does no harm: the next session removes it, or says why not.
             with suppress(OSError):
                 self.cache.clear()
@@ -583,8 +646,7 @@ class SharedEpisodes:
                 key="--dura-resume",
                 found="complete",
                 expected="the evidence of a session that was interrupted, or lost a process",
-                remedy="drop --dura-resume; to keep episodes from session to session, use "
-                "--dura-reuse=DIR",
+                remedy="drop --dura-resume",
             )
         return None
 

@@ -250,7 +250,7 @@ class SessionEvidence:
                         files_of_roles(self.context, self._roles.chosen_simulator()),
                     ),
                     "execution": self._executor.to_json(),
-                    "reuse": self._shared.to_json(),
+                    "resume": self._shared.to_json(),
                     "shard": self._shard_json(),
                     "merged_from": None,
                     "selection": self._selection.to_json(),
@@ -269,6 +269,7 @@ class SessionEvidence:
             with HeldInterruptions():
                 begin_bundle(record, traces=not late)
                 begun = True
+            self._shared.put_sources()
         except BaseException:  # also on ctrl-C the next session may write here; it is raised again
             if not begun:  # otherwise the record has to say first how the session ended
                 self._unlock()

@@ -11,7 +11,7 @@ from pytest_dura.core.trust import source_of
 from pytest_dura.evidence.files import InputFiles, InputKind
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.roles import conftest_files
-from pytest_dura.provenance import MAX_LISTED_FILES, is_installed, user_code
+from pytest_dura.provenance import MAX_LISTED_FILES, imported_files, is_installed
 
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
@@ -156,10 +156,9 @@ class SessionInputs:
             file = source_of(module)
         if file is None or is_installed(file):
             return
-        code = user_code(file, module, self.context.config.rootpath)
-        if code is not None and len(code.files) <= MAX_LISTED_FILES:
-            for source in code.files:
-                self.inputs.add(kind, source)
+        files = imported_files(file, module, self.context.config.rootpath)
+        for source in files if len(files) <= MAX_LISTED_FILES else ():
+            self.inputs.add(kind, source)
 
     def _add_conftests(self, folder: Path) -> None:
         if not self._is_new("folder", str(folder)):

@@ -218,22 +218,6 @@ def folder(use: str) -> Callable[[Setting], Path]:
     return read
 
 
-def reuse_folder(setting: Setting) -> Path | None:
-    """Read the directory in which episodes are kept from session to session."""
-    if not setting.given:
-        return None
-    if setting.other("--dura-resume"):
-        raise _unusable(
-            "an interrupted session is resumed from its own evidence directory",
-            key="--dura-resume",
-            found=f"--dura-resume and {setting.key}={setting.given}",
-            expected="one of them",
-            remedy="drop --dura-resume: episodes in the directory of --dura-reuse are taken over "
-            "anyway",
-        )
-    return folder("episodes are kept in a directory")(setting)
-
-
 def select_globs(setting: Setting) -> tuple[str, ...]:
     """Read globs of case names, which need scenario cases."""
     if setting.given and not (setting.other("--dura-scenarios") or setting.other("--dura-list")):

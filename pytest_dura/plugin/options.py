@@ -35,7 +35,6 @@ from pytest_dura.plugin.option_values import (
     llm_price,
     llm_retries,
     off_switch,
-    reuse_folder,
     second_engine,
     seconds,
     seconds_or_never,
@@ -89,7 +88,7 @@ class Option(Generic[T]):
         no_shard: Why it excludes ``--dura-shard``, if it does.
         no_shard_for: The value that does; by default any.
         changes_episodes: Whether an episode of the same case and run is another one with it, and
-            has another address in the cache.
+            is not taken over by a session that goes on with another value.
         sent_to_workers: Whether a worker of pytest-xdist takes the path that the controller has.
     """
 
@@ -427,20 +426,9 @@ class Options:
     resume: Option[bool] = Option(
         "--dura-resume",
         "go on with the session that the evidence directory is of, which was interrupted, or "
-        "lost a process: its episodes are taken over, as far as nothing that they rest on has "
-        "changed since",
+        "lost a process: its episodes are taken over, unless the project's Python files or the "
+        "versions of packages have changed since",
         switch,
-        activates=True,
-        same_in_shards=False,
-    )
-    reuse: Option[Path | None] = Option(
-        "--dura-reuse",
-        "keep episodes in this directory, and take over what earlier sessions left there, as "
-        "far as nothing that they rest on has changed since",
-        reuse_folder,
-        metavar="DIR",
-        example="episodes",
-        details="`python -m pytest_dura prune` removes what no session has used for long.",
         activates=True,
         same_in_shards=False,
     )

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.baseline import Baseline
     from pytest_dura.evidence.case_model import CaseEntry
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.evidence.session_model import ReuseEntry, SearchReuse
+    from pytest_dura.evidence.session_model import ResumeEntry, SearchOrigins
     from pytest_dura.evidence.verdict_model import BaselineEntry, ComparisonEntry
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
@@ -68,29 +68,29 @@ _MOST_REASONS = 8
 """Reasons that are shown."""
 
 
-def _reuse_lines(record: SessionRecord) -> Iterator[str]:
+def _resumed_lines(record: SessionRecord) -> Iterator[str]:
     """Count the episodes taken over and simulated, with reasons for repeated ones."""
-    if record.head.reuse.mode != "none":
-        yield from _reuse_sentences(record.head.reuse, record.head.totals.episodes, "episode")
+    if record.head.resume.resumed:
+        yield from _resumed_sentences(record.head.resume, record.head.totals.episodes, "episode")
 
 
 def _searched_lines(record: SessionRecord) -> Iterator[str]:
     """Count the same for searches, and say why something could not be shared."""
-    searched = record.head.reuse.searched
+    searched = record.head.resume.searched
     if searched is not None and searched.simulations:
-        yield from _reuse_sentences(searched, searched.simulations, "run", " of searches")
-    yield from record.head.reuse.problems
+        yield from _resumed_sentences(searched, searched.simulations, "run", " of searches")
+    yield from record.head.resume.problems
 
 
-def _reuse_sentences(
-    reuse: ReuseEntry | SearchReuse, count: int, noun: str, suffix: str = ""
+def _resumed_sentences(
+    origins: ResumeEntry | SearchOrigins, count: int, noun: str, suffix: str = ""
 ) -> Iterator[str]:
     from pytest_dura.evidence.sessions import outdated_reason
 
-    taken, sessions = reuse.taken_over, len(reuse.sessions)
+    taken, sessions = origins.taken_over, len(origins.sessions)
     origin = f" from {counted(sessions, 'earlier session')}" if taken else ""
     yield f"{counted(taken, noun)}{suffix} taken over{origin}, {count - taken} simulated"
-    outdated = sorted(reuse.outdated, key=lambda entry: -entry.episodes)
+    outdated = sorted(origins.outdated, key=lambda entry: -entry.episodes)
     for entry in outdated[:_MOST_REASONS]:
         repeated = f"{counted(entry.episodes, noun)}{suffix} simulated again"
         yield f"{repeated}: {outdated_reason(entry.changed)}"
@@ -103,10 +103,7 @@ def _resume_lines(config: pytest.Config, shared: SharedEpisodes) -> Iterator[str
     """Say how an incomplete session goes on, if anything of it was kept."""
     if shared.is_whole or not shared.cache.count():
         return
-    if shared.mode == "reuse":
-        yield "to go on, give the same command again: its episodes are kept"
-    else:
-        yield f"to go on: {shared.context.redact(_resume_command(config))}"
+    yield f"to go on: {shared.context.redact(_resume_command(config))}"
 
 
 def _resume_command(config: pytest.Config) -> str:
@@ -423,7 +420,7 @@ def _show_cases(context: SessionContext, terminal: Any, record: SessionRecord) -
     if ended_early:
         text = "ended early, once all was decided; figures are up to then"
         terminal.line(f"{counted(ended_early, 'episode')} {text}")
-    for line in _reuse_lines(record):
+    for line in _resumed_lines(record):
         terminal.line(line)
     by_hand = sum(not episode.planned for episode in record.episodes())
     if by_hand:

@@ -340,21 +340,22 @@ def _not_repeatable(record: SessionRecord) -> Iterator[str]:
 
 def _taken_over(record: SessionRecord) -> Iterator[str]:
     """Sentences on what this session did not simulate itself."""
-    reuse, run = record.head.reuse, record.head.totals.episodes
-    if reuse.mode == "none":
+    resume, run = record.head.resume, record.head.totals.episodes
+    if not resume.resumed:
         return
-    sessions = len(reuse.sessions)
+    sessions = len(resume.sessions)
     source = f" from {counted(sessions, 'earlier session')}" if sessions else ""
     yield (
-        f"{reuse.taken_over} of {run} episodes were taken over{source}, since nothing that they "
-        "are known to rest on had changed: what their code reads or imports unseen is not known."
+        f"{resume.taken_over} of {run} episodes were taken over{source}, since the project's "
+        "Python files and the versions of packages are equal: what code reads by itself is not "
+        "compared."
     )
-    for change in reuse.outdated[:_MOST_NAMES]:
+    for change in resume.outdated[:_MOST_NAMES]:
         yield (
             f"{change.episodes} of {run} episodes were simulated again: "
             f"{outdated_reason(map(name, change.changed))}."
         )
-    searched = reuse.searched
+    searched = resume.searched
     if searched is not None and searched.taken_over:
         yield (
             f"{searched.taken_over} of {searched.simulations} simulations of searches were "

@@ -18,7 +18,7 @@ KEYS = {
     "baseline", "finished", "evidence_level", "gate", "inputs", "coverage", "timings",
     "require_repeatable", "selection",
     "redacted", "totals", "models", "shard", "merged_from",
-    "judgements", "waivers", "doubts", "reuse", "execution", "overall", "effectiveness",
+    "judgements", "waivers", "doubts", "resume", "execution", "overall", "effectiveness",
 }  # fmt: skip
 
 

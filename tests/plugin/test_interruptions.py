@@ -119,7 +119,7 @@ def test_what_never_ran_leaves_no_complete_session(project, interrupted, moments
     assert f"resuming: {kept} episodes of the interrupted session" in output(resumed)
     record = project.evidence()
     assert (record.status, record.gate.result) == ("complete", "passed")
-    assert record.reuse.taken_over == kept
+    assert record.resume.taken_over == kept
     assert not (project.path / "dura-evidence/.episodes").exists()
 
 
@@ -130,7 +130,7 @@ def test_an_end_that_is_interrupted_leaves_the_episodes(project, interrupted, mo
     assert "dura: the session was interrupted; --dura-resume goes on" in output(result)
     resumed = project.run("test_it.py", "--dura-resume")
     assert resumed.ret == 0, output(resumed)
-    assert project.evidence().reuse.taken_over == (0 if moments == "start" else 2)
+    assert project.evidence().resume.taken_over == (0 if moments == "start" else 2)
 
 
 @pytest.mark.parametrize("moments", ["report interrupt", "finish_last"])

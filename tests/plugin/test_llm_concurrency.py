@@ -124,7 +124,7 @@ def test_a_limit_ends_the_session_as_interrupted_and_it_is_resumed(talking, serv
     record = talking.evidence()
     assert (record.status, record.gate.result) == ("complete", "passed")
     assert len(digests(talking)) == 12
-    assert record.reuse.taken_over >= len(valid)
+    assert record.resume.taken_over >= len(valid)
     assert sessions.in_use() is None
 
 
@@ -329,5 +329,5 @@ def test_ctrl_c_waits_for_no_answer_and_what_was_done_is_taken_over(talking, ser
     server._otherwise = answer
     resumed = run(talking, "record", "--dura-resume", "--dura-llm-concurrency=3", runs=12)
     resumed.assert_outcomes(passed=2)
-    assert talking.evidence().reuse.taken_over > 0
+    assert talking.evidence().resume.taken_over > 0
     assert len(prompts(server)) - len(set(prompts(server))) <= 6

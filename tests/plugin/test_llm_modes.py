@@ -321,7 +321,7 @@ def test_a_session_goes_on_with_the_episodes_of_its_own_cassette_alone(
         tape.write_bytes(recorded)
     assert session("replay", "third", "--dura-resume") == (second if another else first)
     assert talking.evidence("third").status == "complete"
-    assert talking.evidence("third").reuse.taken_over == (0 if another else len(first))
+    assert talking.evidence("third").resume.taken_over == (0 if another else len(first))
 
 
 def test_a_model_that_nobody_described_goes_by_its_name(talking, server, cut_off):

@@ -153,7 +153,7 @@ def comparable(folder):
     for name in ("created", "finished", "command", "environment", "timings", "shard",
                  "merged_from"):  # fmt: skip
         del record[name]
-    del record["reuse"]["session"], record["execution"]["chosen"]
+    del record["resume"]["session"], record["execution"]["chosen"]
     for episode in record["episodes"]:
         del episode["metrics"]["processing_us"], episode["timings"]["processing_seconds"]
     return record

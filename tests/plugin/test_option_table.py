@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pytest_dura.execution import Addresses
+from pytest_dura.execution import address_of
 from pytest_dura.plugin.option_reference import PAGE, reference_page, write_page
 from pytest_dura.plugin.option_values import whole_number
 from pytest_dura.plugin.options import Option, Options, option_rows, send_options
@@ -39,7 +39,7 @@ def addresses(project, *given):
     planning = session(project, *given)
     planning.make_plan()
     task = planning.runner.task
-    return {Addresses().of(task(planned.case, 1)).name for planned in planning.plan}
+    return {address_of(task(planned.case, 1)).name for planned in planning.plan}
 
 
 def test_the_committed_page_is_up_to_date(tmp_path):

@@ -290,9 +290,10 @@ def test_it(episode):
 
 def test_an_episode_that_was_taken_over_is_compared_with_one_of_this_session(planned, monkeypatch):
     project = planned("Careful", **VARIES)
-    reuse = "--dura-reuse=kept"
-    assert simulations(project, monkeypatch, reuse)[1] == 3
-    assert simulations(project, monkeypatch, reuse)[1] == 1
+    project.write("stop", "")
+    assert simulations(project, monkeypatch, "-p", "stopping")[1] == 3
+    again = simulations(project, monkeypatch, "-p", "stopping", "--dura-resume")
+    assert again[1] == 1
     assert repeat(project).result == "equal"
 
 

@@ -1,10 +1,11 @@
-"""Episodes of earlier sessions: taken over where nothing changed, told, and counted once."""
+"""Episodes of an interrupted session: taken over where all they rest on is equal, or named."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from outputs import output
 
 from pytest_dura.core import derive_seed
 from pytest_dura.evidence import verify_bundle
-from pytest_dura.evidence.session_model import EarlierSession, OutdatedEpisodes
+from pytest_dura.evidence.session_model import OutdatedEpisodes
 
 WAIT = 60.0
 """Seconds that a session may take on a busy machine."""
@@ -107,8 +108,8 @@ def told(project, folder="dura-evidence"):
     return record
 
 
-def reuse(project, folder="dura-evidence"):
-    return project.evidence(folder).reuse
+def resumed(project, folder="dura-evidence"):
+    return project.evidence(folder).resume
 
 
 def check_intact(project, folder="dura-evidence"):
@@ -147,7 +148,7 @@ def test_a_session_whose_controller_was_killed_goes_on_where_it_was(project, mod
     result = project.run("corridor/it", "--dura-resume", *mode)
     assert result.ret == 0
     assert not (project.path / "dura-evidence/.progress").exists()
-    taken = reuse(project).taken_over
+    taken = resumed(project).taken_over
     assert 3 <= taken <= (5 if not mode else 6)
     assert f"dura: resuming: {taken} episodes of the interrupted session of 20" in output(result)
     assert f"{taken} episodes taken over from 1 earlier session, {6 - taken} simulated" in output(
@@ -159,7 +160,7 @@ def test_a_session_whose_controller_was_killed_goes_on_where_it_was(project, mod
     assert sum(again.values()) == 6 - taken + 1, "what was simulated before is not simulated again"
     origins = [one.origin.session for one in project.evidence().episodes]
     assert sum(origin is not None for origin in origins) == taken
-    assert reuse(project).mode == "resume"
+    assert resumed(project).resumed
     check_intact(project)
     assert not (project.path / "dura-evidence/.episodes").exists()
 
@@ -178,47 +179,217 @@ def interrupted(project):
     return project, result
 
 
-def test_what_changed_is_simulated_again_and_nothing_else(interrupted):
+def edit(project, name):
+    """Change a file of Python, or make one, in a way that changes nothing but its content."""
+    file = project.path / name
+    project.write(name, (file.read_text() if file.exists() else "") + "# changed\n")
+
+
+def test_an_edited_component_is_named_and_all_is_simulated_anew(interrupted):
     project, result = interrupted
     assert "to go on: pytest test_it.py -x --dura-resume" in output(result)
-    file = project.path / "planb.py"
-    file.write_text(file.read_text() + "# changed\n")
+    before = resumed(project)
+    assert not before.resumed
+    assert before.sources.files == 5
+    edit(project, "planb.py")
     result = project.run("test_it.py", "-x", "--dura-resume")
     assert result.ret == 0
     assert "dura: resuming: 5 episodes of the interrupted session of 20" in output(result)
-    assert "3 episodes taken over from 1 earlier session, 2 simulated" in output(result)
-    line = "2 episodes simulated again: code of the generator planb:PlanB changed"
-    assert line in output(result)
-    found = reuse(project)
-    assert (found.mode, found.taken_over) == ("resume", 3)
-    (earlier,) = found.sessions
-    assert earlier.episodes == 3
-    assert earlier.session != found.session
-    changed = ["code of the generator planb:PlanB"]
-    assert found.outdated == [OutdatedEpisodes(changed=changed, episodes=2)]
+    assert "dura: 5 episodes are simulated anew: planb.py changed since" in output(result)
+    assert "0 episodes taken over, 5 simulated" in output(result)
+    assert "5 episodes simulated again: planb.py changed" in output(result)
+    found = resumed(project)
+    assert (found.resumed, found.taken_over, found.sessions) == (True, 0, [])
+    assert found.outdated == [OutdatedEpisodes(changed=["planb.py"], episodes=5)]
+    assert found.sources.files == before.sources.files
+    assert found.sources.digest != before.sources.digest
     for one in project.evidence().episodes:
-        expected = {"session": None, "changed": changed}
-        if one.component == "PlanA":
-            expected = {"session": earlier.session, "changed": None}
-        assert one.origin.to_json() == expected
-    counts = simulations(project, repeats=2)
-    assert {count for (name, _), count in counts.items() if name == "PlanA"} == {1}
-    assert {count for (name, _), count in counts.items() if name == "PlanB"} == {2}
+        assert one.origin.to_json() == {"session": None, "changed": ["planb.py"]}
+    assert set(simulations(project, repeats=2).values()) == {2}
     check_intact(project)
     for page in ("summary.md", "report.html"):
         text = (project.path / "dura-evidence" / page).read_text().replace("\\", "")
-        assert "3 of 5 episodes were taken over" in text
-        assert "2 of 5 episodes were simulated again" in text
-        assert "code of the generator planb:PlanB" in text
+        assert "0 of 5 episodes were taken over" in text
+        assert "5 of 5 episodes were simulated again: planb.py changed." in text
+
+
+CHANGES = {
+    "nothing": ([], 5, ""),
+    "a conftest": (["conftest.py"], 0, "conftest.py"),
+    "a module that nothing imports": (["tools/other.py"], 0, "tools/other.py"),
+    "many modules": ([f"tools/m{n}.py" for n in range(9)], 0,
+                     "tools/m0.py, tools/m1.py, tools/m2.py, 6 others"),
+    "a test module": (["tests/test_more.py"], 5, ""),
+    "a folder that pytest does not look into": (["build/made.py", ".cache/x.py"], 5, ""),
+    "a virtual environment": (["env/pyvenv.cfg", "env/lib/any.py"], 5, ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_is_edited_decides_what_is_taken_over(interrupted, change):
+    project, _ = interrupted
+    files, taken, names = CHANGES[change]
+    for name in files:
+        edit(project, name)
+    result = project.run("test_it.py", "--dura-resume")
+    assert result.ret == 0
+    assert resumed(project).taken_over == taken
+    line = f"dura: 5 episodes are simulated anew: {names} changed since\n"
+    assert (line in output(result)) == bool(names)
+    assert set(simulations(project, repeats=2).values()) == {1 if taken else 2}
+
+
+def test_another_version_of_a_package_is_named(interrupted, monkeypatch):
+    project, _ = interrupted
+    for number, versions in enumerate([["moved-1.0"], ["moved-2.0", "more-3.0"]]):
+        for name in versions:
+            (project.path / f"place{number}/{name}.dist-info").mkdir(parents=True)
+    with monkeypatch.context() as patched:
+        patched.syspath_prepend(project.path / "place0")
+        project.write("broken", "")
+        project.run("test_it.py", "-x")
+        (project.path / "broken").unlink()
+    monkeypatch.syspath_prepend(project.path / "place1")
+    result = project.run("test_it.py", "--dura-resume")
+    assert result.ret == 0
+    names = "more (none before, 3.0 now), moved (1.0 before, 2.0 now)"
+    assert f"5 episodes are simulated anew: {names} changed since" in output(result)
+    assert resumed(project).taken_over == 0
+
+
+def test_an_edited_assertion_is_judged_anew_on_the_same_episodes(interrupted):
+    project, _ = interrupted
+    text = (project.path / "test_it.py").read_text()
+    project.write("test_it.py", text.replace("gap > 0", "gap > 1000"))
+    result = project.run("test_it.py", "--dura-resume")
+    assert result.ret == 1
+    assert resumed(project).taken_over == 5
+    assert set(simulations(project, repeats=2).values()) == {1}
+    assert "gate: failed, 2 violated" in output(result)
+    assert "always (gap > 1000)" in output(result)
+
+
+@pytest.mark.parametrize("own", [True, False], ids=["with its planner", "with assertions alone"])
+def test_a_test_module_counts_where_a_component_is_defined_in_it(project, own):
+    counting(project, runs=3)
+    planner = (project.path / "planner.py").read_text()
+    test = (
+        "import pytest\n"
+        "@pytest.fixture(scope='session')\n"
+        "def generator():\n    return Planner\n"
+        "def test_it(orchestrator):\n"
+        "    orchestrator.campaign('corridor/it').require('always (gap > 0)')\n"
+        "def test_last():\n    assert not Path('broken').exists()\n"
+    )
+    head = planner if own else "from pathlib import Path\nfrom planner import Planner\n"
+    project.write("test_it.py", head + test)
+    project.write("broken", "")
+    assert project.run("test_it.py", "-x").ret == 1
+    (project.path / "broken").unlink()
+    edit(project, "test_it.py")
+    result = project.run("test_it.py", "--dura-resume")
+    assert result.ret == 0
+    assert resumed(project).taken_over == (0 if own else 3)
+    assert ("3 episodes simulated again: test_it.py changed" in output(result)) == own
+
+
+def test_a_scenario_and_a_file_that_it_names_concern_their_own_episodes(interrupted):
+    project, _ = interrupted
+    file = project.path / "scenarios/corridor/a.yaml"
+    plain = file.read_text()
+    project.write("weights.bin", "1")
+    project.write("broken", "")
+    file.write_text(plain.replace("world: {}", "world: {weights: weights.bin}"))
+    assert project.run("test_it.py", "-x").ret == 1
+    (project.path / "broken").unlink()
+    project.write("weights.bin", "2")
+    result = project.run("test_it.py", "-x", "--dura-resume")
+    assert "3 episodes simulated again: weights.bin changed" in output(result)
+    assert resumed(project).taken_over == 2
+    assert "are simulated anew" not in output(result)
+
+
+B = "test_it.py::test_it[corridor/b]"
+
+
+@pytest.mark.parametrize(
+    "first, then, taken",
+    [
+        (["--dura-runs=2"], ["--dura-runs=4"], 4),
+        (["--dura-runs=4"], ["--dura-runs=2"], 4),
+        ([f"--deselect={B}"], [], 3),
+        ([], [f"--deselect={B}"], 3),
+    ],
+)
+def test_other_runs_and_other_tests_use_the_episodes_that_are_there(project, first, then, taken):
+    counting(project, "a", "PlanA", 3)
+    counting(project, "b", "PlanB", 2)
+    project.write("test_it.py", TWO)
+    project.write("broken", "")
+    assert project.run("test_it.py", "-x", *first).ret == 1
+    (project.path / "broken").unlink()
+    assert project.run("test_it.py", "--dura-resume", *then).ret == 0
+    assert resumed(project).taken_over == taken
+
+
+def test_a_project_that_was_copied_elsewhere_goes_on_there(interrupted, monkeypatch):
+    project, _ = interrupted
+    place = project.path.parent / f"copy-of-{project.path.name}"
+    shutil.copytree(project.path, place)
+    monkeypatch.chdir(place)
+    result = project.run("test_it.py", "--dura-resume", f"--rootdir={place}")
+    assert result.ret == 0
+    record = json.loads((place / "dura-evidence/evidence.json").read_text())
+    assert record["resume"]["taken_over"] == 5
+
+
+def test_processes_go_on_with_what_this_process_simulated_and_the_other_way_round(interrupted):
+    project, _ = interrupted
+    project.write("broken", "")
+    for executor in ("processes:2", "in-process"):
+        result = project.run_apart("test_it.py", "--dura-resume", f"--dura-executor={executor}")
+        assert resumed(project).taken_over == 5, output(result)
+
+
+@pytest.mark.parametrize("damage", [b"", b"{}", None], ids=["empty", "other data", "missing"])
+def test_without_the_list_of_its_files_nothing_of_a_session_is_taken_over(interrupted, damage):
+    project, _ = interrupted
+    (file,) = (project.path / "dura-evidence/.episodes").glob("*.sources")
+    file.unlink()
+    if damage is not None:
+        file.write_bytes(damage)
+    result = project.run("test_it.py", "--dura-resume")
+    line = "5 episodes are simulated anew: the list of its files changed since"
+    assert line in output(result)
+    assert resumed(project).taken_over == 0
+
+
+def test_why_nothing_is_kept_is_said(project):
+    counting(project, runs=2)
+    project.write(
+        "conftest.py",
+        "import pytest\n"
+        "@pytest.fixture(scope='session')\n"
+        "def dura_metrics():\n    return {'peak': lambda episode: 1.0}\n",
+    )
+    project.write("test_it.py", TWO.replace('["corridor/a", "corridor/b"]', '["corridor/it"]'))
+    project.write("broken", "")
+    result = project.run("test_it.py", "-x")
+    why = (
+        "episodes of Planner are not kept for --dura-resume: the metric peak is a lambda, or "
+        "stands within a function or class"
+    )
+    assert why in output(result)
+    assert resumed(project).problems == [why]
 
 
 def test_the_same_is_told_where_two_workers_use_the_episodes(interrupted):
     project, _ = interrupted
-    file = project.path / "planb.py"
-    file.write_text(file.read_text() + "# changed\n")
+    file = project.path / "scenarios/corridor/b.yaml"
+    file.write_text(file.read_text().replace("duration: 0.5", "duration: 0.6"))
     result = project.run("test_it.py", "--dura-resume", "-n", "2", "--dist", "each")
     assert result.ret == 0
-    found = reuse(project)
+    found = resumed(project)
     assert found.taken_over == 3
     assert [one.episodes for one in found.outdated] == [2]
     assert {*simulations(project, repeats=2).values()} == {1, 2}
@@ -233,7 +404,7 @@ def test_a_session_that_is_not_resumed_says_what_it_drops(interrupted):
     assert line in output(result)
     assert "--dura-resume would have taken them over" in output(result)
     assert set(simulations(project, repeats=2).values()) == {2}
-    assert reuse(project).taken_over == 0
+    assert resumed(project).taken_over == 0
     assert line not in output(project.run("test_it.py"))
 
 
@@ -241,29 +412,29 @@ def test_a_session_that_is_not_resumed_says_what_it_drops(interrupted):
     "change, told",
     [
         (
-            lambda record: record["reuse"].update(taken_over=4),
-            "/reuse/taken_over: found 4, expected 3",
+            lambda record: record["resume"].update(taken_over=4),
+            "/resume/taken_over: found 4, expected 3",
         ),
         (
             lambda record: record["episodes"][0]["origin"].update(session=None),
-            "/reuse/taken_over: found 3, expected 2",
+            "/resume/taken_over: found 3, expected 2",
         ),
         (
-            lambda record: record["reuse"].update(mode="none"),
-            "reuse: episodes of earlier sessions, though none was asked for",
+            lambda record: record["resume"].update(resumed=False),
+            "resume: episodes of earlier sessions, though none was resumed",
         ),
         (
-            lambda record: record["reuse"].update(
-                session=record["reuse"]["sessions"][0]["session"]
+            lambda record: record["resume"].update(
+                session=record["resume"]["sessions"][0]["session"]
             ),
-            "reuse: the session took over episodes from itself",
+            "resume: the session took over episodes from itself",
         ),
     ],
 )  # fmt: skip
 def test_verify_counts_again_what_was_taken_over(interrupted, change, told):
     project, _ = interrupted
-    file = project.path / "planb.py"
-    file.write_text(file.read_text() + "# changed\n")
+    file = project.path / "scenarios/corridor/b.yaml"
+    file.write_text(file.read_text().replace("duration: 0.5", "duration: 0.6"))
     project.run("test_it.py", "--dura-resume")
     record = project.evidence().to_json()
     change(record)
@@ -285,72 +456,9 @@ def test_there_is_nothing_to_resume_without_an_interrupted_session(project):
     assert project.evidence() == before
 
 
-def test_episodes_are_kept_from_session_to_session_where_it_is_asked_for(project):
-    counting(project, runs=3)
-    first = project.run("corridor/it", "--dura-reuse=kept")
-    assert "reusing: 0 episodes of earlier sessions in kept" in output(first)
-    whole = told(project)
-    own = reuse(project)
-    assert (own.mode, own.taken_over, own.sessions) == ("reuse", 0, [])
-    second = project.run("corridor/it", "--dura-reuse=kept")
-    assert "reusing: 3 episodes of earlier sessions in kept" in output(second)
-    assert "3 episodes taken over from 1 earlier session, 0 simulated" in output(second)
-    assert told(project) == whole
-    assert reuse(project).sessions == [EarlierSession(session=own.session, episodes=3)]
-    assert set(simulations(project, repeats=2).values()) == {1}
-    check_intact(project)
-    third = project.run("corridor/it", "--dura-reuse=kept", "--dura-seed=1")
-    assert "0 episodes taken over, 3 simulated" in output(third)
-    assert "3 episodes simulated again: scenario, seed changed" in output(third) or (
-        "3 episodes simulated again: seed changed" in output(third)
-    )
-    without = project.run("corridor/it")
-    assert "taken over" not in output(without)
-    assert sorted(simulations(project).values()) == [1, 1, 2, 2, 2, 5]
-
-
-def test_only_a_variable_that_the_code_reads_makes_other_episodes_of_it(project, monkeypatch):
-    counting(project, runs=3)
-    file = project.path / "planner.py"
-    file.write_text(file.read_text() + 'PACE = os.environ.get("PLANNER_PACE")\n')
-    project.run("corridor/it", "--dura-reuse=kept")
-    monkeypatch.setenv("UNRELATED_PACE", "fast")
-    same = project.run("corridor/it", "--dura-reuse=kept")
-    assert "3 episodes taken over from 1 earlier session, 0 simulated" in output(same)
-    monkeypatch.setenv("PLANNER_PACE", "fast")
-    other = project.run("corridor/it", "--dura-reuse=kept")
-    assert "0 episodes taken over, 3 simulated" in output(other)
-    line = "3 episodes simulated again: environment variable PLANNER_PACE changed"
-    assert line in output(other)
-    check_intact(project)
-
-
-def test_two_sessions_at_once_share_what_they_simulate(project, forked_workers):
-    forked = forked_workers.command()
-    counting(project, runs=8)
-    project.run("corridor/it", "--dura-evidence=whole")
-    (project.path / "log").unlink()
-    processes = [
-        started(
-            project, "corridor/it", "--dura-reuse=kept", f"--dura-evidence={name}", python=forked
-        )
-        for name in ("one", "two")
-    ]
-    for process in processes:
-        text = process.communicate(timeout=WAIT)[0].decode()
-        assert process.returncode == 0, text
-    assert set(simulations(project, repeats=2).values()) == {1}
-    assert len(simulations(project)) == 8
-    for name in ("one", "two"):
-        assert told(project, name) == told(project, "whole")
-        check_intact(project, name)
-    both = reuse(project, "one"), reuse(project, "two")
-    assert sum(one.taken_over for one in both) == 8
-    assert {one.session for one in both[0].sessions} <= {both[1].session}
-
-
 SEARCHES = """
 import pytest
+from pathlib import Path
 from hypothesis import given, settings
 from pytest_dura import strategies
 
@@ -364,6 +472,9 @@ def test_search(campaign):
 @given(case=strategies.cases("corridor/free"))
 def test_property(case, run_episode):
     assert run_episode(case).signals["gap"][0] > 0
+
+def test_last():
+    assert not Path("broken").exists()
 """
 FAST = """
 from pathlib import Path
@@ -376,39 +487,43 @@ class Fast(Reckless):
 """
 
 
-def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_same(project):
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_same(project, mode):
     project.write("fast.py", FAST)
     project.write("test_it.py", SEARCHES)
-    given = ["test_it.py", "--dura-generator=fast:Fast", "--dura-reuse=kept"]
-    kinds = []
-    for change, mode in (("", []), ("", ["-n", "2"]), ("# another comment", [])):
-        project.write("fast.py", FAST + change)
+    project.write("broken", "")
+    given = ["test_it.py", "--dura-generator=fast:Fast", "--maxfail=2", *mode]
+
+    def session(*arguments):
         (project.path / "log").write_text("")
-        result = project.run(*given, *mode)
+        result = project.run(*given, *arguments)
         count = len((project.path / "log").read_text().splitlines())
-        check_intact(project)
         (search,) = project.evidence().searches
         assert search.outcomes[0].word == "falsified"
-        searched = reuse(project).searched
-        taken = searched.taken_over
-        assert searched.simulations - taken == count
-        line = f"{taken} runs of searches taken over*{count} simulated"
-        result.stdout.fnmatch_lines([line])
-        kinds.append((searched, count, result))
-    (first, all_of_them, _), (again, replays, _), (changed, count, result) = kinds
-    assert (first.taken_over, first.outdated) == (0, [])
+        searched = resumed(project).searched
+        return result, count, searched
+
+    _, all_of_them, searched = session()
+    assert searched is None, "no earlier session was asked"
+    result, replays, searched = session("--dura-resume")
     assert replays == 1, "a replay of an earlier session confirms nothing in this one"
-    assert again.taken_over == all_of_them - 1
-    assert [one.episodes for one in again.sessions] == [all_of_them - 1]
-    assert (changed.taken_over, count) == (0, all_of_them)
-    why = ["code of the generator fast:Fast"]
-    assert changed.outdated == [OutdatedEpisodes(changed=why, episodes=all_of_them - 1)]
-    result.stdout.fnmatch_lines(["* of searches simulated again: code of the generator *changed"])
+    assert searched.taken_over == all_of_them - 1
+    assert [one.episodes for one in searched.sessions] == [all_of_them - 1]
+    line = f"{searched.taken_over} runs of searches taken over*{replays} simulated"
+    result.stdout.fnmatch_lines([line])
+    edit(project, "fast.py")
+    (project.path / "broken").unlink()
+    result, count, searched = session("--dura-resume")
+    check_intact(project)
+    assert (searched.taken_over, count) == (0, all_of_them)
+    expected = OutdatedEpisodes(changed=["fast.py"], episodes=all_of_them - 1)
+    assert searched.outdated == [expected]
+    result.stdout.fnmatch_lines(["* of searches simulated again: fast.py changed"])
     record = json.loads((project.path / "dura-evidence/evidence.json").read_text())
-    record["reuse"]["searched"]["taken_over"] = 3
+    record["resume"]["searched"]["taken_over"] = 3
     (project.path / "dura-evidence/evidence.json").write_text(json.dumps(record))
     told = verify_bundle(project.path / "dura-evidence").problems
-    assert any("reuse: 3 runs of searches, and their sessions say 0" in one for one in told)
+    assert any("resume: 3 runs of searches, and their sessions say 0" in one for one in told)
 
 
 @pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
@@ -431,7 +546,7 @@ def test_a_session_whose_cluster_is_lost_stops_and_goes_on(project, mode):
     (project.path / "gone").unlink()
     result = project.run_apart(*names, *mode, "--dura-resume")
     assert result.ret == 0
-    assert reuse(project).taken_over >= 1
+    assert resumed(project).taken_over >= 1
 
 
 def test_a_damaged_record_is_refused_by_name(project):
@@ -461,7 +576,7 @@ def test_a_session_that_was_killed_before_its_first_record_begins_anew(project, 
     assert result.ret == 0, output(result)
     line = "resuming: 0 episodes of a session that was interrupted before it wrote a record"
     assert f"{line}; it begins anew" in output(result)
-    assert project.evidence().reuse.taken_over == 0
+    assert project.evidence().resume.taken_over == 0
     check_intact(project)
 
 

@@ -127,13 +127,15 @@ def test_the_project_names_further_secrets(leaking, monkeypatch):
 def test_episodes_that_are_kept_are_the_users_alone(leaking):
     old = os.umask(0o022)
     try:
-        leaking.run("corridor/tight", "--dura-reuse=kept/here")
+        leaking.write("stop", "")
+        leaking.run("corridor/tight", "--dura-evidence=made/here", "-p", "stopping")
     finally:
         os.umask(old)
-    kept = leaking.path / "kept/here"
+    kept = leaking.path / "made/here/.episodes"
     modes = {stat.S_IMODE(one.stat().st_mode) for one in (kept, *kept.rglob("*")) if one.is_dir()}
     assert modes == {0o700}
     files = [one for one in kept.rglob("*") if one.is_file()]
+    assert {one.suffix for one in files} == {".episode", ".sources"}
     assert {stat.S_IMODE(one.stat().st_mode) for one in files} == {0o600}
 
 

@@ -233,6 +233,6 @@ def test_a_shelf_on_a_full_disk_costs_nothing_but_the_sharing(project, monkeypat
     line = "episodes cannot be shared with other processes, nor with a later session: No space left"
     assert output(result).count(line) == 1
     record = project.evidence()
-    assert record.reuse.problems == [f"{line} on device"]
+    assert record.resume.problems == [f"{line} on device"]
     assert record.totals.episodes == record.totals.valid == 5
     assert verify_bundle(project.path / "dura-evidence").problems == []

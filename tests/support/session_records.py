@@ -194,8 +194,9 @@ def session_data(**changes):
         "baseline": None, "shard": None, "merged_from": None,
         "selection": {"planned": 3, "asked": 3, "left_out": [], "runs": None, "declared_runs": []},
         "execution": {"executor": "in-process", "processes": None},
-        "reuse": {"mode": "none", "session": "5" * 32, "problems": [], "taken_over": 0,
-                  "sessions": [], "outdated": [], "searched": None},
+        "resume": {"resumed": False, "session": "5" * 32, "problems": [], "taken_over": 0,
+                   "sessions": [], "outdated": [], "searched": None,
+                   "sources": {"digest": "6" * 64, "files": 3, "versions": 40}},
         "conclusions": {},
         "coverage": {
             "left_out": 0,
@@ -228,7 +229,7 @@ HEADER = {
         "created", "tool", "command", "base_seed", "evidence_level", "require_repeatable",
         "environment", "execution", "shard", "merged_from", "selection",
     )
-} | {"reuse": {"mode": "none", "session": None, "searched": None}}  # fmt: skip
+} | {"resume": {"resumed": False, "session": None, "searched": None, "sources": None}}  # fmt: skip
 """Header of a session, as a :class:`RecordBuilder` takes it."""
 
 

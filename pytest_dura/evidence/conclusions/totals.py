@@ -15,7 +15,7 @@ from pytest_dura.evidence.sessions import OriginCounts
 
 
 class Totals(Conclusion):
-    """Concludes what counts episodes in ``totals``, ``timings``, ``reuse`` and ``redacted``.
+    """Concludes what counts episodes in ``totals``, ``timings``, ``resume`` and ``redacted``.
 
     What the session's end adds to them, :func:`pytest_dura.evidence.conclude.complete` adds.
     """
@@ -57,7 +57,7 @@ class Totals(Conclusion):
             "timings": head.timings.replace(
                 simulated_seconds=self._simulated, processing_seconds=seconds
             ),
-            "reuse": head.reuse.replace(**origins._asdict()),
+            "resume": head.resume.replace(**origins._asdict()),
             "redacted": dict(self._redactions),
         }
 

@@ -21,7 +21,7 @@ from counted_rooms import (
 
 from pytest_dura import Runner
 from pytest_dura.core import ConfigurationError, RoleSpec
-from pytest_dura.execution import CLAIM, EPISODE, Addresses, EpisodeCache, EpisodeStore, pack
+from pytest_dura.execution import CLAIM, EPISODE, EpisodeCache, EpisodeStore, address_of, pack
 from pytest_dura.execution import store as store_module
 from pytest_dura.library import load_library
 
@@ -129,7 +129,7 @@ def test_a_copy_of_the_process_holds_no_claim(tmp_path):
     """A simulator's own process may outlive the one that started it."""
     shelf, address = (
         EpisodeCache(tmp_path / "shelf", "s"),
-        Addresses().of(counted_task(tmp_path, 0)),
+        address_of(counted_task(tmp_path, 0)),
     )
     told, tell = os.pipe()
     holder = os.fork()
@@ -169,7 +169,7 @@ def shelved(tmp_path):
         lambda data: data[: len(data) // 2],
         lambda data: b"",
         lambda data: data[:-1] + bytes([data[-1] ^ 1]),
-        lambda data: data.replace(b'"format": 1', b'"format": 2'),
+        lambda data: data.replace(b'"format": 2', b'"format": 1'),
         lambda data: data.replace(b'"run": "0"', b'"run": "1"'),
         lambda data: b"[" * 100_000 + data,
     ],
@@ -203,7 +203,7 @@ def test_what_was_missing_in_an_earlier_session_is_tried_again(tmp_path):
     from pytest_dura.execution import missing_episode
 
     task = counted_task(tmp_path, 0)
-    address = Addresses().of(task)
+    address = address_of(task)
     earlier = EpisodeCache(tmp_path / "shelf", "before")
     earlier.put(address, task.spec, pack(missing_episode(task.spec, "gone")))
     store = counted_store(tmp_path, earlier=True)
@@ -259,7 +259,7 @@ def test_an_error_of_what_is_done_ahead_is_that_of_who_wants_it(tmp_path, monkey
     generator = RoleSpec("counted_rooms:Counted", {"folder": str(tmp_path), "wrong": 1})
     bad = replace(bad, spec=replace(bad.spec, roles={"generator": generator}))
     store = counted_store(tmp_path)
-    held = store.cache.claim(Addresses().of(good))
+    held = store.cache.claim(address_of(good))
     released = []
 
     def sleep(_):
@@ -319,15 +319,15 @@ def test_where_a_twin_is_simulated_elsewhere_the_next_pairs_are_begun(tmp_path):
 def test_nobody_waits_for_ever_for_an_episode_that_another_process_has(tmp_path, monkeypatch):
     monkeypatch.setattr(store_module, "MAX_WAIT", 0.1)
     task = counted_task(tmp_path, 1)
-    address = Addresses().of(task)
+    address = address_of(task)
     claim = EpisodeCache(tmp_path / "shelf", "s").claim(address)
     assert counted_store(tmp_path).get(task).digest == task.run().digest
     claim.release()
-    assert EpisodeCache(tmp_path / "shelf", "s").has(address)
+    assert EpisodeCache(tmp_path / "shelf", "s").entry(address) is not None
 
 
 def test_a_claim_whose_file_somebody_closed_closes_nothing_else(tmp_path):
-    claim = EpisodeCache(tmp_path / "shelf", "s").claim(Addresses().of(counted_task(tmp_path, 1)))
+    claim = EpisodeCache(tmp_path / "shelf", "s").claim(address_of(counted_task(tmp_path, 1)))
     number = claim._number
     with (tmp_path / "other").open("w") as other:
         os.dup2(other.fileno(), number)  # as if it were closed, and its number given away

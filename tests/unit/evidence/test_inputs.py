@@ -9,6 +9,7 @@ from pytest_dura.evidence import InputFiles
 from pytest_dura.provenance import (
     describe_component,
     describe_environment,
+    imported_files,
     installed_folders,
     recorded_path,
     sources_of,
@@ -228,3 +229,104 @@ def test_files_that_another_process_read(tmp_path):
 def test_a_file_that_cannot_be_read(tmp_path):
     (one,) = told([("check", tmp_path / "gone.py")], tmp_path)
     assert (one["sha256"], one["changed"]) == (None, False)
+
+
+# -- The user's own files that a component comes with, as its code imports them by name ------
+
+
+def written(folder, **files):
+    for name, text in files.items():
+        file = folder / (name.replace("__", "/") + ".py")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+
+
+def names(folder, file, module, root=None):
+    return [path.relative_to(folder).as_posix() for path in imported_files(file, module, root)]
+
+
+@pytest.mark.parametrize(
+    "text, counts",
+    [
+        ("import other, aside", True),
+        ("import other, \\\n    aside as two", True),
+        ("from \\\n    aside.inner import one", True),
+        ("__import__('aside')", True),
+        ("import_module(\n    'aside.inner')", True),
+        ("import importlib\nimportlib.import_module('aside')", True),
+        ("def late():\n    if 0: import aside.inner as one", True),
+        ("import aside\npattern = '\\d'", True),  # Python warns of it
+        ("'import aside'\n# import aside", False),
+        ("import aside\ndef (", False),  # which nothing can import
+        ("from . import aside", False),
+        ("from .inner import aside", False),
+        ("from ..inner.most import aside, two", False),
+    ],
+)
+def test_what_is_imported_is_found_and_what_is_called_alike_is_not(
+    tmp_path, monkeypatch, text, counts
+):
+    monkeypatch.syspath_prepend(tmp_path)
+    written(tmp_path, packed__inner="", packed__using=text, aside="")
+    (tmp_path / "packed/__init__.py").touch()
+    found = names(tmp_path, tmp_path / "packed/using.py", "packed.using")
+    package = ["packed/__init__.py", "packed/inner.py", "packed/using.py"]
+    assert found == (["aside.py"] if counts else []) + package
+
+
+def test_imports_that_go_around_in_a_circle_end(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    written(
+        tmp_path,
+        circle_a="import circle_b, circle_a as me\n",
+        circle_b="from circle_a import *\nimport no_such_module_at_all, größe\n",
+        größe="x = 1\n",
+    )
+    found = names(tmp_path, tmp_path / "circle_a.py", "circle_a")
+    assert found == ["circle_a.py", "circle_b.py", "größe.py"]
+
+
+def test_files_that_are_no_python_of_this_version_are_listed_all_the_same(tmp_path):
+    library = tmp_path / "fast.so"
+    library.write_bytes(b"one")
+    assert imported_files(library, "fast") == [library]
+    library.unlink()
+    assert imported_files(library, "fast") == []
+    for text in (b"print 'one'", b"\0", b"# coding: none\n", b"(" * 10_000):
+        (tmp_path / "old.py").write_bytes(text)
+        assert names(tmp_path, tmp_path / "old.py", "old") == ["old.py"]
+
+
+def test_what_lies_outside_of_the_project_is_listed_and_not_searched(tmp_path, monkeypatch):
+    written(tmp_path / "root", planner="import tools\n")
+    written(tmp_path / "beside", tools="import deeper\n", deeper="x = 1\n")
+    monkeypatch.syspath_prepend(tmp_path / "beside")
+    file = tmp_path / "root/planner.py"
+    found = names(tmp_path, file, "planner", tmp_path / "root")
+    assert found == ["beside/tools.py", "root/planner.py"]
+    assert "beside/deeper.py" in names(tmp_path, file, "planner")
+
+
+RECORDED, EDITABLE = "deeper.py,,\n", '{"dir_info":{"editable":true}}'
+
+
+@pytest.mark.parametrize(
+    "metadata, counts",
+    [
+        ({"dist-info/RECORD": RECORDED}, False),
+        ({"dist-info/RECORD": "another.py,,\n"}, True),
+        # A project that is installed in place, and what builds leave beside sources.
+        ({"dist-info/RECORD": RECORDED, "dist-info/direct_url.json": EDITABLE}, True),
+        ({"egg-info/SOURCES.txt": "deeper.py\n", "egg-info/top_level.txt": "deeper\n"}, True),
+    ],
+)
+def test_what_a_distribution_recorded_is_not_the_projects_own_code(
+    tmp_path, monkeypatch, metadata, counts
+):
+    written(tmp_path, planner="import deeper\n", deeper="")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name, text in metadata.items():
+        (tmp_path / f"deep-1.{name}").parent.mkdir(exist_ok=True)
+        (tmp_path / f"deep-1.{name}").write_text(text)
+    found = names(tmp_path, tmp_path / "planner.py", "planner")
+    assert ("deeper.py" in found) == counts

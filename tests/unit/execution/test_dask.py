@@ -170,7 +170,7 @@ def test_a_worker_that_differs_is_refused_also_if_it_joins_later(
         DaskExecutor(cluster.address)
     assert refused.value.problem.startswith("the Dask worker tcp://127.0.0.1:")
     assert "pip freeze" in refused.value.remedy
-    futures = [store.execution.submit(one, store._address(one)) for one in map(shaky, range(8))]
+    futures = [store.execution.submit(one) for one in map(shaky, range(8))]
     errors = [one.exception() for one in futures]
     told = {one.problem for one in errors if isinstance(one, ConfigurationError)}
     assert told == {refused.value.problem}

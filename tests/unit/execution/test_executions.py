@@ -19,14 +19,13 @@ from pytest_dura import ConfigurationError, RoleSpec, Runner
 from pytest_dura.core import Policy, Termination
 from pytest_dura.execution import (
     IN_FLIGHT,
-    Addresses,
     EpisodeStore,
     EpisodeTask,
     Execution,
     ExecutorChoice,
     ProcessPool,
 )
-from pytest_dura.execution.address import machine_json, simulate
+from pytest_dura.execution.address import address_of, conditions_of, simulate
 from pytest_dura.execution.executors import time_limit_of
 from pytest_dura.execution.processes import usable_cores
 from pytest_dura.execution.task import reason_not_portable
@@ -124,10 +123,7 @@ def test_an_episode_that_blocks_for_ever_is_missing(pool, tmp_path):
     assert store.get(shaky(2, tmp_path)).failure is None
 
 
-@pytest.mark.parametrize("addressed", [True, False])
-def test_imports_that_take_longer_than_an_episode_may_cost_no_episode(
-    tmp_path, monkeypatch, addressed
-):
+def test_imports_that_take_longer_than_an_episode_may_cost_no_episode(tmp_path, monkeypatch):
     source = "import time\nfrom shaky import ShakyRoom as Slow\ntime.sleep(1.5)\n"
     (tmp_path / "slow_to_import.py").write_text(source)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -137,8 +133,7 @@ def test_imports_that_take_longer_than_an_episode_may_cost_no_episode(
         slow_task = replace(
             task, spec=replace(task.spec, simulator=RoleSpec("slow_to_import:Slow"))
         )
-        address = Addresses().of(slow_task) if addressed else None
-        assert execution.submit(slow_task, address).result()
+        assert execution.submit(slow_task).result()
 
 
 def test_a_campaign_that_is_decided_cancels_what_is_queued(bench):
@@ -227,49 +222,26 @@ def test_code_that_changed_in_the_meantime_is_refused(pool, tmp_path, monkeypatc
     )
     fresh = ProcessPool(1)  # which reads the files when it is first asked
     try:
-        address = Addresses().of(task)
+        execution = Execution("processes", fresh)
+        assert address_of(task) is not None  # it is imported here, as it is now
+        assert "changing_planner" in execution.modules.digests()
         file.write_text(file.read_text() + "    other = 1\n")
         with pytest.raises(ConfigurationError) as refused:
-            Execution("processes", fresh).submit(task, address).result()
+            execution.submit(task).result()
     finally:
         fresh.shutdown(wait=False)
-    assert "differs in code of the generator changing_planner:Planner" in str(refused.value)
+    assert "differs in module changing_planner" in str(refused.value)
     assert "start it again" in refused.value.remedy
 
 
-def test_another_environment_is_refused_here_and_is_its_own_affair_elsewhere(
-    pool, tmp_path, monkeypatch
-):
-    monkeypatch.syspath_prepend(str(tmp_path))
-    text = "import os\nfrom thermostat import Controller\nclass Placed(Controller):\n"
-    (tmp_path / "placed.py").write_text(f"{text}    place = os.environ.get('DURA_PLACE')\n")
-    importlib.invalidate_caches()
-    task = EpisodeTask(replace(shaky(1).spec, roles={"generator": RoleSpec("placed:Placed")}))
-    fresh = ProcessPool(1)
-    try:
-        fresh.submit(machine_json).result()
-        monkeypatch.setenv("DURA_PLACE", "other")
-        address = Addresses().of(task)
-        with pytest.raises(ConfigurationError) as refused:
-            Execution("processes", fresh).submit(task, address).result()
-        assert "differs in environment variable DURA_PLACE" in str(refused.value)
-        assert "set it before the session begins" in refused.value.remedy
-        there = {"name": address.name, "parts": address.parts, "where": "the worker X"}
-        assert fresh.submit(simulate, json.dumps(task.to_json()), there).result()
-    finally:
-        fresh.shutdown(wait=False)
-
-
 def test_a_machine_with_other_versions_is_refused():
-    task = shaky(1)
-    address = Addresses().of(task)
-    other = replace(address, name="0" * 64, parts={**address.parts, "numpy": "0.1"})
-    conditions = {"name": other.name, "parts": other.parts, "where": "the worker X"}
+    given = conditions_of(Execution().modules)
+    conditions = {**given, "machine": {**given["machine"], "numpy": "0.1"}}
     with pytest.raises(ConfigurationError) as refused:
-        simulate(json.dumps(task.to_json()), conditions)
+        simulate(json.dumps(shaky(1).to_json()), {**conditions, "where": "the worker X"})
     assert str(refused.value).startswith("the worker X would simulate other episodes")
     assert "expected: numpy: 0.1" in str(refused.value)
-    assert f"found:    'numpy: {address.parts['numpy']}'" in str(refused.value)
+    assert f"found:    'numpy: {given['machine']['numpy']}'" in str(refused.value)
 
 
 class OtherMachine(Executor):
