@@ -16,6 +16,7 @@ import sys
 import sysconfig
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import import_module, metadata
@@ -501,14 +502,14 @@ def describe_packages() -> dict[str, str]:
     return {**versions, "other packages": digest}
 
 
-def installed_versions() -> Mapping[str, str]:
+def installed_versions() -> dict[str, str]:
     """List the versions of installed packages that may change an episode.
 
     Components may depend on any package; the names of the metadata folders on the path give all
     versions without reading them. Of two packages of a name the first on the path counts.
     """
     versions: dict[str, str] = {}
-    for folder in _metadata_folders():
+    for folder in _metadata_folders(*_import_path()):
         name, _, version = folder.stem.partition("-")
         if not name.lower().startswith((*_TOOLS, _OURS)):
             versions.setdefault(name, version)
@@ -517,7 +518,7 @@ def installed_versions() -> Mapping[str, str]:
 
 def installed_in_place() -> Iterator[tuple[str, Path]]:
     """Yield name and folder of the packages whose files stay where they are developed."""
-    for folder in _metadata_folders():
+    for folder in _metadata_folders(*_import_path()):
         name = folder.stem.partition("-")[0]
         try:
             source = json.loads((folder / "direct_url.json").read_bytes())
@@ -530,13 +531,23 @@ def installed_in_place() -> Iterator[tuple[str, Path]]:
             continue
 
 
-def _metadata_folders() -> Iterator[Path]:
-    for place in sys.path:
-        try:
-            paths = list(Path(place or ".").iterdir())
-        except OSError:  # no folder, or not for us to read
-            continue
-        yield from sorted(path for path in paths if path.suffix in (".dist-info", ".egg-info"))
+def _import_path() -> list[Path]:
+    return [_absolute(Path(entry)) for entry in sys.path]
+
+
+@lru_cache(maxsize=8)
+def _metadata_folders(*path: Path) -> tuple[Path, ...]:
+    """List the folders of metadata on the import path, but for those beside sources."""
+    folders: list[Path] = []
+    for place in path:
+        with suppress(OSError):  # no folder, or not for us to read
+            folders += sorted(
+                folder
+                for folder in place.iterdir()
+                if folder.suffix == ".dist-info"
+                or (folder.suffix == ".egg-info" and _packages_around(folder) is not None)
+            )
+    return tuple(folders)
 
 
 def describe_component(

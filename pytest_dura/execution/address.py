@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from pytest_dura.core.codec import encode
@@ -79,11 +80,19 @@ def reason_unaddressed(task: EpisodeTask) -> str:
 
 def _has_file(part: RoleSpec) -> bool:
     """Whether a part comes from a file, so that another session sees whether it has changed."""
-    target = inspect.unwrap(part.resolve())
-    modules = {getattr(target, "__module__", None) or ""}
-    if not isinstance(part, LocalRole):
-        modules.add(part.path.partition(":")[0])
-    return any(module_file(module) is not None for module in modules)
+    if isinstance(part, LocalRole):
+        return module_file(part.target.__module__) is not None
+    name = part.path.partition(":")[0]
+    if name not in sys.modules:
+        part.resolve()
+    return _module_has_file(part.path, sys.modules.get(name))
+
+
+@lru_cache(maxsize=512)  # each episode has an address
+def _module_has_file(path: str, module: ModuleType | None) -> bool:
+    target = inspect.unwrap(RoleSpec(path).resolve())
+    names = (getattr(module, "__name__", ""), getattr(target, "__module__", None) or "")
+    return any(module_file(name) is not None for name in names)
 
 
 def model_answers(task: EpisodeTask) -> str | None:

@@ -19,6 +19,7 @@ from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES
 from pathlib import Path
 from typing import Any
 
+from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.execution.task import EpisodeTask
 from pytest_dura.library.roles import LocalRole
 from pytest_dura.provenance import (
@@ -34,6 +35,7 @@ MAX_FILES = 20_000
 """Python files that are read at most; reading them takes about a second."""
 _MAX_ENTRIES = 200_000
 """Names of files and folders that are looked at, at most."""
+_MAX_FILE_BYTES = 1 << 30
 _SUFFIXES = (*SOURCE_SUFFIXES, *EXTENSION_SUFFIXES)
 _NO_SOURCES = ("__pycache__", "site-packages", "dist-packages")
 _ANY_MODULE = "component.py"
@@ -231,11 +233,17 @@ def _digest_in(top: Path, entry: os.DirEntry[str]) -> str:
 
 
 def digest_of_file(file: Path) -> str | None:
-    """The beginning of the SHA-256 of a file; ``None`` if it cannot be read."""
+    """The beginning of the SHA-256 of a file; ``None`` if it cannot be read.
+
+    Of one that takes seconds to read size and time tell enough.
+    """
     state = hashlib.sha256()
     try:
         if not file.is_file():  # reading a pipe would never end
             return None
+        size = file.stat().st_size
+        if size > _MAX_FILE_BYTES:
+            return f"{size} bytes of {file.stat().st_mtime_ns}"
         with file.open("rb") as opened:
             while chunk := opened.read(1 << 20):
                 state.update(chunk)
@@ -307,27 +315,26 @@ def _named(text: str, rules: SourceRules) -> Iterator[tuple[str, str]]:
 
 
 def _targets(task: EpisodeTask) -> Iterator[Hashable]:
-    """Yield the classes and functions that make and judge an episode, and modules by name."""
+    """Yield classes and functions that make and judge an episode, or their import paths."""
     for part in task.parts.values():
-        if isinstance(part, LocalRole):
-            yield part.target
-        else:
-            yield part.resolve()
-            yield part.path.partition(":")[0]
+        yield part.target if isinstance(part, LocalRole) else part.path
     yield from task.metrics.values()
     for requirement in task.judging:
-        if is_function_path(requirement.check):
-            yield requirement.check.strip().rpartition(":")[0]
+        check = requirement.check.strip()
+        if is_function_path(check) and ".py:" not in check:  # a conftest.py counts anyway
+            yield check
 
 
 def _files_of(target: Any) -> dict[str, Path]:
-    """Files of a module by its name, of a function, or of a class and the classes it rests on."""
-    modules = [target]
-    if not isinstance(target, str):
-        target = inspect.unwrap(target)
-        bases = inspect.getmro(target) if inspect.isclass(target) else (target,)
-        modules = [getattr(base, "__module__", None) for base in bases]
-    return {name: file for name in modules if name and (file := module_file(name)) is not None}
+    """Files of the module of an import path, of a function, or of a class and those it rests on."""
+    names = []
+    if isinstance(target, str):
+        names.append(target.rpartition(":")[0])
+        target = RoleSpec(target).resolve()
+    target = inspect.unwrap(target)
+    bases = inspect.getmro(target) if inspect.isclass(target) else (target,)
+    names += [getattr(base, "__module__", None) or "" for base in bases]
+    return {name: file for name in names if (file := module_file(name)) is not None}
 
 
 def module_file(name: str) -> Path | None:

@@ -343,6 +343,7 @@ class EpisodeStore:
         self.is_broken = False
         """Whether an episode closed files of this process; see :class:`DescriptorsClosedError`."""
         self._flights: dict[str, _Flight] = {}
+        self._kept: set[str] = set()
         self._certain: Iterator[EpisodeTask] = iter(())
         self._has_plan = False
         self._repetitions: dict[EpisodeKey, Future[Any]] = {}
@@ -432,8 +433,11 @@ class EpisodeStore:
 
     def _is_kept(self, task: EpisodeTask, address: Address) -> bool:
         """Whether there is an episode in the cache, whole or not, that counts in this session."""
-        entry = None if self.cache is None else self.cache.entry(address)
-        return entry is not None and self.earlier.may_count(task, entry)
+        if address.name not in self._kept and self.cache is not None:
+            entry = self.cache.entry(address)
+            if entry is not None and self.earlier.may_count(task, entry):
+                self._kept.add(address.name)  # what lies ahead is looked at again and again
+        return address.name in self._kept
 
     def cancel(self) -> None:
         """Give up the episodes that were begun ahead, apart from what later items need."""
