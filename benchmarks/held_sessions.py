@@ -199,6 +199,7 @@ MASKS = [
     for pattern, mask in (
         (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?(Z|\+00:00| UTC)?", "<time>"),
         (r"\.episodes/[0-9a-f]{2}/[0-9a-f]{64}", ".episodes/<address>"),
+        (r"\.episodes/[0-9a-f]{32}\.sources", ".episodes/<session>.sources"),
         (r"\b[0-9a-f]{12}4[0-9a-f]{3}[89ab][0-9a-f]{15}\b", "<uuid>"),
         (r"\b[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}\b", "<uuid>"),
         (r"^=+ (.* in )\d+\.\d\ds( \(.*\))? =+$", r"= \1<seconds> ="),
@@ -239,6 +240,9 @@ class Kept:
             if name.name == "evidence.json":
                 record = json.loads((folder / name).read_text())
                 self.hashes[record["tool"]["code"]] = "the package"
+                sources = record.get("resume", {}).get("sources")
+                if sources is not None:  # they hold the code of the package, and all versions
+                    self.hashes[sources["digest"]] = "the sources"
             if name.name == "manifest.json":
                 self.hashes[json.loads((folder / name).read_text())["digest"]] = "the record"
         self.prefixes: dict[str, list[str]] = {}

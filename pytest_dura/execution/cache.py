@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,11 +71,20 @@ class EpisodeCache:
         directory: Where they are; it is made when something is first put there.
         session: Id of the session that puts episodes there.
         earlier: Whether episodes of other sessions are taken over.
+        read_sources: Reads what all episodes of this session rest on, if no process of it has.
     """
 
-    def __init__(self, directory: Path, session: str, *, earlier: bool = False) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        session: str,
+        *,
+        earlier: bool = False,
+        read_sources: Callable[[], Sources | None] = lambda: None,
+    ) -> None:
         self.directory, self.session, self.earlier = directory, session, earlier
-        self._sources: dict[str, Sources] = {}
+        self._read_sources, self._has_put_sources = read_sources, False
+        self._sources: dict[str, Sources | None] = {}
 
     def find(self, address: Address, spec: EpisodeSpec) -> tuple[JudgedEpisode, CacheEntry] | None:
         """An episode and its header; ``None`` if it is not there, or not whole."""
@@ -151,6 +160,8 @@ class EpisodeCache:
             "files": dict(files),
             "changed": None if changed is None else list(changed),
         }
+        if not self._has_put_sources:
+            self.put_sources()
         file = self._file(address, EPISODE)
         _make_private(file.parent.parent, file.parent)
         _replace_private(file, json.dumps(header).encode() + b"\n" + packed)
@@ -165,26 +176,26 @@ class EpisodeCache:
         """How many episodes there are, of whatever sessions, whole or not."""
         return sum(1 for _ in self.directory.glob(f"??/*{EPISODE}"))
 
-    def put_sources(self, sources: Sources) -> None:
-        """Store what all episodes of this session rest on, before any of them is put here.
+    def put_sources(self) -> None:
+        """Store what all episodes of this session rest on, unless another process has done so.
 
         Raises:
             OSError: If it cannot be written.
         """
-        _make_private(self.directory)
-        _replace_private(self._sources_file(self.session), sources.to_bytes())
-        self._sources[self.session] = sources
+        file, sources = self._sources_file(self.session), self.sources(self.session)
+        if sources is not None and not file.exists():
+            _make_private(self.directory)
+            _replace_private(file, sources.to_bytes())
+        self._has_put_sources = True
 
     def sources(self, session: str) -> Sources | None:
         """What all episodes of a session rest on; ``None`` if that is missing or damaged."""
         if session not in self._sources:
             try:
                 sources = Sources.from_bytes(self._sources_file(session).read_bytes())
-            except OSError:  # another process may be about to write them
-                return None
-            if sources is not None:
-                self._sources[session] = sources
-            return sources
+            except OSError:
+                sources = self._read_sources() if session == self.session else None
+            self._sources[session] = sources
         return self._sources[session]
 
     def _sources_file(self, session: str) -> Path:

@@ -382,7 +382,12 @@ class SharedEpisodes:
         from pytest_dura.execution.cache import EpisodeCache
 
         options = self.context.options
-        return EpisodeCache(options.evidence / EPISODES_FOLDER, self.id, earlier=options.resume)
+        return EpisodeCache(
+            options.evidence / EPISODES_FOLDER,
+            self.id,
+            earlier=options.resume,
+            read_sources=self._read_sources,
+        )
 
     @cached_property
     def rules(self) -> SourceRules:
@@ -397,9 +402,8 @@ class SharedEpisodes:
             (self.context.options.evidence,),
         )
 
-    @cached_property
-    def sources(self) -> Sources | None:
-        """What all episodes of the session rest on; ``None`` if those are too many files.
+    def _read_sources(self) -> Sources | None:
+        """Read what all episodes of the session rest on; ``None`` if those are too many files.
 
         Raises:
             ConfigurationError: If they are, and an earlier session is to be compared with them.
@@ -408,7 +412,7 @@ class SharedEpisodes:
         from pytest_dura.execution.sources import MAX_FILES, Sources, TooManyFilesError
 
         try:
-            return self.cache.sources(self.id) or Sources.of(self.rules, describe_interpreter())
+            return Sources.of(self.rules, describe_interpreter())
         except TooManyFilesError:
             if not self.context.options.resume:
                 return None
@@ -423,7 +427,7 @@ class SharedEpisodes:
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``resume`` at its beginning; the rest follows from its episodes."""
-        sources = self.sources
+        sources = self.cache.sources(self.id)
         covered = (
             None
             if sources is None
@@ -443,8 +447,6 @@ class SharedEpisodes:
         """Make the store from which the runner of this process takes episodes."""
         from pytest_dura.execution.store import EpisodeStore
 
-        if self.context.is_worker:  # the controller may begin its record later
-            self.put_sources()
         self._store = EpisodeStore(
             self.cache,
             self._executor.execution(),
@@ -543,21 +545,18 @@ class SharedEpisodes:
         self._clear()
 
     def put_sources(self) -> None:
-        """Store what the episodes rest on, unless another process of the session has done so.
-
-        Without that, as on a full disk, no later session takes an episode over.
-        """
-        if self.sources is not None and self.cache.sources(self.id) is None:
-            with suppress(OSError):
-                self.cache.put_sources(self.sources)
+        """Store what the episodes rest on, so that no worker has to read it."""
+        with suppress(OSError):  # it is tried again with the first episode, which says why not
+            self.cache.put_sources()
 
     def _changes(self) -> Iterator[str]:
         """Say what changed since the session that is resumed, and for how many episodes."""
         from pytest_dura.execution.sources import changed_sources
 
+        now = self.cache.sources(self.id)
         sessions = Counter(entry.session for entry in self.cache.entries())
         for session, number in sessions.items():
-            changed = ", ".join(changed_sources(self.sources, self.cache.sources(session)))
+            changed = ", ".join(changed_sources(now, self.cache.sources(session)))
             if changed:
                 are = "is" if number == 1 else "are"
                 yield f"{counted(number, 'episode')} {are} simulated anew: {changed} changed since"

@@ -360,7 +360,8 @@ def test_inputs_may_not_contradict_each_other_though_all_else_follows_from_them(
 
 FREE = {
     "who wrote it, where, when and how fast, which nothing else in it repeats": """
-        created, finished, command, tool, environment, execution, reuse.session, selection,
+        created, finished, command, tool, environment, execution, resume.session, resume.sources,
+        selection,
         require_repeatable, timings.wall_seconds, timings.evidence_seconds,
         episodes[].metrics.processing_us, inputs
     """,
