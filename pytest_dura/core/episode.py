@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.display import LONGEST_REPR, Shown, short_repr
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
-from pytest_dura.core.measures import Measure, Value
+from pytest_dura.core.measures import Measure, MeasureInfo, Value
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Recording
@@ -352,9 +352,9 @@ class Episode(Shown):
             ) from None
 
     @property
-    def described_measures(self) -> list[dict[str, Any]]:
-        """Description of its measures as plain data, in the order of tables."""
-        return [measure.to_json(place) for place, measure in enumerate(self.spec.measures)]
+    def described_measures(self) -> list[MeasureInfo]:
+        """Description of its measures, in the order of tables."""
+        return [measure.info(place) for place, measure in enumerate(self.spec.measures)]
 
     def __getattr__(self, name: str) -> Value:
         """Return a measure that the simulator declares, such as ``collided`` of driving.

@@ -4,47 +4,65 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
+from pytest_dura.core.codec import Count
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, describe_error
 
 Value = bool | float | None
-Shown = Literal["share", "count", "mean"]
+Form = Literal["share", "count", "mean"]
+
+
+_Function = TypeVar("_Function")
 
 
 @dataclass(frozen=True)
-class Measure:
-    """A figure of an episode.
-
-    Args:
-        name: Attribute of the episode, and key of the record.
-        heading: Head of its column in the terminal, without the unit.
-        meaning: What it counts or measures, after the heading and a colon.
-        function: Function of an episode. What is shown as a share or a count is true or false; a
-            mean is that of numbers, without those that are ``None`` or NaN.
-        shown: How the runs of a case are summed up.
-        unit: Of a number.
-        signals: Signals that an episode needs to have the measure at all.
-        severity: ``notable`` where true is worth a look at the episode, ``grave`` where moreover
-            its case is shown in every report, however many cases there are.
-        signal: Signal whose rise a viewer of the episode marks, if any.
-        event: What the mark says, and the kind of events that say it already.
-    """
+class _Declared(Generic[_Function]):
+    """What a simulator declares of a figure."""
 
     name: str
+    """Attribute of the episode, and key in `outcome.measures` of episodes and `metrics.measures` of
+    cases."""
     heading: str
+    """Head of its column in the terminal, without the unit."""
     meaning: str
-    function: Callable[[Any], Value]
-    shown: Shown
+    """What it counts or measures, after the heading and a colon."""
+    function: _Function
+    """Function of an episode. What is shown as a share or a count is true or false; a mean is that
+    of numbers, without those that are `None` or NaN."""
+    shown: Form
+    """How the runs of a case are summed up: a share or a count of those in which it is true, or the
+    mean of a number."""
     unit: str = ""
+    """Of a number; empty for a truth value."""
     signals: tuple[str, ...] = ()
+    """Signals that an episode needs to have it."""
     severity: Literal["none", "notable", "grave"] = "none"
+    """`notable`: where it is true, the episode is listed. `grave`: its case is also shown in every
+    report, however many cases there are."""
     signal: str | None = None
+    """Signal whose rise the player marks; null for none."""
     event: str = ""
+    """What the mark says, and the kind of events that say it already; empty without a mark."""
+
+
+@dataclass(frozen=True)
+class MeasureInfo(_Declared[str]):
+    """A figure of an episode that a simulator declares, as plain data."""
+
+    function: str
+    """Import path of the function that measures an episode."""
+    place: Count = field(kw_only=True)
+    """Its place among the measures of its simulator, from 0."""
+
+
+@dataclass(frozen=True)
+class Measure(_Declared[Callable[[Any], Value]]):
+    """A figure of an episode, with the function that measures it."""
 
     __repr__ = short_repr
 
@@ -83,14 +101,13 @@ class Measure:
             remedy=f"correct {self.path}",
         )
 
-    def to_json(self, place: int) -> dict[str, Any]:
+    def info(self, place: int) -> MeasureInfo:
         """Describe it as plain data.
 
         Args:
             place: Its place among the columns, from 0.
         """
-        described = {key: value for key, value in vars(self).items() if key != "function"}
-        return {**described, "signals": list(self.signals), "function": self.path, "place": place}
+        return MeasureInfo(**{**vars(self), "function": self.path}, place=place)
 
 
 def measured(measures: Iterable[Measure], episode: Any) -> dict[str, Value]:

@@ -6,10 +6,10 @@ Only campaigns that ran under the same conditions are compared.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
@@ -18,10 +18,10 @@ from pytest_dura.evidence.episode_model import SpecEntry
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.verdict_model import BaselineEntry
 from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 from pytest_dura.requirements.comparison import (
-    ComparisonStatus,
+    BaselineComparison,
+    ComparedBaseline,
     compare_counts,
     compare_pairs,
     comparison_status,
@@ -235,62 +235,6 @@ _SEQUENTIAL = ("sprt", "e-process")
 """Methods whose number of episodes depends on their outcomes."""
 _N_DEPENDED = "n depended on the outcome"
 
-BaselineStatus = Literal[
-    "better", "worse", "no evidence of a change", "new", "gone", "no comparison"
-]
-
-
-@dataclass(frozen=True)
-class BaselineComparison:
-    """One requirement on one case, now and in the baseline.
-
-    Args:
-        requirement: Id of the requirement.
-        case: Id of the case.
-        component: Component under test now; ``None`` for what is gone.
-        baseline_component: That of the baseline; ``None`` for what is new.
-        status: Result, after Holm's correction.
-        reason: Why there is no comparison.
-        uncorrected: Result of this comparison alone.
-        confidence: The requirement's own.
-        violations: Violating episodes now.
-        episodes: Valid episodes now.
-        baseline_violations: Violating episodes of the baseline.
-        baseline_episodes: Valid episodes of the baseline.
-        test: ``McNemar`` for runs of equal seeds, ``Fisher`` for others; both exact.
-        only_now: For McNemar, seeds that violate it now alone.
-        only_baseline: For McNemar, seeds that violated it in the baseline alone.
-        p_worse: One-sided p-value against "the rate is not higher than the baseline's"; 1 where
-            the outcome itself kept the two from being compared.
-        p_better: One-sided p-value against "the rate is not lower than the baseline's".
-        p_worse_holm: Adjusted for all comparisons of the session.
-        p_better_holm: Adjusted for all comparisons of the session.
-    """
-
-    requirement: str
-    case: str
-    component: str | None
-    baseline_component: str | None
-    status: BaselineStatus
-    reason: str = ""
-    uncorrected: ComparisonStatus | None = None
-    confidence: float | None = None
-    violations: int | None = None
-    episodes: int | None = None
-    baseline_violations: int | None = None
-    baseline_episodes: int | None = None
-    test: Literal["McNemar", "Fisher"] | None = None
-    only_now: int | None = None
-    only_baseline: int | None = None
-    p_worse: float | None = None
-    p_better: float | None = None
-    p_worse_holm: float | None = None
-    p_better_holm: float | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Convert to plain data for the record, where the status is called ``word``."""
-        return {"word" if key == "status" else key: value for key, value in asdict(self).items()}
-
 
 def compare_claims(claims: Sequence[Claim], baseline: Sequence[Claim]) -> list[BaselineComparison]:
     """Compare the claims of two records, and list those of one alone, by case and requirement.
@@ -452,21 +396,11 @@ class Baseline:
     """Earlier record, read and checked.
 
     Args:
-        path: As the user gave it.
-        sha256: Digest of the file.
-        created: When its session began.
-        status: ``complete`` or ``interrupted``.
-        base_seed: Its base seed.
-        component: Its component under test, as recorded.
+        session: What the record of another session says of it, before anything is compared.
         claims: Its verdicts.
     """
 
-    path: str
-    sha256: str
-    created: str
-    status: str
-    base_seed: int
-    component: Mapping[str, Any]
+    session: ComparedBaseline
     claims: tuple[Claim, ...]
 
     @classmethod
@@ -488,50 +422,43 @@ class Baseline:
             claims = tuple(claims_of(record))
         except (ValueError, RecursionError) as error:
             raise _damaged_baseline(file, f"{type(error).__name__}: {error}") from None
-        baseline = cls(
+        if head.status == "running":
+            raise ConfigurationError(
+                "the baseline's session was killed, or is still running",
+                file=str(file),
+                key="status",
+                found=head.status,
+                expected="complete, or interrupted, of which the finished campaigns are compared",
+                remedy="run the baseline's session to its end",
+            )
+        session = ComparedBaseline(
             path=path,
             sha256=str(file_entry(file)["sha256"]),
             created=head.created,
             status=head.status,
             base_seed=head.base_seed,
             component=component,
-            claims=claims,
         )
-        if baseline.status not in ("complete", "interrupted"):
-            raise ConfigurationError(
-                "the baseline's session was killed, or is still running",
-                file=str(file),
-                key="status",
-                found=baseline.status,
-                expected="complete, or interrupted, of which the finished campaigns are compared",
-                remedy="run the baseline's session to its end",
-            )
-        return baseline
+        return cls(session, claims)
 
-    def to_json(self, record: SessionRecord | None = None) -> dict[str, Any]:
-        """Convert to the record's key ``baseline``.
-
-        ``tests`` counts what Holm's correction counts, ``comparisons`` are those of
-        :func:`compare_claims`.
+    def compared(self, record: SessionRecord | None = None) -> ComparedBaseline:
+        """Compare a session with it, by :func:`compare_claims`.
 
         Args:
             record: The new session's record; ``None`` as long as it runs.
         """
-        data = {key: value for key, value in vars(self).items() if key != "claims"}
-        comparisons = [] if record is None else compare_claims(claims_of(record), self.claims)
-        return {
-            **data,
-            "correction": "Holm",
-            "tests": sum(comparison.p_worse is not None for comparison in comparisons),
-            "comparisons": [comparison.to_json() for comparison in comparisons],
-        }
+        if record is None:
+            return self.session
+        comparisons = compare_claims(claims_of(record), self.claims)
+        tests = sum(comparison.p_worse is not None for comparison in comparisons)
+        return replace(self.session, tests=tests, comparisons=tuple(comparisons))
 
 
-def regression_objections(baseline: BaselineEntry) -> list[str]:
+def regression_objections(baseline: ComparedBaseline) -> list[str]:
     """List the reasons to fail a gate that is to fail where a rate got worse.
 
     Args:
-        baseline: Of :meth:`Baseline.to_json` of a finished session.
+        baseline: Of :meth:`Baseline.compared` of a finished session.
     """
     comparisons = baseline.comparisons
     if all(comparison.test is None for comparison in comparisons):
@@ -540,7 +467,7 @@ def regression_objections(baseline: BaselineEntry) -> list[str]:
         f"the gate fails: {comparison.requirement} on {comparison.case} is worse"
         " than in the baseline"
         for comparison in comparisons
-        if comparison.word == "worse"
+        if comparison.status == "worse"
     ]
 
 

@@ -23,18 +23,17 @@ from pytest_dura.core.codec import encode
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
-from pytest_dura.core.measures import Measure, measured
+from pytest_dura.core.measures import Measure, MeasureInfo, measured
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.conclusions.cases import with_chains
 from pytest_dura.evidence.entry import Coded, Entry, JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import OWN_ORIGIN
-from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.runs import declared_verdicts
 
 
@@ -165,7 +164,7 @@ class ItemReport:
     components: list[JsonObject] = field(default_factory=list)
     sources: dict[str, dict[str, str]] = field(default_factory=dict)
     cases: list[CasePlan] = field(default_factory=list)
-    measures: list[MeasureEntry] = field(default_factory=list)
+    measures: list[Coded[MeasureInfo]] = field(default_factory=list)
     hazards: list[Coded[Hazard]] = field(default_factory=list)
     requirements: list[Coded[Requirement]] = field(default_factory=list)
     episodes: list[JsonObject] = field(default_factory=list)
@@ -173,7 +172,7 @@ class ItemReport:
     verdicts: list[Coded[CampaignVerdict]] = field(default_factory=list)
     outcomes: list[JsonObject] = field(default_factory=list)
     searches: list[JsonObject] = field(default_factory=list)
-    monitors: list[MonitorEntry] = field(default_factory=list)
+    monitors: list[Coded[MonitorQuality]] = field(default_factory=list)
     chains: list[JsonObject] = field(default_factory=list)
     claimed: list[CasePlan] = field(default_factory=list)
     traces: list[JsonObject] = field(default_factory=list)

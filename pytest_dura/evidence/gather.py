@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from pytest_dura.core.codec import decode
 from pytest_dura.core.episode import canonical
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.conclude import conclude
 from pytest_dura.evidence.conclusions.cases import CaseMetrics
@@ -25,12 +26,11 @@ from pytest_dura.evidence.gate import Gate, worse_repeat
 from pytest_dura.evidence.item_verdicts import Waiver, WaiverKind
 from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
 from pytest_dura.evidence.search_model import SearchRecords
-from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.sessions import ResumeRecord
-from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 
 class Components:
@@ -201,7 +201,7 @@ class RecordBuilder:
     objections: dict[str, None] = field(default_factory=dict, init=False)
     """Reasons of items why the session does not pass, in order."""
     _components: Components = field(default_factory=Components)
-    _measures: dict[str, MeasureEntry] = field(default_factory=dict)
+    _measures: dict[str, MeasureInfo] = field(default_factory=dict)
     _hazards: dict[str, Hazard] = field(default_factory=dict)
     _requirements: dict[str, Requirement] = field(default_factory=dict)
     _cases: dict[tuple[str, str], CasePlan] = field(default_factory=dict)
@@ -210,7 +210,7 @@ class RecordBuilder:
     _spool: EpisodeSpool = field(init=False)
     _judgements: dict[Judgement, None] = field(default_factory=dict)
     """Each once, as the same report may come twice."""
-    _monitors: dict[tuple[str, ...], MonitorEntry] = field(default_factory=dict)
+    _monitors: dict[tuple[str, ...], MonitorQuality] = field(default_factory=dict)
     _claimed: dict[str, CasePlan] = field(default_factory=dict)
     """Cases of what is to be decided, by id."""
     _waivers: dict[str, Waiver] = field(default_factory=dict)
@@ -370,7 +370,7 @@ class RecordBuilder:
         hazards = [self._hazards[name] for name in sorted(self._hazards)]
         return {"hazards": hazards} if hazards else {}
 
-    def _add_measures(self, measures: Iterable[MeasureEntry]) -> None:
+    def _add_measures(self, measures: Iterable[MeasureInfo]) -> None:
         for measure in measures:
             known = self._measures.setdefault(measure.name, measure)
             if known != measure:

@@ -369,7 +369,7 @@ class MergeComparison:
     def compared(self, record: SessionRecord) -> SessionRecord:
         """Add the comparison to a record."""
         finished = None if record.head.status == "running" else record
-        baseline = None if self.baseline is None else self.baseline.to_json(finished)
+        baseline = None if self.baseline is None else self.baseline.compared(finished)
         return record.changed(baseline=baseline)
 
     def objections(self, record: SessionRecord) -> list[str]:
@@ -379,7 +379,7 @@ class MergeComparison:
 
     def inputs(self) -> list[dict[str, Any]]:
         """Entry of the baseline's file among the record's inputs."""
-        baseline = self.baseline
+        baseline = None if self.baseline is None else self.baseline.session
         if baseline is None:
             return []
         return [

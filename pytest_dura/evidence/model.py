@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from pytest_dura.core import codec
 from pytest_dura.core.display import Shown
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import CaseEntry, CoverageEntry, OverallEntry
 from pytest_dura.evidence.entry import Absent, Coded, Count, Entry, JsonObject, Positive
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -23,7 +24,6 @@ from pytest_dura.evidence.session_model import (
     ExecutionEntry,
     InputEntry,
     LanguageModelEntry,
-    MeasureEntry,
     MergedShard,
     PriceEntry,
     ResumeEntry,
@@ -35,14 +35,14 @@ from pytest_dura.evidence.session_model import (
 )
 from pytest_dura.evidence.signing import SignedReview, read_review
 from pytest_dura.evidence.verdict_model import (
-    BaselineEntry,
     EffectivenessEntry,
     LookEntry,
-    MonitorEntry,
 )
+from pytest_dura.requirements.comparison import ComparedBaseline
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 CellValue = str | codec.Number | bool | None
 """Value of a cell of a concluded table."""
@@ -151,7 +151,7 @@ class RecordHead(Entry):
     """Price of a million tokens of language models; absent where nobody stated one."""
     models: list[LanguageModelEntry]
     """The language models that components asked; empty if none did."""
-    measures: list[MeasureEntry]
+    measures: list[Coded[MeasureInfo]]
     """The figures that simulators declare for their episodes, in the order of tables."""
     hazards: Absent[list[Coded[Hazard]]] = None
     """Sorted by id: those of the user's files, and of the built-in ones those that a requirement of
@@ -171,7 +171,7 @@ class RecordHead(Entry):
     searches: list[SearchEntry]
     """What searches for violations came to (`campaign.falsify`). None of it is part of a verdict or
     of a rate."""
-    monitors: list[MonitorEntry]
+    monitors: list[Coded[MonitorQuality]]
     """Quality of the monitors."""
     overall: list[OverallEntry]
     """What the planned episodes of all cases come to, one entry for each component; cases in which
@@ -179,7 +179,7 @@ class RecordHead(Entry):
     effectiveness: list[EffectivenessEntry]
     """What the runs show of recovery and monitors by themselves, also that they cannot show it; no
     verdict."""
-    baseline: BaselineEntry | None
+    baseline: Coded[ComparedBaseline] | None
     """What the session was compared with; null without."""
     looks: Absent[list[LookEntry]] = None
     """Earlier verdicts on rates, of the evidence that this session replaced and of the baseline: a

@@ -347,35 +347,6 @@ class ComponentUnderTest(Entry):
     name, relative to the folder of its package."""
 
 
-class MeasureEntry(Entry):
-    """A figure of an episode that a simulator declares."""
-
-    name: str
-    """Its key in `outcome.measures` of episodes and `metrics.measures` of cases."""
-    heading: str
-    """Head of its column in the terminal."""
-    meaning: str
-    """What it counts or measures."""
-    shown: Literal["share", "count", "mean"]
-    """How the runs of a case are summed up: a share or a count of those in which it is true, or the
-    mean of a number."""
-    unit: str
-    """Of a number; empty for a truth value."""
-    signals: list[str]
-    """Signals that an episode needs to have it."""
-    severity: Literal["none", "notable", "grave"]
-    """`notable`: where it is true, the episode is listed. `grave`: its case is also shown in every
-    report, however many cases there are."""
-    signal: str | None
-    """Signal whose rise the player marks; null for none."""
-    event: str
-    """What the mark says, and the kind of events that say it already; empty without a mark."""
-    function: str
-    """Import path of the function that measures an episode."""
-    place: Count
-    """Its place among the measures of its simulator, from 0."""
-
-
 class CassetteEntry(Entry):
     """As it was at the session's end."""
 

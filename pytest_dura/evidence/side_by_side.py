@@ -17,9 +17,10 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from pytest_dura.core.codec import encode
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.baseline import (
-    BaselineComparison,
     Claim,
     Conditions,
     claims_of,
@@ -33,10 +34,10 @@ from pytest_dura.evidence.episode_model import EpisodeEntry, UsageEntry
 from pytest_dura.evidence.files import file_entry, files_below
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.session_model import MeasureEntry, PriceEntry
+from pytest_dura.evidence.session_model import PriceEntry
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.verify import hash_problems, resume_files
-from pytest_dura.requirements.comparison import holm, mcnemar
+from pytest_dura.requirements.comparison import BaselineComparison, holm, mcnemar
 
 _KEY = "DIR"
 MOST_COMPONENTS = 26
@@ -205,14 +206,14 @@ class SideBySide:
 
     sides: Sequence[Side]
     cases: Sequence[str]
-    measures: Sequence[MeasureEntry]
+    measures: Sequence[MeasureInfo]
     contrasts: Sequence[Contrast]
     left_out: Sequence[str] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Convert to plain data; what a bundle says is as it is recorded there."""
         data = {key: value for key, value in vars(self).items() if key != "measures"}
-        measures = [measure.to_json() for measure in self.measures]
+        measures = [encode(measure) for measure in self.measures]
         plain = {
             key: [asdict(each) if not isinstance(each, str) else each for each in value]
             for key, value in data.items()
@@ -293,7 +294,7 @@ class _Read:
     runs: Mapping[str, Mapping[int, _Run]] = field(default_factory=dict)
     """By case and number."""
 
-    def shown(self, number: int, cases: Sequence[str], measures: Sequence[MeasureEntry]) -> Side:
+    def shown(self, number: int, cases: Sequence[str], measures: Sequence[MeasureInfo]) -> Side:
         head = self.record.head
         own = [verdict for verdict in head.verdicts if verdict.component == self.component]
         return Side(
@@ -450,7 +451,7 @@ def _simulators(side: _Read, cases: Sequence[str]) -> set[str]:
     return {run.conditions.values["simulator.path"] for run in runs}
 
 
-def _shared_measures(records: Sequence[SessionRecord]) -> list[MeasureEntry]:
+def _shared_measures(records: Sequence[SessionRecord]) -> list[MeasureInfo]:
     """List the measures that all records describe alike, in the order of tables."""
     first, *others = (record.head.measures for record in records)
     functions = [{measure.name: measure.function for measure in other} for other in others]
@@ -462,7 +463,7 @@ def _shared_measures(records: Sequence[SessionRecord]) -> list[MeasureEntry]:
 
 
 def _left_out(
-    sides: Sequence[_Read], cases: Sequence[str], measures: Sequence[MeasureEntry]
+    sides: Sequence[_Read], cases: Sequence[str], measures: Sequence[MeasureInfo]
 ) -> Iterator[str]:
     """Describe what is not compared, since not all components have it."""
     every = sorted({case for side in sides for case in side.runs} - {*cases})
@@ -477,7 +478,7 @@ def _left_out(
             yield f"what the session of {_letter(number)} did not come to: it was interrupted"
 
 
-def _figures(runs: Sequence[_Run], measures: Sequence[MeasureEntry]) -> Figures:
+def _figures(runs: Sequence[_Run], measures: Sequence[MeasureInfo]) -> Figures:
     valid = [run for run in runs if run.validity == "valid"]
     means = {}
     for measure in measures:
@@ -528,7 +529,7 @@ def _shown(run: _Run, mode: str) -> float | None:
     return None if tally is None or not tally.of else float(tally.hits > 0)
 
 
-def _contrast(number: int, sides: Sequence[_Read], measures: Sequence[MeasureEntry]) -> Contrast:
+def _contrast(number: int, sides: Sequence[_Read], measures: Sequence[MeasureInfo]) -> Contrast:
     """Compare a component with the first one, on the cases that the two share."""
     reference, own = sides[0], sides[number]
     pairs: dict[str, list[tuple[_Run, _Run]]] = {}

@@ -248,10 +248,10 @@ def _measure_problems(record: SessionRecord) -> Iterator[str]:
     for name in sorted(used ^ {*names} if used - {*names} else ()):
         yield f"measures: {name} is in episodes or in the list of measures alone"
     functions = [measure.function for measure in recorded]
-    known = [measure.to_json(place) for _, place, measure in _registered_measures(functions)]
-    packages = {measure["function"].partition(".")[0] for measure in known}
+    known = [measure.info(place) for _, place, measure in _registered_measures(functions)]
+    packages = {measure.function.partition(".")[0] for measure in known}
     for measure in recorded:
-        if measure.function.partition(".")[0] in packages and measure.to_json() not in known:
+        if measure.function.partition(".")[0] in packages and measure not in known:
             yield f"measures: {measure.name} is not as its simulator declares it"
 
 

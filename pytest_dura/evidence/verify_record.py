@@ -13,13 +13,13 @@ from hashlib import sha256
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
+from pytest_dura.core.codec import encode
 from pytest_dura.core.episode import canonical, outcome_of
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.conclusions.verdicts import question_key
-from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, EpisodeMetricsEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, repeat_problems
 from pytest_dura.evidence.hazards import hazard_problems
@@ -40,7 +40,6 @@ from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
 from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, CheckVerdict
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 
 def episode_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> Iterator[str]:
@@ -607,16 +606,13 @@ def _monitor_problems(
         name = f"monitors/{number}"
         if (monitor.case, monitor.component) not in cases:
             yield f"{name}: its case is not listed"
-        recorded = monitor.to_json()
-        quality = MonitorQuality.from_json(recorded)
-        again = {"case": monitor.case, **quality.to_json()}
-        yield from differences(f"/{name}", recorded, plain_data(again))
-        times = quality.delays if quality.horizon is None else quality.lead_times
-        if len(times) != quality.true_positives or (quality.delays and quality.lead_times):
-            yield f"{name}: {quality.true_positives} true positives, and {len(times)} times of them"
-        if quality.late + quality.early > quality.false_negatives:
+        yield from differences(f"/{name}", encode(monitor), encode(monitor.with_rates()))
+        times = monitor.delays if monitor.horizon is None else monitor.lead_times
+        if len(times) != monitor.true_positives or (monitor.delays and monitor.lead_times):
+            yield f"{name}: {monitor.true_positives} true positives, and {len(times)} times of them"
+        if monitor.late + monitor.early > monitor.false_negatives:
             yield f"{name}: more late and early alarms than false negatives"
-        if quality.false_positives > quality.false_alarms:
+        if monitor.false_positives > monitor.false_alarms:
             yield f"{name}: fewer false alarms than episodes with one"
 
 

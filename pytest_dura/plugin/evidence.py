@@ -98,7 +98,7 @@ class GivenBaseline:
     def with_baseline(self, record: SessionRecord) -> SessionRecord:
         """Add the comparison with the baseline to a record."""
         finished = None if record.head.status == "running" else record
-        baseline = None if self.baseline is None else self.baseline.to_json(finished)
+        baseline = None if self.baseline is None else self.baseline.compared(finished)
         return record.changed(baseline=baseline)
 
     def regressions(self, record: SessionRecord) -> list[str]:
@@ -281,7 +281,7 @@ class SessionEvidence:
 
         yield self.context.options.evidence / RECORD_FILE
         if self.given.baseline is not None:
-            file = self.context.config.invocation_params.dir / self.given.baseline.path
+            file = self.context.config.invocation_params.dir / self.given.baseline.session.path
             yield file / RECORD_FILE if file.is_dir() else file
 
     def expect(self, items: list[str]) -> None:

@@ -56,9 +56,9 @@ class SessionInputs:
         if self._baseline is not None:
             from pytest_dura.evidence.bundle import RECORD_FILE
 
-            file = here / self._baseline.path
+            file = here / self._baseline.session.path
             file = file / RECORD_FILE if file.is_dir() else file
-            self.inputs.add("baseline", file, self._baseline.sha256)
+            self.inputs.add("baseline", file, self._baseline.session.sha256)
         for planned in self.context.plan:
             self._add_scenario(planned.case.scenario.name)
             for requirement in planned.requirements:

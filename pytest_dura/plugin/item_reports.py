@@ -243,11 +243,10 @@ def _brief_run(episode: Episode) -> BriefRun:
     from pytest_dura.evidence.conclusions.cases import with_chains
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.episodes import episode_record
-    from pytest_dura.evidence.session_model import MeasureEntry
     from pytest_dura.reports.incidents import BriefRun
 
     entry = EpisodeEntry.model_validate(with_chains(episode_record(episode, planned=True), {}))
-    return BriefRun.of(entry, [*map(MeasureEntry.model_validate, episode.described_measures)])
+    return BriefRun.of(entry, episode.described_measures)
 
 
 def seed_of(context: SessionContext, result: ItemResult, episode: str) -> int | None:

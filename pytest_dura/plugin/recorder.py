@@ -181,7 +181,6 @@ class ItemRecorder:
     def episode_used(self, event: EpisodeUsed) -> None:
         """Record an episode."""
         from pytest_dura.evidence.episodes import episode_record
-        from pytest_dura.evidence.session_model import MeasureEntry
 
         case, episode, planned = event.case, event.episode, event.planned
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
@@ -199,8 +198,7 @@ class ItemRecorder:
             )
             self._report.episodes.append(record)
             known = self._report.measures
-            described = map(MeasureEntry.model_validate, episode.described_measures)
-            known += [measure for measure in described if measure not in known]
+            known += [each for each in episode.described_measures if each not in known]
             self._flush_if_full()
         self._last_episode = episode
 
@@ -253,14 +251,7 @@ class ItemRecorder:
 
     def monitors_measured(self, event: MonitorsMeasured) -> None:
         """Record how good a case's monitors are."""
-        from pytest_dura.evidence.entry import plain_data
-        from pytest_dura.evidence.verdict_model import MonitorEntry
-
-        about = {"case": event.case.id}
-        self._report.monitors += [
-            MonitorEntry.model_validate(plain_data({**about, **quality.to_json()}))
-            for quality in event.qualities
-        ]
+        self._report.monitors += event.qualities
 
     def faults_traced(self, event: FaultsTraced) -> None:
         """Record the causal chain of each fault of an episode."""

@@ -57,11 +57,11 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.evidence.session_model import ResumeEntry, SearchOrigins
-    from pytest_dura.evidence.verdict_model import BaselineEntry, ComparisonEntry
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.plugin.roles import SessionRoles
+    from pytest_dura.requirements.comparison import BaselineComparison, ComparedBaseline
 
 
 _MOST_REASONS = 8
@@ -128,10 +128,10 @@ def _baseline_header(baseline: Baseline | None) -> list[str]:
     if baseline is None:
         return []
     names = sorted({claim.component for claim in baseline.claims})
-    which = ", ".join([*names, baseline.created])
-    lines = [f"dura: compared with the baseline {baseline.path} ({which})"]
-    if baseline.status != "complete":
-        lines.append(f"dura: warning: the baseline's session was {baseline.status}")
+    which = ", ".join([*names, baseline.session.created])
+    lines = [f"dura: compared with the baseline {baseline.session.path} ({which})"]
+    if baseline.session.status != "complete":
+        lines.append(f"dura: warning: the baseline's session was {baseline.session.status}")
     return lines
 
 
@@ -150,7 +150,7 @@ def _show_baseline(terminal: Any, record: SessionRecord) -> None:
         comparison
         for status in (*_BASELINE_COLOURS, NO_CHANGE)
         for comparison in shown
-        if comparison.word == status
+        if comparison.status == status
     ]
     if rows:
         columns = shown_in(COMPARISON_COLUMNS, Shown.TERMINAL)
@@ -164,7 +164,7 @@ def _show_baseline(terminal: Any, record: SessionRecord) -> None:
             lines = [f"{cells}  {about}"] if fits else [cells, f"{'':<{widths[0] + 2}}{about}"]
             for line in lines:
                 terminal.line(
-                    line, **({} if entry is None else _BASELINE_COLOURS.get(entry.word, {}))
+                    line, **({} if entry is None else _BASELINE_COLOURS.get(entry.status, {}))
                 )
         for line in [*wrapped_legend(columns), *textwrap.wrap(_BASELINE_NOTE, WIDTH)]:
             terminal.line(line)
@@ -174,12 +174,12 @@ def _show_baseline(terminal: Any, record: SessionRecord) -> None:
             terminal.line(line)
 
 
-def _name(comparison: ComparisonEntry) -> str:
+def _name(comparison: BaselineComparison) -> str:
     return f"{name(comparison.requirement)} on {name(comparison.case)}"
 
 
-def _baseline_summary(baseline: BaselineEntry) -> str:
-    statuses = [comparison.word for comparison in baseline.comparisons]
+def _baseline_summary(baseline: ComparedBaseline) -> str:
+    statuses = [comparison.status for comparison in baseline.comparisons]
     compared = sum(comparison.test is not None for comparison in baseline.comparisons)
     parts = [counted(compared, "comparison")]
     parts += [f"{statuses.count(status)} {status}" for status in ("worse", "better")]
@@ -188,28 +188,30 @@ def _baseline_summary(baseline: BaselineEntry) -> str:
     return ", ".join(parts)
 
 
-def _violated(comparison: ComparisonEntry) -> bool:
+def _violated(comparison: BaselineComparison) -> bool:
     return bool(comparison.violations or comparison.baseline_violations)
 
 
-def _unremarkable(comparisons: Sequence[ComparisonEntry]) -> dict[str, list[ComparisonEntry]]:
+def _unremarkable(comparisons: Sequence[BaselineComparison]) -> dict[str, list[BaselineComparison]]:
     """Group comparisons without violations, or without a test, by reason."""
-    by_reason: dict[str, list[ComparisonEntry]] = {}
+    by_reason: dict[str, list[BaselineComparison]] = {}
     for comparison in comparisons:
         if comparison.test is None:
             reason = (
-                f"{comparison.word}: {comparison.reason}" if comparison.reason else comparison.word
+                f"{comparison.status}: {comparison.reason}"
+                if comparison.reason
+                else comparison.status
             )
         elif not _violated(comparison):
             runs = f"0/{comparison.episodes} now, 0/{comparison.baseline_episodes} then"
-            reason = f"{comparison.word}, violated in {runs}"
+            reason = f"{comparison.status}, violated in {runs}"
         else:
             continue
         by_reason.setdefault(reason, []).append(comparison)
     return by_reason
 
 
-def _requirements_by_case(comparisons: Sequence[ComparisonEntry]) -> str:
+def _requirements_by_case(comparisons: Sequence[BaselineComparison]) -> str:
     cases: dict[str, list[str]] = {}
     for comparison in comparisons:
         cases.setdefault(comparison.case, []).append(comparison.requirement)

@@ -44,13 +44,15 @@ from pytest_dura.reports.usage import spending_text, usage_columns, usage_rows
 from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
+    from pytest_dura.core.measures import MeasureInfo
     from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
     from pytest_dura.evidence.episode_model import FaultEntry
     from pytest_dura.evidence.item_verdicts import ItemVerdict
     from pytest_dura.evidence.model import RecordHead, SessionRecord
-    from pytest_dura.evidence.session_model import LanguageModelEntry, MeasureEntry, PriceEntry
-    from pytest_dura.evidence.verdict_model import EffectivenessEntry, MonitorEntry
+    from pytest_dura.evidence.session_model import LanguageModelEntry, PriceEntry
+    from pytest_dura.evidence.verdict_model import EffectivenessEntry
     from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.requirements.monitoring.quality import MonitorQuality
     from pytest_dura.requirements.pairs import PairTable
 
 Row = TypeVar("Row")
@@ -94,7 +96,7 @@ def wrapped_legend(columns: Sequence[Column[Row]], about: str = "") -> list[str]
 def case_table(
     cases: Sequence[CaseEntry],
     overall: Sequence[OverallEntry] = (),
-    measures: Sequence[MeasureEntry] = (),
+    measures: Sequence[MeasureInfo] = (),
 ) -> list[str]:
     """Write the paper's table: a line per case and component, and one per component.
 
@@ -221,13 +223,13 @@ def effectiveness_lines(
     return lines
 
 
-def monitor_table(monitors: Sequence[MonitorEntry]) -> list[str]:
+def monitor_table(monitors: Sequence[MonitorQuality]) -> list[str]:
     """Write how good each monitor was, a line per case and monitor.
 
     Requirements on which it did equally well share a line; where nothing was violated and nothing
     flagged there is none.
     """
-    same: dict[tuple[str, ...], list[MonitorEntry]] = {}
+    same: dict[tuple[str, ...], list[MonitorQuality]] = {}
     for monitor in monitors:
         if monitor.true_positives + monitor.false_negatives + monitor.false_positives:
             columns = shown_in(MONITOR_COLUMNS, Shown.TERMINAL)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from enum import Flag, auto
 from typing import Generic, TypeVar
 
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.core.roles import STANDARD_ROLES
 from pytest_dura.evidence.case_model import ShareEntry
-from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import code, markdown, name, one_line
 from pytest_dura.reports.failure_modes import percent_text
 
@@ -167,7 +167,7 @@ def role_name(role: str) -> str:
     return STANDARD_ROLES[role].__name__ if role in STANDARD_ROLES else name(role)
 
 
-def measure_label(measure: MeasureEntry) -> str:
+def measure_label(measure: MeasureInfo) -> str:
     """Name of a measure in words."""
     return measure.name.replace("_", " ")
 

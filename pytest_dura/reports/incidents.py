@@ -10,11 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry, EventEntry, FaultEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.reports.wording import event_text, names_text
 from pytest_dura.requirements.campaign_verdicts import Counterexample
@@ -91,7 +91,7 @@ class BriefRun:
     """Whether recovery took over for good."""
 
     @classmethod
-    def of(cls, episode: EpisodeEntry, measures: Sequence[MeasureEntry]) -> BriefRun:
+    def of(cls, episode: EpisodeEntry, measures: Sequence[MeasureInfo]) -> BriefRun:
         """Take it from an episode.
 
         Args:
@@ -158,7 +158,7 @@ _MOST_EVENTS = 400
 class _Marks:
     """What a domain declares as grave or notable."""
 
-    def __init__(self, measures: Sequence[MeasureEntry]) -> None:
+    def __init__(self, measures: Sequence[MeasureInfo]) -> None:
         self._grave = [each for each in measures if each.severity == "grave"]
         self._notable = [each for each in measures if each.severity == "notable"]
         self._names = {each.name for each in measures}

@@ -15,7 +15,6 @@ from pytest_dura.evidence.case_model import (
 from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import name
-from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.reports.columns import (
     EMPTY,
     Cell,
@@ -32,6 +31,7 @@ from pytest_dura.reports.columns import (
     share_text,
 )
 from pytest_dura.reports.failure_modes import failure_mode_text
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import Change, ChangeTable, PairCounts, PairTable
 
 # Pairs of runs: what recovery did, and what faults did.
@@ -245,18 +245,18 @@ ATTACK_COLUMNS: Sequence[Column[AttackRow]] = (
 class MonitorRow:
     """A monitor on a case, with the targets on which it did equally well."""
 
-    entry: MonitorEntry
+    entry: MonitorQuality
     targets: Sequence[str] = ()
 
 
-def _measured_episodes(entry: MonitorEntry) -> Cell:
+def _measured_episodes(entry: MonitorQuality) -> Cell:
     text = str(entry.episodes)
     kinds = {"invalid": entry.invalid, "missing": entry.missing}
     notes = tuple(f"{count} {kind}" for kind, count in kinds.items() if count)
     return Cell(text, text, text, notes, below=True)
 
 
-def _rate_of(rate: float | None, entry: MonitorEntry, false: int) -> Cell | None:
+def _rate_of(rate: float | None, entry: MonitorQuality, false: int) -> Cell | None:
     if rate is None:
         return None
     true = entry.true_positives
@@ -264,7 +264,7 @@ def _rate_of(rate: float | None, entry: MonitorEntry, false: int) -> Cell | None
     return Cell(text, text, number_text(rate, 2), (f"({true}/{true + false})",))
 
 
-def _lead(entry: MonitorEntry) -> Cell | None:
+def _lead(entry: MonitorQuality) -> Cell | None:
     time = entry.lead_time or entry.delay
     if time is None:
         return None

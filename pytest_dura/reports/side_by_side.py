@@ -6,9 +6,8 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from pytest_dura.evidence.baseline import BaselineComparison
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.conclusions.cases import share
-from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.side_by_side import (
     Contrast,
     ModeCount,
@@ -25,6 +24,7 @@ from pytest_dura.reports.failure_modes import (
     percent_text,
 )
 from pytest_dura.reports.usage import price_text
+from pytest_dura.requirements.comparison import BaselineComparison
 
 _WIDTH = 100
 _LEVEL = 0.05
@@ -151,14 +151,14 @@ def _figures(result: SideBySide) -> Iterator[str]:
         )
 
 
-def _measure_name(measure: MeasureEntry) -> str:
+def _measure_name(measure: MeasureInfo) -> str:
     label = name(measure.name).replace("_", " ")
     if measure.shown != "mean":
         return f"{label} %"
     return f"{label}, mean" + (f" {name(measure.unit)}" if measure.unit else "")
 
 
-def _measure_text(measure: MeasureEntry, value: float | None) -> str:
+def _measure_text(measure: MeasureInfo, value: float | None) -> str:
     if value is None:
         return "-"
     return number_text(value) if measure.shown == "mean" else percent_text(value)

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.core.metrics import REACTIONS
 from pytest_dura.evidence.case_model import CaseEntry, MeasuredNumbers, OverallEntry
 from pytest_dura.evidence.gate import outcome_status
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry, SearchOutcomeEntry
-from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import code, markdown, name
-from pytest_dura.evidence.verdict_model import ComparisonEntry
 from pytest_dura.reports.columns import (
     NO_VALUE,
     Cell,
@@ -39,6 +38,7 @@ from pytest_dura.reports.searches import (
 )
 from pytest_dura.reports.verdicts import no_rate_reason, rate_bound
 from pytest_dura.requirements.campaign_verdicts import weakness
+from pytest_dura.requirements.comparison import BaselineComparison
 from pytest_dura.requirements.model import Requirement
 
 # Cases.
@@ -47,9 +47,7 @@ CaseRow = CaseEntry | OverallEntry
 """A case, or all cases of a component."""
 
 
-def case_columns(
-    rows: Sequence[CaseRow], measures: Sequence[MeasureEntry]
-) -> list[Column[CaseRow]]:
+def case_columns(rows: Sequence[CaseRow], measures: Sequence[MeasureInfo]) -> list[Column[CaseRow]]:
     """The outcomes of cases; how they rely on recovery is a table of its own in the terminal.
 
     Args:
@@ -172,7 +170,7 @@ def _invalid_and_missing(row: CaseRow) -> str:
     return f"{row.metrics.invalid}{missing}"
 
 
-def _measure_column(measure: MeasureEntry) -> Column[CaseRow]:
+def _measure_column(measure: MeasureInfo) -> Column[CaseRow]:
     def value(row: CaseRow) -> Cell | None:
         value = row.metrics.measures.get(measure.name)
         if isinstance(value, MeasuredNumbers):
@@ -321,9 +319,9 @@ VERDICT_COLUMNS: Sequence[Column[ItemVerdict]] = (
 NO_CHANGE = "no evidence of a change"
 
 
-def _status(row: ComparisonEntry) -> str:
-    if row.word != NO_CHANGE:
-        return row.word
+def _status(row: BaselineComparison) -> str:
+    if row.status != NO_CHANGE:
+        return row.status
     return "-" if row.uncorrected == NO_CHANGE else f"({row.uncorrected})"
 
 
@@ -331,7 +329,7 @@ def _violated_of(violations: int | None, episodes: int | None) -> str | None:
     return None if episodes is None else f"{violations}/{episodes}"
 
 
-def _nearer(row: ComparisonEntry) -> tuple[float | None, float | None]:
+def _nearer(row: BaselineComparison) -> tuple[float | None, float | None]:
     """The p-values in the direction of the change."""
     worse, better = row.p_worse or 0.0, row.p_better or 0.0
     return (worse, row.p_worse_holm) if worse <= better else (better, row.p_better_holm)
@@ -341,10 +339,10 @@ def _corrected(p_value: float | None, holm: float | None) -> str:
     return f"{number_text(p_value, 2)} ({number_text(holm, 2)})"
 
 
-COMPARISON_COLUMNS: Sequence[Column[ComparisonEntry]] = (
+COMPARISON_COLUMNS: Sequence[Column[BaselineComparison]] = (
     Column("requirement", lambda row: name_cell(row.requirement), shown=Shown.PAGE, kind=""),
     Column("case", lambda row: name_cell(row.case), shown=Shown.PAGE, kind=""),
-    Column("word", lambda row: row.word, shown=Shown.PAGE, kind=""),
+    Column("word", lambda row: row.status, shown=Shown.PAGE, kind=""),
     Column("status", _status, short=" ", shown=Shown.TERMINAL),
     Column(
         "now", lambda row: _violated_of(row.violations, row.episodes),

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import comb
-from typing import Literal
+from typing import Any, Literal
 
+from pytest_dura.core.codec import Count, Sha256, Share
 from pytest_dura.requirements.sequential import error_level, require_between
 
 ComparisonStatus = Literal["better", "worse", "no evidence of a change"]
@@ -26,6 +27,81 @@ class Comparison:
     status: ComparisonStatus
     p_better: float
     p_worse: float
+
+
+BaselineStatus = Literal[
+    "better", "worse", "no evidence of a change", "new", "gone", "no comparison"
+]
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineComparison:
+    """One requirement on one case, now and in the baseline."""
+
+    requirement: str
+    """Id of the requirement."""
+    case: str
+    """Id of the case: the scenario, then `+` and its faults where they differ from the scenario's
+    own, then `~` and a role that is switched off."""
+    component: str | None
+    """Name of the component under test; null for what is gone."""
+    baseline_component: str | None
+    """The baseline's component; null for what is new."""
+    status: BaselineStatus
+    """What follows, after the correction."""
+    reason: str = ""
+    """Why there is no comparison."""
+    uncorrected: ComparisonStatus | None = None
+    """The status that this comparison alone would have got."""
+    confidence: Share | None = None
+    """Of the statuses: the requirement's own."""
+    violations: Count | None = None
+    """Violating episodes now."""
+    episodes: Count | None = None
+    """Valid episodes now."""
+    baseline_violations: Count | None = None
+    """Violating episodes of the baseline."""
+    baseline_episodes: Count | None = None
+    """Valid episodes of the baseline."""
+    test: Literal["McNemar", "Fisher"] | None = None
+    """Exact test: McNemar for runs of equal seeds, Fisher for others."""
+    only_now: Count | None = None
+    """For McNemar, seeds that violate it now alone."""
+    only_baseline: Count | None = None
+    """For McNemar, seeds that violated it in the baseline alone."""
+    p_worse: Share | None = None
+    """One-sided p-value against `the rate is not higher`; 1 where the outcome itself kept the two
+    from being compared."""
+    p_better: Share | None = None
+    """One-sided p-value against `the rate is not lower`."""
+    p_worse_holm: Share | None = None
+    """Adjusted for all comparisons of the session."""
+    p_better_holm: Share | None = None
+    """Adjusted for all comparisons of the session."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedBaseline:
+    """An earlier record that the session is compared with."""
+
+    path: str
+    """As the user gave it."""
+    sha256: Sha256
+    """SHA-256 of its file."""
+    created: str
+    """When its session began, in ISO 8601."""
+    status: Literal["complete", "interrupted"]
+    """How its session ended."""
+    base_seed: Count
+    """Its base seed."""
+    component: dict[str, Any]
+    """Its component under test, as it is recorded there."""
+    correction: str = "Holm"
+    """How the statuses hold together."""
+    tests: Count = 0
+    """How many comparisons the correction counts."""
+    comparisons: tuple[BaselineComparison, ...] = ()
+    """Verdict by verdict."""
 
 
 def mcnemar(only_first: int, only_second: int) -> float:

@@ -50,7 +50,7 @@ DRAWN = """
 
 @pytest.fixture(scope="module")
 def html():
-    measures = [one.to_json(place) for place, one in enumerate(MEASURES)]
+    measures = [one.info(place) for place, one in enumerate(MEASURES)]
     return player_page(crossing(), VERDICTS, measures)
 
 

@@ -64,7 +64,7 @@ def test_a_rate_that_got_worse_fails_the_gate_or_is_told(rates, choice, code):
     (verdict,), baseline = evidence.verdicts, evidence.baseline
     assert 5 < verdict.violations < 15
     (found,) = baseline.comparisons
-    assert (found.word, found.test) == ("worse", "McNemar")
+    assert (found.status, found.test) == ("worse", "McNemar")
     assert (found.component, found.baseline_component) == ("Hasty", "Careful")
     assert found.only_now == found.violations == verdict.violations
     assert found.p_worse == mcnemar_one_sided(verdict.violations, 0)
@@ -98,7 +98,7 @@ def test_the_last_session_can_be_the_baseline_that_this_one_replaces(rates, dist
     result = rates.run("--dura-baseline=dura-evidence", OLD, *distributed)
     assert result.ret == 0
     (found,) = rates.evidence().baseline.comparisons
-    assert (found.word, found.p_worse, found.p_better) == (
+    assert (found.status, found.p_worse, found.p_better) == (
         "no evidence of a change", 1.0, 1.0,
     )  # fmt: skip
     told = "no evidence of a change, violated in 0/20 now, 0/20 then: OWN-1 on corridor/free"
@@ -108,7 +108,7 @@ def test_the_last_session_can_be_the_baseline_that_this_one_replaces(rates, dist
 def test_another_base_seed_is_another_sample(rates):
     rates.run("--dura-baseline=old", "--dura-seed=7", NEW)
     (found,) = rates.evidence().baseline.comparisons
-    assert (found.word, found.test) == ("worse", "Fisher")
+    assert (found.status, found.test) == ("worse", "Fisher")
 
 
 def test_what_cannot_be_compared_is_listed(project):

@@ -371,7 +371,7 @@ def test_the_whole_is_held_against_a_baseline_and_no_shard(made, tmp_path, capsy
     asked = ["merge", *bundles, "--baseline", baseline]
     assert main([*asked, "--output", str(tmp_path / "out")]) == 1
     record = json.loads((tmp_path / "out/evidence.json").read_text())
-    words = {one["word"] for one in record["baseline"]["comparisons"]}
+    words = {one["status"] for one in record["baseline"]["comparisons"]}
     assert words == {"unchanged", "not comparable"} or "worse" not in words
     assert len(record["baseline"]["comparisons"]) == len(record["verdicts"])
     assert [one["path"] for one in record["inputs"] if one["kind"] == "baseline"] == [baseline]

@@ -155,7 +155,7 @@ def test_another_json_type_is_refused_where_it_is(type_, data):
 def test_every_form_was_drawn():
     met: Counter[str] = Counter()
 
-    @settings(lawful, max_examples=120)
+    @settings(lawful, max_examples=500)
     @given(values_of(Tree))
     def count(tree):
         met[f"part {type(tree.part).__name__}"] += 1

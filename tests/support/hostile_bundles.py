@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 from traces import simple_trace
 
 from pytest_dura.core import Line, Scene, Tracks, derive_seed
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import (
     Baseline,
     Cases,
@@ -289,7 +290,7 @@ def session(real, directory, spoil):
     told = before.to_json()
     traces = [one["trace"] and read_trace(real / one["trace"]["file"]) for one in told["episodes"]]
     _name_everything(told)
-    told["baseline"] = Baseline.read(".", real).to_json(SessionRecord.of(told, real))
+    told["baseline"] = encode(Baseline.read(".", real).compared(SessionRecord.of(told, real)))
     reasons = [one["reason"] for one in told["verdicts"]]
     plain = json.loads(json.dumps(told))
     told = spoil.record(plain, record_schema())
@@ -304,7 +305,7 @@ def session(real, directory, spoil):
         one["seed"] = one["spec"]["seed"] = derive_seed(told["base_seed"], name, run)
         if trace is not None:
             one["trace"] |= _trace(directory, one, trace, spoil)
-    verdicts = [ItemVerdict.model_validate(one) for one in told["verdicts"]]
+    verdicts = [decode(ItemVerdict, one) for one in told["verdicts"]]
     told["requirements"].sort(key=lambda one: one["id"])
     told["cases"].sort(key=lambda one: (one["id"], one["component"]))
     told["episodes"].sort(key=lambda one: (one["case"], one["component"], one["spec"]["run"]))

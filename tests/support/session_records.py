@@ -154,7 +154,7 @@ def session_data(**changes):
                                  "opaque": False, "distribution": "m",
                                  "file_count": 1,
                                  "files": [{"path": "m.py", "sha256": "e" * 64}]},
-        "measures": [one.to_json(place) for place, one in enumerate(MEASURES)],
+        "measures": [encode(one.info(place)) for place, one in enumerate(MEASURES)],
         "models": [
             {"component": "C", "model": "llama", "about": "a llama of 8 billion weights",
              "base_url": "http://127.0.0.1:8080/v1",

@@ -10,7 +10,7 @@ from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead
-from pytest_dura.evidence.verdict_model import MonitorEntry
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import PairTable
 
 Key = tuple[str, str, int]
@@ -47,7 +47,7 @@ class Effectiveness(Conclusion):
         return {"effectiveness": self.of(head.verdicts, head.monitors)}
 
     def of(
-        self, verdicts: Sequence[ItemVerdict], monitors: Sequence[MonitorEntry]
+        self, verdicts: Sequence[ItemVerdict], monitors: Sequence[MonitorQuality]
     ) -> list[dict[str, Any]]:
         """Conclude it as plain data."""
         return [*self._recovery(verdicts), *_monitor_effects(monitors)]
@@ -119,7 +119,7 @@ def _recovery_finding(
     return "never acted", f"acted in none {what}"
 
 
-def _monitor_effects(monitors: Sequence[MonitorEntry]) -> Iterator[dict[str, Any]]:
+def _monitor_effects(monitors: Sequence[MonitorQuality]) -> Iterator[dict[str, Any]]:
     by_target: dict[tuple[str, str], dict[str, Counter[str]]] = defaultdict(dict)
     for quality in monitors:
         targets = by_target[quality.component, quality.monitor]

@@ -14,7 +14,6 @@ from itertools import groupby
 from pytest_dura.evidence.hazards import hazard_evidence
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line
-from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.reports.gsn.element import Argument, Element, derived_id
 from pytest_dura.reports.gsn.hazards import hazard_elements
 from pytest_dura.reports.gsn.requirements import RequirementElements, requirement_elements
@@ -32,6 +31,7 @@ from pytest_dura.reports.wording import (
     review_text,
     shard_text,
 )
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 REVIEW_ID, SESSION_ID = "CReview", "CSession"
 _REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
@@ -189,14 +189,14 @@ def _assumptions(facts: EpisodeFacts) -> Iterator[Element]:
 _MONITORS_ID = "GMonitors"
 
 
-def _monitor_elements(rows: Sequence[MonitorEntry]) -> Iterator[Element]:
+def _monitor_elements(rows: Sequence[MonitorQuality]) -> Iterator[Element]:
     """A goal that the quality is known, and for each monitor and target what was measured.
 
     The goal is on what is known and not on how good it is: low figures are evidence as well.
     """
     if not rows:
         return
-    groups: dict[tuple[str, str, str], list[MonitorEntry]] = {}
+    groups: dict[tuple[str, str, str], list[MonitorQuality]] = {}
     for row in rows:
         groups.setdefault((row.component, row.monitor, row.target), []).append(row)
     measured = [_quality(key, own) for key, own in groups.items()]
@@ -211,7 +211,7 @@ def _monitor_elements(rows: Sequence[MonitorEntry]) -> Iterator[Element]:
     yield from measured
 
 
-def _quality(key: tuple[str, str, str], rows: list[MonitorEntry]) -> Element:
+def _quality(key: tuple[str, str, str], rows: list[MonitorQuality]) -> Element:
     _, monitor, target = key
     known = any(row.true_positives or row.false_negatives for row in rows)
     text = monitor_text(monitor, target, rows)

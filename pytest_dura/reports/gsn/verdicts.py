@@ -15,7 +15,6 @@ from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name
-from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.reports.contents import folded_cases, requirement_anchor, verdict_anchor
 from pytest_dura.reports.gsn.element import Element, derived_id
 from pytest_dura.reports.verdicts import (
@@ -30,6 +29,7 @@ from pytest_dura.reports.verdicts import (
 )
 from pytest_dura.reports.wording import evidence_option, model_options, names_text, replay_command
 from pytest_dura.requirements.campaign_verdicts import Counterexample, violation_text
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 
 def _place_text(case: str, component: str, *, several: bool) -> str:
@@ -54,7 +54,7 @@ def _range_text(parameter: ParameterEntry) -> str:
     return f"one of {choices}; {drawn} drawn, {covered} of the choices reached"
 
 
-def monitor_text(monitor: str, target: str, rows: list[MonitorEntry]) -> str:
+def monitor_text(monitor: str, target: str, rows: list[MonitorQuality]) -> str:
     """The quality of a monitor over all cases in which recovery did not act."""
     hits, misses = (
         sum(row.true_positives for row in rows),

@@ -26,6 +26,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.text import html, name, visible
 from pytest_dura.evidence.traces import Trace, without_exchange
 from pytest_dura.reports.episode_view import formula_of, margin_over_time
@@ -45,7 +46,7 @@ MAX_MARGINS = 24
 def player_data(
     trace: Trace,
     verdicts: Sequence[Mapping[str, Any]] = (),
-    measures: Sequence[Mapping[str, Any]] = (),
+    measures: Sequence[MeasureInfo] = (),
     twins: Sequence[Twin] = (),
 ) -> dict[str, Any]:
     """An episode for the player; the trace keeps what is rounded here.
@@ -73,7 +74,7 @@ def player_data(
     """
     recording, decisions = trace.recording, trace.decisions
     verdicts = sorted(verdicts, key=_worst_first)
-    marks = {str(each["signal"]): str(each["event"]) for each in measures if each["signal"]}
+    marks = {each.signal: each.event for each in measures if each.signal}
     return {
         "about": {key: _plain(value) for key, value in trace.about.items()},
         "time": _numbers(trace.time),
@@ -307,7 +308,7 @@ def content_hash(text: str) -> str:
 def player_page(
     trace: Trace,
     verdicts: Sequence[Mapping[str, Any]] = (),
-    measures: Sequence[Mapping[str, Any]] = (),
+    measures: Sequence[MeasureInfo] = (),
     twins: Sequence[Twin] = (),
 ) -> str:
     """A page of its own that plays an episode; it needs no network, and runs no other script.

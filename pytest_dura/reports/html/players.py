@@ -147,8 +147,7 @@ def _packed_trace(
     from pytest_dura.reports.html.player import pack_data, player_data
 
     verdicts = _verdicts_on_episode(record, episode)
-    measures = [measure.to_json() for measure in record.head.measures]
-    return pack_data(player_data(trace, verdicts, measures, twins))
+    return pack_data(player_data(trace, verdicts, record.head.measures, twins))
 
 
 def _verdicts_on_episode(record: SessionRecord, episode: ListedEpisode) -> list[Data]:

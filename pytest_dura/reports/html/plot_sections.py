@@ -6,10 +6,10 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import PairEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.session_model import MeasureEntry
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.columns import measure_label, role_name
 from pytest_dura.reports.contents import (
@@ -112,7 +112,7 @@ def _bounded(rows: Sequence[Strip]) -> tuple[Sequence[Strip], int]:
     return rows[:MAX_ROWS], len(rows[MAX_ROWS:])
 
 
-def _unit(measure: MeasureEntry) -> str:
+def _unit(measure: MeasureInfo) -> str:
     label = name(measure_label(measure))
     return f"{label} in {name(measure.unit)}" if measure.unit else label
 
@@ -121,7 +121,7 @@ def _group(arm: Arm, *, several: bool) -> str:
     return f"{arm.scenario} with {arm.component}" if several else arm.scenario
 
 
-def _measure_plot(data: PlotData, measure: MeasureEntry, place: int, left_out: int) -> Data:
+def _measure_plot(data: PlotData, measure: MeasureInfo, place: int, left_out: int) -> Data:
     known = data.measures[measure.name]
     arms = arms_in_order(data.arms[key] for key in data.arms if key in known)
     several = len({arm.component for arm in arms}) > 1
@@ -150,7 +150,7 @@ def _measure_strip(arm: Arm, numbers: Numbers, group: str) -> Strip:
     return Strip(arm.label, five, _dots(values), (), note, apart > 0, group, arm.form)
 
 
-def _difference_plot(data: PlotData, measure: MeasureEntry, place: int) -> Data | None:
+def _difference_plot(data: PlotData, measure: MeasureInfo, place: int) -> Data | None:
     known = list(data.differences(measure.name))
     if not known:
         return None

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry
-from pytest_dura.evidence.verdict_model import MonitorEntry
 from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.contents import (
     EpisodeLinks,
@@ -62,6 +60,7 @@ from pytest_dura.reports.usage import spending_text
 from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.model import FAULTS, Requirement
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import PairTable
 
 Data = Mapping[str, Any]
@@ -208,11 +207,11 @@ def monitor_section(record: SessionRecord, _contents: ReportContents, _links: Ep
     }
 
 
-def _joined_targets(monitors: list[MonitorEntry]) -> list[MonitorRow]:
+def _joined_targets(monitors: list[MonitorQuality]) -> list[MonitorRow]:
     """Monitors, those that differ in nothing but their target joined into a row."""
-    same: dict[str, list[MonitorEntry]] = {}
+    same: dict[MonitorQuality, list[MonitorQuality]] = {}
     for monitor in monitors:
-        same.setdefault(json.dumps(monitor.to_json() | {"target": None}), []).append(monitor)
+        same.setdefault(replace(monitor, target=""), []).append(monitor)
     return [MonitorRow(alike[0], [entry.target for entry in alike]) for alike in same.values()]
 
 

@@ -6,9 +6,9 @@ import math
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
 
+from pytest_dura.core.codec import Amount, Count, Number, Share
 from pytest_dura.core.episode import Episode, Validity
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
@@ -49,19 +49,6 @@ class MonitorTimeline:
     detected_at: float | None = None
     intervention: str | None = None
     began_at: float | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        alarms = {name: _lists(stretches) for name, stretches in sorted(self.alarms.items())}
-        alerts = None if self.alerts is None else _lists(self.alerts)
-        return {**asdict(self), "alarms": alarms, "alerts": alerts}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> MonitorTimeline:
-        """The inverse of :meth:`to_json`."""
-        alarms = {name: _tuples(stretches) for name, stretches in data["alarms"].items()}
-        alerts = None if data["alerts"] is None else _tuples(data["alerts"])
-        return cls(**{**data, "alarms": alarms, "alerts": alerts})
 
 
 def monitor_timeline(episode: Episode) -> MonitorTimeline:
@@ -118,12 +105,16 @@ def _intervention(episode: Episode) -> str | None:
     return None
 
 
-def _lists(stretches: Iterable[Stretch]) -> list[list[float]]:
-    return [list(stretch) for stretch in stretches]
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Times, in seconds."""
 
-
-def _tuples(stretches: Iterable[Iterable[float]]) -> tuple[Stretch, ...]:
-    return tuple((first, last) for first, last in stretches)
+    min: Number
+    """Least, in s."""
+    median: Number
+    """Median, in s."""
+    max: Number
+    """Greatest, in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,104 +128,84 @@ class MonitorQuality:
     positive if a fault manifested, and a true positive if one was detected (``FaultRecord``): from
     its activation on, since a monitor may read a fake before the component does. The delay is from
     the first activation of one that manifested to the first detection.
-
-    Args:
-        monitor: Role name of the monitor, or ``alerts``.
-        target: Id of the requirement, or ``faults``.
-        component: Name of the component under test.
-        horizon: Seconds, as above; ``None`` for faults.
-        true_positives: Positive episodes that it warned of or detected.
-        false_negatives: The other positive episodes.
-        false_positives: Other episodes in which it raised an alarm at any time.
-        true_negatives: Other episodes in which it raised none.
-        late: False negatives with an alarm from t on; for faults, with an alert that came after
-            the window in which it would have detected the fault.
-        early: The other false negatives with an alarm: all of them withdrawn before t - horizon;
-            for faults, before the first activation.
-        untimed: Violated episodes whose check gives no time; in none of the counts above.
-        invalid: Invalid episodes; in none of the counts above.
-        missing: Missing episodes; in none of the counts above.
-        lead_times: Seconds of each true positive of a requirement.
-        delays: Seconds of each true positive for faults.
-        false_alarms: Alarms in episodes that are not positive; one episode may have several.
-        hours: Simulated hours of the episodes that are not positive.
     """
 
+    case: str
+    """Id of the case: the scenario, then `+` and its faults where they differ from the scenario's
+    own, then `~` and a role that is switched off; empty for episodes of several cases."""
     monitor: str
+    """Role name of the monitor, or `alerts`."""
     target: str
+    """Id of the requirement, or `faults`."""
     component: str
-    horizon: float | None
-    true_positives: int
-    false_negatives: int
-    false_positives: int
-    true_negatives: int
-    late: int = 0
-    early: int = 0
-    untimed: int = 0
-    invalid: int = 0
-    missing: int = 0
-    lead_times: tuple[float, ...] = ()
-    delays: tuple[float, ...] = ()
-    false_alarms: int = 0
-    hours: float = 0.0
+    """Name of the component under test."""
+    horizon: Number | None
+    """How long before a violation an alarm counts, in s; null for faults."""
+    true_positives: Count
+    """Positive episodes that it warned of or detected."""
+    false_negatives: Count
+    """The other positive episodes."""
+    false_positives: Count
+    """Other episodes in which it raised an alarm at any time."""
+    true_negatives: Count
+    """Other episodes in which it raised none."""
+    late: Count
+    """False negatives with an alarm from t on; for faults, with an alert that came after the window
+    in which it would have detected the fault."""
+    early: Count
+    """The other false negatives with an alarm: all of them withdrawn before t - horizon; for
+    faults, before the first activation."""
+    untimed: Count
+    """Violated episodes whose check gives no time; in none of the counts."""
+    invalid: Count
+    """Invalid episodes; in none of the counts."""
+    missing: Count
+    """Missing episodes; in none of the counts."""
+    lead_times: tuple[Number, ...]
+    """Of each true positive of a requirement, in s."""
+    delays: tuple[Number, ...]
+    """Of each true positive for faults, from the activation to the alert, in s."""
+    false_alarms: Count
+    """Alarms in episodes that are not positive; one episode may have several."""
+    hours: Amount
+    """Simulated hours of the episodes that are not positive."""
+    episodes: Count = 0
+    """Episodes that were counted."""
+    precision: Share | None = None
+    """Share of its alarmed episodes, true or false positive, that are true."""
+    recall: Share | None = None
+    """Share of the positive episodes that it warned of or detected."""
+    false_positive_rate: Share | None = None
+    """Share of the other episodes in which it raised an alarm."""
+    false_alarms_per_hour: Amount | None = None
+    """False alarms per simulated hour of the episodes that are not positive."""
+    lead_time: Spread | None = None
+    """Of the lead times, in s."""
+    delay: Spread | None = None
+    """Of the delays, in s."""
 
-    @property
-    def episodes(self) -> int:
-        """Episodes that were counted."""
+    def with_rates(self) -> MonitorQuality:
+        """Copy with all that follows from its counts and times."""
         positives = self.true_positives + self.false_negatives
-        return positives + self.false_positives + self.true_negatives
-
-    @property
-    def precision(self) -> float | None:
-        """Share of its alarmed episodes, true or false positive, that are true."""
-        return _share(self.true_positives, self.true_positives + self.false_positives)
-
-    @property
-    def recall(self) -> float | None:
-        """Share of the positive episodes that it warned of or detected."""
-        return _share(self.true_positives, self.true_positives + self.false_negatives)
-
-    @property
-    def false_positive_rate(self) -> float | None:
-        """Share of the other episodes in which it raised an alarm."""
-        return _share(self.false_positives, self.false_positives + self.true_negatives)
-
-    @property
-    def false_alarms_per_hour(self) -> float | None:
-        """False alarms per simulated hour of the episodes that are not positive."""
-        return self.false_alarms / self.hours if self.hours > 0 else None
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record, with what follows from it."""
-        return {
-            **asdict(self),
-            "lead_times": list(self.lead_times),
-            "delays": list(self.delays),
-            "episodes": self.episodes,
-            "precision": self.precision,
-            "recall": self.recall,
-            "false_positive_rate": self.false_positive_rate,
-            "false_alarms_per_hour": self.false_alarms_per_hour,
-            "lead_time": _spread(self.lead_times),
-            "delay": _spread(self.delays),
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> MonitorQuality:
-        """The inverse of :meth:`to_json`."""
-        own = {name: data[name] for name in cls.__dataclass_fields__}
-        times = {name: tuple(data[name]) for name in ("lead_times", "delays")}
-        return cls(**{**own, **times})
+        negatives = self.false_positives + self.true_negatives
+        return replace(
+            self,
+            episodes=positives + negatives,
+            precision=_share(self.true_positives, self.true_positives + self.false_positives),
+            recall=_share(self.true_positives, positives),
+            false_positive_rate=_share(self.false_positives, negatives),
+            false_alarms_per_hour=self.false_alarms / self.hours if self.hours > 0 else None,
+            lead_time=_spread(self.lead_times),
+            delay=_spread(self.delays),
+        )
 
 
 def _share(some: int, of: int) -> float | None:
     return some / of if of else None
 
 
-def _spread(times: tuple[float, ...]) -> dict[str, float] | None:
-    if not times:
-        return None
-    return {"min": min(times), "median": statistics.median(times), "max": max(times)}
+def _spread(times: tuple[float, ...]) -> Spread | None:
+    return Spread(min(times), statistics.median(times), max(times)) if times else None
 
 
 _HORIZON = 5.0
@@ -274,7 +245,7 @@ def judge_monitor(
     pairs = list(judged)
     _check_uninvolved(timeline for _, timeline in pairs)
     _check_asked(monitor, [timeline for _, timeline in pairs])
-    tally = _Tally()
+    tally = _Tally(_common_case(timeline for _, timeline in pairs))
     claims = set()
     for verdict, timeline in pairs:
         if (verdict.episode, verdict.component) != (timeline.episode, timeline.component):
@@ -312,7 +283,7 @@ def judge_alerts(timelines: Iterable[MonitorTimeline]) -> MonitorQuality:
     """
     timelines = list(timelines)
     _check_uninvolved(timelines)
-    tally = _Tally()
+    tally = _Tally(_common_case(timelines))
     for timeline in timelines:
         if timeline.validity != "valid":
             tally.counts[timeline.validity] += 1
@@ -333,6 +304,7 @@ def judge_alerts(timelines: Iterable[MonitorTimeline]) -> MonitorQuality:
 
 @dataclass
 class _Tally:
+    case: str
     counts: Counter[str] = field(default_factory=Counter)
     lead_times: list[float] = field(default_factory=list)
     delays: list[float] = field(default_factory=list)
@@ -369,11 +341,9 @@ class _Tally:
     def quality(
         self, monitor: str, target: str, component: str, horizon: float | None
     ) -> MonitorQuality:
-        names = (
-            "true_positives", "false_negatives", "false_positives", "true_negatives",
-            "late", "early", "untimed", "invalid", "missing", "false_alarms",
-        )  # fmt: skip
+        counts = self.counts
         return MonitorQuality(
+            case=self.case,
             monitor=monitor,
             target=target,
             component=component,
@@ -381,8 +351,23 @@ class _Tally:
             lead_times=tuple(self.lead_times),
             delays=tuple(self.delays),
             hours=math.fsum(self.seconds) / 3600.0,
-            **{name: self.counts[name] for name in names},
-        )
+            true_positives=counts["true_positives"],
+            false_negatives=counts["false_negatives"],
+            false_positives=counts["false_positives"],
+            true_negatives=counts["true_negatives"],
+            late=counts["late"],
+            early=counts["early"],
+            untimed=counts["untimed"],
+            invalid=counts["invalid"],
+            missing=counts["missing"],
+            false_alarms=counts["false_alarms"],
+        ).with_rates()
+
+
+def _common_case(timelines: Iterable[MonitorTimeline]) -> str:
+    """Id of the case of all episodes; empty where they are of several."""
+    cases = {timeline.episode.rpartition("#")[0] for timeline in timelines}
+    return cases.pop() if len(cases) == 1 else ""
 
 
 def _check_uninvolved(timelines: Iterable[MonitorTimeline]) -> None:

@@ -26,16 +26,18 @@ def test_a_baseline_is_a_file_or_the_directory_that_holds_it(tmp_path, given):
     (tmp_path / "old").mkdir()
     file = written(tmp_path / "old", record(verdict(3)))
     baseline = Baseline.read(given, tmp_path)
-    assert (baseline.path, baseline.created) == (given, "2026-01-02T03:04:05+00:00")
-    assert baseline.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
-    told = baseline.to_json(
+    session = baseline.session
+    assert (session.path, session.created) == (given, "2026-01-02T03:04:05+00:00")
+    assert session.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+    compared = baseline.compared(
         SessionRecord.of(record(verdict(3), verdict(3, requirement="N")), tmp_path)
     )
-    assert (told["tests"], told["correction"]) == (1, "Holm")
-    assert told["component"] == {"name": "C", "version": None, "digest": "d" * 64}
-    assert [one["word"] for one in told["comparisons"]] == ["new", "no evidence of a change"]
-    assert json.loads(json.dumps(told)) == told
-    assert baseline.to_json()["comparisons"] == []
+    assert (compared.tests, compared.correction) == (1, "Holm")
+    assert compared.component == {"name": "C", "version": None, "digest": "d" * 64}
+    statuses = [comparison.status for comparison in compared.comparisons]
+    assert statuses == ["new", "no evidence of a change"]
+    assert baseline.compared() == session
+    assert session.comparisons == ()
 
 
 # What json reads and no recursion of ours follows; its own is counted apart from Python 3.12 on.
@@ -102,7 +104,7 @@ def test_a_damaged_baseline_is_refused(tmp_path, change, found):
 def test_a_session_that_was_killed_is_no_baseline(tmp_path, status, fine):
     written(tmp_path, record(verdict(3), status=status))
     if fine:
-        assert Baseline.read(".", tmp_path).status == status
+        assert Baseline.read(".", tmp_path).session.status == status
     else:
         with pytest.raises(ConfigurationError, match="was killed, or is still running"):
             Baseline.read(".", tmp_path)

@@ -11,7 +11,7 @@ from entries import make
 from pytest_dura.evidence import Effectiveness
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.verdict_model import MonitorEntry
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
 
 OWN, TWIN = "a/b", "a/b~recovery_planner"
 
@@ -36,9 +36,9 @@ def episode(case: str, run: int, *, acted: bool = False, jerk: float = 1.0) -> E
 
 def monitor(
     target: str, *, tp: int = 0, fn: int = 0, fp: int = 0, tn: int = 0, name: str = "watch"
-) -> MonitorEntry:
+) -> MonitorQuality:
     return make(
-        MonitorEntry, case=TWIN, component="C", monitor=name, target=target,
+        MonitorQuality, case=TWIN, component="C", monitor=name, target=target,
         true_positives=tp, false_negatives=fn, false_positives=fp, true_negatives=tn,
     )  # fmt: skip
 

@@ -15,6 +15,7 @@ from jsonschema import Draft202012Validator
 from pydantic import ValidationError
 from session_records import session_record
 
+from pytest_dura.core.codec import encode
 from pytest_dura.core.mismatches import MAX_MISMATCHES
 from pytest_dura.evidence import Baseline, SessionRecord, check_record, record_schema
 from pytest_dura.evidence.schema import (
@@ -133,9 +134,9 @@ def test_a_session_that_was_killed_is_valid_too():
 
 def test_a_baseline_is_valid(tmp_path):
     (tmp_path / "evidence.json").write_text(json.dumps(RECORD))
-    baseline = Baseline.read(".", tmp_path).to_json(session_record())
-    assert baseline["comparisons"]
-    assert check_record({**RECORD, "baseline": json.loads(json.dumps(baseline))}) == []
+    baseline = Baseline.read(".", tmp_path).compared(session_record())
+    assert baseline.comparisons
+    assert check_record({**RECORD, "baseline": encode(baseline)}) == []
 
 
 @lawful

@@ -135,7 +135,7 @@ def test_an_incomplete_session_claims_nothing(gate):
 
 def test_monitors_are_known_only_from_violations_that_they_could_miss():
     record = session_record()
-    quiet = record.head.monitors[0].replace(monitor="quiet", true_positives=0)
+    quiet = replace(record.head.monitors[0], monitor="quiet", true_positives=0)
     found = elements(session_record(monitors=[*record.head.monitors, quiet]))
     known = by_alias(found, "monitor:security_assessor:SAF-1")
     unknown = by_alias(found, "monitor:quiet:SAF-1")

@@ -10,11 +10,13 @@ from itertools import accumulate
 
 import numpy as np
 import pytest
+from entries import make
 from hypothesis import given, settings
 from player_traces import ASTRAY, GHOST, TICKS, UNSEEN, VERDICTS, crossing
 from traces import traces
 
 from pytest_dura.core import Recording, Scene, Tracks
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.text import LIMIT
 from pytest_dura.reports import Twin, pack_data, player_assets, player_data, player_page
 from pytest_dura.reports.html.player import MAX_MARGINS, content_hash
@@ -134,7 +136,9 @@ def test_faults_have_intervals():
 
 
 def test_a_collision_is_an_event_once():
-    measures = [{"signal": "collided", "event": "collision"}, {"signal": None, "event": ""}]
+    measures = [
+        make(MeasureInfo, signal="collided", event="collision"), make(MeasureInfo, signal=None)
+    ]  # fmt: skip
     data = player_data(crossing(), (), measures)
     assert data["marks"] == [["collided", "collision"]]
     assert [row[:2] for row in data["events"]].count([36, "collision"]) == 1

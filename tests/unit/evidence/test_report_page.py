@@ -221,8 +221,9 @@ def test_a_monitor_is_told_with_n_behind_its_rates(html):
 
 def test_targets_on_which_a_monitor_did_equally_well_share_a_row():
     one = session_record().head.monitors[0]
-    silent = one.replace(true_positives=0, false_positives=0, false_negatives=0)
-    found = [one, one.replace(target="SEC-1"), one.replace(target="SAF-2", lead_times=[]), silent]
+    silent = replace(one, true_positives=0, false_positives=0, false_negatives=0)
+    others = replace(one, target="SEC-1"), replace(one, target="SAF-2", lead_times=())
+    found = [one, *others, silent]
     words = section(render(session_record(monitors=found)), "monitors")
     assert "SecurityAssessor SAF-1, SEC-1 a/clear+ghost" in words
     assert "SecurityAssessor SAF-2 a/clear+ghost" in words
@@ -251,13 +252,14 @@ def test_a_baseline_is_compared_only_where_there_is_one(html):
     assert "Compared with a baseline" not in html
     comparison = {
         "requirement": "SAF-1", "case": "a/clear", "component": "C", "baseline_component": "C",
-        "word": "worse", "reason": "", "uncorrected": "worse", "confidence": 0.95, "violations": 3,
+        "status": "worse", "reason": "", "uncorrected": "worse", "confidence": 0.95,
+        "violations": 3,
         "episodes": 9, "baseline_violations": 0, "baseline_episodes": 9, "test": "Fisher",
         "only_now": None, "only_baseline": None, "p_worse": 0.01, "p_better": 1.0,
         "p_worse_holm": 0.02, "p_better_holm": 1.0,
     }  # fmt: skip
     gone = dict.fromkeys(comparison) | {
-        "requirement": "SAF-2", "case": "a/clear", "word": "gone", "reason": "",
+        "requirement": "SAF-2", "case": "a/clear", "status": "gone", "reason": "",
     }  # fmt: skip
     baseline = {
         "path": "before", "sha256": "5" * 64, "created": "2026-01-01", "status": "complete",

@@ -22,6 +22,7 @@ from pytest_dura import (
     SecurityAssessment,
     SecurityAssessor,
 )
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.requirements import (
     EpisodeVerdict,
     MonitorQuality,
@@ -32,6 +33,7 @@ from pytest_dura.requirements import (
     judge_monitor,
     monitor_timeline,
 )
+from pytest_dura.requirements.monitoring.quality import Spread
 
 BIAS = Fault("bias", "bias", "thermometer", {"at": 0.5}, 0.3)
 
@@ -127,7 +129,7 @@ def test_flags_and_alerts_enter_the_digest() -> None:
 def test_a_watch_is_plain_data_that_reads_back_equal() -> None:
     for assessor in ({}, {"security_assessor": alerts_at(1)}):
         found = monitor_timeline(heating(safety_monitor=monitor_at(2, 3), **assessor))
-        assert MonitorTimeline.from_json(json.loads(json.dumps(found.to_json()))) == found
+        assert decode(MonitorTimeline, json.loads(json.dumps(encode(found)))) == found
 
 
 def verdict(word: Any, run: int, time: float | None = None, **fields: Any) -> EpisodeVerdict:
@@ -233,16 +235,16 @@ def test_what_cannot_be_judged_is_counted_apart() -> None:
     )
     assert (found.invalid, found.missing, found.untimed, found.episodes) == (1, 2, 1, 0)
     assert (found.precision, found.recall, found.false_alarms_per_hour) == (None, None, None)
-    assert found.to_json()["lead_time"] is None
+    assert found.lead_time is None
 
 
-def test_the_quality_is_plain_data_that_reads_back_equal() -> None:
+def test_rates_and_times_follow_from_the_counts() -> None:
     rows = [("violated", 10.0, (10.0 - lead, 10.0)) for lead in (1.0, 4.0, 3.0)]
     found = judge(*rows, ("satisfied", None))
-    data = json.loads(json.dumps(found.to_json()))
-    assert data["lead_time"] == {"min": 1.0, "median": 3.0, "max": 4.0}
-    assert (data["precision"], data["recall"], data["horizon"]) == (1.0, 1.0, 5.0)
-    assert MonitorQuality.from_json(data) == found
+    assert found.lead_time == Spread(1.0, 3.0, 4.0)
+    assert (found.case, found.episodes, found.horizon) == ("case", 4, 5.0)
+    assert (found.precision, found.recall) == (1.0, 1.0)
+    assert found.with_rates() == found
 
 
 @pytest.mark.parametrize("horizon", [0.0, -1.0, float("inf"), float("nan")])
@@ -342,7 +344,7 @@ def test_alerts_are_judged_by_whether_a_fault_manifested() -> None:
     assert (found.invalid, found.missing) == (1, 1)
     assert (found.delays, found.lead_times, found.horizon) == ((0.5,), (), None)
     assert (found.monitor, found.target, found.false_alarms) == ("alerts", "faults", 2)
-    assert found.to_json()["delay"] == {"min": 0.5, "median": 0.5, "max": 0.5}
+    assert found.delay == Spread(0.5, 0.5, 0.5)
 
 
 def test_alerts_of_a_real_loop_with_and_without_a_fault() -> None:
