@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from traces import simple_trace
 
 from pytest_dura.core import Line, Scene, Tracks, derive_seed
-from pytest_dura.core.codec import encode
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.evidence import (
     Baseline,
     Cases,
