@@ -20,8 +20,8 @@ from machine import machine, table
 from reads import can_reach, channels_read
 
 from pytest_dura import Runner
-from pytest_dura.campaign import CausalChain
 from pytest_dura.core import RoleSpec
+from pytest_dura.core.metrics import TracedFault
 from pytest_dura.domains import DOMAINS
 from pytest_dura.library import expand_cases, load_library
 
@@ -44,7 +44,7 @@ class Job:
 class Link:
     """One fault of one run."""
 
-    chain: CausalChain
+    chain: TracedFault
     invalid: bool
 
 

@@ -21,10 +21,8 @@ from .falsification import (
     Shrinking,
     SpaceCoverage,
 )
-from .fault_tracing import CausalChain
 
 __all__ = [
-    "CausalChain",
     "EpisodeUsed",
     "EventStream",
     "Falsification",

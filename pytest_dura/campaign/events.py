@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.falsification import Falsification
-    from pytest_dura.campaign.fault_tracing import CausalChain
+    from pytest_dura.core.metrics import TracedFault
     from pytest_dura.library.cases import Case, SearchedCase
     from pytest_dura.requirements.campaign_judge import CampaignJudge
     from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
@@ -57,7 +57,7 @@ class FaultsTraced:
 
     case: Case
     episode: JudgedEpisode
-    chains: Sequence[CausalChain]
+    chains: Sequence[TracedFault]
 
 
 @dataclass(frozen=True, slots=True)

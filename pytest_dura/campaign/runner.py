@@ -16,10 +16,11 @@ from pytest_dura.campaign.events import (
     SearchedEpisodeUsed,
 )
 from pytest_dura.campaign.falsification import Falsification, Falsifier
-from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT, CausalChain, causal_chains
+from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT, causal_chains
 from pytest_dura.core.boundary import ROLE_TIMEOUT
 from pytest_dura.core.episode import Divergence, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.metrics import TracedFault
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.execution.store import EpisodeKey, EpisodeStore, key_of
@@ -386,7 +387,7 @@ class Runner:
 
     def chains(
         self, case: Case, episode: JudgedEpisode, ahead: Iterable[EpisodeTask] = ()
-    ) -> list[CausalChain]:
+    ) -> list[TracedFault]:
         """Each fault of an episode from plan to outcome, with the help of fault-free twins.
 
         Args:

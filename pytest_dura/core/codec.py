@@ -6,9 +6,10 @@ It is written by hand since no library was found that keeps all of that over sta
 pydantic reads an infinite float as null and lets unknown keys of dataclasses pass, and others
 convert types or stop at the first mismatch.
 
-Types are dataclasses, ``str``, ``int``, ``float``, ``bool``, ``None``, ``Any`` (any JSON),
-``Literal``, unions, tuples, ``list[T]``, ``dict[str, T]`` or ``Mapping[str, T]``, and ``Annotated``
-of them with a :class:`Limit`. Limits of what is null are those of what it is otherwise.
+Types are dataclasses, ``str`` and classes of texts, ``int``, ``float``, ``bool``, ``None``, ``Any``
+(any JSON), ``Literal``, unions, tuples, ``list[T]``, ``dict[str, T]`` or ``Mapping[str, T]``, and
+``Annotated`` of them with a :class:`Limit`. Limits of what is null are those of what it is
+otherwise.
 """
 
 from __future__ import annotations
@@ -108,6 +109,10 @@ Confidence = Annotated[float, Limit(gt=0, lt=1)]
 Sha256 = Annotated[str, Limit(pattern=r"^[0-9a-f]{64}$")]
 
 
+LEFT_OUT = {"left_out": True}
+"""Metadata of a field that is left out of the data as long as it has its default."""
+
+
 class NotDataError(TypeError):
     """A value that cannot be written as data; the message says where and why."""
 
@@ -115,8 +120,9 @@ class NotDataError(TypeError):
 def encode(value: Any) -> Any:
     """Convert a value to plain JSON data.
 
-    A dataclass becomes an object of all its fields that its constructor takes, in their order. An
-    infinite number becomes a text of :data:`INFINITIES`, which only a ``float`` reads as a number.
+    A dataclass becomes an object of all its fields that its constructor takes, in their order, but
+    for those of :data:`LEFT_OUT`. An infinite number becomes a text of :data:`INFINITIES`, which
+    only a ``float`` reads as a number.
 
     Raises:
         NotDataError: For what cannot be read back: NaN, keys that are not texts, other objects.
@@ -137,9 +143,8 @@ def _encoded(value: Any, place: Place) -> Any:
         return value
     if isinstance(value, float):  # numpy's doubles are such
         return _encoded_float(float(value), place)
-    names = _field_names(kind)
-    if names is not None:
-        value = {name: getattr(value, name) for name in names}
+    if _field_names(kind) is not None:
+        value = fields_as_data(value)
     if isinstance(value, (list, tuple)):
         return [
             part if type(part) in _PLAIN else _encoded(part, (place, index))
@@ -181,6 +186,26 @@ def _field_names(kind: type) -> tuple[str, ...] | None:
     if not dataclasses.is_dataclass(kind):
         return None
     return tuple(field.name for field in dataclasses.fields(kind) if field.init)
+
+
+@cache
+def defaults_of(kind: type) -> dict[str, Any]:
+    """Collect the fields of a dataclass that may be left out of its data, with their defaults."""
+    return {
+        field.name: field.default
+        for field in dataclasses.fields(kind)
+        if field.metadata.get("left_out")
+    }
+
+
+def fields_as_data(value: Any) -> JsonObject:
+    """Return the fields of a dataclass as data has them, the values as they are."""
+    kind: Any = type(value)
+    data = {name: getattr(value, name) for name in _field_names(kind) or ()}
+    for name, default in defaults_of(kind).items():
+        if data[name] is default or data[name] == default:
+            del data[name]
+    return data
 
 
 @overload
@@ -247,6 +272,8 @@ def shape_of(type_: Any) -> Shape:
     if known is not None:
         return known
     made_by = _MADE_BY.get(get_origin(type_) or type_)
+    if made_by is None and isinstance(type_, type) and issubclass(type_, str):
+        return _text_class(type_)
     if made_by is None:
         raise TypeError(f"a codec cannot read values of the type {type_!r}")
     return made_by(*get_args(type_))
@@ -268,9 +295,11 @@ def _object_reader(kind: type) -> _Read:
             return mismatches.add(place, kind_of(data), "object")
         before = len(mismatches)
         if data.keys() != readers.keys():
+            optional = defaults_of(kind)
+            needed = [name for name in readers if name not in optional]
             for words, keys in (
                 ("unknown key", [key for key in data if key not in readers]),
-                ("missing key", [name for name in readers if name not in data]),
+                ("missing key", [name for name in needed if name not in data]),
             ):
                 if keys:
                     mismatches.add(place, f"{words} {key_list(keys)}")
@@ -296,6 +325,19 @@ def _primitive(kind: type) -> Shape:
         return data if type(data) is kind else mismatches.add(place, kind_of(data), name)
 
     return Shape((name,), frozenset({kind}), read, {"type": name})
+
+
+def _text_class(kind: type) -> Shape:
+    """Compile a class of texts, which refuses other texts itself."""
+
+    def read(data: Any, place: Place, mismatches: Mismatches) -> Any:
+        text = _TEXT.read(data, place, mismatches)
+        try:
+            return text if text is None else kind(text)
+        except (ValueError, DuraError) as error:
+            return mismatches.add(place, str(error))
+
+    return _TEXT._replace(read=read)
 
 
 _NULL, _TRUTH, _INTEGER, _TEXT = map(_primitive, (type(None), bool, int, str))

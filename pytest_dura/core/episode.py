@@ -11,26 +11,42 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.codec import (
+    LEFT_OUT,
+    Count,
+    Limit,
+    Positive,
+    PositiveNumber,
+    fields_as_data,
+)
 from pytest_dura.core.display import LONGEST_REPR, Shown, short_repr
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.measures import Measure, MeasureInfo, Value
-from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
+from pytest_dura.core.metrics import (
+    DependabilityMetrics,
+    FaultRecord,
+    OutcomeStatus,
+    PropagationStatus,
+)
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator import Recording
 from pytest_dura.core.state import Event
 from pytest_dura.core.text import one_line
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 Validity = Literal["valid", "invalid", "missing"]
 
-POLICIES = ("recover", "halt", "log_only", "refine")
+POLICY_PATTERN = r"^(recover|halt|log_only|refine\([1-9][0-9]*\))$"
 
 
 def _require_positive(key: str, value: float, unit: str) -> None:
@@ -52,55 +68,58 @@ def _no_policy(found: object) -> ConfigurationError:
     )
 
 
-@dataclass(frozen=True)
-class Policy:
-    """Policy for a refused proposal; ``refine`` asks for another at most ``attempts`` times."""
+class Policy(str):
+    """Policy for a refused proposal: ``recover``, ``halt``, ``log_only`` or ``refine(k)``.
 
-    name: str = "recover"
-    attempts: int = 0
+    ``refine`` asks for another proposal at most ``attempts`` times.
 
-    __repr__ = short_repr
+    Raises:
+        ConfigurationError: For anything else.
+    """
 
-    def __post_init__(self) -> None:
-        if self.name not in POLICIES or (self.name == "refine") != (self.attempts > 0):
-            raise _no_policy(self)
+    __slots__ = ()
+
+    def __new__(cls, name: str = "recover", attempts: int = 0) -> Self:
+        """Make it of its text, or of a name and a number of attempts."""
+        text = f"{name}({attempts})" if attempts else name
+        if not isinstance(text, str) or not re.fullmatch(POLICY_PATTERN, text):
+            raise _no_policy(text)
+        return super().__new__(cls, text)
 
     @classmethod
     def parse(cls, text: str) -> Policy:
-        """Read ``recover``, ``halt``, ``log_only`` or ``refine(k)``.
+        """Read a text; the same as calling the class."""
+        return cls(text)
 
-        Raises:
-            ConfigurationError: For anything else.
-        """
-        if text in POLICIES[:3]:
-            return cls(text)
-        refine = re.fullmatch(r"refine\(([1-9][0-9]*)\)", text) if isinstance(text, str) else None
-        if refine:
-            return cls("refine", int(refine[1]))
-        raise _no_policy(text)
+    @property
+    def name(self) -> str:
+        """What it does."""
+        return self.partition("(")[0]
 
-    def __str__(self) -> str:
-        return f"refine({self.attempts})" if self.name == "refine" else self.name
+    @property
+    def attempts(self) -> int:
+        """How often another proposal is asked for, at most."""
+        return int(self.partition("(")[2][:-1] or 0)
+
+
+RECOVER = Policy()
 
 
 @dataclass(frozen=True)
 class Termination:
-    """Conditions that end an episode, besides a critical failure and an end of the plant's own.
+    """When an episode ends, besides a critical failure and an end of the plant's own."""
 
-    Args:
-        time_limit: Simulated seconds; the first tick at or past it is the last one.
-        goal: Whether reaching the goal ends it.
-        violation: Whether a violation ends it, once every requirement is decided.
-        iterations: At most this many decisions, if given.
-        decided: Whether it ends once every requirement is decided, violated or not, and every
-            planned fault has manifested; see :mod:`pytest_dura.core.orchestrator`.
-    """
-
-    time_limit: float = 30.0
+    time_limit: PositiveNumber = 30.0
+    """Simulated seconds; the first tick at or past it is the last one."""
     goal: bool = True
+    """Whether reaching the goal ends it."""
     violation: bool = False
-    iterations: int | None = None
-    decided: bool = False
+    """Whether a violation ends it, once every requirement is decided."""
+    iterations: Positive | None = None
+    """Decisions at most."""
+    decided: bool = field(default=False, metadata=LEFT_OUT)
+    """Whether it ends once every requirement of its case is decided, violated or not, and every
+    planned fault has manifested; absent if not."""
 
     __repr__ = short_repr
 
@@ -117,48 +136,39 @@ class Termination:
         """
         return math.ceil(self.time_limit / time_step * (1.0 - 1e-9))
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data; without ``decided`` where that is off, as in specs older than it."""
-        data = asdict(self)
-        if not self.decided:
-            del data["decided"]
-        return data
-
 
 @dataclass(frozen=True)
 class EpisodeSpec:
-    """Plain data from which the same episode follows on any machine, in any order.
-
-    Args:
-        case: Id of the case.
-        run: Number of the run within the case, from 0.
-        seed: Seed of every stream in the episode.
-        simulator: How to build the simulator.
-        roles: How to build each role, by role name.
-        scenario: The scenario as the simulator and the roles read it.
-        faults: The planned faults.
-        policy: The policy for a refused proposal.
-        termination: When the episode ends.
-        time_step: Simulated seconds per tick.
-        time_budget: Seconds for one proposal: declared latency, or wall-clock time as a guard
-            against a component that hangs. ``None`` waits for ever.
-        timeouts: Recorded calls in which the component overran its wall-clock budget
-            (:attr:`Episode.timeouts`). Given, they are applied instead of the clock, so that a
-            replay is exact.
-    """
+    """All that determines an episode: from it, it can be run again on any machine, in any order."""
 
     case: str
-    run: int
-    seed: int
+    """Id of the case: the scenario, then `+` and its faults where they differ from the scenario's
+    own, then `~` and a role that is switched off."""
+    run: Count
+    """Number of the run within the case, from 0."""
+    seed: Count
+    """Seed of every stream in the episode."""
     simulator: RoleSpec
+    """How to build the simulator."""
     roles: Mapping[str, RoleSpec]
+    """How to build each role, by its name."""
     scenario: Mapping[str, Any] = field(default_factory=dict)
+    """The scenario as the simulator and the roles read it, with the values that were drawn; the
+    world is the user's own."""
     faults: tuple[Fault, ...] = ()
-    policy: Policy = Policy()
+    """The planned faults, with the values that were drawn."""
+    policy: Annotated[Policy, Limit(pattern=POLICY_PATTERN)] = RECOVER
+    """What follows a refused proposal."""
     termination: Termination = Termination()
-    time_step: float = 0.1
-    time_budget: float | None = 5.0
-    timeouts: tuple[int, ...] | None = None
+    """When it ends."""
+    time_step: PositiveNumber = 0.1
+    """Simulated seconds per tick."""
+    time_budget: PositiveNumber | None = 5.0
+    """Seconds for one proposal: declared latency, or wall-clock time as a guard against a component
+    that hangs; null waits for ever."""
+    timeouts: tuple[Annotated[int, Limit(ge=-1)], ...] | None = None
+    """Recorded calls in which the component overran its budget: number of the proposal, -1 for the
+    reset. Given, they are applied instead of the clock, so that a replay is exact."""
 
     __repr__ = short_repr
 
@@ -190,46 +200,65 @@ class EpisodeSpec:
         return generator.label if generator else "none"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, from which :meth:`from_json` makes an equal spec."""
+        """Plain data for another process, from which :meth:`from_json` makes an equal spec.
+
+        Other than :func:`~pytest_dura.core.codec.encode`, it leaves infinities in parameters as
+        they are.
+        """
         return {
-            "case": self.case,
-            "run": self.run,
-            "seed": self.seed,
-            "simulator": self.simulator.to_json(),
-            "roles": {name: role.to_json() for name, role in sorted(self.roles.items())},
+            **fields_as_data(self),
+            "simulator": fields_as_data(self.simulator),
+            "roles": {name: fields_as_data(role) for name, role in sorted(self.roles.items())},
             "scenario": dict(self.scenario),
             "faults": [fault.plain() for fault in self.faults],
-            "policy": str(self.policy),
-            "termination": self.termination.to_json(),
-            "time_step": self.time_step,
-            "time_budget": self.time_budget,
+            "termination": fields_as_data(self.termination),
             "timeouts": None if self.timeouts is None else list(self.timeouts),
         }
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> EpisodeSpec:
-        """Invert :meth:`to_json`."""
-        return cls(
-            case=data["case"],
-            run=data["run"],
-            seed=data["seed"],
-            simulator=RoleSpec.from_json(data["simulator"]),
-            roles={name: RoleSpec.from_json(role) for name, role in data["roles"].items()},
-            scenario=data["scenario"],
-            faults=tuple(map(Fault.of, data["faults"])),
-            policy=Policy.parse(data["policy"]),
-            termination=Termination(**data["termination"]),
-            time_step=data["time_step"],
-            time_budget=data["time_budget"],
-            timeouts=None if data["timeouts"] is None else tuple(data["timeouts"]),
+        """Invert :meth:`to_json`.
+
+        Raises:
+            ConfigurationError: Where a role or the simulator was a bare instance.
+        """
+        spec = cls(
+            **{
+                **data,
+                "simulator": RoleSpec(**data["simulator"]),
+                "roles": {name: RoleSpec(**role) for name, role in data["roles"].items()},
+                "faults": tuple(map(Fault.of, data["faults"])),
+                "policy": Policy(data["policy"]),
+                "termination": Termination(**data["termination"]),
+                "timeouts": None if data["timeouts"] is None else tuple(data["timeouts"]),
+            }
         )
+        spec.check_rebuildable()
+        return spec
+
+    @property
+    def scenario_name(self) -> str:
+        """Name of its scenario; empty where none was given."""
+        return str(self.scenario.get("name", ""))
+
+    def check_rebuildable(self) -> None:
+        """Refuse a spec that another process cannot build again.
+
+        Raises:
+            ConfigurationError: Where a role or the simulator was a bare instance.
+        """
+        for role in (self.simulator, *self.roles.values()):
+            role.check_rebuildable()
 
     @cached_property
     def key(self) -> str:
         """SHA-256 of all that determines the trace; equal for an episode and its replay."""
-        data = self.to_json()
-        del data["timeouts"]
+        data = {key: value for key, value in vars(self).items() if key in _DETERMINING}
         return hashlib.sha256(canonical(data)).hexdigest()
+
+
+_DETERMINING = {part.name for part in fields(EpisodeSpec)} - {"timeouts"}
+"""Fields of a spec on which the trace depends."""
 
 
 @dataclass(repr=False)
@@ -386,7 +415,7 @@ class Episode(Shown):
         """SHA-256 of everything but wall-clock timings; equal for equal specs on one platform."""
         state = hashlib.sha256(self.spec.key.encode())
         self._add_columns(state, self.signals)
-        events = [event.to_json() for event in self.events if not event.wall_clock]
+        events = [event for event in self.events if not event.wall_clock]
         faults = [asdict(fault) for fault in self.faults]
         for fault in faults:
             del fault["read_by"]
@@ -421,12 +450,6 @@ class Episode(Shown):
             column = np.ascontiguousarray(columns[name])
             state.update(f"|{name}|{column.dtype.str}|{column.shape}|".encode())
             state.update(column.tobytes())
-
-
-PropagationStatus = Literal["propagated", "contained", "unknown"]
-OutcomeStatus = Literal[
-    "idle", "masked", "contained", "tolerated", "violated", "violated also without it", "missing"
-]
 
 
 @dataclass(frozen=True)
@@ -573,9 +596,11 @@ def canonical(data: Any) -> bytes:
 
 
 def plain_value(value: Any) -> Any:
-    """Convert numbers and arrays of numpy, and mappings, as ``default`` of ``json.dumps``."""
+    """Convert arrays and numbers of numpy, mappings and dataclasses: a ``default`` of JSON."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     if isinstance(value, Mapping):
         return dict(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return fields_as_data(value)
     raise TypeError(f"{type(value).__name__} is not plain data")

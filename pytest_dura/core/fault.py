@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from pytest_dura.core.codec import LEFT_OUT, fields_as_data
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError
 
@@ -15,26 +16,23 @@ class Fault:
     """A planned fault, which can be read where its type is not installed.
 
     :func:`pytest_dura.faults.fault_effect` makes of it what changes values, once an episode.
-
-    Args:
-        type: Type in the fault catalogue, or ``package.module:Class``.
-        id: Its name in the case.
-        target: Sensor channel, field of a channel, or ``command``.
-        activation: When it begins, in simulated seconds, and which role begins it.
-        duration: Simulated seconds that it stays active, or what ends it; ``None`` for the rest of
-            the episode.
-        parameters: In the units that the catalogue states; ``None`` if its type has none.
-        by_chance: Whether its activation or its effect is drawn: the episode is valid also if it
-            never manifests.
     """
 
     type: str
+    """Type in the fault catalogue, or `package.module:Class`."""
     id: str
+    """Its name in the case."""
     target: str
+    """Sensor channel, field of a channel, or `command`."""
     activation: Mapping[str, Any] = field(default_factory=dict)
+    """When it begins, in simulated seconds, and which role begins it."""
     duration: Any = None
-    parameters: Mapping[str, Any] | None = None
+    """Simulated seconds that it stays active, or what ends it; null for the rest of the episode."""
+    parameters: Mapping[str, Any] | None = field(default=None, metadata=LEFT_OUT)
+    """In the units that the catalogue states; absent if its type has none."""
     by_chance: bool = False
+    """Whether its activation or its effect is drawn: the episode is valid also if it never
+    manifests."""
 
     __repr__ = short_repr
 
@@ -46,10 +44,7 @@ class Fault:
 
     def plain(self) -> dict[str, Any]:
         """Return its fields as plain data, from which :meth:`of` makes an equal fault."""
-        plain = {part.name: getattr(self, part.name) for part in fields(self)}
-        if self.parameters is None:
-            del plain["parameters"]
-        return plain
+        return fields_as_data(self)
 
     def in_file(self) -> dict[str, Any]:
         """Return it as a scenario file may hold it: without what follows from its type."""

@@ -11,15 +11,16 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.codec import Amount, Count, Number, Share
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import describe_error, type_name
-from pytest_dura.core.metrics import KINDS, Tally
+from pytest_dura.core.metrics import KINDS, MeasureKind, Tally
 from pytest_dura.core.roles import Assessed
 from pytest_dura.core.simulator import Simulator
 from pytest_dura.core.state import NOTHING, Percept, Tick
@@ -225,11 +226,11 @@ def _filled_to_end(column: Floats, ticks: int) -> Floats:
     return np.append(filled, filled[-1:]) if ticks > len(filled) else filled
 
 
-def _kind(simulator: Simulator, name: str) -> str:
-    kind = simulator.measure_kinds.get(name, KINDS[0])
+def _kind(simulator: Simulator, name: str) -> MeasureKind:
+    kind: Any = simulator.measure_kinds.get(name, KINDS[0])
     if kind not in KINDS:
         raise ValueError(f"measure_kinds says of {name!r} {kind!r}, not {', '.join(KINDS)}")
-    return kind
+    return cast("MeasureKind", kind)
 
 
 def _columns(
@@ -313,56 +314,29 @@ class Switching:
     Recovery is in control at a tick whose decision came from it; at every other decided tick the
     component is, the simulator's fallback for a missing proposal included. A decision holds from
     its tick until the next one; the last tick of an episode has none.
-
-    Args:
-        decisions: Ticks at which something was decided.
-        recovered: Those at which recovery was in control.
-        recovery_time: Simulated seconds for which it was.
-        takeovers: Decisions of recovery that do not follow another one of recovery. Recovery that
-            decides at the first tick has taken over there.
-        returns: Decisions of the component that follow one of recovery.
-        time_to_safe: For each takeover, in order, the seconds until the first later decided tick
-            whose final proposal was not unsafe, whoever was in control there. ``None`` where the
-            episode ended before such a tick: that time is censored, not zero.
     """
 
-    decisions: int
-    recovered: int
-    recovery_time: float
-    takeovers: int
-    returns: int
-    time_to_safe: tuple[float | None, ...]
-
-    @property
-    def share(self) -> float | None:
-        """Share of the decisions that recovery made; ``None`` where nothing was decided."""
-        return self.recovered / self.decisions if self.decisions else None
-
-    @property
-    def switches(self) -> int:
-        """Changes of control in both directions."""
-        return self.takeovers + self.returns
-
-    @property
-    def censored(self) -> int:
-        """Takeovers after which the episode ended before a proposal was acceptable again."""
-        return self.time_to_safe.count(None)
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record, the derived numbers included."""
-        return {
-            **asdict(self),
-            "time_to_safe": list(self.time_to_safe),
-            "share": self.share,
-            "switches": self.switches,
-            "censored": self.censored,
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Switching:
-        """Invert :meth:`to_json`."""
-        own = {name: data[name] for name in cls.__dataclass_fields__}
-        return cls(**{**own, "time_to_safe": tuple(data["time_to_safe"])})
+    decisions: Count
+    """Ticks at which something was decided."""
+    recovered: Count
+    """Those at which recovery was in control."""
+    recovery_time: Amount
+    """Simulated seconds for which it was."""
+    takeovers: Count
+    """Decisions of recovery that do not follow another one of recovery. Recovery that decides at
+    the first tick has taken over there."""
+    returns: Count
+    """Decisions of the component that follow one of recovery."""
+    time_to_safe: tuple[Number | None, ...]
+    """For each takeover, in order, the seconds until the first later decided tick whose final
+    proposal was not unsafe, whoever was in control there; null where the episode ended before such
+    a tick: that time is censored, not zero."""
+    share: Share | None
+    """Share of the decisions that recovery made; null where nothing was decided."""
+    switches: Count
+    """Changes of control in both directions."""
+    censored: Count
+    """Takeovers with null in `time_to_safe`."""
 
 
 def switching(episode: Episode) -> Switching:
@@ -371,13 +345,19 @@ def switching(episode: Episode) -> Switching:
     acceptable = episode.decisions["verdict"] < int(Assessed.UNSAFE)
     before = np.concatenate([[False], recovering[:-1]])
     takeovers = np.flatnonzero(recovering & ~before)
+    decisions, recovered = len(recovering), int(recovering.sum())
+    returns = int((before & ~recovering).sum())
+    times = tuple(_time_to_safe(episode, acceptable, int(i)) for i in takeovers)
     return Switching(
-        decisions=len(recovering),
-        recovered=int(recovering.sum()),
+        decisions=decisions,
+        recovered=recovered,
         recovery_time=float(np.diff(episode.time)[recovering].sum()),
         takeovers=len(takeovers),
-        returns=int((before & ~recovering).sum()),
-        time_to_safe=tuple(_time_to_safe(episode, acceptable, int(i)) for i in takeovers),
+        returns=returns,
+        time_to_safe=times,
+        share=recovered / decisions if decisions else None,
+        switches=len(takeovers) + returns,
+        censored=times.count(None),
     )
 
 

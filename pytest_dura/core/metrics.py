@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.codec import LEFT_OUT, Amount, Count, Number, Positive
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.fault import Fault
 
@@ -30,45 +32,43 @@ class FaultRecord:
     Detections count from the fault's activation on, if the fault manifests then or later; recovery
     from the first manifestation on. Both count until one second after the fault's end. A fault of
     the command is answered after the tick at which it began, since it acts at its end.
-
-    Args:
-        id: Its name in the episode.
-        target: Channel, field of a channel, or command.
-        planned_at: Time of its activation where the plan has one.
-        activated_at: First tick at which it acted.
-        manifested_at: First tick at which it manifested.
-        deactivated_at: First tick at which the latest activation no longer acted.
-        detected_at: First alert while it was active.
-        detected_by: Name of the role that raised it.
-        pattern: Pattern of that alert.
-        recovery_at: First recovery action.
-        recovery: Name of that action.
-        recovered_at: First tick after it at which the proposal was acceptable again.
-        activations: How often it was activated.
-        manifest_ticks: Ticks at which it manifested.
-        flagged_ticks: Those of them at which the proposal was unsafe.
-        by_chance: Whether its effect is drawn by chance; then it need not manifest.
-        read_by: Names of the roles that read what it changed, sorted; none for a fault of the
-            command, which reaches the plant. The digest leaves it out.
     """
 
     id: str
+    """Its name in the case."""
     target: str
-    planned_at: float | None = None
-    activated_at: float | None = None
-    manifested_at: float | None = None
-    deactivated_at: float | None = None
-    detected_at: float | None = None
+    """Sensor channel, field of a channel, or `command`."""
+    planned_at: Number | None = None
+    """Planned activation, in s, where the plan has a time."""
+    activated_at: Number | None = None
+    """First tick at which it acted, in s."""
+    manifested_at: Number | None = None
+    """First tick at which it changed what a role read, or the command, in s."""
+    deactivated_at: Number | None = None
+    """First tick at which the latest activation no longer acted, in s."""
+    detected_at: Number | None = None
+    """First alert while it was active, in s: also one from before it manifested, if it did."""
     detected_by: str | None = None
+    """Role that raised it."""
     pattern: str | None = None
-    recovery_at: float | None = None
+    """Pattern of that alert."""
+    recovery_at: Number | None = None
+    """First recovery action, in s."""
     recovery: str | None = None
-    recovered_at: float | None = None
-    activations: int = 0
-    manifest_ticks: int = 0
-    flagged_ticks: int = 0
+    """Name of that action."""
+    recovered_at: Number | None = None
+    """First tick after it at which the proposal was acceptable again, in s."""
+    activations: Count = 0
+    """How often it was activated."""
+    manifest_ticks: Count = 0
+    """Ticks at which it manifested."""
+    flagged_ticks: Count = 0
+    """Those at which the proposal was unsafe."""
     by_chance: bool = False
+    """Whether it is drawn whether it has any effect; then it need not manifest."""
     read_by: tuple[str, ...] = ()
+    """Roles that read what it changed, sorted; none for a fault of the command, which reaches the
+    plant. The digest leaves it out."""
 
     __repr__ = short_repr
 
@@ -114,40 +114,194 @@ class FaultRecord:
         return _between(self.recovery_at, self.recovered_at)
 
     def latencies(self) -> dict[str, float | None]:
-        """All latencies by name, in s."""
-        names = (
-            "manifestation_latency", "detection_latency", "recovery_latency", "time_to_recover"
-        )  # fmt: skip
-        return {name: getattr(self, name) for name in names}
+        """Compute all latencies by name, in s."""
+        return {
+            "manifestation_latency": _between(self.activated_at, self.manifested_at),
+            "detection_latency": _between(self.began_at, self.detected_at),
+            "recovery_latency": _between(self.manifested_at, self.recovery_at),
+            "time_to_recover": _between(self.recovery_at, self.recovered_at),
+        }
+
+    def traced(self, **known: Any) -> TracedFault:
+        """Add its latencies, and what is known of how it spread.
+
+        Args:
+            known: Further fields of :class:`TracedFault`; default: nothing is known.
+        """
+        own: dict[str, Any] = vars(self) | self.latencies()
+        return TracedFault(**own, **known)
+
+
+PropagationStatus = Literal["propagated", "contained", "unknown"]
+OutcomeStatus = Literal[
+    "idle", "masked", "contained", "tolerated", "violated", "violated also without it", "missing"
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TracedFault(FaultRecord):
+    """A fault in an episode, from plan to outcome.
+
+    Times in simulated seconds, null for what never happened.
+    """
+
+    manifestation_latency: Number | None = None
+    """From activation to manifestation, in s."""
+    detection_latency: Number | None = None
+    """From activation to the first alert, in s."""
+    recovery_latency: Number | None = None
+    """From manifestation to the first recovery action, in s."""
+    time_to_recover: Number | None = None
+    """From there until the proposal was acceptable again, in s."""
+    propagation: PropagationStatus | None = None
+    """Whether the proposals left those of the fault-free twin; null where it never manifested or
+    that was not measured."""
+    propagated_at: Number | None = None
+    """When they did, in s."""
+    unknown: str = ""
+    """Why that cannot be said; empty if it can."""
+    outcome: OutcomeStatus | None = None
+    """What came of it; null where no verdict asked. What is violated also without it is not its
+    doing."""
+    violated: tuple[str, ...] = ()
+    """Requirements that were violated from its manifestation on."""
+    violated_without: tuple[str, ...] | None = None
+    """Those among them that the fault-free twin violates, too; null without a twin."""
+
+    __repr__ = short_repr
 
 
 def _between(first: float | None, then: float | None) -> float | None:
     return None if first is None or then is None else then - first
 
 
-KINDS = ("failure", "infrastructure", "control", "comparison")
-"""Kinds of measures of a component's accounts, see :class:`Tally`."""
+MeasureKind = Literal["failure", "infrastructure", "control", "comparison"]
+"""Kind of a measure of a component's accounts, see :class:`Tally`."""
+KINDS: tuple[MeasureKind, ...] = get_args(MeasureKind)
 
 
 @dataclass(frozen=True)
 class Tally:
-    """Count of the decisions that showed a failure mode, among those that could have shown it.
+    """How often a failure mode showed in an episode's decisions."""
 
-    Args:
-        hits: Decisions that showed it.
-        of: Decisions that could have shown it.
-        null_hits: The same for a null component, which ignores its input, on the same decisions.
-        null_of: See above.
-        kind: ``failure``, ``infrastructure`` (of what the component needs, not its own),
-            ``control`` (a negative control: what a component does that takes no
-            notice of its input) or ``comparison`` (no failure by itself).
+    hits: Count
+    """Decisions that showed it."""
+    of: Count
+    """Decisions that could have shown it."""
+    null_hits: Count = 0
+    """The same of a null component, which ignores its input, on the same decisions."""
+    null_of: Count = 0
+    """Decisions of it that could have."""
+    kind: MeasureKind = "failure"
+    """Whether it is a failure, one of the server or the way there, the negative control (what a
+    component does that takes no notice of its input), or a comparison that is no failure by
+    itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """A value over an episode, in its own unit."""
+
+    last: Number | None
+    """At the end."""
+    min: Number | None
+    """Least."""
+    max: Number | None
+    """Greatest."""
+
+    @classmethod
+    def summed_up(cls, values: list[float]) -> Series:
+        """Sum up a column; a value that is not finite is none."""
+        return cls(*map(_finite, (values[-1], min(values), max(values))))
+
+
+@dataclass(frozen=True, slots=True)
+class FaultCounts:
+    """Counts of faults."""
+
+    planned: Count
+    """Planned."""
+    succeeded: Count
+    """Manifested."""
+    detected: Count
+    """Detected."""
+    recovered: Count
+    """Recovered from."""
+    impact_ticks: Count
+    """Ticks at which one manifested and the proposal was unsafe."""
+
+    @classmethod
+    def summed_up(cls, faults: Collection[FaultRecord]) -> FaultCounts:
+        """Count faults of an episode."""
+        return cls(
+            planned=len(faults),
+            succeeded=sum(fault.manifested_at is not None for fault in faults),
+            detected=sum(fault.detected_at is not None for fault in faults),
+            recovered=sum(fault.recovered_at is not None for fault in faults),
+            impact_ticks=sum(fault.flagged_ticks for fault in faults),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """What decisions used of language models, as the component's account has it.
+
+    A replay from a cassette has the same.
     """
 
-    hits: int
-    of: int
-    null_hits: int = 0
-    null_of: int = 0
-    kind: str = "failure"
+    requests: Count
+    """Requests, those beside the decisions included."""
+    prompt: Count
+    """Tokens of the requests, as the server counted them."""
+    completion: Count
+    """Tokens of the answers."""
+    uncounted: Count
+    """Answers for which the server counted no tokens."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeMetrics:
+    """What the loop measured."""
+
+    violations: Mapping[str, Count]
+    """Ticks at which each kind was violated, by role or threshold."""
+    performance: Mapping[str, Series]
+    """Values over time, by name."""
+    wall_clock: Mapping[str, Series]
+    """Values that depend on the machine's speed, by name."""
+    robustness_min: Mapping[str, Number | None]
+    """Least score of each monitor, by role."""
+    faults: FaultCounts
+    """Counts of faults."""
+    recoveries: Count
+    """Stretches in which recovery acted."""
+    recoveries_succeeded: Count
+    """Those after which the proposal was acceptable again."""
+    alerts: Count
+    """Alerts."""
+    reactions: Mapping[str, Positive]
+    """How often the component reacted in which way to what looked like an attack, by class:
+    `unaffected`, `erratic`, `frozen`, `follows the fake`, or the assessor's own. A suspicion that
+    is not over at the end has none."""
+    proposals: Count
+    """How often the component was asked."""
+    valid_proposals: Count
+    """How often it answered with an action of the simulator."""
+    processing_us: Mapping[str, Number | None]
+    """Mean wall-clock time of a call, by role, in microseconds."""
+    tallies: Mapping[str, Tally]
+    """What the component's accounts of its decisions show, by failure mode; empty where it gives
+    none."""
+    answer_seconds: tuple[Amount, ...]
+    """Wall-clock seconds that its decisions took, by its own account."""
+    answer_ages: tuple[Amount, ...]
+    """Simulated seconds from the percept behind each decision of its own to the tick at which it
+    came into force, by its own account."""
+    user: Mapping[str, Number | None]
+    """Metrics of the user's own, by name."""
+    answer_usage: Usage | None = field(default=None, metadata=LEFT_OUT)
+    """What its decisions used of language models, by its own account; absent where it tells of
+    nothing."""
 
 
 @dataclass
@@ -281,43 +435,41 @@ class DependabilityMetrics:
             **({"answer_ages": self.answer_ages} if self.answer_ages else {}),
         }
 
-    def summary(self) -> dict[str, Any]:
-        """Summary in plain data, for records and tables."""
-        faults = list(self.faults.values())
-        succeeded = [recovery for recovery in self.recoveries if recovery[2]]
-        return {
-            "violations": dict(sorted(self.violations.items())),
-            "performance": {name: _last_and_worst(v) for name, (_, v) in self.performance.items()},
-            "wall_clock": {name: _last_and_worst(v) for name, (_, v) in self.wall_clock.items()},
-            "robustness_min": {role: min(v) for role, (_, v) in self.robustness.items()},
-            "faults": {
-                "planned": len(faults),
-                "succeeded": sum(fault.success for fault in faults),
-                "detected": sum(fault.detected_at is not None for fault in faults),
-                "recovered": sum(fault.recovered_at is not None for fault in faults),
-                "impact_ticks": sum(fault.flagged_ticks for fault in faults),
+    def summary(self) -> EpisodeMetrics:
+        """Sum them up for records and tables."""
+        return EpisodeMetrics(
+            violations=dict(sorted(self.violations.items())),
+            performance={
+                name: Series.summed_up(values) for name, (_, values) in self.performance.items()
             },
-            "recoveries": len(self.recoveries),
-            "recoveries_succeeded": len(succeeded),
-            "alerts": self.alerts,
-            "reactions": dict(sorted(self.reactions.items())),
-            "proposals": self.proposals,
-            "valid_proposals": self.valid_proposals,
-            "processing_us": {
+            wall_clock={
+                name: Series.summed_up(values) for name, (_, values) in self.wall_clock.items()
+            },
+            robustness_min={
+                role: _finite(min(scores)) for role, (_, scores) in self.robustness.items()
+            },
+            faults=FaultCounts.summed_up(self.faults.values()),
+            recoveries=len(self.recoveries),
+            recoveries_succeeded=sum(success for _, _, success in self.recoveries),
+            alerts=self.alerts,
+            reactions=dict(sorted(self.reactions.items())),
+            proposals=self.proposals,
+            valid_proposals=self.valid_proposals,
+            processing_us={
                 role: float(np.mean(ns)) / 1000.0 for role, (_, ns) in self.processing_ns.items()
             },
-            "tallies": {name: asdict(tally) for name, tally in self.tallies.items()},
-            "answer_seconds": list(self.answer_seconds),
-            "answer_ages": list(self.answer_ages),
-            **({"answer_usage": dict(self.answer_usage)} if self.answer_usage else {}),
-            "user": dict(self.user),
-        }
+            tallies=dict(self.tallies),
+            answer_seconds=tuple(self.answer_seconds),
+            answer_ages=tuple(self.answer_ages),
+            user={name: _finite(value) for name, value in self.user.items()},
+            answer_usage=Usage(**self.answer_usage) if self.answer_usage else None,
+        )
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
 
 
 def _once(ticks: list[int], tick: int) -> None:
     if not ticks or ticks[-1] != tick:
         ticks.append(tick)
-
-
-def _last_and_worst(values: list[float]) -> dict[str, float]:
-    return {"last": values[-1], "min": min(values), "max": max(values)}

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeGuard
 
 from pytest_dura.core.boundary import CallEnded, let_pass
+from pytest_dura.core.codec import LEFT_OUT
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, describe_error, import_error
 from pytest_dura.core.roles import Role
@@ -29,15 +30,19 @@ def is_routine(value: object) -> TypeGuard[Callable[..., Any]]:
 
 @dataclass(frozen=True)
 class RoleSpec:
-    """Spec of a role (or a simulator): an import path ``package.module:Name`` and parameters.
+    """How a role or a simulator is built: by an import path and parameters.
 
-    ``instance`` holds an opaque object instead: it works in this process only, and is reset
-    before each episode.
+    ``instance`` holds a bare instance instead: it works in this process only, and is reset before
+    each episode.
     """
 
     path: str
+    """Import path `package.module:Name`, or `file.py:Name` for what a conftest.py defines."""
     params: Mapping[str, Any] = field(default_factory=dict)
-    instance: Any = field(default=None, compare=False, repr=False)
+    """Its keyword parameters, the user's own."""
+    opaque: bool = field(default=False, metadata=LEFT_OUT)
+    """Whether it was a bare instance, which no other process can build again; absent if not."""
+    instance: Any = field(default=None, init=False, compare=False, repr=False)
 
     __repr__ = short_repr
 
@@ -64,12 +69,7 @@ class RoleSpec:
                 )
             return cls(path, dict(params or {}))
         path = f"{type(value).__module__}:{type(value).__qualname__}"
-        return cls(path, dict(params or {}), instance=value)
-
-    @property
-    def opaque(self) -> bool:
-        """Whether it holds a bare instance, which cannot be rebuilt in another process."""
-        return self.instance is not None
+        return _holding(cls(path, dict(params or {}), opaque=True), value)
 
     @property
     def label(self) -> str:
@@ -78,7 +78,7 @@ class RoleSpec:
 
     def with_params(self, params: Mapping[str, Any]) -> RoleSpec:
         """Copy with other parameters."""
-        return RoleSpec(self.path, dict(params), self.instance)
+        return _holding(RoleSpec(self.path, dict(params), self.opaque), self.instance)
 
     def resolve(self) -> Any:
         """Import the object at the path, without a call of it.
@@ -150,6 +150,7 @@ class RoleSpec:
         """
         if self.instance is not None:
             return self.instance
+        self.check_rebuildable()
         factory = self.factory(*kinds)
         try:
             inspect.signature(factory).bind(**self.params)
@@ -174,21 +175,19 @@ class RoleSpec:
                 remedy="correct its parameters or its constructor",
             ) from error
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        plain: dict[str, Any] = {"path": self.path, "params": dict(self.params)}
-        return plain | ({"opaque": True} if self.opaque else {})
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> RoleSpec:
-        """Invert :meth:`to_json`.
+    def check_rebuildable(self) -> None:
+        """Refuse a bare instance of a process that is gone.
 
         Raises:
-            ConfigurationError: For an opaque role: a bare instance in a process that is gone.
+            ConfigurationError: For one.
         """
-        if data.get("opaque"):
+        if self.opaque and self.instance is None:
             raise ConfigurationError(
-                f"{data['path']} was given as a bare instance and cannot be built again",
+                f"{self.path} was given as a bare instance and cannot be built again",
                 remedy="let the role fixture return the class or a RoleSpec",
             )
-        return cls(data["path"], dict(data.get("params", {})))
+
+
+def _holding(spec: RoleSpec, instance: object) -> RoleSpec:
+    object.__setattr__(spec, "instance", instance)
+    return spec

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.codec import LEFT_OUT, Count, Number
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import LONGEST_TEXT, cut
 
@@ -306,18 +307,22 @@ class History(Sequence[Any]):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Event of one tick: a failure, an alert, a fault's activation, ...
+    """Something that happened at one tick: a failure, an alert, a fault's activation, ..."""
 
-    ``wall_clock`` marks an event that depends on the machine's speed, which the digest leaves out.
-    """
-
-    tick: int
-    time: float
+    tick: Count
+    """Number of the tick, from 0."""
+    time: Number
+    """Simulated seconds."""
     kind: str
+    """Such as `alert`, `unsafe`, `recovery`, `fault_activated`."""
     subject: str
+    """Who or what it is about."""
     detail: str = ""
+    """In words."""
     data: Mapping[str, Any] = NOTHING
-    wall_clock: bool = False
+    """Further values."""
+    wall_clock: bool = field(default=False, metadata=LEFT_OUT)
+    """Whether it depends on the machine's speed, and is no part of the digest; absent if not."""
 
     __repr__ = short_repr
 
@@ -327,11 +332,6 @@ class Event:
             text = getattr(self, name)
             if isinstance(text, str) and len(text) > LONGEST_TEXT:
                 object.__setattr__(self, name, cut(text))
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data for the evidence record."""
-        plain = {"tick": self.tick, "time": self.time, "kind": self.kind, "subject": self.subject}
-        return plain | {"detail": self.detail, "data": dict(self.data)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from .bundle import (
     write_record,
 )
 from .conclude import complete, conclude
-from .conclusions.cases import UNTRACED_FAULT, CaseMetrics, Cases, FailureModes
+from .conclusions.cases import CaseMetrics, Cases, FailureModes
 from .conclusions.coverage import Coverage
 from .conclusions.effectiveness import Effectiveness
 from .conclusions.tables import TABLES, ConcludedColumn, Table
@@ -46,7 +46,6 @@ __all__ = [
     "SCHEMA_VERSION",
     "TABLES",
     "UNKNOWN_COMPONENT",
-    "UNTRACED_FAULT",
     "Baseline",
     "CaseMetrics",
     "Cases",

@@ -11,10 +11,10 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 from pytest_dura.evidence.entry import plain_data
-from pytest_dura.evidence.episode_model import SpecEntry
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
@@ -46,7 +46,7 @@ class Conditions:
     values: Mapping[str, Any]
 
     @classmethod
-    def of(cls, spec: SpecEntry) -> Conditions:
+    def of(cls, spec: EpisodeSpec) -> Conditions:
         """Read them from an episode's spec."""
         values = {key: plain_data(getattr(spec, key)) for key in _CONDITION_KEYS}
         # The role that puts the faults into effect belongs to the faults.

@@ -6,14 +6,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
+from pytest_dura.core.fault import Fault
 from pytest_dura.evidence.entry import (
     Absent,
     Amount,
+    Coded,
     Count,
     Entry,
-    JsonObject,
     Number,
-    OpenEntry,
     Positive,
     Sha256,
     Share,
@@ -47,25 +47,6 @@ Variation = Annotated[
     Annotated[RangeEntry, Tag("range")] | Annotated[ChoicesEntry, Tag("choice")],
     Discriminator(_form_of_variation),
 ]
-
-
-class FaultPlanEntry(OpenEntry):
-    """A planned fault, with the parameters of its type. docs/faults.md has the types."""
-
-    type: Absent[str] = None
-    """Type in the fault catalogue."""
-    id: str
-    """Its name in the case."""
-    target: str
-    """Sensor channel, field of a channel, or `command`."""
-    activation: Absent[JsonObject] = None
-    """When it begins, in simulated seconds."""
-    duration: Any = None
-    """Simulated seconds that it stays active, or what ends it; null for the rest of the episode."""
-    parameters: Absent[JsonObject] = None
-    """In the units that the catalogue states."""
-    by_chance: Absent[bool] = None
-    """Whether it is drawn whether it has any effect; then it need not manifest."""
 
 
 class ShareEntry(Entry):
@@ -352,7 +333,7 @@ class CasePlan(Entry):
     own, then `~` and a role that is switched off."""
     scenario: str
     """Name of the scenario."""
-    faults: list[FaultPlanEntry]
+    faults: list[Coded[Fault]]
     """The planned faults, before what varies is drawn."""
     component: str
     """Name of the component under test."""

@@ -12,14 +12,14 @@ import weakref
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import TypeAdapter
 
-from pytest_dura.core.codec import encode
+from pytest_dura.core.codec import encode, fields_as_data
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
@@ -73,13 +73,13 @@ def episode_record(
             "drawn": episode.drawn,
             "trace": None,
             "outcome": outcome_figures(episode, episode.spec.measures),
-            "metrics": episode.metrics.summary(),
-            "faults": [{**asdict(fault), **fault.latencies()} for fault in episode.faults],
+            "metrics": encode(episode.metrics.summary()),
+            "faults": [encode(fault.traced()) for fault in episode.faults],
             "verdicts": {
                 name: encode(verdict)
                 for name, verdict in declared_verdicts(episode, requirements).items()
             },
-            "events": [event.to_json() for event in episode.events],
+            "events": [fields_as_data(event) for event in episode.events],
             "timings": {
                 "simulated_seconds": episode.time[-1] if episode.ticks else 0.0,
                 "processing_seconds": {
@@ -100,7 +100,7 @@ def outcome_figures(episode: Episode, measures: Iterable[Measure]) -> dict[str, 
         "measures": measured(measures, episode),
         "recoveries": len(episode.metrics.recoveries),
         "alerts": episode.metrics.alerts,
-        "switching": switching(episode).to_json(),
+        "switching": encode(switching(episode)),
     }
 
 

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pytest_dura.core.codec import encode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.baseline import Baseline, regression_objections
 from pytest_dura.evidence.bundle import begin_bundle, write_bundle
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclude import complete
-from pytest_dura.evidence.conclusions.cases import UNTRACED_FAULT
+from pytest_dura.evidence.conclusions.cases import untraced
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.episodes import ItemReport, RepeatReport
 from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
@@ -194,9 +195,8 @@ def _report_of(episode: EpisodeEntry, *, with_trace: bool) -> ItemReport:
     report = ItemReport("", episodes=[{**episode.to_json(), "trace": None}])
     about = {"component": episode.component, "episode": episode.id, "case": episode.case}
     for fault in episode.faults:
-        followed = fault.to_json(include=set(UNTRACED_FAULT))
-        if followed != UNTRACED_FAULT:
-            report.chains.append({**about, "id": fault.id, **followed})
+        if fault != untraced(fault):
+            report.chains.append({**about, **encode(fault)})
     if with_trace:
         report.traces.append(episode.to_json(include={"id", "component", "digest", "trace"}))
     return report

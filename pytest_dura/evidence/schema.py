@@ -24,7 +24,7 @@ from pydantic import ValidationError
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
-from pytest_dura.core.codec import fields_of, shape_of
+from pytest_dura.core.codec import defaults_of, fields_of, shape_of
 from pytest_dura.core.mismatches import (
     MAX_MISMATCHES,
     Mismatch,
@@ -272,7 +272,7 @@ def _class_definitions(classes: Iterable[type]) -> dict[str, JsonObject]:
                 for field, shape in shapes.items()
             },
             "additionalProperties": False,
-            "required": [*shapes],
+            "required": [field for field in shapes if field not in defaults_of(kind)],
         }
         pending += [each for shape in shapes.values() for each in shape.classes]
     return definitions

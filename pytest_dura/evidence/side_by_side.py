@@ -12,7 +12,7 @@ import math
 import os
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 from pytest_dura.core.codec import encode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.measures import MeasureInfo
+from pytest_dura.core.metrics import Usage
 from pytest_dura.evidence.baseline import (
     Claim,
     Conditions,
@@ -30,7 +31,7 @@ from pytest_dura.evidence.baseline import (
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
 from pytest_dura.evidence.conclusions.cases import percentile_summary
 from pytest_dura.evidence.entry import plain_data
-from pytest_dura.evidence.episode_model import EpisodeEntry, UsageEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.files import file_entry, files_below
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
@@ -87,7 +88,7 @@ class Figures:
     failure_modes: Mapping[str, ModeCount]
     answer_times: Mapping[str, Any] | None
     answer_ages: Mapping[str, Any] | None
-    usage: UsageEntry | None
+    usage: Usage | None
 
 
 @dataclass(frozen=True)
@@ -267,7 +268,7 @@ class _Run:
     tallies: Mapping[str, ModeCount]
     answer_seconds: Sequence[float]
     answer_ages: Sequence[float]
-    usage: UsageEntry | None
+    usage: Usage | None
 
     @classmethod
     def of(cls, episode: EpisodeEntry) -> _Run:
@@ -276,7 +277,7 @@ class _Run:
             Conditions.of(episode.spec),
             episode.validity,
             episode.outcome.measures,
-            {name: ModeCount(**tally.to_json()) for name, tally in metrics.tallies.items()},
+            {name: ModeCount(**encode(tally)) for name, tally in metrics.tallies.items()},
             metrics.answer_seconds,
             metrics.answer_ages,
             metrics.answer_usage,
@@ -499,11 +500,11 @@ def _figures(runs: Sequence[_Run], measures: Sequence[MeasureInfo]) -> Figures:
     )
 
 
-def _summed_usage(usages: Sequence[UsageEntry]) -> UsageEntry | None:
+def _summed_usage(usages: Sequence[Usage]) -> Usage | None:
     if not usages:
         return None
-    names = UsageEntry.model_fields
-    return UsageEntry(**{name: sum(getattr(each, name) for each in usages) for name in names})
+    names = [field.name for field in fields(Usage)]
+    return Usage(**{name: sum(getattr(each, name) for each in usages) for name in names})
 
 
 def _added(mode: ModeCount, tally: ModeCount) -> ModeCount:

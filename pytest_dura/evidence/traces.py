@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pytest_dura.core.codec import fields_as_data
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.loop_signals import EXCHANGE, NULL, SECONDS
 from pytest_dura.core.simulator import POSE, Recording, Scene
-from pytest_dura.core.state import Event
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.text import one_line
 
@@ -108,7 +108,7 @@ class Trace:
             episode.time,
             episode.signals,
             episode.decisions,
-            [_event_data(event) for event in episode.events],
+            [plain_data(fields_as_data(event)) for event in episode.events],
             replace(recording, accounts=accounts),
         )
 
@@ -156,11 +156,6 @@ def _account_data(account: Mapping[str, Any]) -> dict[str, Any]:
 def without_exchange(account: Mapping[str, Any]) -> Mapping[str, Any]:
     """Leave out of an account what was asked and answered in words."""
     return {key: value for key, value in account.items() if key != EXCHANGE}
-
-
-def _event_data(event: Event) -> dict[str, Any]:
-    data: dict[str, Any] = plain_data(event.to_json())
-    return data | ({"wall_clock": True} if event.wall_clock else {})
 
 
 ABSENT = "nothing"

@@ -16,17 +16,18 @@ import json
 import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from importlib import import_module
 from itertools import islice
 from operator import attrgetter
 from pathlib import Path
 from typing import TypeAlias
 
-from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.codec import encode
+from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.measures import Measure
-from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord, Tally
+from pytest_dura.core.metrics import DependabilityMetrics
 from pytest_dura.core.simulator import SIMULATORS
 from pytest_dura.evidence.bundle import (
     FORMATS,
@@ -188,9 +189,7 @@ def _problems_of_trace(
         found, recorded = trace.about[key], getattr(episode, key)
         if found != recorded:
             yield f"its {key} is {found!r}, and the record says {recorded!r}"
-    # Only traces say which events depend on the machine's speed.
-    events = [{k: v for k, v in event.items() if k != "wall_clock"} for event in trace.events]
-    if events != [event.to_json() for event in episode.events]:
+    if [*trace.events] != [encode(event) for event in episode.events]:
         yield f"its events are not those of {episode.id} in the record"
     traced = _trace_episode(trace, episode)
     known = _measures_of(record, traced)
@@ -273,21 +272,16 @@ def _rejudged_problems(verdict: EpisodeVerdict, recorded: CheckVerdict | None) -
 
 def _trace_episode(trace: Trace, episode: EpisodeEntry) -> JudgedEpisode:
     """Rebuild the episode as far as formulas read it."""
-    names = {field_.name for field_ in fields(FaultRecord)}
-    # Nothing is built here, and a bare instance could not be.
-    roles = {name: {"path": role.path} for name, role in episode.spec.roles.items()}
-    faults = [FaultRecord(**fault.to_json(include=names)) for fault in episode.faults]
-    tallies = {name: Tally(**tally.to_json()) for name, tally in episode.metrics.tallies.items()}
     return JudgedEpisode.of(
         Episode(
-            spec=EpisodeSpec.from_json(episode.spec.to_json() | {"roles": roles}),
+            spec=episode.spec,
             time=trace.time,
             signals=dict(trace.signals),
             decisions=dict(trace.decisions),
             events=(),
-            faults=tuple(faults),
+            faults=tuple(episode.faults),
             termination=episode.termination,
-            metrics=DependabilityMetrics(tallies=tallies),
+            metrics=DependabilityMetrics(tallies=dict(episode.metrics.tallies)),
             failure=episode.failure,
         )
     )

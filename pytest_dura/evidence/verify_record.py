@@ -9,18 +9,19 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
 from pytest_dura.core.codec import encode
 from pytest_dura.core.episode import canonical, outcome_of
-from pytest_dura.core.metrics import FaultRecord
+from pytest_dura.core.metrics import EpisodeMetrics, FaultCounts
 from pytest_dura.core.seeding import derive_seed
 from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.conclusions.verdicts import question_key
-from pytest_dura.evidence.episode_model import EpisodeEntry, EpisodeMetricsEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, repeat_problems
 from pytest_dura.evidence.hazards import hazard_problems
 from pytest_dura.evidence.item_verdicts import ItemVerdict
@@ -62,14 +63,14 @@ def episode_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> 
 
 def _input_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> Iterator[str]:
     name, spec = episode.id, episode.spec
-    seed = derive_seed(base_seed, spec.scenario.name, spec.run)
+    seed = derive_seed(base_seed, spec.scenario_name, spec.run)
     if episode.planned and episode.seed != seed:
         yield f"planned, and its seed is {episode.seed}, not {seed} as that of its run"
     if name != f"{spec.case}#{spec.run}" or episode.case != spec.case:
         yield f"its spec is that of {spec.case}#{spec.run}"
     faults = [[(fault.id, fault.type, fault.target) for fault in of.faults] for of in (case, spec)]
-    if spec.scenario.name != case.scenario or faults[0] != faults[1]:
-        yield f"its spec has {spec.scenario.name} with {faults[1]}, and its case {faults[0]}"
+    if spec.scenario_name != case.scenario or faults[0] != faults[1]:
+        yield f"its spec has {spec.scenario_name} with {faults[1]}, and its case {faults[0]}"
     if episode.seed != spec.seed:
         yield f"seed {episode.seed}, and {spec.seed} in its spec"
     if (episode.validity == "missing") != (episode.failure is not None):
@@ -87,15 +88,9 @@ def _input_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> I
 def _metric_problems(episode: EpisodeEntry) -> Iterator[str]:
     """Compare what an episode measures with its outcome, its faults and its events."""
     metrics, faults = episode.metrics, episode.faults
-    counts = {
-        "planned": len(faults),
-        "succeeded": sum(fault.manifested_at is not None for fault in faults),
-        "detected": sum(fault.detected_at is not None for fault in faults),
-        "recovered": sum(fault.recovered_at is not None for fault in faults),
-        "impact_ticks": sum(fault.flagged_ticks for fault in faults),
-    }
-    if (recorded := metrics.faults.to_json()) != counts:
-        yield f"its faults are {recorded}, and they come to {counts}"
+    counts = FaultCounts.summed_up(faults)
+    if metrics.faults != counts:
+        yield f"its faults are {encode(metrics.faults)}, and they come to {encode(counts)}"
     outcome = episode.outcome
     if metrics.recoveries != outcome.recoveries:
         yield f"{metrics.recoveries} recoveries, and {outcome.recoveries} in its outcome"
@@ -121,11 +116,10 @@ def _metric_problems(episode: EpisodeEntry) -> Iterator[str]:
 def _chain_problems(episode: EpisodeEntry) -> Iterator[str]:
     """Derive latencies and outcome of each fault from the rest of its chain again."""
     alerts = {event.time for event in episode.events if event.kind == "alert"}
-    for entry in episode.faults:
-        name = entry.id
-        fault = FaultRecord(**entry.to_json(include={*FaultRecord.__dataclass_fields__}))
+    for fault in episode.faults:
+        name = fault.id
         for latency, seconds in fault.latencies().items():
-            if (recorded := getattr(entry, latency)) != seconds:
+            if (recorded := getattr(fault, latency)) != seconds:
                 yield f"{name}: {latency} is {recorded} s, and its times give {seconds}"
         if fault.read_by and not fault.success:
             yield f"{name}: read by {', '.join(fault.read_by)}, and it never manifested"
@@ -134,13 +128,13 @@ def _chain_problems(episode: EpisodeEntry) -> Iterator[str]:
             yield f"{name}: detected at {detected} s, and no alert of then can answer it"
         elif detected is not None and detected not in alerts:
             yield f"{name}: detected at {detected} s, and its events say of no alert then"
-        without = entry.violated_without
-        if extra := sorted({*(without or ())} - {*entry.violated}):
+        without = fault.violated_without
+        if extra := sorted({*(without or ())} - {*fault.violated}):
             yield f"{name}: {extra[0]} is violated without it, and not with it"
-        outcome = entry.outcome
+        outcome = fault.outcome
         missing = episode.failure is not None
-        expected = outcome_of(fault, entry.propagation, entry.violated, without, missing=missing)
-        if outcome is None and entry.violated:
+        expected = outcome_of(fault, fault.propagation, fault.violated, without, missing=missing)
+        if outcome is None and fault.violated:
             yield f"{name}: violated, and it has no outcome"
         if outcome not in (None, expected):
             yield f"{name}: its outcome is {outcome!r}, and its chain gives {expected!r}"
@@ -245,7 +239,7 @@ class _NamedRun(NamedTuple):
             yield f"{self.verdict.status}, and {own.status} by the check of the requirement"
 
 
-def _tally_problems(metrics: EpisodeMetricsEntry, decisions: int) -> Iterator[str]:
+def _tally_problems(metrics: EpisodeMetrics, decisions: int) -> Iterator[str]:
     """Check that no tally counts more than there were decisions."""
     for name, tally in metrics.tallies.items():
         for part, hits, of in (
@@ -474,7 +468,7 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
         else:
             case = cases[episode.case, episode.component]
             yield from episode_problems(episode, case, record.head.base_seed)
-        inputs = canonical([episode.component, episode.spec.to_json(exclude={"timeouts"})])
+        inputs = canonical([episode.component, replace(episode.spec, timeouts=None)])
         if (digest := sha256(inputs).digest()) in known:
             yield f"episode {episode.id}: it is listed twice"
         known.add(digest)

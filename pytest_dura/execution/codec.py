@@ -58,7 +58,7 @@ def pack(episode: Episode) -> bytes:
         "time": columns.add(episode.time),
         "signals": {name: columns.add(signal) for name, signal in episode.signals.items()},
         "decisions": {name: columns.add(decision) for name, decision in episode.decisions.items()},
-        "events": [{**event.to_json(), "wall_clock": event.wall_clock} for event in episode.events],
+        "events": [*episode.events],
         "faults": [asdict(fault) for fault in episode.faults],
         "termination": episode.termination,
         "metrics": _metrics(episode.metrics, columns),

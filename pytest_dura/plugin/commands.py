@@ -284,7 +284,6 @@ def _write_reduced(
     """Write a record of the reduced episode alone, in the form of the original one."""
     from pytest_dura.evidence.bundle import write_record
     from pytest_dura.evidence.conclude import conclude
-    from pytest_dura.evidence.conclusions.cases import with_chains
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.episodes import episode_record
     from pytest_dura.evidence.files import MANIFEST_FILE, file_entry, manifest_text, write_file
@@ -296,8 +295,7 @@ def _write_reduced(
     (original,) = [case for case in record.head.cases if (case.id, case.component) == key]
     faults = [fault.plain() for fault in episode.spec.faults]
     case = original.replace(id=episode.spec.case, planned=1, faults=faults)
-    untraced = with_chains(episode_record(episode, planned=True), {})
-    entry = EpisodeEntry.model_validate(untraced)
+    entry = EpisodeEntry.model_validate(episode_record(episode, planned=True))
     head = record.head.replace(
         cases=[case],
         measures=episode.described_measures,

@@ -240,12 +240,11 @@ def event_sentence(context: SessionContext, result: ItemResult) -> str:
 
 def _brief_run(episode: Episode) -> BriefRun:
     """Summarise an episode that is not in the record yet."""
-    from pytest_dura.evidence.conclusions.cases import with_chains
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.episodes import episode_record
     from pytest_dura.reports.incidents import BriefRun
 
-    entry = EpisodeEntry.model_validate(with_chains(episode_record(episode, planned=True), {}))
+    entry = EpisodeEntry.model_validate(episode_record(episode, planned=True))
     return BriefRun.of(entry, episode.described_measures)
 
 

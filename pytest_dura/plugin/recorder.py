@@ -255,9 +255,11 @@ class ItemRecorder:
 
     def faults_traced(self, event: FaultsTraced) -> None:
         """Record the causal chain of each fault of an episode."""
+        from pytest_dura.core.codec import encode
+
         episode = event.episode
         about = {"case": event.case.id, "component": episode.spec.component, "episode": episode.id}
-        self._report.chains += [{**about, **chain.to_json()} for chain in event.chains]
+        self._report.chains += [{**about, **encode(chain)} for chain in event.chains]
         self._flush_if_full()
 
     def case_repeated(self, repeat: Mapping[str, Any]) -> None:

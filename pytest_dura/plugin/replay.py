@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     import pytest
 
     from pytest_dura.core.episode import Episode, EpisodeSpec
+    from pytest_dura.core.metrics import TracedFault
     from pytest_dura.core.role_spec import RoleSpec
-    from pytest_dura.evidence.episode_model import EpisodeEntry, FaultEntry, TraceEntry
+    from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.plugin.options import Options
@@ -51,7 +52,7 @@ class RecordedEpisode:
     violated: tuple[str, ...]
     planned: bool
     trace: TraceEntry | None
-    faults: Sequence[FaultEntry]
+    faults: Sequence[TracedFault]
 
     def run(self, spec: EpisodeSpec | None = None, *, recorded: bool = False) -> Episode:
         """Run the episode again, or another spec that ends as this one would.
@@ -155,12 +156,11 @@ def _entries_named(record: SessionRecord, name: str, option: str) -> list[Episod
 def _recorded_episode(
     config: pytest.Config, record: SessionRecord, episode: EpisodeEntry, option: str
 ) -> RecordedEpisode:
-    from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.core.trust import check_registered
     from pytest_dura.evidence.redaction import holds_redaction
 
-    given = episode.spec.to_json()
-    if holds_redaction(given):
+    spec = episode.spec
+    if holds_redaction(spec.to_json()):
         raise ConfigurationError(
             f"the episode {episode.id!r} cannot be run again: what it was run from held a "
             "secret, which is not in the evidence",
@@ -169,7 +169,7 @@ def _recorded_episode(
             expected="an episode whose spec is recorded whole",
             remedy="let the component read the secret from the environment, not from a parameter",
         )
-    spec = EpisodeSpec.from_json(given)
+    spec.check_rebuildable()
     paths = [spec.simulator.path, *(role.path for role in spec.roles.values())]
     for path in [*paths, *(fault.type for fault in spec.faults)]:
         if ":" in path:
@@ -344,13 +344,13 @@ def _within(tolerances: Mapping[str, float], beyond: str | None) -> str:
 
 def _by_faults(recorded: RecordedEpisode, episode: Episode) -> list[str]:
     """Compare what became of the faults, which the record holds without a trace."""
-    from pytest_dura.evidence.entry import plain_data
+    from pytest_dura.core.codec import encode
 
     for entry, fault in zip(recorded.faults, episode.faults, strict=False):
-        replayed = plain_data(asdict(fault))
-        for key, earlier in entry.to_json().items():
-            if key in replayed and earlier != replayed[key]:
-                values = f"recorded {earlier}, replayed {replayed[key]}"
+        known = encode(entry)
+        for key, replayed in encode(fault).items():
+            if known[key] != replayed:
+                values = f"recorded {known[key]}, replayed {replayed}"
                 return [f"  fault {fault.id}: {key}: {values}"]
     return ["  it is not known where they differ"]
 

@@ -45,8 +45,8 @@ from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.core.measures import MeasureInfo
+    from pytest_dura.core.metrics import TracedFault
     from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
-    from pytest_dura.evidence.episode_model import FaultEntry
     from pytest_dura.evidence.item_verdicts import ItemVerdict
     from pytest_dura.evidence.model import RecordHead, SessionRecord
     from pytest_dura.evidence.session_model import LanguageModelEntry, PriceEntry
@@ -298,7 +298,7 @@ def fault_table(cases: Sequence[CaseEntry]) -> list[str]:
     return table("fault", FAULT_COLUMNS, rows)
 
 
-def chain_line(fault: FaultEntry) -> str:
+def chain_line(fault: TracedFault) -> str:
     """Write the causal chain of one fault, with times in s."""
     steps = [
         ("planned", fault.planned_at, ""),
@@ -315,7 +315,7 @@ def chain_line(fault: FaultEntry) -> str:
     return f"{fault.id}: {', '.join(parts) or 'never active'}"
 
 
-def _read_by(fault: FaultEntry) -> str:
+def _read_by(fault: TracedFault) -> str:
     return f" (read by {', '.join(fault.read_by)})" if fault.read_by else ""
 
 

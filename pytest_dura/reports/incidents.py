@@ -7,12 +7,14 @@ sentence needs.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from pytest_dura.core.measures import MeasureInfo
+from pytest_dura.core.metrics import TracedFault
+from pytest_dura.core.state import Event
 from pytest_dura.evidence.case_model import CaseEntry
-from pytest_dura.evidence.episode_model import EpisodeEntry, EventEntry, FaultEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line
@@ -83,10 +85,10 @@ class BriefRun:
     validity: str
     termination: str
     seconds: float
-    faults: tuple[FaultEntry, ...]
-    grave: EventEntry | None
+    faults: tuple[TracedFault, ...]
+    grave: Event | None
     notable: tuple[str, ...]
-    telling: tuple[EventEntry, ...]
+    telling: tuple[Event, ...]
     kept_control: bool
     """Whether recovery took over for good."""
 
@@ -119,7 +121,7 @@ class BriefRun:
 
     def event_before(
         self, time: float | None, *, kind: str, last: float | None, compares_faults: bool
-    ) -> EventEntry | None:
+    ) -> Event | None:
         """The event that stands before a violation; ``None`` without any.
 
         Args:
@@ -164,7 +166,7 @@ class _Marks:
         self._names = {each.name for each in measures}
         self._kinds = {each.event for each in self._grave if each.event}
 
-    def grave_event(self, episode: EpisodeEntry) -> EventEntry | None:
+    def grave_event(self, episode: EpisodeEntry) -> Event | None:
         """The first grave event; that of a declared measure before the loop's own of that tick."""
         grave = [
             event
@@ -175,7 +177,7 @@ class _Marks:
             grave, key=lambda event: (event.tick, event.kind not in self._kinds), default=None
         )
 
-    def is_measure(self, event: EventEntry) -> bool:
+    def is_measure(self, event: Event) -> bool:
         """Whether it says that a declared measure went beyond its limit."""
         return event.kind == _SHOWS_PERFORMANCE and event.subject in self._names
 
@@ -291,7 +293,7 @@ class Incident:
         return min(self.violations, key=lambda violation: violation.badness)
 
     @cached_property
-    def event(self) -> EventEntry | None:
+    def event(self) -> Event | None:
         """What happened: the grave event if it stands before the violation, or the last telling."""
         if self.brief is None:
             return None
@@ -347,7 +349,7 @@ def _violated_text(requirement: str, time: float | None, margin: float | None) -
 
 def what_happened(
     brief: BriefRun,
-    event: EventEntry | None,
+    event: Event | None,
     requirement: str,
     *,
     time: float | None,
@@ -380,7 +382,7 @@ def what_happened(
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def event_clause(event: EventEntry, brief: BriefRun) -> str:
+def event_clause(event: Event, brief: BriefRun) -> str:
     """What an event says, as a clause that begins with its time."""
     subject, detail = name(event.subject), one_line(event.detail, _MAX_DETAIL)
     what = f"{name(event.kind.replace('_', ' '))}: {subject}"
@@ -403,7 +405,7 @@ def event_clause(event: EventEntry, brief: BriefRun) -> str:
     return f"at t = {event.time:.2f} s {what}{colon}"
 
 
-def _target(fault: FaultEntry) -> str:
+def _target(fault: TracedFault) -> str:
     """What a fault changed, for those who read it."""
     if not fault.read_by:
         return name(fault.target)
@@ -427,7 +429,7 @@ def _fault_clause(brief: BriefRun, time: float | None) -> str:
     )
 
 
-def manifested(brief: BriefRun, time: float | None) -> list[FaultEntry]:
+def manifested(brief: BriefRun, time: float | None) -> list[TracedFault]:
     """Faults that had an effect by a time, the first one first."""
     active = [
         (fault.manifested_at, place, fault)
@@ -446,7 +448,7 @@ def twin_outcomes(episodes: Episodes, incident: Incident) -> Iterator[TwinOutcom
     for without, twin in episodes.twins_of(brief, incident.component):
         violates = _twin_violates(brief, without, worst)
         if twin.grave is not None:
-            what = event_text(twin.grave.replace(detail=one_line(twin.grave.detail, _MAX_DETAIL)))
+            what = event_text(replace(twin.grave, detail=one_line(twin.grave.detail, _MAX_DETAIL)))
             ended = "the run ended there" if twin.termination == "critical" else twin.end_text()
             sentence = f"{what}, and {ended}"
         else:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from pytest_dura.core.metrics import TracedFault
+from pytest_dura.core.state import Event
 from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
-from pytest_dura.evidence.episode_model import EventEntry, FaultEntry
 from pytest_dura.evidence.text import name
 from pytest_dura.reports.incidents import (
     TICK,
@@ -77,7 +78,7 @@ def _steps_without_fault(
         yield f"No fault had an effect yet: look at {component}, not at the fault."
 
 
-def _next_on_recovery(recovery: EventEntry, component: str, kind: str, unaided: TwinOutcome) -> str:
+def _next_on_recovery(recovery: Event, component: str, kind: str, unaided: TwinOutcome) -> str:
     """What to look at where recovery had acted and the run without it is known."""
     action = name(recovery.subject)
     if unaided.violates or unaided.same_end:
@@ -98,14 +99,14 @@ def _next_on_recovery(recovery: EventEntry, component: str, kind: str, unaided: 
     return _replay_from(recovery, component)
 
 
-def _replay_from(recovery: EventEntry, component: str) -> str:
+def _replay_from(recovery: Event, component: str) -> str:
     return (
         f"Recovery ({name(recovery.subject)}) did not prevent it: replay it from "
         f"t = {recovery.time:.2f} s, and look at what {component} proposed before."
     )
 
 
-def _next_on_fault(fault: FaultEntry, component: str, time: float | None) -> str:
+def _next_on_fault(fault: TracedFault, component: str, time: float | None) -> str:
     """What to look at where a fault had an effect before the violation."""
     detected, recovered = fault.detected_at, fault.recovery_at
     identity = name(fault.id)

@@ -11,8 +11,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from pytest_dura.core.metrics import TracedFault
 from pytest_dura.evidence.case_model import CaseEntry
-from pytest_dura.evidence.episode_model import EpisodeEntry, FaultEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.reports.plots import Step
 
 ArmKey = tuple[str, str]
@@ -145,7 +146,7 @@ NOT_FOLLOWED = "not followed"
 VIOLATED = "violated"
 
 
-def chain_of(fault: FaultEntry) -> Step:
+def chain_of(fault: TracedFault) -> Step:
     """Return the way of a fault in one run; it ends where the fault had no effect on a percept."""
     if fault.manifested_at is None:
         return PLANNED, NO_EFFECT
@@ -196,7 +197,7 @@ class PlotData:
                 continue
             arms.setdefault(arm.key, Numbers()).add(episode.seed, value)
 
-    def _add_fault(self, fault: FaultEntry) -> None:
+    def _add_fault(self, fault: TracedFault) -> None:
         self.chains[fault.id][chain_of(fault)] += 1
         if fault.manifested_at is None:
             return

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from pytest_dura.core.metrics import Usage
 from pytest_dura.evidence.case_model import CaseEntry, CaseUsage
-from pytest_dura.evidence.episode_model import UsageEntry
 from pytest_dura.evidence.session_model import LanguageModelEntry, PriceEntry, TokensEntry
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.columns import Cell, Column, Shown, given, name_cell
 
 _MILLION = 1_000_000
-Tokens = TokensEntry | CaseUsage | UsageEntry
+Tokens = TokensEntry | CaseUsage | Usage
 """Counts of tokens, ``prompt``, ``completion`` and ``uncounted``."""
 
 

@@ -6,12 +6,11 @@ import json
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from operator import itemgetter
 
 from pytest_dura.core.state import NOTHING, Event
-from pytest_dura.evidence.episode_model import EventEntry
 from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.looks import further_looks
@@ -44,7 +43,7 @@ def review_text(record: SessionRecord) -> str:
     return f"generated; {review.decision}; {review.remarks(gate)}"
 
 
-def event_text(event: Event | EventEntry) -> str:
+def event_text(event: Event) -> str:
     """Text on the event that ended an episode: ``at t = 6.50 s the ego ran into VICTIM``."""
     return f"at t = {event.time:.2f} s {event.detail}"
 
@@ -159,7 +158,7 @@ def _option_values(command: str) -> Mapping[str, str]:
     return values
 
 
-def names_text(names: list[str], most: int = _MOST_NAMES) -> str:
+def names_text(names: Sequence[str], most: int = _MOST_NAMES) -> str:
     """Names with commas; of many, the first few and how many more there are."""
     text = ", ".join(map(name, names[:most]))
     return f"{text} and {len(names) - most} more" if len(names) > most else text

@@ -7,7 +7,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
 from typing import Annotated, Any, Literal
 
@@ -16,8 +16,10 @@ import pytest
 from drawn_values import values_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from typing_extensions import Self
 
 from pytest_dura.core.codec import (
+    LEFT_OUT,
     Amount,
     Confidence,
     Count,
@@ -26,6 +28,7 @@ from pytest_dura.core.codec import (
     Number,
     Sha256,
     decode,
+    defaults_of,
     encode,
     fields_of,
 )
@@ -52,6 +55,17 @@ class Twig:
     within: Twig | None = None
 
 
+class Title(str):
+    """Refuses a text itself."""
+
+    __slots__ = ()
+
+    def __new__(cls, text: str) -> Self:
+        if text == "X":
+            raise ValueError("there is no such title")
+        return super().__new__(cls, text)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Tree:
     """Has a field of each form that the codec reads."""
@@ -73,7 +87,10 @@ class Tree:
     either: list[int] | list[str]
     anything: Any
     free: dict[str, Any]
+    title: Annotated[Title, Limit(pattern="^[A-W]$")]
     length: int = 7
+    rare: bool = field(default=False, metadata=LEFT_OUT)
+    absent: float | None = field(default=None, metadata=LEFT_OUT)
 
 
 TYPES = [Tree, Twig, *recorded_classes()]
@@ -128,7 +145,8 @@ def test_a_key_more_or_less_is_refused_where_it_is(type_, data):
     more, less = copy.deepcopy(plain), copy.deepcopy(plain)
     at(more, path)["nobody knows"] = 1
     assert refusal(type_, more) == [(pointer(path), 'unknown key "nobody knows"')]
-    name = data.draw(st.sampled_from([field.name for field in fields(part) if field.init]))
+    needed = [name for name in fields_of(type(part)) if name not in defaults_of(type(part))]
+    name = data.draw(st.sampled_from(needed))
     del at(less, path)[name]
     assert refusal(type_, less) == [(pointer(path), f'missing key "{name}"')]
 
@@ -232,6 +250,8 @@ LEAF = {"margin": 1.5, "note": ""}
         (Literal[1, "a"], "b", ['/: found "b", expected 1 or "a"']),
         (Literal[1, False], True, ["/: found true, expected 1 or false"]),
         (Mapping[Sha256, Any], {"x": 1}, [f'/x: found "x", expected a text like {SHA256}']),
+        (Title, "X", ["/: there is no such title"]),
+        (Title, 3, ["/: found integer, expected string"]),
         (Leaf | Twig | None, 3, ["/: found integer, expected object or null"]),
         (SOME, [], ["/: found [], expected entries, at least 1"]),
         (tuple[int, int], [1], ["/: found 1 entries, expected 2 entries"]),

@@ -13,6 +13,7 @@ from roads import channels_of, walker
 from scipy.stats import beta
 
 from pytest_dura.core import Percept, Tick, account_columns, account_problem, copied_account
+from pytest_dura.core.metrics import EpisodeMetrics
 from pytest_dura.driving import (
     SIGNALS,
     BodyList,
@@ -23,7 +24,6 @@ from pytest_dura.driving import (
 )
 from pytest_dura.driving.explanations import NAMES
 from pytest_dura.evidence import FailureModes
-from pytest_dura.evidence.episode_model import EpisodeMetricsEntry
 from pytest_dura.reports import percent_text
 
 lawful = settings(derandomize=True, deadline=None, max_examples=60)
@@ -159,9 +159,9 @@ metrics = st.fixed_dictionaries(
 def test_sums_over_episodes_add_up_whatever_their_order(found: Any) -> None:
     one, other = FailureModes(), FailureModes()
     for episode in found:
-        one.add(make(EpisodeMetricsEntry, **episode))
+        one.add(make(EpisodeMetrics, **episode))
     for episode in reversed(found):
-        other.add(make(EpisodeMetricsEntry, **episode))
+        other.add(make(EpisodeMetrics, **episode))
     assert sorted(one.to_json(), key=str) == sorted(other.to_json(), key=str)
     assert one.answer_times() == other.answer_times()
     assert one.answer_ages() == other.answer_ages()

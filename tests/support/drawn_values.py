@@ -61,7 +61,8 @@ def _instances(kind: type) -> st.SearchStrategy[Any]:
 def _limited(type_: Any, *marks: Any) -> st.SearchStrategy[Any]:
     (limit,) = (mark for mark in marks if isinstance(mark, Limit))
     if limit.pattern is not None:
-        return st.from_regex(re.sub(r"\$$", r"\\Z", limit.pattern))
+        texts = st.from_regex(re.sub(r"\$$", r"\\Z", limit.pattern))
+        return texts.map(type_) if isinstance(type_, type) else texts
     if limit.min_items is not None:
         return st.lists(values_of(*get_args(type_)), min_size=limit.min_items, max_size=3)
     least, greatest = (

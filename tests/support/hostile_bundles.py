@@ -280,8 +280,9 @@ def _keep_details(plain, told):
     for before, after in zip(plain["verdicts"], told["verdicts"], strict=True):
         kept = [(before, after), *zip(before["attempts"], after["attempts"], strict=True)]
         for verdict, spoilt in kept:
-            if verdict["check"] and verdict["spoilt"] and "infra" not in str(verdict["spoilt"]):
-                spoilt["spoilt"]["detail"] = verdict["spoilt"]["detail"]
+            first = verdict["first_uncounted"]
+            if verdict["check"] and first and "infra" not in str(first):
+                spoilt["first_uncounted"]["detail"] = first["detail"]
 
 
 def session(real, directory, spoil):

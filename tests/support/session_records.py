@@ -10,6 +10,7 @@ from baseline_records import spec
 from entries import make
 from pydantic import ValidationError
 
+from pytest_dura import Fault
 from pytest_dura.core.codec import encode
 from pytest_dura.driving import MEASURES
 from pytest_dura.evidence import SCHEMA_VERSION, SessionRecord
@@ -43,7 +44,7 @@ def episode(case="a/clear", run=0, *, validity="valid", trace=None, **changes):
             "by_chance": False, "read_by": ["generator"] if hit else [],
             "manifestation_latency": 0.1, "detection_latency": 0.1,
             "recovery_latency": None, "time_to_recover": None,
-            "propagation": "propagated" if hit else "idle", "propagated_at": 0.8 if hit else None,
+            "propagation": "propagated" if hit else None, "propagated_at": 0.8 if hit else None,
             "unknown": "", "outcome": "tolerated", "violated": [], "violated_without": [],
         }
     ] if "+" in case else []  # fmt: skip
@@ -250,7 +251,7 @@ def totals(told):
 
 def _case(name):
     scenario, plus, _ = name.partition("+")
-    faults = [{"type": "ghost-obstacle", "id": "ghost", "target": "lidar"}] if plus else []
+    faults = [encode(Fault("ghost-obstacle", "ghost", "lidar", {"at": 0.5}))] if plus else []
     return {
         "id": name, "scenario": scenario, "faults": faults, "component": "C", "without": [],
         "off": [], "requirements": sorted(REQUIREMENTS), "planned": 4 if plus else 2,

@@ -10,19 +10,17 @@ import statistics
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
-from pytest_dura.core.metrics import DISCOMFORT
+from pytest_dura.core.codec import encode
+from pytest_dura.core.loop_signals import Switching
+from pytest_dura.core.metrics import DISCOMFORT, EpisodeMetrics, TracedFault
 from pytest_dura.evidence.case_model import CaseEntry, CasePlan
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.entry import JsonObject
-from pytest_dura.evidence.episode_model import (
-    EpisodeEntry,
-    EpisodeMetricsEntry,
-    FaultEntry,
-    SwitchingEntry,
-)
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead
 from pytest_dura.requirements.rate_tests import upper_bound
@@ -44,7 +42,7 @@ class FailureModes:
         self._seconds = array("d")
         self._ages = array("d")
 
-    def add(self, metrics: EpisodeMetricsEntry) -> None:
+    def add(self, metrics: EpisodeMetrics) -> None:
         """Add the metrics of an episode's entry."""
         for name, tally in metrics.tallies.items():
             self._kinds.setdefault(name, tally.kind)
@@ -120,15 +118,8 @@ def _percentile(ordered: list[float], rank: float) -> float:
     return ordered[max(math.ceil(rank * len(ordered)) - 1, 0)]
 
 
-UNTRACED_FAULT: Mapping[str, Any] = {
-    "propagation": None,
-    "propagated_at": None,
-    "unknown": "",
-    "outcome": None,
-    "violated": [],
-    "violated_without": None,
-}
-"""Rest of the chain of a fault that no verdict followed."""
+TRACED = ("propagation", "propagated_at", "unknown", "outcome", "violated", "violated_without")
+"""What is known of a fault only once its episode was followed."""
 
 
 RATES: Mapping[str, tuple[str, str]] = {
@@ -151,9 +142,22 @@ def with_chains(episode: JsonObject, chains: Mapping[str, Mapping[str, Any]]) ->
     """Add what is known of each fault, by its id, to an episode's entry."""
     faults = []
     for fault in episode["faults"]:
-        chain = chains.get(fault["id"], UNTRACED_FAULT)
-        faults.append({**fault, **{key: chain[key] for key in UNTRACED_FAULT}})
+        chain = chains.get(fault["id"])
+        faults.append(fault if chain is None else fault | {key: chain[key] for key in TRACED})
     return {**episode, "faults": faults}
+
+
+def untraced(fault: TracedFault) -> TracedFault:
+    """Copy a fault without what is known only once its episode was followed."""
+    return replace(
+        fault,
+        propagation=None,
+        propagated_at=None,
+        unknown="",
+        outcome=None,
+        violated=(),
+        violated_without=None,
+    )
 
 
 class FaultMetrics:
@@ -224,7 +228,7 @@ class FaultMetrics:
         }
 
 
-def _passed_steps(fault: FaultEntry) -> list[str]:
+def _passed_steps(fault: TracedFault) -> list[str]:
     """List the steps that a fault passed in one episode."""
     reached = fault.manifested_at is not None
     passed = {
@@ -296,7 +300,7 @@ class CaseMetrics:
         usage = episode.metrics.answer_usage
         if usage is not None:
             decisions = len(episode.metrics.answer_seconds)
-            self._usage.update({"episodes": 1, "decisions": decisions, **usage.to_json()})
+            self._usage.update({"episodes": 1, "decisions": decisions, **encode(usage)})
         if episode.validity != "valid":
             return
         self._in_valid.update(raised)
@@ -315,7 +319,7 @@ class CaseMetrics:
             if value is not None:
                 column.append(value)
 
-    def _add_switching(self, switching: SwitchingEntry) -> None:
+    def _add_switching(self, switching: Switching) -> None:
         self._switching["episodes"] += 1
         self._switching.update({key: getattr(switching, key) for key in _SUMMED_METRICS})
         self._times_to_safe.extend(time for time in switching.time_to_safe if time is not None)

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
 from typing import Any
 
+from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.evidence.case_model import CasePlan, ChoicesEntry, RangeEntry
-from pytest_dura.evidence.episode_model import EpisodeEntry, SpecEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
 
 _BINS = 10
 """Equal parts of a range, in which values are counted."""
@@ -42,7 +43,7 @@ class ParameterCoverage:
         if not episode.planned or episode.validity != "valid":
             return
         spec = episode.spec
-        scenario = spec.scenario.name
+        scenario = spec.scenario_name
         for path, spread in self._scenarios.get(scenario, {}).items():
             key = scenario, path, spec.seed
             if key not in self._counted:
@@ -138,13 +139,13 @@ class _Choices:
 _ABSENT = object()
 
 
-def _drawn_value(spec: SpecEntry, path: str) -> Any:
+def _drawn_value(spec: EpisodeSpec, path: str) -> Any:
     """Look up a path of a variation, ``world.x.y`` or ``faults.id.x``, in an episode's spec."""
     head, _, rest = path.partition(".")
-    data: Any = spec.scenario.world
+    data: Any = spec.scenario.get("world")
     if head == "faults":
         name, _, rest = rest.partition(".")
-        data = next((fault.to_json() for fault in spec.faults if fault.id == name), _ABSENT)
+        data = next((fault.plain() for fault in spec.faults if fault.id == name), _ABSENT)
     for key in rest.split("."):
         if isinstance(data, Mapping):
             data = data.get(key, _ABSENT)
@@ -231,10 +232,10 @@ class CombinationCoverage:
         if not episode.planned or episode.validity != "valid":
             return
         spec = episode.spec
-        parts = self._parts.get(spec.scenario.name, {})
+        parts = self._parts.get(spec.scenario_name, {})
         if len(parts) < 2:
             return
-        draws = self._draws[spec.scenario.name]
+        draws = self._draws[spec.scenario_name]
         drawn = draws.setdefault(spec.seed, bytearray([_NO_PART] * len(parts)))
         for place, (path, own) in enumerate(parts.items()):
             if drawn[place] == _NO_PART:

@@ -116,7 +116,7 @@ def _twin_cases(record: SessionRecord) -> dict[CaseKey, list[tuple[str, str]]]:
 
 def _arm(case: CaseEntry, without: Iterable[str], *, faults: bool = True) -> tuple[str, ...]:
     """What the twins of a case have in common with it."""
-    planned = [fault.to_json() for fault in case.faults] if faults else []
+    planned = [fault.plain() for fault in case.faults] if faults else []
     texts = json.dumps(planned, sort_keys=True), json.dumps(sorted(without))
     return case.scenario, case.component, *texts
 

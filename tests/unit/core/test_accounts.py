@@ -94,7 +94,7 @@ def test_the_age_of_a_decision_is_that_at_which_it_came_into_force():
     episode = telling({**decided, "age": 0.0}, held, {**decided, "age": 0.2}, held, decided)
     assert episode.failure is None
     assert episode.metrics.answer_ages == [0.0, 0.2]
-    assert episode.metrics.summary()["answer_ages"] == [0.0, 0.2]
+    assert episode.metrics.summary().answer_ages == (0.0, 0.2)
 
 
 @pytest.mark.parametrize("age", ["old", True, None, -0.1, 10**400, [0.1], {"s": 0.1}, 0.3])
@@ -235,9 +235,7 @@ def test_ages_are_part_of_the_digest_where_there_are_any():
     assert "answer_ages" not in telling({"decided": True}).metrics.deterministic()
 
 
-def test_the_summary_has_tallies_as_plain_data():
+def test_the_summary_has_tallies():
     summary = telling({"decided": True, "guess": 1, "seconds": 0.5}).metrics.summary()
-    assert summary["tallies"]["guessed"] == {
-        "hits": 1, "of": 1, "null_hits": 0, "null_of": 0, "kind": "control"
-    }  # fmt: skip
-    assert summary["answer_seconds"] == [0.5]
+    assert summary.tallies["guessed"] == Tally(1, 1, 0, 0, "control")
+    assert summary.answer_seconds == (0.5,)

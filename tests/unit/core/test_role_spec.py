@@ -12,6 +12,7 @@ import thermostat
 from thermostat import Controller
 
 from pytest_dura import ConfigurationError, EpisodeSpec, Orchestrator, RoleSpec, factory
+from pytest_dura.core.codec import decode, encode
 
 
 @factory
@@ -44,7 +45,7 @@ def test_classes_factories_paths_and_specs_build_fresh_objects() -> None:
         assert one is not other
         assert one.target == 22.0
         assert not spec.opaque
-        assert RoleSpec.from_json(spec.to_json()) == spec
+        assert decode(RoleSpec, encode(spec)) == spec
 
 
 def test_the_label_is_the_last_part_of_the_path() -> None:
@@ -58,7 +59,7 @@ def test_a_bare_instance_is_opaque_and_cannot_be_rebuilt() -> None:
     assert spec.opaque
     assert spec.create() is controller
     assert spec.path == "thermostat:Controller"
-    text = message_of(lambda: RoleSpec.from_json(spec.to_json()))
+    text = message_of(decode(RoleSpec, encode(spec)).create)
     assert "bare instance" in text
     assert "remedy" in text
 

@@ -23,6 +23,7 @@ from pytest_dura import (
     Tick,
 )
 from pytest_dura.core import NOTHING, Alert, SecurityAssessment, shared
+from pytest_dura.core.codec import encode
 from pytest_dura.core.state import History
 
 
@@ -181,7 +182,7 @@ def test_nothing_is_an_empty_mapping_that_can_be_pickled() -> None:
         NOTHING["x"]
     event = Event(1, 0.1, "alert", "V1")
     assert pickle.loads(pickle.dumps(event)) == event
-    assert event.to_json()["data"] == {}
+    assert encode(event)["data"] == {}
 
 
 def test_a_role_sees_all_alerts_that_were_raised_before() -> None:

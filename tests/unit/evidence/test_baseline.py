@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from baseline_records import record, spec, verdict
 
+from pytest_dura import Fault
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import SessionRecord, claims_of, compare_claims
 
 
@@ -187,7 +189,8 @@ def test_what_varies_between_the_runs_may_differ_between_campaigns_of_other_seed
 
 
 @pytest.mark.parametrize("path, value, told", [
-    (("faults",), [{"id": "ghost", "target": "lidar"}], "faults, faults.0.id, faults.0.target"),
+    (("faults",), [encode(Fault("ghost-obstacle", "ghost", "lidar", {"at": 0.5}))],
+     "faults, faults.0.activation.at, faults.0.by_chance and 4 more"),
     (("simulator", "path"), "m:Other", "simulator.path"),
     (("termination", "violation"), True, "termination.violation"),
     (("roles", "fault_injector"), {"path": "m:I", "params": {}},

@@ -6,8 +6,8 @@ import pytest
 from entries import make
 from session_records import session_data, session_record
 
+from pytest_dura.core.metrics import EpisodeMetrics
 from pytest_dura.evidence import FailureModes, check_record
-from pytest_dura.evidence.episode_model import EpisodeMetricsEntry
 from pytest_dura.plugin.terminal_tables import failure_mode_table
 from pytest_dura.reports import (
     decision_age_lines,
@@ -32,7 +32,7 @@ def metrics(*episodes, seconds=(), ages=()):
     found = FailureModes()
     for tallies in episodes:
         told = {"tallies": tallies, "answer_seconds": list(seconds), "answer_ages": list(ages)}
-        found.add(make(EpisodeMetricsEntry, **told))
+        found.add(make(EpisodeMetrics, **told))
     return {
         "failure_modes": found.to_json(),
         "answer_times": found.answer_times(),

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 from entries import make
 
 from pytest_dura.core import FaultRecord
-from pytest_dura.evidence import UNTRACED_FAULT
+from pytest_dura.core.codec import encode
+from pytest_dura.core.metrics import TracedFault
 from pytest_dura.evidence.case_model import CaseEntry
-from pytest_dura.evidence.conclusions.cases import FaultMetrics, with_chains
-from pytest_dura.evidence.episode_model import EpisodeEntry, FaultEntry
+from pytest_dura.evidence.conclusions.cases import TRACED, FaultMetrics, with_chains
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.plugin.terminal_tables import chain_line, fault_table
 
 
@@ -27,10 +27,8 @@ def road_free(faults):
 
 
 def told(**fields: Any) -> dict[str, Any]:
-    chain = {key: fields.pop(key) for key in list(fields) if key in UNTRACED_FAULT}
-    record = FaultRecord("f", "lidar", **fields)
-    data = {**asdict(record), "read_by": list(record.read_by), **record.latencies()}
-    return {**data, **UNTRACED_FAULT, **chain}
+    chain = {key: fields.pop(key) for key in list(fields) if key in TRACED}
+    return encode(FaultRecord("f", "lidar", **fields).traced(**chain))
 
 
 def metrics(*faults: dict[str, Any]) -> dict[str, Any]:
@@ -88,9 +86,9 @@ def test_faults_of_a_case_are_told_apart_in_declared_order() -> None:
 
 
 def test_what_no_verdict_followed_is_unknown() -> None:
-    bare = asdict(FaultRecord("f", "lidar"))
+    bare = encode(FaultRecord("f", "lidar").traced())
     plain = {"id": "road/free#0", "faults": [bare]}
-    assert with_chains(plain, {})["faults"] == [{**bare, **UNTRACED_FAULT}]
+    assert with_chains(plain, {}) == plain
     (fault,) = with_chains(plain, {"f": SPREAD})["faults"]
     assert fault["manifested_at"] is None, "the loop's own record stays"
     assert fault["propagated_at"] == 1.2
@@ -127,15 +125,15 @@ def test_what_is_violated_without_the_fault_as_well_is_not_its_doing() -> None:
     assert fault_table([case])[1].split()[-1] == "1+1"
     case = road_free([metrics(shared)])
     assert fault_table([case])[1].split()[-1] == "0+1"
-    assert chain_line(make(FaultEntry, **shared)).endswith(
+    assert chain_line(make(TracedFault, **shared)).endswith(
         "recovered 2.30, violated also without it"
     )
 
 
 def test_the_chain_in_words() -> None:
     fault = {**SPREAD, "detected_by": "security_assessor", "pattern": "p", "recovery": "brake"}
-    assert chain_line(make(FaultEntry, **fault)) == (
+    assert chain_line(make(TracedFault, **fault)) == (
         "f: activated 1.00, manifested 1.00, propagated 1.20, "
         "detected 1.50 (security_assessor: p), recovery 2.00 (brake), recovered 2.30, violated"
     )
-    assert chain_line(make(FaultEntry, **IDLE)) == "f: never active"
+    assert chain_line(make(TracedFault, **IDLE)) == "f: never active"

@@ -4,6 +4,8 @@ from conclusions import concluded
 from entries import make
 from session_records import episode
 
+from pytest_dura import Fault
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import Coverage
 from pytest_dura.evidence.case_model import CasePlan, CoverageEntry
 from pytest_dura.evidence.conclusions import operating_domain as module
@@ -60,10 +62,10 @@ def test_pairs_stand_worst_first_and_too_many_are_counted(monkeypatch):
 
 
 def test_a_seed_counts_once_and_a_case_adds_what_another_leaves_out():
-    variation = {"world.x": SQUARE["world.x"], "faults.f.at": {"min": 0.0, "max": 1.0}}
+    variation = {"world.x": SQUARE["world.x"], "faults.f.activation.at": {"min": 0.0, "max": 1.0}}
     cases = [case("a", variation), case("a+none", variation)]
     with_fault = run("a", 1, {"x": 1.0}).to_json()
-    with_fault["spec"]["faults"] = [{"id": "f", "target": "t", "at": 0.1}]
+    with_fault["spec"]["faults"] = [encode(Fault("noise", "f", "t", {"at": 0.1}))]
     with_fault = make(EpisodeEntry, **with_fault)
     for episodes in ([run("a+none", 1, {"x": 1.0}), with_fault, with_fault], [with_fault]):
         (pair,) = computed(cases, episodes).combinations.worst

@@ -10,8 +10,8 @@ import pytest
 from entries import make
 from session_records import episode, session_data, session_record, verdict
 
+from pytest_dura.core.metrics import TracedFault
 from pytest_dura.evidence import SessionRecord
-from pytest_dura.evidence.episode_model import FaultEntry
 from pytest_dura.reports import plot_data
 from pytest_dura.reports.html import plot_sections
 from pytest_dura.reports.html.page import render
@@ -133,7 +133,7 @@ def test_a_flow_counts_states_and_ways_and_ends_where_nothing_follows():
 
 def test_the_chain_of_a_fault():
     def fault(**changes):
-        return make(FaultEntry, **{**episode("a+f")["faults"][0], **changes})
+        return make(TracedFault, **{**episode("a+f")["faults"][0], **changes})
 
     assert chain_of(fault(manifested_at=None)) == ("planned", "no effect")
     assert chain_of(fault()) == (

@@ -8,12 +8,16 @@ import pytest
 from entries import make
 
 from pytest_dura import ConfigurationError
-from pytest_dura.evidence import UNTRACED_FAULT
+from pytest_dura.core.codec import encode
+from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.episodes import EpisodeSpool
 
 DIGEST = "d" * 64
 TRACE = make(TraceEntry, file="episodes/x.mcap").to_json()
+
+
+UNTRACED = encode(FaultRecord("f", "lidar").traced())
 
 
 def episode(run=0, case="a/b", component="C", seed=None, faults=(), **changes):
@@ -52,7 +56,7 @@ def test_the_first_of_equal_inputs_stays_and_planned_holds_once_it_was_true():
 
 def test_chains_are_told_of_planned_episodes_whichever_comes_first():
     spool = EpisodeSpool()
-    told = {**UNTRACED_FAULT, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
+    told = {**UNTRACED, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
     spool.add_chain({**told, "id": "f"})
     spool.add_chain({**told, "id": "f", "outcome": "violated"})
     spool.add_chain({**told, "id": "f", "component": "D"})
@@ -102,7 +106,7 @@ def test_what_is_added_after_a_reading_is_in_the_next():
     assert [(each.trace, each.faults[0].outcome) for each in spool] == [(None, None)]
     spool.add_trace({"id": "a/b#0", "component": "C", "digest": DIGEST, "trace": TRACE})
     assert [each.trace for each in spool] == [TraceEntry(**TRACE)]
-    chain = {**UNTRACED_FAULT, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
+    chain = {**UNTRACED, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
     reading = iter(spool)
     spool.add_chain({**chain, "id": "f"})
     list(reading)
