@@ -1,6 +1,5 @@
 from .adapters.black_box import BlackBox, Input, InputCurve
 from .campaign.campaign import Campaign, PairedCampaign, RequirementViolated
-from .campaign.falsification import Falsification
 from .campaign.runner import Runner
 from .core.conformance import check_role
 from .core.episode import Episode, EpisodeSpec, Policy, Termination
@@ -60,6 +59,7 @@ from .requirements.checks import CheckResult
 from .requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, SearchedEpisode
 from .requirements.model import Paired, Requirement
 from .requirements.monitoring.stl_monitor import StlSafetyMonitor
+from .requirements.searches import Falsification
 from .search.falsify import Falsified
 
 __version__: str

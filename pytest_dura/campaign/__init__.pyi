@@ -11,35 +11,19 @@ from .events import (
     VerdictReached,
 )
 from .falsification import (
-    Falsification,
-    FoundCounterexample,
     Limits,
-    ParameterChange,
-    ReplayCount,
-    SearcherReport,
-    SearchOutcome,
-    Shrinking,
-    SpaceCoverage,
 )
 
 __all__ = [
     "EpisodeUsed",
     "EventStream",
-    "Falsification",
     "FaultsTraced",
-    "FoundCounterexample",
     "Limits",
     "MonitorsMeasured",
-    "ParameterChange",
     "Progress",
-    "ReplayCount",
     "RunningCampaign",
     "SearchEnded",
-    "SearchOutcome",
     "SearchedEpisodeUsed",
-    "SearcherReport",
     "SessionEvent",
-    "Shrinking",
-    "SpaceCoverage",
     "VerdictReached",
 ]

@@ -34,10 +34,10 @@ from pytest_dura.requirements.pairs import Change, Pair, PairCounts, check_compa
 from pytest_dura.requirements.runs import Run
 
 if TYPE_CHECKING:
-    from pytest_dura.campaign.falsification import Falsification
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.library.fault_campaigns import FaultCampaign
     from pytest_dura.library.loading import Library
+    from pytest_dura.requirements.searches import Falsification
 
 
 ObjectiveLike: TypeAlias = "str | Requirement | Check"

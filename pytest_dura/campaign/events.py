@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
-    from pytest_dura.campaign.falsification import Falsification
     from pytest_dura.core.metrics import TracedFault
     from pytest_dura.library.cases import Case, SearchedCase
     from pytest_dura.requirements.campaign_judge import CampaignJudge
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from pytest_dura.requirements.judgements import Judgement
     from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.monitoring.quality import MonitorQuality
+    from pytest_dura.requirements.searches import Falsification
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from pytest_dura.campaign.events import (
     RunningCampaign,
     SearchedEpisodeUsed,
 )
-from pytest_dura.campaign.falsification import Falsification, Falsifier
+from pytest_dura.campaign.falsification import Falsifier
 from pytest_dura.campaign.fault_tracing import TWINS_SUBJECT, causal_chains
 from pytest_dura.core.boundary import ROLE_TIMEOUT
 from pytest_dura.core.episode import Divergence, Episode, EpisodeSpec
@@ -40,6 +40,7 @@ from pytest_dura.library.scenario import Scenario
 from pytest_dura.requirements.campaign_judge import CampaignJudge
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpisode
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.searches import Falsification
 
 
 @dataclass(repr=False)

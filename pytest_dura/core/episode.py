@@ -211,6 +211,7 @@ class EpisodeSpec:
             "roles": {name: fields_as_data(role) for name, role in sorted(self.roles.items())},
             "scenario": dict(self.scenario),
             "faults": [fault.plain() for fault in self.faults],
+            "policy": str(self.policy),
             "termination": fields_as_data(self.termination),
             "timeouts": None if self.timeouts is None else list(self.timeouts),
         }

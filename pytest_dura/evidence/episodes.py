@@ -28,6 +28,7 @@ from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.conclusions.cases import with_chains
 from pytest_dura.evidence.entry import Coded, Entry, JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.sessions import OWN_ORIGIN
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
 from pytest_dura.requirements.hazards import Hazard
@@ -139,9 +140,8 @@ class ItemReport:
         judgements: What it asked, on campaigns and on single episodes.
         verdicts: On campaigns, for the formats that the process of the item writes; they follow
             from the judgements, and do not leave it.
-        outcomes: ``EpisodeOutcome.to_json()`` of tests on one episode, likewise.
-        searches: ``Falsification.to_json()``, with the ``scenario`` of its case, the ``simulator``
-            and the ``roles``.
+        outcomes: Of tests on one episode, likewise.
+        searches: For violations, without the item.
         monitors: How good they are.
         chains: How far each fault got, with the ``episode`` and its ``case``.
         claimed: Cases of what the item is to decide, which may never run.
@@ -171,7 +171,7 @@ class ItemReport:
     judgements: list[Coded[Judgement]] = field(default_factory=list)
     verdicts: list[Coded[CampaignVerdict]] = field(default_factory=list)
     outcomes: list[JsonObject] = field(default_factory=list)
-    searches: list[JsonObject] = field(default_factory=list)
+    searches: list[Coded[RecordedSearch]] = field(default_factory=list)
     monitors: list[Coded[MonitorQuality]] = field(default_factory=list)
     chains: list[JsonObject] = field(default_factory=list)
     claimed: list[CasePlan] = field(default_factory=list)

@@ -15,8 +15,9 @@ from pytest_dura.core.codec import Count
 if TYPE_CHECKING:
     from pytest_dura.evidence.case_model import CaseEntry, RepeatEntry
     from pytest_dura.evidence.item_verdicts import ItemVerdict
-    from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
+    from pytest_dura.evidence.searches import RecordedSearch
     from pytest_dura.requirements.campaign_verdicts import CampaignStatus
+    from pytest_dura.requirements.searches import Falsification, SearchOutcome
 
 _REPEAT_RESULTS = ("different", "failed", "within tolerances", "equal", "skipped")
 """Results of a repetition. Of several the first in this order counts."""
@@ -142,7 +143,7 @@ OBJECTIONABLE_OUTCOMES = {
 """Wording of the outcomes that the gate does not accept; the worst first."""
 
 
-def _search_objections(searches: Sequence[SearchEntry]) -> list[str]:
+def _search_objections(searches: Sequence[RecordedSearch]) -> list[str]:
     """Write a sentence for every outcome that the gate does not accept; the worst first.
 
     A search is undecided since too many of its simulations are missing, invalid or open, and not
@@ -158,13 +159,13 @@ def _search_objections(searches: Sequence[SearchEntry]) -> list[str]:
     ]
 
 
-def outcome_status(search: SearchEntry, outcome: SearchOutcomeEntry) -> str:
+def outcome_status(search: Falsification, outcome: SearchOutcome) -> str:
     """Status of an outcome; ``baseline`` where a baseline alone met a violation."""
     name = outcome.requirement
-    if outcome.word in VIOLATED_OUTCOMES:
-        return outcome.word
+    if outcome.status in VIOLATED_OUTCOMES:
+        return outcome.status
     baseline_violates = any(baseline.first.get(name) is not None for baseline in search.baselines)
-    return "baseline" if baseline_violates else outcome.word
+    return "baseline" if baseline_violates else outcome.status
 
 
 def outcome_objection(requirement: str, case: str, status: str) -> str:
@@ -213,7 +214,7 @@ class Gate:
         verdicts: Sequence[ItemVerdict],
         objections: Sequence[str],
         *,
-        searches: Sequence[SearchEntry],
+        searches: Sequence[RecordedSearch],
         interrupted: bool,
         exit_code: int,
         failed: int,
@@ -249,7 +250,7 @@ class Gate:
 
 
 def verdict_objections(
-    verdicts: Sequence[ItemVerdict], searches: Sequence[SearchEntry], *, warn_undecided: bool
+    verdicts: Sequence[ItemVerdict], searches: Sequence[RecordedSearch], *, warn_undecided: bool
 ) -> list[str]:
     """Write a sentence for every verdict and search that the gate does not accept, worst first.
 

@@ -25,7 +25,7 @@ from pytest_dura.evidence.episodes import (
 from pytest_dura.evidence.gate import Gate, worse_repeat
 from pytest_dura.evidence.item_verdicts import Waiver, WaiverKind
 from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
-from pytest_dura.evidence.search_model import SearchRecords
+from pytest_dura.evidence.searches import SearchRecords
 from pytest_dura.evidence.sessions import ResumeRecord
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement

@@ -35,7 +35,7 @@ from pytest_dura.evidence.merge_checks import (
 )
 from pytest_dura.evidence.model import SessionRecord, Totals, components_under_test
 from pytest_dura.evidence.objections import other_objections
-from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.session_model import LanguageModelEntry, MergedShard
 from pytest_dura.evidence.sessions import merged_resume
 from pytest_dura.evidence.traces import is_trace_path
@@ -228,7 +228,7 @@ def _model_key(model: LanguageModelEntry) -> tuple[Any, ...]:
 def _merged_gate(
     parts: Sequence[ShardBundle],
     verdicts: Sequence[ItemVerdict],
-    searches: Sequence[SearchEntry],
+    searches: Sequence[RecordedSearch],
     objections: Sequence[str],
 ) -> Gate:
     """Judge the whole by the rules of a session.

@@ -16,7 +16,7 @@ from pytest_dura.evidence.entry import Absent, Coded, Count, Entry, JsonObject, 
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import Gate
 from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
-from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.session_model import (
     ComponentEntry,
     ComponentUnderTest,
@@ -168,7 +168,7 @@ class RecordHead(Entry):
     """Cases whose episodes cannot be trusted."""
     verdicts: list[Coded[ItemVerdict]]
     """Sorted by case and requirement."""
-    searches: list[SearchEntry]
+    searches: list[Coded[RecordedSearch]]
     """What searches for violations came to (`campaign.falsify`). None of it is part of a verdict or
     of a rate."""
     monitors: list[Coded[MonitorQuality]]

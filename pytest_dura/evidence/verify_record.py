@@ -27,12 +27,7 @@ from pytest_dura.evidence.hazards import hazard_problems
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.redaction import holds_redaction
-from pytest_dura.evidence.search_model import (
-    FoundCounterexample,
-    SearchEntry,
-    SearcherEntry,
-    SearchOutcomeEntry,
-)
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.session_model import ComponentEntry, ComponentUnderTest
 from pytest_dura.evidence.sessions import resume_problems, shard_problems
 from pytest_dura.evidence.text import one_line
@@ -41,6 +36,7 @@ from pytest_dura.requirements.campaign_verdicts import TEST_FAILED
 from pytest_dura.requirements.episode_verdicts import EARLY_ENDS, CheckVerdict
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.searches import FoundCounterexample, SearcherReport, SearchOutcome
 
 
 def episode_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> Iterator[str]:
@@ -267,7 +263,7 @@ def search_problems(record: SessionRecord) -> Iterator[str]:
     counter: Counter[bytes] = Counter()
     for search in record.head.searches:
         place = f"search by {search.item} on {search.case}"
-        counter[canonical(search.to_json(exclude={"waiver"}))] += 1
+        counter[canonical(replace(search, waiver=None))] += 1
         if search.component not in described:
             yield f"{place}: {search.component} is not described"
         for problem in (*_search_count_problems(search), *_outcome_problems(search, listed)):
@@ -293,14 +289,14 @@ def _search_in_rate_problems(record: SessionRecord) -> Iterator[str]:
                 yield f"{name}: a search chose its counterexample {counterexample.episode}"
 
 
-def _search_count_problems(search: SearchEntry) -> Iterator[str]:
+def _search_count_problems(search: RecordedSearch) -> Iterator[str]:
     total = search.simulations
     if not 0 < total <= search.budget:
         yield f"{total} simulations, and its budget is {search.budget}"
     if search.unknown > total:
         yield f"{search.unknown} of {total} simulations said nothing"
-    if search.idle > total:
-        yield f"an added fault never came to act in {search.idle} of {total} simulations"
+    if search.not_manifested > total:
+        yield f"an added fault never came to act in {search.not_manifested} of {total} simulations"
     done = sum(searcher.simulations for searcher in search.searchers)
     if done != total:
         yield f"{total} simulations, and its searchers did {done}"
@@ -310,7 +306,7 @@ def _search_count_problems(search: SearchEntry) -> Iterator[str]:
     yield from _searcher_problems(search, names)
 
 
-def _searcher_problems(search: SearchEntry, names: Sequence[str]) -> Iterator[str]:
+def _searcher_problems(search: RecordedSearch, names: Sequence[str]) -> Iterator[str]:
     for kind, searchers in (("searchers", search.searchers), ("baselines", search.baselines)):
         if len({searcher.name for searcher in searchers}) < len(searchers):
             yield f"one of its {kind} is listed twice"
@@ -325,7 +321,7 @@ def _searcher_problems(search: SearchEntry, names: Sequence[str]) -> Iterator[st
             yield f"{baseline.name}: a baseline of {baseline.simulations} simulations"
 
 
-def _problems_of_searcher(searcher: SearcherEntry, names: Sequence[str]) -> Iterator[str]:
+def _problems_of_searcher(searcher: SearcherReport, names: Sequence[str]) -> Iterator[str]:
     if set(searcher.best) != set(names) or set(searcher.first) != set(names):
         yield "its figures are of other requirements"
     for name, first in searcher.first.items():
@@ -333,7 +329,7 @@ def _problems_of_searcher(searcher: SearcherEntry, names: Sequence[str]) -> Iter
             yield f"violated {name} at {first} of its {searcher.simulations} simulations"
 
 
-def _outcome_problems(search: SearchEntry, listed: Mapping[str, Requirement]) -> Iterator[str]:
+def _outcome_problems(search: RecordedSearch, listed: Mapping[str, Requirement]) -> Iterator[str]:
     for outcome in search.outcomes:
         name = outcome.requirement
         problems = [
@@ -349,17 +345,16 @@ def _outcome_problems(search: SearchEntry, listed: Mapping[str, Requirement]) ->
         yield from (f"{name}: {problem}" for problem in problems)
 
 
-def _outcome_status_problems(search: SearchEntry, outcome: SearchOutcomeEntry) -> Iterator[str]:
+def _outcome_status_problems(search: RecordedSearch, outcome: SearchOutcome) -> Iterator[str]:
     """Check the status of an outcome against its counterexample and its silent simulations."""
-    status, counterexample = outcome.word, outcome.counterexample
+    status, counterexample = outcome.status, outcome.counterexample
     if (counterexample is not None) != (status in VIOLATED_OUTCOMES):
         yield f"{status}, and {'a' if counterexample is not None else 'no'} counterexample"
     elif counterexample is not None:
         repeats = counterexample.repeats
         if not max(repeats.violated, repeats.equal) <= repeats.runs:
             yield f"more repeats than {repeats.runs}"
-        confirmed = 0 < repeats.runs == repeats.violated == repeats.equal
-        if confirmed != (status == "falsified"):
+        if repeats.confirmed != (status == "falsified"):
             text = f"{repeats.violated} violated and {repeats.equal} equal"
             yield f"{status}, and of {repeats.runs} replays {text}"
         if not search.baselines:
@@ -374,7 +369,7 @@ def _outcome_status_problems(search: SearchEntry, outcome: SearchOutcomeEntry) -
             yield f"{status}, and {text} said nothing of a requirement"
 
 
-def _first_violation_problems(search: SearchEntry, outcome: SearchOutcomeEntry) -> Iterator[str]:
+def _first_violation_problems(search: RecordedSearch, outcome: SearchOutcome) -> Iterator[str]:
     """Compare first violation and least robustness with those of the searchers."""
     name, total = outcome.requirement, search.simulations
     hits, baseline_hits = (
@@ -398,14 +393,14 @@ def _first_violation_problems(search: SearchEntry, outcome: SearchOutcomeEntry) 
         yield f"its least robustness is {outcome.best}, and its searchers say {least}"
 
 
-def _first_violations(searchers: Sequence[SearcherEntry], requirement: str) -> dict[str, int]:
+def _first_violations(searchers: Sequence[SearcherReport], requirement: str) -> dict[str, int]:
     """Number of the first violating simulation of each searcher that violated a requirement."""
     firsts = {each.name: each.first.get(requirement) for each in searchers}
     return {who: first for who, first in firsts.items() if first is not None}
 
 
 def _counterexample_problems(
-    search: SearchEntry, counterexample: FoundCounterexample
+    search: RecordedSearch, counterexample: FoundCounterexample
 ) -> Iterator[str]:
     if not counterexample.case.startswith(f"{search.scenario}{_EPISODE_MARK}"):
         place = f"its counterexample {counterexample.case}"

@@ -90,8 +90,8 @@ class SessionInputs:
             roles = {name: role["path"] for name, role in spec["roles"].items()}
             self._add_roles(spec["simulator"]["path"], roles)
         for search in report.searches:
-            self._add_scenario(search["scenario"])
-            self._add_roles(search["simulator"], search["roles"])
+            self._add_scenario(search.scenario)
+            self._add_roles(search.simulator, search.roles)
 
     def _add_roles(self, simulator: str, roles: Mapping[str, str]) -> None:
         """Add simulator and roles by their import paths, without the component under test."""

@@ -22,7 +22,7 @@ from uuid import uuid4
 
 import pytest
 
-from pytest_dura.core.codec import encode
+from pytest_dura.core.codec import encode, fields_as_data
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
@@ -350,7 +350,9 @@ def _report_item(context: SessionContext, event: ItemJudged) -> None:
     for result in results:
         verdict = result.verdict or result.outcome
         if verdict is not None:
-            data = verdict.to_json() if isinstance(verdict, EpisodeOutcome) else encode(verdict)
+            data = encode(verdict)
+            if isinstance(verdict, EpisodeOutcome):
+                data = data.pop("judged") | data
             text = _verdict_json(context.redact(data))
             _attach(text, f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
@@ -554,7 +556,7 @@ def _attach_all(episode: Episode, trace: Trace, judged: EpisodeVerdict | None, c
     from pytest_dura.reports.episode_view import signals_csv
     from pytest_dura.reports.html.player import player_page
 
-    verdicts = [] if judged is None else [{**judged.to_json(), "check": check}]
+    verdicts = [] if judged is None else [{**fields_as_data(judged), "check": check}]
     _attach(_plot(episode, judged, check), "plot", "SVG")
     _attach(player_page(trace, verdicts, episode.described_measures), "animation", "HTML")
     _attach(signals_csv(trace), "signals", "CSV")

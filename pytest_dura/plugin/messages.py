@@ -180,21 +180,10 @@ def failure_text(error: DuraError) -> str:
     falsification = getattr(error, "falsification", None)
     if falsification is None:
         return str(error)
-    from pytest_dura.evidence.entry import plain_data
-    from pytest_dura.evidence.search_model import SearchEntry
     from pytest_dura.reports.searches import failure_lines
 
-    # The message shows nothing of these; the record gets them from the session.
-    unshown: dict[str, Any] = {
-        "scenario": "",
-        "simulator": "",
-        "roles": {},
-        "item": "",
-        "waiver": None,
-    }
-    data = plain_data({**falsification.to_json(), **unshown})
     not_kept = [f"not kept: {reason}" for reason in getattr(error, "not_kept", ())]
-    return "\n".join([*failure_lines(SearchEntry.model_validate(data)), *not_kept])
+    return "\n".join([*failure_lines(falsification), *not_kept])
 
 
 class usage_errors:  # noqa: N801 - reads like a statement

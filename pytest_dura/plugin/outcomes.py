@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import pytest
 
-from pytest_dura.core.codec import decode, encode
+from pytest_dura.core.codec import decode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.markers import Target, decides_nothing, marked_requirements
 from pytest_dura.plugin.options import LONG_NAMES
@@ -82,9 +82,6 @@ class UsedEpisodes:
         return f"undecided: {counts} episodes are invalid ({first}: {self._invalid[first]})"
 
 
-_OWN_KEYS = ("case", "planned", "at_most", "confidence")
-
-
 @dataclass(frozen=True)
 class EpisodeOutcome:
     """Outcome of a test on one episode for one requirement.
@@ -105,22 +102,14 @@ class EpisodeOutcome:
     at_most: float | None
     confidence: float
 
-    def to_json(self) -> dict[str, Any]:
-        """Convert to plain data, as an item's report holds it."""
-        own = {name: getattr(self, name) for name in _OWN_KEYS}
-        return {**self.judged.to_json(), "assertion": encode(self.assertion), **own}
 
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> EpisodeOutcome:
-        """Make the outcome that an item's report holds."""
-        from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-        from pytest_dura.requirements.judgements import Assertion
+def _reported_outcome(data: Mapping[str, Any]) -> EpisodeOutcome:
+    """Read an outcome of an item's report."""
+    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
+    from pytest_dura.requirements.judgements import Assertion
 
-        return cls(
-            EpisodeVerdict.from_json(data),
-            decode(Assertion, data["assertion"]),
-            **{name: data[name] for name in _OWN_KEYS},
-        )
+    judged, assertion = decode(EpisodeVerdict, data["judged"]), decode(Assertion, data["assertion"])
+    return EpisodeOutcome(**{**data, "judged": judged, "assertion": assertion})
 
 
 @dataclass(frozen=True)
@@ -206,7 +195,7 @@ def item_results(
     if report is not None:
         # A search decides its requirements without a verdict.
         answered |= {
-            outcome["requirement"] for search in report.searches for outcome in search["outcomes"]
+            outcome.requirement for search in report.searches for outcome in search.outcomes
         }
     target = target_of(item)
     for name, requirement in claimed.items():
@@ -281,7 +270,7 @@ def _decided_results(
             outcome=outcome,
             episode=episode,
         )
-        for outcome in map(EpisodeOutcome.from_json, report.outcomes)
+        for outcome in map(_reported_outcome, report.outcomes)
     ]
     order = list(claimed)
     last = len(order)

@@ -13,7 +13,6 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -256,8 +255,6 @@ class PropertyTests:
         return None
 
     def _store(self, item: pytest.Item, case: SearchedCase, objective: Objective) -> Iterator[str]:
-        from pytest_dura.evidence.entry import plain_data
-        from pytest_dura.evidence.search_model import FoundCounterexample
         from pytest_dura.plugin.context import rerun_command
         from pytest_dura.reports.searches import kept_lines
         from pytest_dura.search.counterexamples import (
@@ -291,8 +288,7 @@ class PropertyTests:
         )
         command = rerun_command(self.context, f"{counterexample.name}::{written[0].requirement.id}")
         yield f"{case.id} violates {name}, confirmed by replay with an equal digest"
-        entry = FoundCounterexample.model_validate(plain_data(asdict(counterexample)))
-        yield from kept_lines(entry, command)
+        yield from kept_lines(counterexample, command)
 
 
 def _leaves(error: BaseException) -> Iterator[BaseException]:

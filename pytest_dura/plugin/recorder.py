@@ -229,25 +229,26 @@ class ItemRecorder:
 
     def search_ended(self, event: SearchEnded) -> None:
         """Record a search for violations, whatever its test makes of it."""
-        from pytest_dura.evidence.entry import plain_data
+        from pytest_dura.evidence.searches import RecordedSearch
         from pytest_dura.requirements.model import Requirement
 
-        case, falsification = event.case, event.search.to_json()
+        case, search = event.case, event.search
         spec = self.context.runner.task(case).spec
         self._component_used(spec.roles["generator"])
         self._models.used(spec)
         library = self.context.library().requirements
-        for outcome in falsification["outcomes"]:
-            name, check = outcome["requirement"], outcome["check"]
+        for outcome in search.outcomes:
+            name = outcome.requirement
             known = library.get(name) or self.context.marked.get(name)
-            self._requirement_used(known or Requirement(name, check=check))
+            self._requirement_used(known or Requirement(name, check=outcome.check))
             self._decided.add((name, case.id))
-        about = {
-            "scenario": case.scenario.name,
-            "simulator": spec.simulator.path,
-            "roles": {name: role.path for name, role in spec.roles.items()},
-        }
-        self._report.searches.append({**plain_data(falsification), **about})
+        known_search = RecordedSearch(
+            **vars(search),
+            scenario=case.scenario.name,
+            simulator=spec.simulator.path,
+            roles={name: role.path for name, role in spec.roles.items()},
+        )
+        self._report.searches.append(known_search)
 
     def monitors_measured(self, event: MonitorsMeasured) -> None:
         """Record how good a case's monitors are."""
@@ -512,6 +513,8 @@ class ItemRecorder:
         self, item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException] | None
     ) -> None:
         """Record the outcome of a test on one episode for the requirements in its markers."""
+        from pytest_dura.core.codec import encode
+
         target, episode = (
             marked_target(item, ["episode"]),
             given_to(item, "episode"),
@@ -529,5 +532,5 @@ class ItemRecorder:
             )
             if outcome.judged.verdict == "violated":
                 self.traces.violated(episode)
-            self._report.outcomes.append(outcome.to_json())
+            self._report.outcomes.append(encode(outcome))
             self._report.judgements.append(_test_judgement(outcome, episode))

@@ -419,6 +419,7 @@ def _write_player(
 
 def _verdicts(recorded: RecordedEpisode, episode: Episode) -> list[dict[str, Any]]:
     """Judge the replayed episode by the requirements of its case."""
+    from pytest_dura.core.codec import fields_as_data
     from pytest_dura.requirements.episode_verdicts import judge_episode
 
     verdicts: list[dict[str, Any]] = []
@@ -432,5 +433,5 @@ def _verdicts(recorded: RecordedEpisode, episode: Episode) -> list[dict[str, Any
             missing = {"requirement": requirement.id, "verdict": "missing", "detail": error.problem}
             verdicts.append({**missing, **about})
         else:
-            verdicts.append({**verdict.to_json(), **about})
+            verdicts.append({**fields_as_data(verdict), **about})
     return verdicts

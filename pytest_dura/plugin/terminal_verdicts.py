@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.item_verdicts import ItemVerdict
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry, SearchOutcomeEntry
+    from pytest_dura.evidence.searches import RecordedSearch
     from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.requirements.searches import SearcherReport, SearchOutcome
 
 
 LONGEST_TEXT = 2000
@@ -233,7 +234,7 @@ def show_searches(context: SessionContext, terminal: Any, record: SessionRecord)
         terminal.line(line)
 
 
-def _show_search(context: SessionContext, terminal: Any, search: SearchEntry) -> None:
+def _show_search(context: SessionContext, terminal: Any, search: RecordedSearch) -> None:
     waiver = f" [{search.waiver.kind}]" if search.waiver else ""
     terminal.line(f"search     {name(search.case)} ({name(search.component)}){waiver}")
     for line in _wrapped(f"{simulations_text(search)}; seed {search.seed}", 11):
@@ -243,9 +244,9 @@ def _show_search(context: SessionContext, terminal: Any, search: SearchEntry) ->
 
 
 def _show_outcome(
-    context: SessionContext, terminal: Any, search: SearchEntry, outcome: SearchOutcomeEntry
+    context: SessionContext, terminal: Any, search: RecordedSearch, outcome: SearchOutcome
 ) -> None:
-    status, requirement = outcome.word, outcome.requirement
+    status, requirement = outcome.status, outcome.requirement
     head = outcome_headline(search, outcome)
     for line in textwrap.wrap(head, _SEARCH_WIDTH, subsequent_indent="  ", break_on_hyphens=False):
         terminal.line(line, **_SEARCH_COLOURS.get(status, {}))
@@ -279,7 +280,7 @@ def _wrapped(text: str, indent: int) -> list[str]:
     return textwrap.wrap(text, _SEARCH_WIDTH, initial_indent=space, subsequent_indent=space)
 
 
-def _searcher_table(search: SearchEntry, requirement: str) -> Iterator[str]:
+def _searcher_table(search: RecordedSearch, requirement: str) -> Iterator[str]:
     """Write the searchers, and below them each trivial baseline by itself."""
     columns = shown_in(SEARCHER_COLUMNS, Shown.TERMINAL)
     nothing = [""] * len(columns)
@@ -294,7 +295,7 @@ def _searcher_table(search: SearchEntry, requirement: str) -> Iterator[str]:
 
 
 def _searcher_line(
-    columns: Sequence[Column[SearcherRow]], searcher: SearcherEntry, requirement: str
+    columns: Sequence[Column[SearcherRow]], searcher: SearcherReport, requirement: str
 ) -> tuple[str, list[str]]:
     row = SearcherRow(searcher, requirement)
     return searcher_name(searcher), [column.cell(row).terminal for column in columns]

@@ -16,15 +16,16 @@ from pytest_dura.evidence.gate import (
     outcome_status,
 )
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.search_model import (
-    FoundCounterexample,
-    ParameterChangeEntry,
-    SearchEntry,
-    SearcherEntry,
-    SearchOutcomeEntry,
-)
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.requirements.campaign_verdicts import violation_text
+from pytest_dura.requirements.searches import (
+    Falsification,
+    FoundCounterexample,
+    ParameterChange,
+    SearcherReport,
+    SearchOutcome,
+)
 
 _MOST_NAMES = 8
 """Outcomes that a sentence names."""
@@ -34,24 +35,24 @@ NOTHING_SUPPORTED = (
 )
 
 
-def outcome_rank(search: SearchEntry, outcome: SearchOutcomeEntry) -> int:
+def outcome_rank(search: Falsification, outcome: SearchOutcome) -> int:
     """Place of an outcome in a list that begins with the worst."""
     return _OUTCOME_RANK.get(outcome_status(search, outcome), len(_OUTCOME_RANK))
 
 
-def simulations_text(search: SearchEntry) -> str:
+def simulations_text(search: Falsification) -> str:
     """Simulations that were run, of the budget: ``37 of 100 simulations``."""
     text = f"{search.simulations} of {counted(search.budget, 'simulation')}"
     if search.unknown:
         text += f", {search.unknown} without an answer"
-    if search.idle:
-        text += f", {search.idle} with an added fault that never came to act"
+    if search.not_manifested:
+        text += f", {search.not_manifested} with an added fault that never came to act"
     if search.refused:
         text += f"; {counted(search.refused, 'point')} refused"
     return text
 
 
-def ordered_outcomes(record: SessionRecord) -> list[tuple[SearchEntry, SearchOutcomeEntry]]:
+def ordered_outcomes(record: SessionRecord) -> list[tuple[RecordedSearch, SearchOutcome]]:
     """Searches with their outcomes, the worst first."""
     outcomes = [(search, outcome) for search in record.head.searches for outcome in search.outcomes]
     return sorted(outcomes, key=lambda pair: outcome_rank(*pair))
@@ -59,7 +60,7 @@ def ordered_outcomes(record: SessionRecord) -> list[tuple[SearchEntry, SearchOut
 
 def outcome_counts_text(record: SessionRecord) -> str:
     """Outcomes by status: ``1 falsified, 2 nothing found``; empty without a search."""
-    counts = Counter[str](outcome.word for _, outcome in ordered_outcomes(record))
+    counts = Counter[str](outcome.status for _, outcome in ordered_outcomes(record))
     return ", ".join(
         f"{counts[status]} {status}"
         for status in (*OBJECTIONABLE_OUTCOMES, NOTHING_FOUND)
@@ -67,7 +68,7 @@ def outcome_counts_text(record: SessionRecord) -> str:
     )
 
 
-def outcome_headline(search: SearchEntry, outcome: SearchOutcomeEntry, where: str = "") -> str:
+def outcome_headline(search: Falsification, outcome: SearchOutcome, where: str = "") -> str:
     """The outcome, the requirement, and what the outcome rests on.
 
     Args:
@@ -75,7 +76,7 @@ def outcome_headline(search: SearchEntry, outcome: SearchOutcomeEntry, where: st
         outcome: One of its outcomes.
         where: What stands behind the requirement, such as `` on a/clear``.
     """
-    status, requirement = outcome.word, f"{name(outcome.requirement)}{where}"
+    status, requirement = outcome.status, f"{name(outcome.requirement)}{where}"
     counterexample = outcome.counterexample
     if counterexample is not None:
         repeats = counterexample.repeats
@@ -94,7 +95,7 @@ def outcome_headline(search: SearchEntry, outcome: SearchOutcomeEntry, where: st
     )
 
 
-def outcome_entries(outcome: SearchOutcomeEntry, most_changes: int) -> Iterator[tuple[str, str]]:
+def outcome_entries(outcome: SearchOutcome, most_changes: int) -> Iterator[tuple[str, str]]:
     """Labels and texts on the check, and on the counterexample as far as there is one.
 
     Args:
@@ -123,13 +124,13 @@ def _change_entries(
         yield "", f"and {len(counterexample.changes) - most} more{rest_is}"
 
 
-def baseline_note(search: SearchEntry, outcome: SearchOutcomeEntry) -> str:
+def baseline_note(search: RecordedSearch, outcome: SearchOutcome) -> str:
     """Note on an outcome that a baseline alone violated; empty for any other."""
     status = outcome_status(search, outcome)
     return OBJECTIONABLE_OUTCOMES[status] if status == "baseline" else ""
 
 
-def kept_text(outcome: SearchOutcomeEntry) -> str:
+def kept_text(outcome: SearchOutcome) -> str:
     """The scenario file that keeps the counterexample; empty where none does."""
     counterexample = outcome.counterexample
     return one_line((counterexample and counterexample.file) or "")
@@ -140,12 +141,12 @@ _MOST_CHANGES = 12
 _KEPT_FOR = ", which --dura-scenarios runs from now on"
 
 
-def failure_lines(search: SearchEntry) -> Iterator[str]:
+def failure_lines(search: Falsification) -> Iterator[str]:
     """Lines of the message of a test that fails by its search."""
     where = f" on {name(search.case)} ({name(search.component)})"
     for outcome in search.outcomes:
         yield outcome_headline(search, outcome, where)
-        if outcome.word == NOTHING_FOUND:
+        if outcome.status == NOTHING_FOUND:
             continue
         entries = [("searched", simulations_text(search)), *outcome_entries(outcome, _MOST_CHANGES)]
         if search.baselines:
@@ -172,14 +173,14 @@ def _entry_line(entry: tuple[str, str]) -> str:
     return f"{f'{label}:' if label else '':<11}{text}"
 
 
-def search_coverage_text(search: SearchEntry) -> str:
+def search_coverage_text(search: Falsification) -> str:
     """The share of the ranges that was simulated, on average, and of their pairs."""
     shares, pairs = list(search.coverage.parameters.values()), search.coverage.pairs
     text = f"{100 * sum(shares) / len(shares):.0f} % of each range" if shares else "unknown"
     return text if pairs is None else f"{text}, {100 * pairs:.0f} % of their pairs"
 
 
-def baselines_text(search: SearchEntry, requirement: str) -> str:
+def baselines_text(search: Falsification, requirement: str) -> str:
     """The simulation at which each trivial baseline violated the requirement by itself."""
     results = []
     for baseline in search.baselines:
@@ -189,12 +190,12 @@ def baselines_text(search: SearchEntry, requirement: str) -> str:
     return "; ".join(results) or "none was run"
 
 
-def is_notable_outcome(search: SearchEntry, outcome: SearchOutcomeEntry) -> bool:
+def is_notable_outcome(search: RecordedSearch, outcome: SearchOutcome) -> bool:
     """Whether a search or a baseline violated it, so that its searchers are listed."""
     return outcome_status(search, outcome) in (*VIOLATED_OUTCOMES, "baseline")
 
 
-def searcher_name(searcher: SearcherEntry) -> str:
+def searcher_name(searcher: SearcherReport) -> str:
     """Name of a searcher, and whether it learns from what it sees."""
     shown = name(searcher.name)
     return shown if searcher.trivial else f"{shown} (learns)"
@@ -225,7 +226,7 @@ def parameter_changes(counterexample: FoundCounterexample, most: int) -> Sequenc
     ]
 
 
-def _parameter_change(change: ParameterChangeEntry) -> str:
+def _parameter_change(change: ParameterChange) -> str:
     if change.value is None:
         return "left out"
     if change.nominal is None:
@@ -254,13 +255,13 @@ def _value_text(value: Any) -> str:
 
 def _outcomes_of(
     record: SessionRecord, statuses: tuple[str, ...]
-) -> list[tuple[SearchEntry, SearchOutcomeEntry]]:
+) -> list[tuple[RecordedSearch, SearchOutcome]]:
     """Searches and their outcomes of these statuses."""
     return [
         (search, outcome)
         for search in record.head.searches
         for outcome in search.outcomes
-        if outcome.word in statuses
+        if outcome.status in statuses
     ]
 
 

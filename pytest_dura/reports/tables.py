@@ -14,7 +14,7 @@ from pytest_dura.core.metrics import REACTIONS
 from pytest_dura.evidence.case_model import CaseEntry, MeasuredNumbers, OverallEntry
 from pytest_dura.evidence.gate import outcome_status
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry, SearchOutcomeEntry
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.reports.columns import (
     NO_VALUE,
@@ -40,6 +40,7 @@ from pytest_dura.reports.verdicts import no_rate_reason, rate_bound
 from pytest_dura.requirements.campaign_verdicts import weakness
 from pytest_dura.requirements.comparison import BaselineComparison
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.searches import SearcherReport, SearchOutcome
 
 # Cases.
 
@@ -381,8 +382,8 @@ COMPARISON_COLUMNS: Sequence[Column[BaselineComparison]] = (
 class OutcomeRow:
     """A search, and its outcome for a requirement."""
 
-    search: SearchEntry
-    outcome: SearchOutcomeEntry
+    search: RecordedSearch
+    outcome: SearchOutcome
 
 
 MOST_CHANGES = 6
@@ -449,7 +450,7 @@ SEARCH_COLUMNS: Sequence[Column[OutcomeRow]] = (
 class SearcherRow:
     """A searcher, or a trivial baseline, in the search for a violation of a requirement."""
 
-    searcher: SearcherEntry
+    searcher: SearcherReport
     requirement: str
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, get_args
 
 import numpy as np
@@ -189,17 +189,6 @@ class EpisodeVerdict(Shown):
     def valid(self) -> bool:
         """Whether the run counts for this requirement: in its n, its bound and its tables."""
         return self.verdict in ("satisfied", "violated", "open") and not self.without_effect
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data, in which ``not_manifested`` has the key ``idle``."""
-        data = asdict(self)
-        return {"idle" if name == "not_manifested" else name: data[name] for name in data}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> EpisodeVerdict:
-        """The inverse of :meth:`to_json`; it passes over keys of others."""
-        own = {name: data[name] for name in cls.__dataclass_fields__ if name in data}
-        return cls(**own, not_manifested=tuple(data.get("idle", ())))
 
 
 def judge_episode(

@@ -8,12 +8,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from pytest_dura.campaign.events import SearchEnded
-from pytest_dura.campaign.falsification import (
-    Falsification,
-    Limits,
-    SearchOutcome,
-    SearchStatus,
-)
+from pytest_dura.campaign.falsification import Limits
 from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
 from pytest_dura.core.seeding import derive_seed
@@ -23,6 +18,7 @@ from pytest_dura.library.requirements import check_formula
 from pytest_dura.requirements.campaign_judge import MAX_INVALID_SHARE
 from pytest_dura.requirements.checks import check_name, is_function_path
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.searches import Falsification, SearchOutcome, SearchStatus
 from pytest_dura.search.counterexamples import (
     CounterexampleStore,
     confirm_violation,

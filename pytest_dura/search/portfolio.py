@@ -6,13 +6,13 @@ import heapq
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.campaign.falsification import SearcherReport
 from pytest_dura.core.seeding import stream
+from pytest_dura.requirements.searches import SearcherReport, SearchParameter
 from pytest_dura.search.searchers import (
     BangBang,
     CmaEs,
@@ -381,20 +381,18 @@ def searcher_report(
     return SearcherReport(name, trivial, count.simulations, dict(best), dict(first))
 
 
-def parameter_report(parameter: Parameter) -> dict[str, Any]:
-    """Report what a search may choose for a parameter, as plain data."""
-    report: dict[str, Any] = {"path": parameter.path}
+def parameter_report(parameter: Parameter) -> SearchParameter:
+    """Report what a search may choose for a parameter."""
+    path = parameter.path
     if isinstance(parameter, Interval):
-        report |= {"low": parameter.low, "high": parameter.high}
-        return report if parameter.pieces is None else report | {"pieces": parameter.pieces}
+        return SearchParameter(path, parameter.low, parameter.high, parameter.pieces)
     if isinstance(parameter, OneOf):
-        return report | {"choice": list(parameter.values)}
+        return SearchParameter(path, choice=list(parameter.values))
     assert isinstance(parameter, FaultSlot)
     faults = {
-        choice.fault.id: [parameter_report(inner) for inner in choice.inner]
-        for choice in parameter.choices
+        choice.fault.id: tuple(map(parameter_report, choice.inner)) for choice in parameter.choices
     }
-    return report | {"faults": faults}
+    return SearchParameter(path, faults=faults)
 
 
 def finite_or_none(value: float) -> float | None:

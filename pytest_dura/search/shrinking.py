@@ -15,13 +15,13 @@ from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
-from pytest_dura.campaign.falsification import ParameterChange, Shrinking
 from pytest_dura.core.episode import Episode, EpisodeSpec, canonical
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.requirements.episode_verdicts import judge_episode
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.searches import ParameterChange, Shrinking
 from pytest_dura.search.simplification import (
     Nominal,
     Simplification,

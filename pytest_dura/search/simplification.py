@@ -14,7 +14,6 @@ from functools import cached_property
 from itertools import takewhile
 from typing import Any
 
-from pytest_dura.campaign.falsification import ParameterChange
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
@@ -24,6 +23,7 @@ from pytest_dura.faults.parts import Choices, Span, spans_of
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.planned_faults import parse_fault
 from pytest_dura.library.scenario import Choice, Range, check_world, world_checker
+from pytest_dura.requirements.searches import ParameterChange
 
 Keys = tuple[str | int, ...]
 """Where something is in plain data: keys of mappings, places of lists."""

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.campaign.falsification import SpaceCoverage
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
@@ -30,6 +29,7 @@ from pytest_dura.library.scenario import (
     replace_value,
     split_path,
 )
+from pytest_dura.requirements.searches import SpaceCoverage
 
 STEPS = 1000
 """Least number of grid steps in an interval."""

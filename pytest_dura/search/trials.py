@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pytest_dura.campaign.falsification import ReplayCount
 from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.execution.task import UpcomingTasks
@@ -21,6 +20,7 @@ from pytest_dura.requirements.episode_verdicts import (
     judge_searched,
 )
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.searches import ReplayCount
 from pytest_dura.search.portfolio import Batch, Outcome, SearchLog, search, trivial_searchers
 from pytest_dura.search.searchers import Searcher
 from pytest_dura.search.space import SearchSpace

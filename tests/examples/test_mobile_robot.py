@@ -138,7 +138,7 @@ def test_a_search_finds_the_blinded_monitor_and_makes_it_small(project):
     assert done.returncode == 1, done.stdout + done.stderr
     (search,) = record(project)["searches"]
     (outcome,) = search["outcomes"]
-    assert outcome["word"] == "falsified"
+    assert outcome["status"] == "falsified"
     (file,) = (project.folder / "scenarios" / "found").glob("*.yaml")
     found = yaml.safe_load(file.read_text())
     assert len(found["world"]["posts"]) == 1  # of three

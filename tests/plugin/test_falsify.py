@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 import yaml
 
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence import verify_bundle
+from pytest_dura.requirements.searches import ReplayCount
 
 HASTY = """
 from corridor import Careful
@@ -65,8 +67,8 @@ def test_what_is_found_is_confirmed_kept_and_run_from_then_on(project):
     search = the_search(project)
     (outcome,) = search.outcomes
     counterexample = outcome.counterexample
-    assert outcome.word == "falsified"
-    assert counterexample.repeats.to_json() == {"runs": 1, "violated": 1, "equal": 1}
+    assert outcome.status == "falsified"
+    assert counterexample.repeats == ReplayCount(1, 1, 1)
     assert counterexample.file == f"scenarios/found/{file.name}"
     assert (
         f"kept:      scenarios/found/{file.name}, which --dura-scenarios runs from now on"
@@ -91,7 +93,7 @@ def test_what_finds_nothing_passes_and_claims_nothing(project):
     assert found_files(project) == []
     record = project.evidence()
     (outcome,) = the_search(project).outcomes
-    assert (outcome.word, outcome.simulations) == ("nothing found", 60)
+    assert (outcome.status, outcome.simulations) == ("nothing found", 60)
     assert record.verdicts == []
     assert record.episodes == []
     text = output(result)
@@ -173,7 +175,7 @@ class Moody(Careful):
     assert result.ret == 1
     (outcome,) = the_search(project).outcomes
     repeats = outcome.counterexample.repeats
-    assert outcome.word == "not repeatable"
+    assert outcome.status == "not repeatable"
     assert (repeats.runs, repeats.equal) == (10, 0)
     assert repeats.violated in (3, 4)
     assert f"and in {repeats.violated} of 10 replays, 0 of them equal" in output(result)
@@ -220,7 +222,7 @@ def test_episodes_that_may_end_early_are_found_and_kept_all_the_same(project):
     arguments = hasty(project, arguments='"always (gap > 0.01)", budget=60')
     assert project.run(*arguments).ret == 1
     (outcome,) = the_search(project).outcomes
-    assert outcome.word == "falsified"
+    assert outcome.status == "falsified"
     assert len(found_files(project)) == 1
 
 
@@ -228,7 +230,7 @@ def test_several_requirements_are_searched_at_once(project):
     arguments = hasty(project, arguments='["GAP-1", "always (x < 9.9)"], budget=60, shrink=0')
     project.run(*arguments)
     search = the_search(project)
-    assert [one.word for one in search.outcomes] == ["falsified", "falsified"]
+    assert [one.status for one in search.outcomes] == ["falsified", "falsified"]
     assert search.simulations == max(one.simulations for one in search.outcomes)
 
 
@@ -237,7 +239,7 @@ def test_what_is_found_does_not_depend_on_who_simulates(project):
     for executor in ("in-process", "processes:2"):
         project.run(*hasty(project, RARE), f"--dura-executor={executor}")
         (outcome,) = the_search(project).outcomes
-        counterexample = outcome.counterexample.to_json()
+        counterexample = encode(outcome.counterexample)
         told.append((outcome.simulations, outcome.searcher, counterexample))
     assert told[0] == told[1]
 
@@ -252,7 +254,7 @@ def test_faults_that_never_act_leave_the_search_undecided(project):
     result = project.run(*hasty(project, arguments=arguments, generator="hasty:Mended"))
     assert result.ret == 1
     search = the_search(project)
-    assert search.outcomes[0].word == "undecided"
+    assert search.outcomes[0].status == "undecided"
     assert search.unknown == search.idle > 4
     assert verify_bundle(project.path / "dura-evidence").problems == []
 
@@ -275,7 +277,7 @@ requirements: [GAP-1]
     result = project.run("test_search.py")
     assert result.ret == 1
     (outcome,) = the_search(project).outcomes
-    assert outcome.word == "undecided"
+    assert outcome.status == "undecided"
     assert "searched:  10 of 10 simulations, 10 without an answer" in output(result)
 
 
@@ -284,7 +286,7 @@ def test_what_cannot_be_kept_is_found_all_the_same(project):
     result = project.run(*hasty(project, arguments="budget=60, shrink=0"))
     assert result.ret == 1
     (outcome,) = the_search(project).outcomes
-    assert (outcome.word, outcome.counterexample.file) == ("falsified", None)
+    assert (outcome.status, outcome.counterexample.file) == ("falsified", None)
     assert "falsified: GAP-1 on corridor/free" in output(result)
     assert "not kept: " in output(result)
     assert "a counterexample cannot be kept" in output(result)
@@ -317,7 +319,7 @@ def test_a_file_that_brings_up_another_margin_is_not_kept(project):
     result = project.run("test_search.py", "--dura-generator=fading:Fading")
     assert result.ret == 1
     (outcome,) = the_search(project).outcomes
-    assert (outcome.word, outcome.counterexample.file) == ("falsified", None)
+    assert (outcome.status, outcome.counterexample.file) == ("falsified", None)
     assert "does not come up again from its file" in output(result)
     assert found_files(project) == []
 
@@ -326,7 +328,7 @@ def test_a_check_that_no_file_can_name_is_falsified_and_said_not_to_be_kept(proj
     check = "lambda episode: episode.signals['gap'].min() - 0.01, budget=60, shrink=0"
     result = project.run(*hasty(project, arguments=check))
     (outcome,) = the_search(project).outcomes
-    assert outcome.word == "falsified"
+    assert outcome.status == "falsified"
     assert "no file can name this check" in output(result)
     assert found_files(project) == []
 
@@ -348,7 +350,7 @@ def test_a_search_adds_faults_where_no_role_is_named_to_inject_them(project):
     bias = "{'type': 'bias', 'target': 'gap', 'activation': {'at': 0.0}}"
     project.run(*hasty(project, condition="gap > 11", arguments=f"budget=60, faults={bias}"))
     (outcome,) = the_search(project).outcomes
-    assert outcome.word == "falsified"
+    assert outcome.status == "falsified"
     (file,) = found_files(project)
     assert [fault["type"] for fault in yaml.safe_load(file.read_text())["faults"]] == ["bias"]
 

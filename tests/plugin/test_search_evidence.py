@@ -74,7 +74,7 @@ def searched(project):
 
 def words(evidence):
     return {
-        (one.item.partition("[")[0], outcome.requirement): outcome.word
+        (one.item.partition("[")[0], outcome.requirement): outcome.status
         for one in evidence.searches
         for outcome in one.outcomes
     }

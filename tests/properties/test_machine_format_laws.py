@@ -75,7 +75,7 @@ def test_conformance_is_scored_where_it_is_shown_or_refuted_and_nowhere_else(rec
         clean = all(one.verdict == "supported" and one.waiver is None for one in own)
         refuted = any(one.verdict == "violated" and one.waiver is None for one in own)
         searched = {
-            outcome.word
+            outcome.status
             for one in record.head.searches
             if not one.waiver
             for outcome in one.outcomes

@@ -17,7 +17,7 @@ from scipy.stats import binom
 from pytest_dura import CampaignVerdict, EpisodeVerdict, Requirement
 from pytest_dura.evidence import Gate
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.requirements import CampaignJudge, judge_campaign, lower_bound, upper_bound
 
 RUNS = 40
@@ -397,10 +397,10 @@ def test_the_gate_passes_a_search_only_if_nothing_was_violated_and_enough_was_de
     outcome: str, baseline_violates: bool, warn_undecided: bool, waived: bool
 ) -> None:
     search = make(
-        SearchEntry,
+        RecordedSearch,
         case="case",
         waiver={"kind": "xfail", "reason": "ticket 7"} if waived else None,
-        outcomes=[{"requirement": "R", "word": outcome}],
+        outcomes=[{"requirement": "R", "status": outcome}],
         baselines=[{"first": {"R": 3 if baseline_violates else None}}],
     )
     gate = Gate.of(

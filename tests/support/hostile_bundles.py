@@ -43,7 +43,7 @@ from pytest_dura.evidence import (
 )
 from pytest_dura.evidence.conclusions.totals import Totals
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.search_model import SearchEntry
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.provenance import digest_of
 
 PROJECT = Path(__file__).parents[1] / "plugin" / "project"
@@ -314,7 +314,7 @@ def session(real, directory, spoil):
     gate = Gate.of(
         sorted(verdicts, key=lambda one: (one.case, one.requirement, one.item)),
         [spoil("an objection"), spoil("another one")],
-        searches=[SearchEntry.model_validate(one) for one in told["searches"]],
+        searches=[decode(RecordedSearch, one) for one in told["searches"]],
         interrupted=False, exit_code=1,
         failed=3, warn_undecided=False,
     )  # fmt: skip

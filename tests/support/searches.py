@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from pytest_dura.campaign import (
+from pytest_dura.core.codec import encode
+from pytest_dura.evidence.searches import RecordedSearch
+from pytest_dura.requirements.searches import (
     Falsification,
     FoundCounterexample,
     ParameterChange,
     ReplayCount,
     SearcherReport,
     SearchOutcome,
+    SearchParameter,
     Shrinking,
     SpaceCoverage,
 )
@@ -86,12 +89,11 @@ def falsification(*words, kept=None, **changes):
         "not_manifested": 2,
         "rule": "corners first, then an equal share to each",
         "parameters": (
-            {"path": "world.wall", "low": 2.0, "high": 6.0},
-            {"path": "world.ego.speed", "choice": [8.0, 9.0]},
-            {
-                "path": "faults.search-1",
-                "faults": {"delay": [{"path": "activation.at", "low": 0.0, "high": 5.0}]},
-            },
+            SearchParameter("world.wall", 2.0, 6.0),
+            SearchParameter("world.ego.speed", choice=[8.0, 9.0]),
+            SearchParameter(
+                "faults.search-1", faults={"delay": (SearchParameter("activation.at", 0.0, 5.0),)}
+            ),
         ),
         "searchers": (
             searcher("corners", 12, mild),
@@ -117,7 +119,7 @@ def told(found):
         "simulator": "rooms:Room",
         "roles": {"generator": "m:G", "safety_monitor": "m:Monitor"},
     }
-    return {**found.to_json(), **about}
+    return encode(RecordedSearch(**vars(found), **about))
 
 
 def entry(*words, item=ITEM, waiver=None, **changes):

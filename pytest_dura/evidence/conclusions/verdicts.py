@@ -26,7 +26,7 @@ from pytest_dura.evidence.item_verdicts import (
     Waiver,
 )
 from pytest_dura.evidence.model import RecordHead
-from pytest_dura.evidence.search_model import searched_claims
+from pytest_dura.evidence.searches import searched_claims
 from pytest_dura.requirements.campaign_judge import judge_campaign
 from pytest_dura.requirements.campaign_verdicts import (
     CampaignVerdict,

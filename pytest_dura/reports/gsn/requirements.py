@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pytest_dura.evidence.case_model import CellEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.search_model import SearchEntry, SearchOutcomeEntry
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.contents import requirement_anchor
 from pytest_dura.reports.gsn.element import Element, derived_id
@@ -26,6 +26,7 @@ from pytest_dura.reports.searches import (
 )
 from pytest_dura.reports.verdicts import MAX_TEXT, requirement_text
 from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.searches import SearchOutcome
 
 _MAX_SEARCH_ELEMENTS = 5
 """Counterexamples of a requirement that are elements; the record has all."""
@@ -52,8 +53,8 @@ class SearchElements:
 
 
 def _search_elements(record: SessionRecord, requirement: Requirement) -> SearchElements:
-    violations: list[tuple[int, int, SearchEntry, SearchOutcomeEntry]] = []
-    unviolated: list[tuple[int, int, SearchEntry, SearchOutcomeEntry]] = []
+    violations: list[tuple[int, int, RecordedSearch, SearchOutcome]] = []
+    unviolated: list[tuple[int, int, RecordedSearch, SearchOutcome]] = []
     for number, search in enumerate(record.head.searches):
         for place, outcome in enumerate(search.outcomes):
             if outcome.requirement == requirement.id:
@@ -71,7 +72,7 @@ def _search_elements(record: SessionRecord, requirement: Requirement) -> SearchE
 
 
 def _counter_solution(
-    number: int, place: int, search: SearchEntry, outcome: SearchOutcomeEntry
+    number: int, place: int, search: RecordedSearch, outcome: SearchOutcome
 ) -> Element:
     counterexample, case = outcome.counterexample, name(search.case)
     text = f"A search of {case} with {name(search.component)}: {outcome_headline(search, outcome)}."
@@ -98,7 +99,7 @@ def _counter_solution(
 
 
 def _search_contexts(
-    requirement: Requirement, unviolated: list[tuple[SearchEntry, SearchOutcomeEntry]]
+    requirement: Requirement, unviolated: list[tuple[RecordedSearch, SearchOutcome]]
 ) -> tuple[Element, ...]:
     if not unviolated:
         return ()

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-from pytest_dura.core.codec import encode
+from pytest_dura.core.codec import encode, fields_as_data
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
-from pytest_dura.evidence.search_model import SearchEntry, SearcherEntry
+from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.contents import (
     EpisodeLinks,
@@ -62,6 +62,7 @@ from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import PairTable
+from pytest_dura.requirements.searches import SearcherReport
 
 Data = Mapping[str, Any]
 
@@ -228,7 +229,7 @@ def search_section(record: SessionRecord, _contents: ReportContents, _links: Epi
     return {
         "searches": [
             {
-                **dict(search),
+                **fields_as_data(search),
                 "searched": simulations_text(search),
                 "coverage": search_coverage_text(search),
                 "rows": list(_outcome_rows(search)),
@@ -242,16 +243,16 @@ def search_section(record: SessionRecord, _contents: ReportContents, _links: Epi
     }
 
 
-def _search_rank(search: SearchEntry) -> int:
+def _search_rank(search: RecordedSearch) -> int:
     return min(outcome_rank(search, outcome) for outcome in search.outcomes)
 
 
-def _outcome_rows(search: SearchEntry) -> Iterator[Data]:
+def _outcome_rows(search: RecordedSearch) -> Iterator[Data]:
     for outcome in search.outcomes:
         name, counterexample = outcome.requirement, outcome.counterexample
         notable = is_notable_outcome(search, outcome)
         yield {
-            **dict(outcome),
+            **fields_as_data(outcome),
             "row": OutcomeRow(search, outcome),
             "headline": outcome_headline(search, outcome),
             "baseline_alone": baseline_note(search, outcome),
@@ -270,7 +271,7 @@ def _outcome_rows(search: SearchEntry) -> Iterator[Data]:
 
 
 def _searcher_rows(
-    searchers: list[SearcherEntry], requirement: str
+    searchers: Sequence[SearcherReport], requirement: str
 ) -> list[tuple[str, SearcherRow]]:
     return [(searcher_name(each), SearcherRow(each, requirement)) for each in searchers]
 

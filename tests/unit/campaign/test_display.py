@@ -63,8 +63,8 @@ def shown_objects(folder):
     searched = campaign.falsify("always (temperature < 99)", budget=5, shrink=0)
     yield from (episode, ObservedEpisode.of(episode), campaign, requirement, verdict, searched)
     yield from (campaign.paired("recovery_planner"), runner.case("room/it"), session_record())
-    yield pytest_dura.EpisodeVerdict.from_json(
-        {**EPISODE_VERDICT, "detail": HOSTILE, "episode": HOSTILE, "requirement": HOSTILE}
+    yield pytest_dura.EpisodeVerdict(
+        **{**EPISODE_VERDICT, "detail": HOSTILE, "episode": HOSTILE, "requirement": HOSTILE}
     )
     yield handmade(3, spec=dataclasses.replace(SPEC, case=HOSTILE), failure=HOSTILE)
     yield from map(spoilt, (requirement, verdict, searched))

@@ -53,7 +53,7 @@ def spoil(path, value):
 
 
 def found_nothing(one):
-    outcome(one).update(word="nothing found", counterexample=None, searcher=None, simulations=37)
+    outcome(one).update(status="nothing found", counterexample=None, searcher=None, simulations=37)
     for searcher in one["searchers"]:
         searcher["first"]["SAF-1"] = None
 
@@ -66,7 +66,7 @@ FORGED = {
         spoil(["simulations"], 38), "38 simulations, and its searchers did 37"),
     "more silence than simulations": (spoil(["unknown"], 38), "38 of 37 simulations said nothing"),
     "more idle faults than simulations": (
-        spoil(["idle"], 38),
+        spoil(["not_manifested"], 38),
         "an added fault never came to act in 38 of 37 simulations",
     ),
     "a violation after the end of its searcher": (
@@ -91,7 +91,7 @@ FORGED = {
         spoil(["outcomes", 0, "counterexample"], None),
         "SAF-1: falsified, and no counterexample"),
     "nothing found, beside a counterexample": (
-        spoil(["outcomes", 0, "word"], "nothing found"),
+        spoil(["outcomes", 0, "status"], "nothing found"),
         "SAF-1: nothing found, and a counterexample"),
     "a replay that differed": (
         spoil(["outcomes", 0, "counterexample", "repeats"],
@@ -108,10 +108,10 @@ FORGED = {
         spoil(["outcomes", 0, "counterexample", "repeats", "equal"], 2),
         "SAF-1: more repeats than 1"),
     "a confirmed one that is called unrepeatable": (
-        spoil(["outcomes", 0, "word"], "not repeatable"),
+        spoil(["outcomes", 0, "status"], "not repeatable"),
         "SAF-1: not repeatable, and of 1 replays 1 violated and 1 equal"),
     "a violation that is not told": (
-        lambda one: (outcome(one).update(word="nothing found", counterexample=None,
+        lambda one: (outcome(one).update(status="nothing found", counterexample=None,
                                          searcher=None, simulations=37)),
         "SAF-1: cma-es violated it at its simulation 9, and there is no counterexample"),
     "nothing found, before the end": (
@@ -121,7 +121,7 @@ FORGED = {
         lambda one: (found_nothing(one), one.update(unknown=8)),
         "SAF-1: nothing found, though 8 of 37 simulations said nothing of a requirement"),
     "undecided, where enough was said": (
-        lambda one: (found_nothing(one), outcome(one).update(word="undecided")),
+        lambda one: (found_nothing(one), outcome(one).update(status="undecided")),
         "SAF-1: undecided, and only 1 simulations said nothing of a requirement"),
     "a finder that found nothing": (
         spoil(["outcomes", 0, "searcher"], "corners"),

@@ -19,7 +19,7 @@ WAIVED = VIOLATED | {"waiver": {"kind": "xfail", "reason": "known"}}
 
 def searched(word):
     """A search, as far as a declaration reads it."""
-    outcome = {"requirement": "SAF-1", "word": word}
+    outcome = {"requirement": "SAF-1", "status": word}
     return {"case": "a/clear", "waiver": None, "baselines": [], "outcomes": [outcome]}
 
 

@@ -10,6 +10,7 @@ import pytest
 from episodes import episode, idle, manifested
 
 from pytest_dura import ConfigurationError, Episode, FaultRecord
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.requirements import (
     CheckResult,
     EpisodeVerdict,
@@ -120,7 +121,7 @@ def test_a_requirement_without_a_check_cannot_judge() -> None:
 
 def test_a_verdict_crosses_processes() -> None:
     for one in (word(episode()), word(episode(gap=[], failure=FAILURE))):
-        assert EpisodeVerdict.from_json(json.loads(json.dumps(one.to_json()))) == one
+        assert decode(EpisodeVerdict, json.loads(json.dumps(encode(one)))) == one
 
 
 def test_an_undecided_margin_is_no_number() -> None:

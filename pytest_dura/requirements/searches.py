@@ -1,30 +1,39 @@
-"""Models of searches for violations in the record, and their collection in a session."""
+"""Searches: what a search for violations came to, as plain data.
+
+Its episodes were chosen where violations were expected: no rate can be made of them.
+"""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from operator import attrgetter
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pytest_dura.core.codec import LEFT_OUT, Count, Limit, Number, Positive, Sha256, Share
+from pytest_dura.core.display import Shown, short_repr
 
-from pytest_dura.evidence.entry import (
-    Absent,
-    Coded,
-    Count,
-    Entry,
-    JsonObject,
-    Number,
-    Positive,
-    Sha256,
-    Share,
-)
-from pytest_dura.evidence.item_verdicts import Waiver
+SearchStatus = Literal["falsified", "not repeatable", "undecided", "nothing found"]
 
 
-class ParameterChangeEntry(Entry):
+@dataclass(frozen=True, slots=True)
+class ReplayCount:
+    """What came of replaying a violation."""
+
+    runs: Count
+    """Replays."""
+    violated: Count
+    """Those of them that violated the requirement again."""
+    equal: Count
+    """Those of them that had the digest of the first run."""
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether every replay was the same run again, and violated."""
+        return 0 < self.runs == self.violated == self.equal
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChange:
     """A parameter of a counterexample that is not as the case has it."""
 
     path: str
@@ -35,18 +44,8 @@ class ParameterChangeEntry(Entry):
     """What the case has there; null for nothing."""
 
 
-class ReplayEntry(Entry):
-    """What came of replaying it."""
-
-    runs: Count
-    """Replays."""
-    violated: Count
-    """Those of them that violated the requirement again."""
-    equal: Count
-    """Those of them that had the digest of the first run."""
-
-
-class ShrinkingEntry(Entry):
+@dataclass(frozen=True, slots=True)
+class Shrinking:
     """How a counterexample was made simpler."""
 
     before: Count
@@ -61,15 +60,16 @@ class ShrinkingEntry(Entry):
     """Whether nothing was left to try before the budget ended."""
 
 
-class FoundCounterexample(Entry):
+@dataclass(frozen=True, slots=True)
+class FoundCounterexample:
     """A violation that a search found, and what confirms it.
 
     Its episode was chosen, and is none of `episodes`.
     """
 
-    case: Annotated[str, Field(pattern=r"@")]
+    case: Annotated[str, Limit(pattern=r"@")]
     """Id of the searched case: the scenario, then `@` and a digest of what was chosen."""
-    scenario: JsonObject
+    scenario: Mapping[str, Any]
     """The scenario as plain data, with nothing left to draw but by its seed."""
     seed: Count
     """Seed of the episode."""
@@ -81,19 +81,20 @@ class FoundCounterexample(Entry):
     """When it was violated first, in s."""
     detail: str
     """Why, in words."""
-    repeats: ReplayEntry
+    repeats: ReplayCount
     """What came of replaying it."""
-    changes: list[ParameterChangeEntry]
+    changes: tuple[ParameterChange, ...] = ()
     """Its parameters that are not as the case has them."""
-    shrinking: ShrinkingEntry | None
+    shrinking: Shrinking | None = None
     """How it was made simpler; null if that was not asked for."""
-    file: Annotated[str, Field(pattern=r"^[^/\\]")] | None
+    file: Annotated[str | None, Limit(pattern=r"^[^/\\]")] = None
     """The scenario file that keeps it, relative to the project; null for none."""
-    name: str | None
+    name: str | None = None
     """The name of the scenario in that file."""
 
 
-class SearchOutcomeEntry(Entry):
+@dataclass(frozen=True, slots=True)
+class SearchOutcome:
     """What a search came to for one requirement.
 
     It is no verdict: what finds nothing supports nothing.
@@ -103,21 +104,22 @@ class SearchOutcomeEntry(Entry):
     """Id of the requirement."""
     check: str
     """The formula or function that was searched."""
-    word: Literal["falsified", "not repeatable", "undecided", "nothing found"]
+    status: SearchStatus
     """`falsified` for a violation that was confirmed, `not repeatable` for one whose replays
     differ, `undecided` where more than a fifth of the simulations said nothing, `nothing found`
-    otherwise."""
+    otherwise: never that it holds."""
     simulations: Count
     """Up to the first violation; all of them where there was none."""
     searcher: str | None
-    """Who proposed the violation; null for none."""
+    """Which searcher proposed the violation; null for none."""
     best: Number | None
     """Least robustness of all simulations; null where none was measured."""
-    counterexample: FoundCounterexample | None
+    counterexample: FoundCounterexample | None = None
     """The violation; null for none."""
 
 
-class SearcherEntry(Entry):
+@dataclass(frozen=True, slots=True)
+class SearcherReport:
     """What one searcher, or one baseline, did."""
 
     name: str
@@ -126,40 +128,45 @@ class SearcherEntry(Entry):
     """Whether it learns nothing from what it has seen; every baseline is."""
     simulations: Count
     """Its own simulations."""
-    best: dict[str, Number | None]
+    best: Mapping[str, Number | None]
     """Least robustness by requirement; null where none was measured."""
-    first: dict[str, Positive | None]
+    first: Mapping[str, Positive | None]
     """By requirement, its own simulations up to its first violation; null for none."""
 
 
-class SearchParameterEntry(Entry):
+@dataclass(frozen=True, slots=True)
+class SearchParameter:
     """What a search could change of its case."""
 
     path: str
     """Its name: `world.ego.speed`, or `faults.search-1` for room for a fault."""
-    low: Absent[Number] = None
+    low: Number | None = field(default=None, metadata=LEFT_OUT)
     """Least value of a number, or of each number of an input over time."""
-    high: Absent[Number] = None
+    high: Number | None = field(default=None, metadata=LEFT_OUT)
     """Greatest value."""
-    pieces: Positive | None = None
-    """Numbers of an input over time; null for a single one."""
-    choice: Absent[list[Any]] = None
+    pieces: Positive | None = field(default=None, metadata=LEFT_OUT)
+    """Numbers of an input over time; absent for a single one."""
+    choice: list[Any] | None = field(default=None, metadata=LEFT_OUT)
     """The values of a choice."""
-    faults: Absent[dict[str, list[SearchParameterEntry]]] = None
+    faults: Mapping[str, tuple[SearchParameter, ...]] | None = field(
+        default=None, metadata=LEFT_OUT
+    )
     """The faults that may be added there by their ids, and what could be changed of each."""
 
 
-class SearchCoverage(Entry):
+@dataclass(frozen=True, slots=True)
+class SpaceCoverage:
     """Which part of the space was simulated."""
 
-    parameters: dict[str, Share]
+    parameters: Mapping[str, Share]
     """By name, the share of its parts with any simulation: tenths of a range, single choices."""
     pairs: Share | None
     """Of each two coordinates, in fifths: the mean share of their parts with any; null for a space
     of one."""
 
 
-class SearchEntry(Entry):
+@dataclass(frozen=True)
+class Falsification(Shown):
     """A search for violations of some requirements on a case.
 
     Its simulations were chosen where violations were expected: they are part of no verdict, and no
@@ -181,82 +188,36 @@ class SearchEntry(Entry):
     """Points whose values contradict each other; none of them was simulated."""
     unknown: Count
     """Simulations that said nothing of some requirement."""
-    idle: Count
+    not_manifested: Count
     """Simulations in which an added fault never came to act; they say what the case does without
     it."""
     rule: str
     """How the budget is shared over the searchers."""
-    parameters: list[SearchParameterEntry]
+    parameters: tuple[SearchParameter, ...]
     """What it could change."""
-    searchers: list[SearcherEntry]
+    searchers: tuple[SearcherReport, ...]
     """What each searcher did."""
-    baselines: list[SearcherEntry]
+    baselines: tuple[SearcherReport, ...]
     """What the trivial searchers come to by themselves, each with as many simulations as the search
     took."""
-    coverage: SearchCoverage
+    coverage: SpaceCoverage
     """Which part of the space was simulated."""
-    outcomes: list[SearchOutcomeEntry]
+    outcomes: tuple[SearchOutcome, ...]
     """Requirement by requirement."""
-    scenario: str
-    """Name of the scenario of the case."""
-    simulator: str
-    """Import path of the simulator."""
-    roles: dict[str, str]
-    """Import path of each role."""
-    item: str
-    """Node id of the test that searched."""
-    waiver: Coded[Waiver] | None
-    """What excused its failure; null if nothing did."""
 
+    __repr__ = short_repr
 
-_sort_key = attrgetter("case", "component", "item", "seed")
-
-
-def searched_claims(searches: Iterable[SearchEntry]) -> set[tuple[str, str, str]]:
-    """Item, requirement and case of what was searched instead of decided."""
-    return {
-        (search.item, outcome.requirement, search.case)
-        for search in searches
-        for outcome in search.outcomes
-    }
-
-
-@dataclass
-class SearchRecords:
-    """Collects the searches of a session.
-
-    A search is a function of its case, its seed and its budget: if it is reported twice, it is
-    recorded once. Of one that came out differently the second time, both results are recorded.
-    """
-
-    _searches: dict[str, SearchEntry] = field(default_factory=dict)
-
-    def add(self, item: str, searches: Iterable[Mapping[str, Any]]) -> None:
-        """Take in the searches that an item reports."""
-        for search in searches:
-            entry = SearchEntry.model_validate({**search, "item": item, "waiver": None})
-            self.adopt(entry)
-
-    def adopt(self, entry: SearchEntry) -> None:
-        """Take over a search of another session, with its item and its waiver."""
-        question = entry.to_json(exclude={"waiver"})
-        self._searches.setdefault(json.dumps(question, sort_keys=True), entry)
+    def _figures(self) -> Iterator[tuple[str, object]]:
+        """Yield what a notebook shows."""
+        yield "searched", self.case
+        yield "component", self.component
+        yield "simulations", f"{self.simulations} of {self.budget}"
+        for outcome in self.outcomes:
+            counterexample = outcome.counterexample
+            detail = "" if counterexample is None else f": {counterexample.detail}"
+            yield outcome.requirement, outcome.status + detail
 
     @property
-    def answered(self) -> set[tuple[str, str, str]]:
-        """Claims that items searched instead of deciding them: they get no verdict."""
-        return searched_claims(self._searches.values())
-
-    def entries(self, waivers: Mapping[str, Waiver]) -> list[SearchEntry]:
-        """List the entries of the record's key ``searches``, sorted.
-
-        Args:
-            waivers: By the node id of the item that each excuses.
-        """
-        ordered = sorted(
-            self._searches.items(),
-            key=lambda entry: (*_sort_key(entry[1]), entry[0]),
-        )
-        return [
-            search.replace(waiver=waivers.get(search.item, search.waiver)) for _, search in ordered
-        ]
+    def violations(self) -> tuple[SearchOutcome, ...]:
+        """The outcomes with a violation, confirmed or not."""
+        return tuple(outcome for outcome in self.outcomes if outcome.counterexample is not None)
