@@ -255,7 +255,7 @@ def test_faults_that_never_act_leave_the_search_undecided(project):
     assert result.ret == 1
     search = the_search(project)
     assert search.outcomes[0].status == "undecided"
-    assert search.unknown == search.idle > 4
+    assert search.unknown == search.not_manifested > 4
     assert verify_bundle(project.path / "dura-evidence").problems == []
 
 

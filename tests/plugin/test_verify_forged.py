@@ -229,6 +229,7 @@ CHANGES = {
     ),
     "missing runs": lambda r: r["cases"][0].update(missing_runs_total=2),
     "runs that replaced the plan": lambda r: r["cases"][0].update(runs_override=99),
+    "another scenario": lambda r: r["episodes"][0]["spec"]["scenario"].update(name="corridor"),
     "rates of a monitor": lambda r: r["monitors"][0].update(precision=0.123),
     "times of a monitor": lambda r: r["monitors"][0].update(lead_times=[], lead_time=None),
     "simulated time": lambda r: r["timings"].update(simulated_seconds=1e6),
@@ -381,8 +382,7 @@ FREE = {
         component_under_test.others[].digest (null)
     """,
     "what an episode was simulated from: simulating it again tells": """
-        episodes[].spec.roles, episodes[].spec.simulator, episodes[].spec.scenario.duration,
-        episodes[].spec.scenario.world, episodes[].spec.termination, episodes[].spec.time_budget,
+        episodes[].spec.roles, episodes[].spec.simulator, episodes[].spec.termination, episodes[].spec.time_budget,
         episodes[].spec.faults[].duration, episodes[].spec.faults[].by_chance,
         episodes[].spec.faults[].activation, episodes[].spec.faults[].parameters
     """,
