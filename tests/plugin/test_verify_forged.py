@@ -382,7 +382,8 @@ FREE = {
         component_under_test.others[].digest (null)
     """,
     "what an episode was simulated from: simulating it again tells": """
-        episodes[].spec.roles, episodes[].spec.simulator, episodes[].spec.termination, episodes[].spec.time_budget,
+        episodes[].spec.roles, episodes[].spec.simulator, episodes[].spec.termination,
+        episodes[].spec.time_budget,
         episodes[].spec.faults[].duration, episodes[].spec.faults[].by_chance,
         episodes[].spec.faults[].activation, episodes[].spec.faults[].parameters
     """,
