@@ -128,12 +128,63 @@ def encode(value: Any) -> Any:
         NotDataError: For what cannot be read back: NaN, keys that are not texts, other objects.
     """
     try:
+        return _fast_encoded(value)
+    except (_DiffersError, RecursionError):
+        pass  # which place it is, says the function below
+    try:
         return _encoded(value, None)
     except RecursionError:
         raise NotDataError("/: nested too deeply, or in itself") from None
 
 
-_PLAIN = (str, int, bool, type(None))
+def _fast_encoded(value: Any) -> Any:
+    """Convert what most values are; anything else has to be converted with its place."""
+    kind: Any = type(value)
+    if kind in _PLAIN or (kind is float and math.isfinite(value)):
+        return value
+    if kind is list or kind is tuple:
+        return [part if type(part) in _PLAIN else _fast_encoded(part) for part in value]
+    if kind is dict:
+        for key in value:
+            if type(key) is not str:
+                raise _DiffersError
+        return {
+            key: part if type(part) in _PLAIN else _fast_encoded(part)
+            for key, part in value.items()
+        }
+    if _field_names(kind) is not None:
+        return _encoder_of(kind)(value)
+    if isinstance(value, str):
+        return str.__str__(value)
+    if not isinstance(value, Mapping):
+        raise _DiffersError
+    return _fast_encoded(dict(value))
+
+
+@cache
+def _encoder_of(kind: Any) -> Callable[[Any], JsonObject]:
+    """Write a function that converts a dataclass, as source."""
+    optional = defaults_of(kind)
+    names: dict[str, Any] = {"P": _PLAIN, "E": _fast_encoded, "I": math.inf}
+    plain = "type(v := o.{0}) in P or (type(v) is float and -I < v < I)"
+    value = f"(v if {plain} else E(v))"
+    lines: list[str] = []
+    entries: list[str] = []
+    for number, name in enumerate(_field_names(kind) or ()):
+        if name in optional:
+            names[f"N{number}"] = optional[name]
+            written = f"d[{name!r}] = {value.format(name)}"
+            lines += [f"d |= {{{', '.join(entries)}}}", f"if o.{name} != N{number}: {written}"]
+            entries = []
+        else:
+            entries.append(f"{name!r}: {value.format(name)}")
+    lines = ["d = {}", *lines, f"d |= {{{', '.join(entries)}}}"]
+    exec("def encoder(o):\n  " + "\n  ".join([*lines, "return d"]), names)  # noqa: S102
+    encoder: Callable[[Any], JsonObject] = names["encoder"]
+    return encoder
+
+
+_PLAIN = frozenset({str, int, bool, type(None)})
 """Types that are data as they are; most values are, and are not looked at further."""
 
 
@@ -224,9 +275,14 @@ def decode(type_: Any, data: Any, most: int = MAX_MISMATCHES) -> Any:
         MismatchError: If the data is not exactly a value of the type.
         TypeError: If the type is not one of those that can be read.
     """
+    shape = shape_of(type_)
+    try:
+        return shape.fast(data)
+    except (_DiffersError, KeyError, ValueError, TypeError, DuraError, RecursionError):
+        pass  # which place it is, and all others, say the readers below
     mismatches = Mismatches(most)
     try:
-        value = shape_of(type_).read(data, None, mismatches)
+        value = shape.read(data, None, mismatches)
     except EnoughError:
         pass
     except RecursionError:
@@ -237,6 +293,11 @@ def decode(type_: Any, data: Any, most: int = MAX_MISMATCHES) -> Any:
 
 
 _Read = Callable[[Any, Place, Mismatches], Any]
+_Fast = Callable[[Any], Any]
+
+
+class _DiffersError(Exception):
+    """Data is not of the type; raised by readers that keep no places, and so are fast."""
 
 
 class Shape(NamedTuple):
@@ -246,15 +307,20 @@ class Shape(NamedTuple):
         kinds: What it is called in messages: ``integer``, ``null``, ``object``, ...
         accepts: Types of JSON data that it may be.
         read: Reader of a value; where it does not agree, it says so and returns ``None``.
+        fast: Reader without places: what it does not take at once, ``read`` has to read.
         schema: Its JSON Schema, in which classes are references to ``#/$defs/NAME``.
         classes: The dataclasses to which the schema refers.
+        test: Expression in Python on ``{v}`` that holds for its data, where that is read as it is;
+            empty otherwise.
     """
 
     kinds: tuple[str, ...]
     accepts: frozenset[type]
     read: _Read
+    fast: _Fast
     schema: JsonObject
     classes: tuple[type, ...] = ()
+    test: str = ""
 
 
 @cache
@@ -266,7 +332,8 @@ def shape_of(type_: Any) -> Shape:
     """
     if isinstance(type_, type) and dataclasses.is_dataclass(type_):
         reference = {"$ref": f"#/$defs/{type_.__name__}"}
-        return Shape(("object",), frozenset({dict}), _object_reader(type_), reference, (type_,))
+        read, fast = _object_reader(type_), _fast_object_reader(type_)
+        return Shape(("object",), frozenset({dict}), read, fast, reference, (type_,))
     known = {Any: _ANY, float: _FLOAT, None: _NULL, type(None): _NULL, str: _TEXT, int: _INTEGER,
              bool: _TRUTH}.get(type_)  # fmt: skip
     if known is not None:
@@ -318,13 +385,57 @@ def _object_reader(kind: type) -> _Read:
     return read
 
 
+def _fast_object_reader(kind: type) -> _Fast:
+    """Write a reader of a dataclass as source: most of a record's bytes are read by such."""
+
+    def made() -> _Fast:
+        names: dict[str, Any] = {"K": kind, "D": _DiffersError, "I": math.inf}
+        lines, needed = [], 0
+        for number, (name, shape) in enumerate(fields_of(kind).items()):
+            names[f"F{number}"] = shape.fast
+            given = f"d[{name!r}]"
+            if shape.test:
+                test = shape.test.replace("{v}", f"v{number}")
+                read = [f"v{number} = {given}", f"if not ({test}): raise D"]
+            else:
+                read = [f"v{number} = F{number}({given})"]
+            if name in defaults_of(kind):
+                names[f"N{number}"] = defaults_of(kind)[name]
+                lines += [f"v{number} = N{number}", f"if {name!r} in d:", "  n += 1"]
+                read = [f"  {line}" for line in read]
+            else:
+                needed += 1
+            lines += read
+        body = ["if type(d) is not dict: raise D", f"n = {needed}", *lines]
+        values = (f"{name}=v{number}" for number, name in enumerate(fields_of(kind)))
+        body += ["if len(d) != n: raise D", f"return K({', '.join(values)})"]
+        exec("def fast(d):\n" + "\n".join(f"  {line}" for line in body), names)  # noqa: S102
+        fast: _Fast = names["fast"]
+        return fast
+
+    readers: list[_Fast] = []  # made at the first value: a class may hold itself
+
+    def read(data: Any) -> Any:
+        if not readers:
+            readers.append(made())
+        return readers[0](data)
+
+    return read
+
+
 def _primitive(kind: type) -> Shape:
     name = KINDS[kind]
 
     def read(data: Any, place: Place, mismatches: Mismatches) -> Any:
         return data if type(data) is kind else mismatches.add(place, kind_of(data), name)
 
-    return Shape((name,), frozenset({kind}), read, {"type": name})
+    def fast(data: Any) -> Any:
+        if type(data) is not kind:
+            raise _DiffersError
+        return data
+
+    test = "{v} is None" if kind is type(None) else f"type({{v}}) is {kind.__name__}"
+    return Shape((name,), frozenset({kind}), read, fast, {"type": name}, test=test)
 
 
 def _text_class(kind: type) -> Shape:
@@ -337,7 +448,7 @@ def _text_class(kind: type) -> Shape:
         except (ValueError, DuraError) as error:
             return mismatches.add(place, str(error))
 
-    return _TEXT._replace(read=read)
+    return _TEXT._replace(read=read, fast=lambda data: kind(_TEXT.fast(data)), test="")
 
 
 _NULL, _TRUTH, _INTEGER, _TEXT = map(_primitive, (type(None), bool, int, str))
@@ -349,17 +460,35 @@ def _read_finite(data: Any, place: Place, mismatches: Mismatches) -> Any:
     return mismatches.add(place, kind_of(data), "number")
 
 
+def _fast_finite(data: Any) -> Any:
+    if type(data) is int or (type(data) is float and math.isfinite(data)):
+        return data
+    raise _DiffersError
+
+
+def _fast_float(data: Any) -> Any:
+    return INFINITIES[data] if type(data) is str else _fast_finite(data)
+
+
 def _read_float(data: Any, place: Place, mismatches: Mismatches) -> Any:
     if type(data) is str and data in INFINITIES:
         return INFINITIES[data]
     return _read_finite(data, place, mismatches)
 
 
-_FINITE = Shape(("number",), frozenset({int, float}), _read_finite, {"type": "number"})
+_FINITE = Shape(
+    ("number",),
+    frozenset({int, float}),
+    _read_finite,
+    _fast_finite,
+    {"type": "number"},
+    test="(type({v}) is int or (type({v}) is float and -I < {v} < I))",
+)
 _FLOAT = Shape(
     ("number",),
     frozenset({int, float, str}),
     _read_float,
+    _fast_float,
     {"anyOf": [{"type": "number"}, {"enum": list(INFINITIES), "type": "string"}]},
 )
 
@@ -381,7 +510,24 @@ def _read_any(data: Any, place: Place, mismatches: Mismatches) -> Any:
     return data
 
 
-_ANY = Shape(tuple(KINDS.values()), frozenset(KINDS), _read_any, {})
+def _fast_any(data: Any) -> Any:
+    kind = type(data)
+    if kind is dict:
+        for key, part in data.items():
+            if type(key) is not str:
+                raise _DiffersError
+            if type(part) not in _PLAIN:
+                _fast_any(part)
+    elif kind is list:
+        for part in data:
+            if type(part) not in _PLAIN:
+                _fast_any(part)
+    elif kind not in _PLAIN:
+        _fast_finite(data)
+    return data
+
+
+_ANY = Shape(tuple(KINDS.values()), frozenset(KINDS), _read_any, _fast_any, {})
 
 
 def _annotated(type_: Any, *marks: Any) -> Shape:
@@ -404,9 +550,37 @@ def _limited(shape: Shape, limit: Limit) -> Shape:
                     return mismatches.add(place, shown(data), f"{words}{shown(expected)}")
         return value
 
+    quick = shape.fast
+
+    def fast(data: Any) -> Any:
+        value = quick(data)
+        if value is not None:
+            for _, accepts, expected in checks:
+                if not accepts(value, expected):
+                    raise _DiffersError
+        return value
+
     if not checks:
         return shape
-    return shape._replace(read=read, schema={**shape.schema, **limit.schema()})
+    test = ""
+    quicker = _fast_least(quick, limit.ge) if limit == Limit(ge=limit.ge) else fast
+    if limit == Limit(ge=limit.ge) and shape.test and "null" not in shape.kinds:
+        test = f"{shape.test} and {{v}} >= {limit.ge!r}"
+    return shape._replace(
+        read=read, fast=quicker, test=test, schema={**shape.schema, **limit.schema()}
+    )
+
+
+def _fast_least(quick: _Fast, least: Any) -> _Fast:
+    """Read what has a least value alone, as most numbers do."""
+
+    def fast(data: Any) -> Any:
+        value = quick(data)
+        if value is not None and value < least:
+            raise _DiffersError
+        return value
+
+    return fast
 
 
 def _literal(*choices: Any) -> Shape:
@@ -421,8 +595,15 @@ def _literal(*choices: Any) -> Shape:
             return mismatches.add(place, shown(data), " or ".join(map(shown, choices)))
         return data
 
+    def fast(data: Any) -> Any:
+        if (type(data), data) not in known:
+            raise _DiffersError
+        return data
+
     values: JsonObject = {"enum": [*choices]} if len(choices) > 1 else {"const": choices[0]}
-    return Shape(kinds, accepts, read, {**values, "type": kinds[0] if len(kinds) == 1 else kinds})
+    return Shape(
+        kinds, accepts, read, fast, {**values, "type": kinds[0] if len(kinds) == 1 else kinds}
+    )
 
 
 def _array(entry: Shape, made: Callable[[Iterable[Any]], Any]) -> Shape:
@@ -433,8 +614,15 @@ def _array(entry: Shape, made: Callable[[Iterable[Any]], Any]) -> Shape:
             return mismatches.add(place, kind_of(data), "array")
         return made([inner(part, (place, index), mismatches) for index, part in enumerate(data)])
 
+    quick = entry.fast
+
+    def fast(data: Any) -> Any:
+        if type(data) is not list:
+            raise _DiffersError
+        return made([quick(part) for part in data])
+
     schema = {"items": entry.schema, "type": "array"}
-    return Shape(("array",), frozenset({list}), read, schema, entry.classes)
+    return Shape(("array",), frozenset({list}), read, fast, schema, entry.classes)
 
 
 def _list(entry: Any = Any) -> Shape:
@@ -455,10 +643,15 @@ def _tuple(*entries: Any) -> Shape:
         parts = enumerate(zip(shapes, data, strict=True))
         return tuple(shape.read(part, (place, index), mismatches) for index, (shape, part) in parts)
 
+    def fast(data: Any) -> Any:
+        if type(data) is not list or len(data) != size:
+            raise _DiffersError
+        return tuple([shape.fast(part) for shape, part in zip(shapes, data, strict=True)])
+
     parts = [shape.schema for shape in shapes]
     schema = {"prefixItems": parts, "minItems": size, "maxItems": size, "type": "array"}
     classes = tuple(each for shape in shapes for each in shape.classes)
-    return Shape(("array",), frozenset({list}), read, schema, classes)
+    return Shape(("array",), frozenset({list}), read, fast, schema, classes)
 
 
 def _mapping(key_type: Any = str, value_type: Any = Any) -> Shape:
@@ -474,10 +667,19 @@ def _mapping(key_type: Any = str, value_type: Any = Any) -> Shape:
             read_key(name, (place, name), mismatches)
         return {name: inner(part, (place, name), mismatches) for name, part in data.items()}
 
+    quick_key, quick = key.fast, value.fast
+
+    def fast(data: Any) -> Any:
+        if type(data) is not dict:
+            raise _DiffersError
+        for name in data if is_limited else ():
+            quick_key(name)
+        return {name: quick(part) for name, part in data.items()}
+
     schema = {"additionalProperties": value.schema or True, "type": "object"}
     if is_limited:
         schema["propertyNames"] = {k: part for k, part in key.schema.items() if k != "type"}
-    return Shape(("object",), frozenset({dict}), read, schema, value.classes)
+    return Shape(("object",), frozenset({dict}), read, fast, schema, value.classes)
 
 
 def _union(*alternatives: Any) -> Shape:
@@ -509,8 +711,23 @@ def _union(*alternatives: Any) -> Shape:
             return mismatches.add(place, kind_of(data), expected)
         return reader(data, place, mismatches)
 
+    alone = {
+        each: fitting[0].fast
+        for each in accepts
+        if len(fitting := [shape for shape in shapes if each in shape.accepts]) == 1
+    }
+
+    def fast(data: Any) -> Any:
+        quick = alone.get(type(data))
+        if quick is None:
+            raise _DiffersError
+        return quick(data)
+
+    schema = _union_schema([shape.schema for shape in shapes])
     classes = tuple(dict.fromkeys(each for shape in shapes for each in shape.classes))
-    return Shape(kinds, accepts, read, _union_schema([shape.schema for shape in shapes]), classes)
+    tests = [shape.test for shape in shapes]
+    test = " or ".join(f"({each})" for each in tests) if all(tests) else ""
+    return Shape(kinds, accepts, read, fast, schema, classes, test)
 
 
 def _keys(shape: Shape) -> frozenset[str]:

@@ -328,6 +328,8 @@ class Event:
 
     def __post_init__(self) -> None:
         """Cut long texts: an episode has many events."""
+        if len(f"{self.kind}{self.subject}{self.detail}") <= LONGEST_TEXT:
+            return
         for name in ("kind", "subject", "detail"):
             text = getattr(self, name)
             if isinstance(text, str) and len(text) > LONGEST_TEXT:
