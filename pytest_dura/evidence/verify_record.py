@@ -67,6 +67,8 @@ def _input_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> I
     faults = [[(fault.id, fault.type, fault.target) for fault in of.faults] for of in (case, spec)]
     if spec.scenario_name != case.scenario or faults[0] != faults[1]:
         yield f"its spec has {spec.scenario_name} with {faults[1]}, and its case {faults[0]}"
+    if spec.timeouts is None:
+        yield "its spec does not say which calls overran their budget"
     if episode.seed != spec.seed:
         yield f"seed {episode.seed}, and {spec.seed} in its spec"
     if (episode.validity == "missing") != (episode.failure is not None):
