@@ -168,9 +168,9 @@ def test_each_word_keeps_the_schema(words):
 
 @pytest.mark.parametrize("file", ["/project/found.yaml", "\\\\host\\found.yaml"])
 def test_a_path_of_this_machine_is_no_file_of_the_project(file):
-    found = entry("falsified")
-    found["outcomes"][0]["counterexample"]["file"] = file
-    (problem,) = check_record(session_data(searches=[found]))
+    record = session_data(searches=[entry("falsified")])
+    record["searches"][0]["outcomes"][0]["counterexample"]["file"] = file
+    (problem,) = check_record(record)
     assert problem.pointer == "/searches/0/outcomes/0/counterexample/file"
 
 
