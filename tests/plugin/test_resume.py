@@ -499,7 +499,7 @@ def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_
         result = project.run(*given, *arguments)
         count = len((project.path / "log").read_text().splitlines())
         (search,) = project.evidence().searches
-        assert search.outcomes[0].word == "falsified"
+        assert search.outcomes[0].status == "falsified"
         searched = resumed(project).searched
         return result, count, searched
 
