@@ -113,6 +113,10 @@ LEFT_OUT = {"left_out": True}
 """Metadata of a field that is left out of the data as long as it has its default."""
 
 
+NOT_DATA = {"not_data": True}
+"""Metadata of a field that is no part of the data: read back, it has its default."""
+
+
 class NotDataError(TypeError):
     """A value that cannot be written as data; the message says where and why."""
 
@@ -236,7 +240,11 @@ def _encoded_scalar(value: Any, place: Place) -> Any:
 def _field_names(kind: type) -> tuple[str, ...] | None:
     if not dataclasses.is_dataclass(kind):
         return None
-    return tuple(field.name for field in dataclasses.fields(kind) if field.init)
+    return tuple(
+        field.name
+        for field in dataclasses.fields(kind)
+        if field.init and not field.metadata.get("not_data")
+    )
 
 
 @cache

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeGuard
 
 from pytest_dura.core.boundary import CallEnded, let_pass
-from pytest_dura.core.codec import LEFT_OUT
+from pytest_dura.core.codec import LEFT_OUT, NOT_DATA
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, describe_error, import_error
 from pytest_dura.core.roles import Role
@@ -42,7 +42,7 @@ class RoleSpec:
     """Its keyword parameters, the user's own."""
     opaque: bool = field(default=False, metadata=LEFT_OUT)
     """Whether it was a bare instance, which no other process can build again; absent if not."""
-    instance: Any = field(default=None, init=False, compare=False, repr=False)
+    instance: Any = field(default=None, compare=False, repr=False, metadata=NOT_DATA)
 
     __repr__ = short_repr
 
@@ -69,7 +69,7 @@ class RoleSpec:
                 )
             return cls(path, dict(params or {}))
         path = f"{type(value).__module__}:{type(value).__qualname__}"
-        return _holding(cls(path, dict(params or {}), opaque=True), value)
+        return cls(path, dict(params or {}), opaque=True, instance=value)
 
     @property
     def label(self) -> str:
@@ -78,7 +78,7 @@ class RoleSpec:
 
     def with_params(self, params: Mapping[str, Any]) -> RoleSpec:
         """Copy with other parameters."""
-        return _holding(RoleSpec(self.path, dict(params), self.opaque), self.instance)
+        return RoleSpec(self.path, dict(params), self.opaque, self.instance)
 
     def resolve(self) -> Any:
         """Import the object at the path, without a call of it.
@@ -186,8 +186,3 @@ class RoleSpec:
                 f"{self.path} was given as a bare instance and cannot be built again",
                 remedy="let the role fixture return the class or a RoleSpec",
             )
-
-
-def _holding(spec: RoleSpec, instance: object) -> RoleSpec:
-    object.__setattr__(spec, "instance", instance)
-    return spec

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from stated_counts import stated_counts
@@ -258,9 +259,10 @@ def test_more_failures_than_decisions_are_found(chatty):
     assert problems_of(record) == []
     metrics = episode.metrics
     episode = episode.replace(
-        metrics=metrics.replace(
+        metrics=replace(
+            metrics,
             tallies=metrics.tallies
-            | {"fallback": metrics.tallies["fallback"].replace(hits=16, of=16)},
+            | {"fallback": replace(metrics.tallies["fallback"], hits=16, of=16)},
             answer_seconds=metrics.answer_seconds * 9,
             answer_ages=metrics.answer_ages * 8,
         )
@@ -278,7 +280,8 @@ def test_a_decision_that_is_older_than_its_episode_is_found(chatty):
     record = chatty.evidence()
     (episode,) = record.episodes
     for age, problems in (1.5, 0), (1.6, 1):
-        episode.metrics.answer_ages[-1] = age
-        found = problems_of(record)
+        ages = (*episode.metrics.answer_ages[:-1], age)
+        changed = episode.replace(metrics=replace(episode.metrics, answer_ages=ages))
+        found = problems_of(replace(record, read_episodes=[changed].__iter__))
         assert len(found) == problems
     assert found[0].endswith("a decision came into force 1.6 s after its percept, within 1.5 s")

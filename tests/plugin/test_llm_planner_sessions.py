@@ -148,7 +148,7 @@ def test_a_server_that_dies_fails_its_decisions_and_not_the_session(
     assert (verdict.verdict, verdict.violations) == ("undecided", 0)
     (episode,) = project.evidence().episodes
     assert (episode.validity, accounts(episode)["unavailable"]) == ("valid", (2, 3))
-    assert "HTTP 500: out of memory" in str(episode.events)
+    assert "HTTP 500: out of memory" in str([event.detail for event in episode.events])
 
 
 def test_faults_on_the_way_to_the_model_are_campaigns_like_any(project, scripted_server, named):

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from hypothesis import strategies as st
 
-from pytest_dura.core.codec import Limit
+from pytest_dura.core.codec import Limit, fields_of
 
 _NASTY = ("", "\x00", "\ud800", "\udfff\ud800", "Infinity", "NaN", "a/b~c", "::error::", "\u2028",
           "__class__", "null", "\x1b[2J", "\U0001f600", "[" * 99)  # fmt: skip
@@ -54,7 +54,7 @@ _SIMPLE = {
 
 def _instances(kind: type) -> st.SearchStrategy[Any]:
     hints = get_type_hints(kind, include_extras=True)
-    names = [field.name for field in dataclasses.fields(kind) if field.init]
+    names = list(fields_of(kind))
     return st.builds(kind, **{name: values_of(hints[name]) for name in names})
 
 
