@@ -282,6 +282,6 @@ def test_a_decision_that_is_older_than_its_episode_is_found(chatty):
     for age, problems in (1.5, 0), (1.6, 1):
         ages = (*episode.metrics.answer_ages[:-1], age)
         changed = episode.replace(metrics=replace(episode.metrics, answer_ages=ages))
-        found = problems_of(replace(record, read_episodes=[changed].__iter__))
+        found = problems_of(record.replace(episodes=[changed]))
         assert len(found) == problems
     assert found[0].endswith("a decision came into force 1.6 s after its percept, within 1.5 s")
