@@ -165,7 +165,8 @@ def _use_cassette(options: argparse.Namespace) -> int:
 
 def _merge(options: argparse.Namespace) -> int:
     from pytest_dura.evidence.baseline import Baseline
-    from pytest_dura.evidence.merge import MergeComparison, merge_bundles
+    from pytest_dura.evidence.merge import merge_bundles
+    from pytest_dura.reports.wording import merged_parts_text
 
     fail_worse, path = options.baseline_worse == "fail", options.baseline
     if fail_worse and path is None:
@@ -176,18 +177,18 @@ def _merge(options: argparse.Namespace) -> int:
             remedy="add --baseline=evidence.json",
         )
     baseline = None if path is None else Baseline.read(path, Path.cwd())
-    merged = merge_bundles(options.bundles, options.output, MergeComparison(baseline, fail_worse))
+    merged = merge_bundles(options.bundles, options.output, baseline, fail_worse=fail_worse)
     _print_any_file_name()
-    for reason in merged.reasons:
+    for reason in merged.gate.reasons:
         _print(one_line(reason, _MAX_LENGTH))
     totals = merged.totals
     verdicts = totals.supported + totals.violated + totals.undecided
     _print(
-        f"{merged.shards} shards, {totals.cases} cases, {totals.episodes} episodes, "
+        f"{merged_parts_text(merged)}, {totals.cases} cases, {totals.episodes} episodes, "
         f"{verdicts} verdicts; gate of the whole: {totals.gate}"
     )
     _print(f"evidence: {one_line(str(options.output / 'report.html'), _MAX_LENGTH)}")
-    return 0 if merged.passed else 1
+    return 0 if merged.gate.result == "passed" else 1
 
 
 def _compare(options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ The session that writes the record, its verification and a merge conclude it ali
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from pytest_dura.evidence.conclusions.attribution import Attribution
@@ -16,7 +16,7 @@ from pytest_dura.evidence.conclusions.coverage import Coverage
 from pytest_dura.evidence.conclusions.effectiveness import Effectiveness
 from pytest_dura.evidence.conclusions.tables import Tables
 from pytest_dura.evidence.conclusions.totals import Totals
-from pytest_dura.evidence.conclusions.verdicts import Verdicts
+from pytest_dura.evidence.conclusions.verdicts import CaseKey, Verdicts, runs_beyond_plan
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.gate import Gate
 from pytest_dura.evidence.model import SessionRecord
@@ -44,13 +44,37 @@ def conclude(
         record: With its cases, requirements, judgements, waivers, doubts, searches and monitors.
         conclusions: What to conclude; default: all.
     """
+    concluded = _add_tables(record, record, conclusions, {})
+    beyond = runs_beyond_plan(concluded.head.verdicts)
+    if beyond:  # which the verdicts alone tell
+        others = [table for table in conclusions if table not in (Verdicts, Totals)]
+        concluded = _add_tables(concluded, record, others, beyond)
+    return concluded
+
+
+def _add_tables(
+    concluded: SessionRecord,
+    record: SessionRecord,
+    conclusions: Sequence[type[Conclusion]],
+    beyond: Mapping[CaseKey, Collection[int]],
+) -> SessionRecord:
+    """Add what some tables conclude.
+
+    Args:
+        concluded: What they are added to.
+        record: As it was before anything was concluded.
+        conclusions: The tables.
+        beyond: Numbers of planned runs that lie beyond every decision, and enter none of them.
+    """
     tables = [conclusion(record.head) for conclusion in conclusions]
     for episode in record.episodes():
-        for table in tables:
-            table.add(episode)
-    for conclusion in tables:
-        record = record.changed(**conclusion.concluded(record.head))
-    return record
+        runs = beyond.get((episode.case, episode.component), ())
+        if not (episode.planned and episode.spec.run in runs):
+            for table in tables:
+                table.add(episode)
+    for table in tables:
+        concluded = concluded.changed(**table.concluded(concluded.head))
+    return concluded
 
 
 _AFTERWARDS = ("redacted", "totals")

@@ -27,7 +27,7 @@ from pytest_dura.core.measures import Measure, MeasureInfo, measured
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.conclusions.cases import with_chains
 from pytest_dura.evidence.entry import Coded, Entry, JsonObject, plain_data
-from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.sessions import OWN_ORIGIN
 from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
@@ -307,12 +307,7 @@ class EpisodeSpool:
         Raises:
             ConfigurationError: If it cannot be written, on a full disk for example.
         """
-        inputs = {key: value for key, value in episode["spec"].items() if key != "timeouts"}
-        key = (
-            _key(episode["id"]),
-            _key(episode["component"]),
-            hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).digest(),
-        )
+        key = _key(episode["id"]), _key(episode["component"]), _inputs(episode["spec"])
         rows = self._execute(
             "SELECT digest, planned FROM episodes WHERE name = ? AND component = ? AND inputs = ?",
             *key,
@@ -350,7 +345,7 @@ class EpisodeSpool:
         keys = _key(trace["component"]), _key(trace["id"]), trace["digest"]
         known = "SELECT data FROM traces WHERE component = ? AND name = ? AND digest = ?"
         if any(
-            _weight(_unpacked(data)) > _weight(trace["trace"])
+            _weight(_unpacked(data)["kept_for"]) > _weight(trace["trace"]["kept_for"])
             for (data,) in self._execute(known, *keys)
         ):
             return
@@ -378,7 +373,7 @@ class EpisodeSpool:
         query = """
             SELECT episodes.data, episodes.planned, traces.data, episodes.component, episodes.name
             FROM episodes LEFT JOIN traces USING (component, name, digest)
-            ORDER BY place, episodes.component, run, seed, episodes.rowid
+            ORDER BY place, episodes.component, run, seed, inputs
         """
         with closing(self._guarded(lambda: self._connection.execute(query))) as cursor:
             while (row := self._guarded(cursor.fetchone)) is not None:
@@ -460,7 +455,23 @@ def _unpacked(data: bytes) -> Any:
     return json.loads(zlib.decompress(data))
 
 
-def _weight(trace: JsonObject) -> int:
-    """Weight of the reason for which a trace is kept."""
-    reasons = ("twin", "all", "sample", "missing", "violation")
-    return reasons.index(trace.get("kept_for", reasons[0]))
+def _inputs(spec: JsonObject) -> bytes:
+    """SHA-256 of what determines an episode; recorded timeouts stand in for the clock."""
+    inputs = {key: value for key, value in spec.items() if key != "timeouts"}
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).digest()
+
+
+def episode_order(episode: EpisodeEntry) -> tuple[str, str, int, int, bytes]:
+    """Sort key of the episodes of a record, which no two different ones share."""
+    spec = episode.spec
+    return episode.case, episode.component, spec.run, episode.seed, _inputs(spec.to_json())
+
+
+_REASONS = ("twin", "all", "sample", "missing", "violation")
+"""Reasons to keep a trace, the weightiest last."""
+_weight = _REASONS.index
+
+
+def trace_weight(trace: TraceEntry | None) -> int:
+    """Weight of the reason for which a trace is kept; -1 without one."""
+    return -1 if trace is None else _weight(trace.kept_for)

@@ -296,6 +296,10 @@ class RecordBuilder:
         """Add what an item asked, or was to decide."""
         self._judgements.setdefault(judgement)
 
+    def doubt(self, doubt: Doubt) -> None:
+        """Record why the episodes of a case cannot be trusted."""
+        self._clashes.setdefault((doubt.case, doubt.component), doubt.reason)
+
     def waive(self, item: str, kind: WaiverKind, reason: str) -> None:
         """Record that an item's failure is excused: ``xfail``, ``rerun`` or ``skip``.
 
@@ -330,12 +334,18 @@ class RecordBuilder:
         Raises:
             ConfigurationError: If the episodes cannot be read.
         """
+        lines = SessionRecord(self.head(status), self.directory or Path(), self._spool.__iter__)
+        return conclude(lines)
+
+    def head(self, status: Status) -> RecordHead:
+        """Make the head of the record, apart from what follows from its episodes."""
         cases = dict(self._cases)
         for case in self._unreported_cases():
             known = cases.setdefault((case.id, case.component), case)
             cases[case.id, case.component] = max(known, case, key=attrgetter("planned"))
         judgements = self._answerable_judgements()
-        head = RecordHead.model_validate(
+        failed = {"failed_items": sorted(self._failed)} if self._failed else {}
+        return RecordHead.model_validate(
             {
                 **_UNCONCLUDED,
                 **self.header,
@@ -352,6 +362,7 @@ class RecordBuilder:
                     for key, case in cases.items()
                 ],
                 "judgements": judgements,
+                **failed,
                 "waivers": {item: self._waivers[item] for item in sorted(self._waivers)},
                 "doubts": [
                     Doubt(case, component, reason)
@@ -362,8 +373,6 @@ class RecordBuilder:
                 "monitors": [self._monitors[key] for key in sorted(self._monitors)],
             }
         )
-        record = SessionRecord(head, self.directory or Path(), self._spool.__iter__)
-        return conclude(record)
 
     def _hazards_json(self) -> JsonObject:
         """The record's key ``hazards``, if there are any."""

@@ -1,143 +1,417 @@
-"""Merge the bundles of all shards of a session into the bundle and the gate of the whole.
+"""Merge bundles: the union of their lines, from which the record of the whole is concluded.
 
-The records of all parts are joined by the code that makes the record of a session, and
-written into a directory of their own.
+The parts are sessions of one project, component and seed: all shards of a session, sessions with
+other selections, merged bundles. They may overlap: equal episodes have equal digests.
 """
 
 from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import cached_property
+from heapq import merge as merge_sorted
+from itertools import groupby, islice
+from operator import attrgetter, itemgetter
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pytest_dura.core.codec import encode
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, shorten
 from pytest_dura.evidence.baseline import Baseline, regression_objections
-from pytest_dura.evidence.bundle import begin_bundle, write_bundle
+from pytest_dura.evidence.bundle import RECORD_FILE, begin_bundle, open_record, write_bundle
 from pytest_dura.evidence.case_model import CasePlan
-from pytest_dura.evidence.conclude import complete
+from pytest_dura.evidence.conclude import complete, conclude
 from pytest_dura.evidence.conclusions.cases import untraced
+from pytest_dura.evidence.conclusions.verdicts import joined_lines, test_function
+from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
-from pytest_dura.evidence.episodes import ItemReport, RepeatReport
-from pytest_dura.evidence.files import LOCK_FILE, DirectoryLock, read_chunks, write_file
-from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate
-from pytest_dura.evidence.gather import RecordBuilder
-from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.merge_checks import (
-    KEYS_OF_ALL_COMPONENTS,
-    ShardBundle,
-    check_complete,
-    check_consistent,
-    read_parts,
+from pytest_dura.evidence.episodes import ItemReport, RepeatReport, episode_order, trace_weight
+from pytest_dura.evidence.files import (
+    LOCK_FILE,
+    DirectoryLock,
+    file_entry,
+    read_chunks,
+    write_file,
 )
-from pytest_dura.evidence.model import SessionRecord, Totals, components_under_test
+from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate, repeat_objections
+from pytest_dura.evidence.gather import RecordBuilder
+from pytest_dura.evidence.model import RecordHead, SessionRecord, components_under_test
 from pytest_dura.evidence.objections import other_objections
-from pytest_dura.evidence.searches import RecordedSearch
-from pytest_dura.evidence.session_model import LanguageModelEntry, MergedShard
+from pytest_dura.evidence.session_model import MergedShard, SelectionEntry, ToolEntry
 from pytest_dura.evidence.sessions import merged_resume
+from pytest_dura.evidence.shard_units import plan_digest
+from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.traces import is_trace_path
+from pytest_dura.evidence.verify import verify_bundle
+from pytest_dura.provenance import describe_tool
 
+KEYS_OF_PARTS = ("created", "finished", "command", "environment", "execution", "timings", "shard",
+                 "merged_from", "selection", "baseline", "looks")  # fmt: skip
+"""Keys of the head that say who ran the parts, where and when; all others are those of the whole,
+apart from the id of the session in ``resume``."""
 _PLANNED_KEYS = set(CasePlan.model_fields)
-_TRACE_REASONS = ("twin", "all", "sample", "missing", "violation")
-"""Reasons to keep a trace; of several the last one is recorded."""
+_KEYS_OF_ALL_COMPONENTS = {"others", "sources"}
+"""Keys of the first component about all of them."""
+_MAX_PROBLEM_TEXT = 300
+"""Greatest number of characters that are quoted from a damaged bundle."""
+_MAX_LISTED, _MOST_LEFT_OUT = 8, 20
 
 
-def _merged_header(parts: Sequence[ShardBundle], output: Path) -> dict[str, Any]:
-    """Build the header of the merged record.
+@dataclass(frozen=True)
+class Part:
+    """A bundle that is merged.
 
     Args:
-        parts: Ordered by their numbers.
-        output: Where the merged evidence goes.
+        record: Its record.
+        sha256: Of its ``evidence.json``.
     """
-    first = parts[0].record.head
-    dirty = [part.record.head.environment.git.dirty for part in parts]
-    git = first.environment.git.replace(dirty=True if any(dirty) else dirty[0])
-    return {
-        "created": min(part.record.head.created for part in parts),
-        "tool": first.tool,
-        "command": merged_command(first.command, output),
-        "base_seed": first.base_seed,
-        "evidence_level": first.evidence_level,
-        "require_repeatable": first.require_repeatable,
-        "environment": first.environment.replace(git=git),
-        "execution": first.execution,
-        **_merged_second_engine(parts),
-        **({} if first.llm_price is None else {"llm_price": first.llm_price}),
-        **({} if first.looks is None else {"looks": first.looks}),
-        "resume": merged_resume(part.record.head.resume for part in parts),
-        "shard": None,
-        "selection": first.selection,
-        "merged_from": [_shard_summary(part) for part in parts],
-    }
 
+    record: SessionRecord
+    sha256: str
 
-def _merged_second_engine(parts: Sequence[ShardBundle]) -> dict[str, Any]:
-    """Sum up what the second engines of all shards were compared on, if they have one."""
-    engines = [part.record.head.second_engine for part in parts]
-    entries = [engine for engine in engines if engine is not None]
-    if not entries:
-        return {}
-    left_out: Counter[str] = Counter()
-    for entry in entries:
-        left_out.update(entry.not_compared)
-    counts = {"compared": sum(entry.compared for entry in entries), "not_compared": dict(left_out)}
-    return {"second_engine": {**entries[0].to_json(), **counts}}
+    @property
+    def head(self) -> RecordHead:
+        """Head of its record."""
+        return self.record.head
 
+    @property
+    def file(self) -> str:
+        """Path of its record, for messages."""
+        return str(self.record.directory / RECORD_FILE)
 
-def _shard_summary(part: ShardBundle) -> MergedShard:
-    head, shard = part.record.head, part.shard
-    return MergedShard.model_validate(
-        {
-            "index": part.index,
-            "count": shard.count,
-            "plan": shard.plan,
-            "units": len(part.units),
-            "created": head.created,
-            "finished": head.finished,
-            "command": head.command,
-            "environment": head.environment,
-            "gate": head.gate.result,
-            "exit_code": head.gate.exit_code,
-            "wall_seconds": head.timings.wall_seconds,
-            "record": part.sha256,
+    @cached_property
+    def sessions(self) -> list[MergedShard]:
+        """The sessions that it is made of: those that were merged, or itself."""
+        head, shard = self.head, self.head.shard
+        if head.merged_from is not None:
+            return head.merged_from
+        own: dict[str, Any] = {
+            key: None if shard is None else getattr(shard, key)
+            for key in ("index", "count", "plan")
         }
+        own |= {
+            key: getattr(head, key) for key in ("created", "finished", "command", "environment")
+        }
+        own |= {"gate": head.gate.result, "exit_code": head.gate.exit_code, "record": self.sha256}
+        own |= head.timings.to_json(include={"wall_seconds", "evidence_seconds"})
+        own["units"] = None if shard is None else len(shard.holds)
+        return [MergedShard.model_validate(own)]
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Digests of the records of its sessions."""
+        return frozenset(session.record for session in self.sessions)
+
+
+def session_order(session: MergedShard) -> tuple[int, str, str]:
+    """Sort key of sessions: the number of the shard, then when it began."""
+    return session.index or 0, session.created, session.record
+
+
+def read_parts(directories: Iterable[Path]) -> list[Part]:
+    """Read the bundles of these directories, ordered by their sessions, each session once.
+
+    Each is verified first, as ``python -m pytest_dura verify`` does. Nothing of it is run.
+
+    Raises:
+        ConfigurationError: If one is not an intact bundle of a finished session.
+    """
+    read = sorted(map(_read_part, directories), key=lambda part: -len(part.sessions))
+    parts: list[Part] = []
+    for part in read:
+        if any(part.names <= other.names for other in parts):
+            continue  # the other has all that it has
+        for other in parts:
+            if part.names & other.names:
+                raise ConfigurationError(
+                    "two merged bundles share a session, and neither has all sessions of the other",
+                    file=part.file,
+                    key="merged_from",
+                    found=f"{len(part.names & other.names)} sessions of {other.file}",
+                    expected="bundles of different sessions",
+                    remedy="merge the bundles of the sessions themselves",
+                )
+        parts.append(part)
+    return sorted(parts, key=lambda part: min(map(session_order, part.sessions)))
+
+
+def _read_part(directory: Path) -> Part:
+    bundle = verify_bundle(directory)
+    file = str(directory / RECORD_FILE)
+    if not bundle.intact:
+        more = len(bundle.problems) - 1
+        raise ConfigurationError(
+            "this bundle cannot be merged, because it is not intact",
+            file=file,
+            key="BUNDLE",
+            found=one_line(bundle.problems[0], _MAX_PROBLEM_TEXT)
+            + (f" and {more} more" if more else ""),
+            expected="an intact bundle of a session that came to its end",
+            remedy=f"see `python -m pytest_dura verify {directory}`; copy it again, or run the "
+            "shard again",
+        )
+    record = open_record(directory / RECORD_FILE)
+    if record.head.shard is not None and record.head.shard.plan is None:
+        raise ConfigurationError(
+            "what this shard holds is not known: all of its workers died",
+            file=file,
+            key="shard.plan",
+            expected="the bundle of a shard that collected its tests",
+            remedy="run the shard again",
+        )
+    return Part(record, str(file_entry(directory / RECORD_FILE)["sha256"]))
+
+
+# -- What protects the inputs ------------------------------------------------------------------
+
+
+def check_shards(parts: Sequence[Part]) -> None:
+    """Refuse shards of different plans, and a plan of which shards are missing.
+
+    Args:
+        parts: Of :func:`read_parts`.
+
+    Raises:
+        ConfigurationError: For the first problem.
+    """
+    shards = [(part, part.head.shard) for part in parts if part.head.shard is not None]
+    if not shards:
+        return
+    first, plan = shards[0]
+    for part, shard in shards[1:]:
+        for key in ("count", "plan", "units"):
+            found, expected = getattr(shard, key), getattr(plan, key)
+            if found != expected:
+                raise ConfigurationError(
+                    "it is part of another session: what is to be run as a whole differs",
+                    file=part.file,
+                    key=f"shard.{key}",
+                    found=found,
+                    expected=f"{expected!r}, as in {first.file}",
+                    remedy="run all shards of one commit with the same arguments; selections such "
+                    "as -k, -m and --lf have to be the same, too",
+                )
+    indices = {shard.index for _, shard in shards}
+    # A damaged record may name any number of shards.
+    absent = (index for index in range(1, plan.count + 1) if index not in indices)
+    missing = list(islice(absent, _MAX_LISTED + 1))
+    if missing:
+        names = ", ".join(map(str, missing[:_MAX_LISTED]))
+        names += " and more" if missing[_MAX_LISTED:] else ""
+        several, verb = ("shards", "are") if missing[1:] else ("shard", "is")
+        raise ConfigurationError(
+            f"{several} {names} of {plan.count} {verb} missing, and without every shard there is "
+            "no gate on the whole",
+            key="BUNDLE",
+            found=", ".join(str(part.record.directory) for part, _ in shards),
+            expected=f"the bundles of all {plan.count} shards",
+            remedy=f"fetch what is missing, or run it: --dura-shard={missing[0]}/{plan.count}",
+        )
+    held = {unit for _, shard in shards for unit in shard.holds}
+    digest = plan_digest(held)
+    if digest != plan.plan:
+        raise ConfigurationError(
+            "the shards together do not hold what the whole session was to run",
+            file=first.file,
+            key="shard.plan",
+            found=f"{len(held)} units with the digest {digest}",
+            expected=f"{plan.units} units with the digest {plan.plan}",
+            remedy="a record was changed, or written by another version; run the shards again",
+        )
+
+
+_SAME_CODE = "run all parts of one commit, with the same packages"
+_SAME_FILES = "run all parts of one commit, from the same files"
+
+
+def check_alike(parts: Sequence[Part]) -> None:
+    """Refuse parts that differ in what changes digests, or the meaning of a result.
+
+    These are project, component, requirements, seeds, versions and options. Selections and
+    machines may differ, and are recorded for each session.
+
+    Args:
+        parts: Of :func:`read_parts`.
+
+    Raises:
+        ConfigurationError: For the first difference.
+    """
+    _check_version(parts[0])
+    known: dict[str, tuple[Any, Part]] = {}
+    for part in parts:
+        for key, entry, remedy in _compared(part.head):
+            value = plain_data(entry)
+            before, first = known.setdefault(key, (value, part))
+            if before != value:
+                place, first_value, other_value = _first_difference(key, before, value)
+                values = shorten(first_value), other_value
+                raise _unlike((first, part), place, values, remedy)
+    _check_configuration_files(parts)
+
+
+def _unlike(
+    parts: tuple[Part, Part], key: str, values: tuple[str, Any], remedy: str
+) -> ConfigurationError:
+    """Make the error on a value of the first of two parts that the other does not have."""
+    (first, part), (expected, found) = parts, values
+    return ConfigurationError(
+        "the parts were not made alike",
+        file=part.file,
+        key=key,
+        found=found,
+        expected=f"{expected}, as in {first.file}",
+        remedy=remedy,
     )
 
 
-def merged_command(command: str, output: Path) -> str:
-    """Turn the command of a shard into that of the whole session, with another evidence folder."""
-    try:
-        arguments = shlex.split(command)
-    except ValueError:  # an unbalanced quote
-        arguments = ["pytest"]
-    kept: list[str] = []
-    remaining = iter(arguments)
-    for argument in remaining:
-        name, equals, _ = argument.partition("=")
-        if name not in ("--dura-shard", "--dura-evidence"):
-            kept.append(argument)
-        elif not equals:
-            next(remaining, None)
-    return shlex.join([*kept, f"--dura-evidence={output}"])
+def _check_version(part: Part) -> None:
+    ours, theirs = ToolEntry.model_validate(describe_tool()), part.head.tool
+    if theirs != ours:
+        other_code = theirs.version == ours.version
+        what = "other code of pytest-dura of the same version" if other_code else "another version"
+        key = "code" if other_code else "version"
+        raise ConfigurationError(
+            f"this bundle was written by {what}" + ("" if other_code else " of pytest-dura"),
+            file=part.file,
+            key=f"tool.{key}",
+            found=getattr(theirs, key),
+            expected=getattr(ours, key),
+            remedy="merge with the version that wrote the bundles: a released one, or one and the "
+            "same commit of a checkout",
+        )
 
 
-def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
-    """Add the parts to a record, a few episodes at a time.
+def _compared(head: RecordHead) -> Iterator[tuple[str, Any, str]]:
+    """Yield what has to be equal in all parts that have it: key, value and remedy."""
+    options = "give all parts the same options"
+    for name in ("base_seed", "evidence_level", "require_repeatable", "llm_price"):
+        yield name, getattr(head, name), options
+    yield "second_engine.version", head.second_engine and head.second_engine.version, options
+    yield "gate.warn_undecided", head.gate.warn_undecided, options
+    yield "options", head.options or {}, options
+    environment = head.environment
+    yield "tool", head.tool, _SAME_CODE
+    yield "environment.python", environment.python, _SAME_CODE
+    yield "environment.packages", environment.packages, _SAME_CODE
+    yield "environment.git.commit", environment.git.commit, _SAME_CODE
+    known = [each for each in _components_of(head) if each.name is not None]
+    times = Counter(each.name for each in known)
+    for component in known:
+        key = f"component_under_test {component.name}"
+        if times[component.name] > 1:
+            key += f" {plain_data([component.path, component.params])}"
+        yield key, component.to_json(exclude=_KEYS_OF_ALL_COMPONENTS), _SAME_CODE
+    for entry in head.inputs:
+        if entry.kind != "baseline":
+            yield f"inputs {entry.kind} {entry.path}", entry.sha256, _SAME_FILES
+    for hazard in head.hazards or ():
+        yield f"hazards {hazard.id}", hazard, _SAME_FILES
+    for requirement in head.requirements:
+        yield f"requirements {requirement.id}", requirement, _SAME_FILES
+    for case in head.cases:
+        plan = case.to_json(include=_PLANNED_KEYS - {"planned"})
+        yield f"cases {case.id} with {case.component}", plan, _SAME_FILES
+    for measure in head.measures:
+        yield f"measures {measure.name}", measure, _SAME_CODE
+    for model in head.models:
+        key = f"models {model.component} {model.model} {model.fingerprint} {model.mode}"
+        replayed = model.to_json(include={"capabilities", "cassette"})
+        yield key, replayed, "let all parts replay one cassette: --dura-llm=replay"
+    for search in head.searches:
+        key = f"searches {search.item} {search.case} {search.component} {search.seed}"
+        yield key, encode(replace(search, waiver=None)), _SAME_CODE
 
-    An episode in two parts is that of a test which chooses its episodes itself. If it differs
-    between them, the record says so, as that of a session does.
+
+def _components_of(head: RecordHead) -> list[Any]:
+    return [head.component_under_test, *(head.component_under_test.others or ())]
+
+
+def _first_difference(key: str, value: Any, other: Any) -> tuple[str, Any, Any]:
+    """Find the first key in which two values differ, and both values there."""
+    if isinstance(value, Mapping) and isinstance(other, Mapping):
+        for name in sorted({*value, *other}):
+            if value.get(name) != other.get(name):
+                return _first_difference(f"{key}.{name}", value.get(name), other.get(name))
+    return key, value, other
+
+
+def _check_configuration_files(parts: Sequence[Part]) -> None:
+    """Refuse parts of which only some read a ``conftest.py`` or a configuration."""
+    files = [
+        {(entry.kind, entry.path) for entry in part.head.inputs
+         if entry.kind in ("conftest", "configuration")}
+        for part in parts
+    ]  # fmt: skip
+    known = {key: part for part, own in reversed([*zip(parts, files, strict=True)]) for key in own}
+    for part, own in zip(parts, files, strict=True):
+        tests = [PurePosixPath(each.path) for each in part.head.inputs if each.kind == "test"]
+        for kind, path in sorted(known.keys() - own):
+            folder = PurePosixPath(path).parent
+            used = any(folder in test.parents for test in tests)
+            simulated = folder == PurePosixPath() and part.head.totals.episodes
+            if kind == "configuration" or used or simulated:
+                key, first = f"inputs {kind} {path}", known[kind, path]
+                values = "the file", "no such file"
+                raise _unlike((first, part), key, values, _SAME_FILES)
+
+
+# -- The union of the lines --------------------------------------------------------------------
+
+
+def union_of_episodes(parts: Sequence[Part]) -> Iterator[tuple[EpisodeEntry, Part]]:
+    """Yield each episode of the parts once, in the order of a record, with the part it is from.
+
+    Of equal episodes the one is taken whose trace is kept for the weightiest reason.
 
     Raises:
-        ConfigurationError: If the episodes cannot be written.
+        ConfigurationError: If two parts have an episode with different digests.
     """
-    for part in parts:
-        head = part.record.head
+
+    def stream(number: int, part: Part) -> Iterator[tuple[Any, int, EpisodeEntry]]:
+        for episode in part.record.episodes():
+            yield episode_order(episode), number, episode
+
+    ordered = merge_sorted(*map(stream, range(len(parts)), parts), key=itemgetter(0, 1))
+    for _, group in groupby(ordered, key=itemgetter(0)):
+        yield _joined([(episode, parts[number]) for _, number, episode in group])
+
+
+def _joined(held: Sequence[tuple[EpisodeEntry, Part]]) -> tuple[EpisodeEntry, Part]:
+    """Join what several parts have of one episode."""
+    (first, part), *others = held
+    if not others:
+        return first, part
+    for other, other_part in others:
+        if other.digest != first.digest:
+            raise ConfigurationError(
+                f"the episode {first.id} ({first.component}) came out differently in two parts: "
+                f"the digest is {first.digest} in {part.file}, {other.digest} in {other_part.file}",
+                key="episodes",
+                found="two different episodes",
+                expected="equal digests of what has the same inputs",
+                remedy="find what the episode depends on beside its seed (--dura-replay compares "
+                "it); or merge parts that do not share it",
+            )
+    traced, owner = max(held, key=lambda each: trace_weight(each[0].trace))  # the first of equals
+    faults = []
+    for place, fault in enumerate(traced.faults):
+        known = [fault, *(episode.faults[place] for episode, _ in held)]
+        followed = (each for each in known if each != untraced(each))
+        faults.append(next(followed, fault))
+    planned = any(episode.planned for episode, _ in held)
+    return traced.replace(planned=planned, faults=faults), owner
+
+
+def _joined_heads(record: RecordBuilder, parts: Sequence[Part]) -> None:
+    """Add what the heads of the parts say to a record."""
+    for number, part in enumerate(parts):
+        head = part.head
         report = ItemReport("")
         report.components += [
-            component.to_json(exclude=KEYS_OF_ALL_COMPONENTS)
+            component.to_json(exclude=_KEYS_OF_ALL_COMPONENTS)
             for component in components_under_test(part.record)
             if component.name
         ]
@@ -153,109 +427,160 @@ def _join_records(record: RecordBuilder, parts: Sequence[ShardBundle]) -> None:
         report.measures += head.measures
         report.hazards += head.hazards or []
         report.requirements += head.requirements
-        report.monitors += head.monitors
-        report.models += [{**model.to_json(), "process": part.name} for model in head.models]
+        report.models += [{**model.to_json(), "process": f"{number:09}"} for model in head.models]
         report.notes += head.resume.problems
         report.claimed += report.cases
         record.add(report)
-        for judgement in head.judgements:
-            record.add_judgement(judgement)
+        for item in head.failed_items or ():
+            record.fail(item)
         for item, waiver in head.waivers.items():
             record.waive(item, waiver.kind, waiver.reason)
+        for doubt in head.doubts:
+            record.doubt(doubt)
         for search in head.searches:
             record.searches.adopt(search)
-    traced = _trace_owners(parts)
-    # The first report of an episode holds, so that the owners of traces come first.
-    for with_trace in (True, False):
-        for part in parts:
-            for episode in part.record.episodes():
-                if (traced.get(_identity(episode)) == part.index) == with_trace:
-                    report = _report_of(episode, with_trace=with_trace)
-                    record.add(report)
+    for judgement in joined_lines(each for part in parts for each in part.head.judgements):
+        record.add_judgement(judgement)
+    # Of two measurements that on more runs holds, which is the last one.
+    monitors = [monitor for part in parts for monitor in part.head.monitors]
+    most = attrgetter("episodes", "invalid", "missing", "untimed")
+    record.add(ItemReport("", monitors=sorted(monitors, key=most)))
 
 
-def _trace_owners(parts: Iterable[ShardBundle]) -> dict[tuple[str, ...], int]:
-    """Number of the part whose trace of an episode is kept: the first with the best reason."""
-    owners: dict[tuple[str, ...], tuple[int, int]] = {}
-    for part in parts:
-        for episode in part.record.episodes():
-            if episode.trace is not None:
-                candidate = -_TRACE_REASONS.index(episode.trace.kept_for), part.index
-                key = _identity(episode)
-                owners[key] = min(candidate, owners.get(key, candidate))
-    return {key: index for key, (_, index) in owners.items()}
+_SAME = ("tool", "base_seed", "evidence_level", "require_repeatable", "execution", "llm_price",
+         "options")  # fmt: skip
+"""Keys of the header that are those of the first part."""
 
 
-def _identity(episode: EpisodeEntry) -> tuple[str, ...]:
-    return episode.id, episode.component, episode.digest
+def _merged_header(parts: Sequence[Part], output: Path) -> dict[str, Any]:
+    """Build the header of the merged record.
+
+    Args:
+        parts: Of :func:`read_parts`.
+        output: Where the merged evidence goes.
+    """
+    first = parts[0].head
+    sessions = {session.record: session for part in parts for session in part.sessions}
+    dirty = [part.head.environment.git.dirty for part in parts]
+    git = first.environment.git.replace(dirty=True if any(dirty) else dirty[0])
+    header = {
+        **{key: getattr(first, key) for key in _SAME},
+        "created": min(session.created for session in sessions.values()),
+        "command": merged_command(first.command, output),
+        "environment": first.environment.replace(git=git),
+        "second_engine": _merged_second_engine(parts),
+        "looks": [*dict.fromkeys(look for part in parts for look in part.head.looks or ())] or None,
+        "resume": merged_resume(part.head.resume for part in parts),
+        "selection": _merged_selection(parts),
+        "merged_from": sorted(sessions.values(), key=session_order),
+    }
+    return {key: value for key, value in header.items() if value is not None} | {"shard": None}
 
 
-def _report_of(episode: EpisodeEntry, *, with_trace: bool) -> ItemReport:
-    """Rebuild the report of an episode, with the chains of its faults apart."""
-    report = ItemReport("", episodes=[{**episode.to_json(), "trace": None}])
-    about = {"component": episode.component, "episode": episode.id, "case": episode.case}
-    for fault in episode.faults:
-        if fault != untraced(fault):
-            report.chains.append({**about, **encode(fault)})
-    if with_trace:
-        report.traces.append(episode.to_json(include={"id", "component", "digest", "trace"}))
-    return report
+def _merged_selection(parts: Sequence[Part]) -> SelectionEntry:
+    """Say what of the plan the parts were asked for together."""
+    selections = [part.head.selection for part in parts]
+    if all(selection == selections[0] for selection in selections):
+        return selections[0]
+    judgements = [judgement for part in parts for judgement in part.head.judgements]
+    asked = {(each.decides, each.requirement, each.case) for each in judgements}
+    names = {item for item, _, _ in asked}
+    names |= {f"{name} on {case} by {test_function(item)}" for item, name, case in asked}
+    left_out = {name for selection in selections for name in selection.left_out} - names
+    planned = max(selection.planned for selection in selections)
+    return selections[0].replace(
+        planned=max(planned, len(asked) + len(left_out)),
+        asked=len(asked),
+        left_out=sorted(left_out)[:_MOST_LEFT_OUT],
+    )
 
 
-def _merged_inputs(parts: Iterable[ShardBundle]) -> list[dict[str, Any]]:
+def _merged_second_engine(parts: Sequence[Part]) -> dict[str, Any] | None:
+    """Sum up what the second engines of all parts were compared on, if they have one."""
+    entries = [engine for part in parts if (engine := part.head.second_engine) is not None]
+    if not entries:
+        return None
+    left_out: Counter[str] = Counter()
+    for entry in entries:
+        left_out.update(entry.not_compared)
+    compared = sum(entry.compared for entry in entries)
+    return {**entries[0].to_json(), "compared": compared, "not_compared": dict(left_out)}
+
+
+def merged_command(command: str, output: Path) -> str:
+    """Turn the command of a part into that of the whole session, with another evidence folder."""
+    try:
+        arguments = shlex.split(command)
+    except ValueError:  # an unbalanced quote
+        arguments = ["pytest"]
+    kept: list[str] = []
+    remaining = iter(arguments)
+    for argument in remaining:
+        name, equals, _ = argument.partition("=")
+        if name not in ("--dura-shard", "--dura-evidence"):
+            kept.append(argument)
+        elif not equals:
+            next(remaining, None)
+    return shlex.join([*kept, f"--dura-evidence={output}"])
+
+
+def _merged_inputs(parts: Iterable[Part]) -> list[dict[str, Any]]:
     """List the input files of all parts; ``changed`` if they changed while any part ran."""
     entries: dict[tuple[str, str], dict[str, Any]] = {}
     for part in parts:
-        for entry in part.record.head.inputs:
-            known = entries.setdefault((entry.path, entry.kind), entry.to_json())
-            known["changed"] |= entry.changed
+        for entry in part.head.inputs:
+            if entry.kind != "baseline":
+                known = entries.setdefault((entry.path, entry.kind), entry.to_json())
+                known["changed"] |= entry.changed
     return [entries[key] for key in sorted(entries)]
 
 
-def _merged_cassettes(parts: Iterable[ShardBundle]) -> dict[tuple[Any, ...], Any]:
-    return {
-        _model_key(model): model.cassette for part in parts for model in part.record.head.models
-    }
-
-
-def _model_key(model: LanguageModelEntry) -> tuple[Any, ...]:
-    """Identify a model of a record."""
-    return (
-        model.component, model.model, model.fingerprint, model.prompts, model.base_url, model.mode
-    )  # fmt: skip
-
-
-def _merged_gate(
-    parts: Sequence[ShardBundle],
-    verdicts: Sequence[ItemVerdict],
-    searches: Sequence[RecordedSearch],
-    objections: Sequence[str],
-) -> Gate:
+def _merged_gate(parts: Sequence[Part], record: SessionRecord, objections: Sequence[str]) -> Gate:
     """Judge the whole by the rules of a session.
 
     Args:
-        parts: Ordered by their numbers.
-        verdicts: Of the merged record.
-        searches: Of the merged record.
+        parts: Of :func:`read_parts`.
+        record: The merged record.
         objections: Reasons against the merged record itself.
     """
-    codes = {part.record.head.gate.exit_code for part in parts}
-    against = [reason for part in parts for reason in other_objections(part.record.head)]
+    against = list(objections)
+    for part in parts:
+        head = part.head
+        anew = {*repeat_objections(head.cases)} if head.require_repeatable else set()
+        anew |= {*regression_objections(head.baseline)} if head.baseline else set()
+        against += [reason for reason in other_objections(head) if reason not in anew]
+    if record.head.require_repeatable:
+        against += repeat_objections(record.head.cases)
+    sessions = record.head.merged_from or []
+    codes = {session.exit_code for session in sessions}
     code = NO_TESTS
     if codes != {NO_TESTS}:
-        empty = [part for part in parts if part.record.head.gate.exit_code == NO_TESTS]
-        against += [f"{part.name}: no test was run" for part in empty]
+        against += [
+            f"{session_name(session)}: no test was run"
+            for session in sessions
+            if session.exit_code == NO_TESTS
+        ]
         failures = codes - {OK, NO_TESTS}
         code = failures.pop() if len(failures) == 1 else TESTS_FAILED if failures else OK
     return Gate.of(
-        verdicts,
-        list(dict.fromkeys([*objections, *against])),
-        searches=searches,
+        record.head.verdicts,
+        list(dict.fromkeys(against)),
+        searches=record.head.searches,
         interrupted=False,
         exit_code=code,
-        failed=sum(part.record.head.gate.failed for part in parts),
-        warn_undecided=parts[0].record.head.gate.warn_undecided,
+        failed=len(record.head.failed_items or ()),
+        warn_undecided=parts[0].head.gate.warn_undecided,
     )
+
+
+def session_name(session: MergedShard) -> str:
+    """Name a merged session: ``shard 2 of 5``, or when it began."""
+    if session.index is None:
+        return f"the session of {session.created}"
+    return f"shard {session.index} of {session.count}"
+
+
+# -- Where it goes -----------------------------------------------------------------------------
 
 
 def check_output(output: Path, inputs: Sequence[Path]) -> None:
@@ -291,25 +616,12 @@ def _output_error(problem: str, output: Path, found: str | None = None) -> Confi
     )
 
 
-def _copy_traces(record: SessionRecord, parts: Sequence[ShardBundle]) -> None:
-    """Copy the traces of a merged record out of its parts, and check their digests.
+def _copy(source: Path, target: Path, trace: TraceEntry) -> None:
+    """Copy a trace out of a part, and check its digest.
 
     Raises:
-        ConfigurationError: If one differs from its record, or cannot be written.
+        ConfigurationError: If it differs from its record, or cannot be written.
     """
-    places: dict[tuple[str, str], Path] = {
-        (episode.trace.file, episode.trace.sha256): part.record.directory
-        for part in parts
-        for episode in part.record.episodes()
-        if episode.trace is not None
-    }
-    for episode in record.episodes():
-        if episode.trace is not None:
-            trace = episode.trace
-            _copy(places[trace.file, trace.sha256], record.directory, trace)
-
-
-def _copy(source: Path, target: Path, trace: TraceEntry) -> None:
     name = trace.file
     file = source / name
     # The bundle was verified, but may have changed since.
@@ -334,126 +646,91 @@ def _damaged_trace(file: Path, found: str) -> ConfigurationError:
     )
 
 
-@dataclass(frozen=True)
-class MergeResult:
-    """Result of a merge.
-
-    Args:
-        shards: Number of shards.
-        totals: Of the merged record.
-        reasons: Why its gate did not pass; empty if it did.
-    """
-
-    shards: int
-    totals: Totals
-    reasons: tuple[str, ...]
-
-    @property
-    def passed(self) -> bool:
-        """Whether the gate of the whole passed."""
-        return self.totals.gate == "passed"
-
-
-@dataclass(frozen=True)
-class MergeComparison:
-    """Comparison of the whole with a baseline.
-
-    Args:
-        baseline: An earlier record.
-        fail_worse: Whether a rate that got worse fails the gate.
-    """
-
-    baseline: Baseline | None = None
-    fail_worse: bool = False
-
-    def compared(self, record: SessionRecord) -> SessionRecord:
-        """Add the comparison to a record."""
-        finished = None if record.head.status == "running" else record
-        baseline = None if self.baseline is None else self.baseline.compared(finished)
-        return record.changed(baseline=baseline)
-
-    def objections(self, record: SessionRecord) -> list[str]:
-        """Reasons against a record that was compared."""
-        baseline = record.head.baseline
-        return regression_objections(baseline) if self.fail_worse and baseline else []
-
-    def inputs(self) -> list[dict[str, Any]]:
-        """Entry of the baseline's file among the record's inputs."""
-        baseline = None if self.baseline is None else self.baseline.session
-        if baseline is None:
-            return []
-        return [
-            {"path": baseline.path, "kind": "baseline", "sha256": baseline.sha256, "changed": False}
-        ]
-
-
-_NO_COMPARISON = MergeComparison()
-
-
 def merge_bundles(
-    directories: Sequence[Path], output: Path, comparison: MergeComparison = _NO_COMPARISON
-) -> MergeResult:
-    """Merge the bundles of all shards of a session.
+    directories: Sequence[Path],
+    output: Path,
+    baseline: Baseline | None = None,
+    *,
+    fail_worse: bool = False,
+) -> RecordHead:
+    """Merge bundles: the union of their lines, concluded. Returns the head of the whole.
 
     The order of the bundles does not matter. Nothing is written before all of them are verified
-    and make up a whole session. A merge that is killed leaves a record that says so.
+    and belong together. A merge that is killed leaves a record that says so.
 
     Args:
         directories: Of the bundles, at least one.
         output: Where the merged evidence goes: an empty directory, or one that is made.
-        comparison: Baseline to compare the whole with.
+        baseline: An earlier record to compare the whole with.
+        fail_worse: Whether a rate that got worse than there fails the gate.
 
     Raises:
-        ConfigurationError: For bundles that are no whole, and evidence that cannot be written.
+        ConfigurationError: For bundles that do not belong together, and evidence that cannot be
+            written.
     """
     check_output(output, directories)
     parts = read_parts(directories)
-    check_complete(parts)
-    check_consistent(parts)
+    check_shards(parts)
+    check_alike(parts)
+    for _ in union_of_episodes(parts):
+        pass  # equal ids have equal digests
     lock = DirectoryLock(output)
     try:
         check_output(output, directories)
-        record = RecordBuilder(_merged_header(parts, output), output)
-        try:
-            written = _write_merged(record, parts, comparison)
-        finally:
-            record.close()
+        with closing(RecordBuilder(_merged_header(parts, output), output)) as record:
+            return _write_merged(record, parts, baseline, fail_worse=fail_worse).head
     finally:
         lock.release()
-    return MergeResult(len(parts), written.head.totals, tuple(written.head.gate.reasons))
 
 
 def _write_merged(
-    record: RecordBuilder, parts: Sequence[ShardBundle], comparison: MergeComparison
+    record: RecordBuilder, parts: Sequence[Part], baseline: Baseline | None, *, fail_worse: bool
 ) -> SessionRecord:
-    warn_undecided = parts[0].record.head.gate.warn_undecided
-    running = Gate.running(warn_undecided=warn_undecided)
-    begin_bundle(
-        _conclude_merged(comparison.compared(record.record("running")), parts, running, comparison)
+    inputs = _merged_inputs(parts)
+    begun = record.record("running")
+    if baseline is not None:
+        begun = begun.changed(baseline=baseline.compared())
+        inputs.append({"path": baseline.session.path, "kind": "baseline",
+                       "sha256": baseline.session.sha256, "changed": False})  # fmt: skip
+    running = Gate.running(warn_undecided=parts[0].head.gate.warn_undecided)
+    begin_bundle(_conclude_merged(begun, running, inputs))
+    _joined_heads(record, parts)
+    head = record.head("complete")
+    tapes = {_model_key(model): model.cassette for part in parts for model in part.head.models}
+    models = [model.replace(cassette=tapes[_model_key(model)]) for model in head.models]
+    directory = record.directory or Path()
+    lines = SessionRecord(
+        head.replace(models=models),
+        directory,
+        lambda: (episode for episode, _ in union_of_episodes(parts)),
     )
-    _join_records(record, parts)
-    whole = record.record("complete")
-    tapes = _merged_cassettes(parts)
-    models = [model.replace(cassette=tapes[_model_key(model)]) for model in whole.head.models]
-    whole = comparison.compared(whole.changed(models=models))
-    _copy_traces(whole, parts)
-    against = [*record.problems, *comparison.objections(whole)]
-    gate = _merged_gate(parts, whole.head.verdicts, whole.head.searches, against)
-    return write_bundle(_conclude_merged(whole, parts, gate, comparison))
+    whole = conclude(lines)
+    against = record.problems
+    if baseline is not None:
+        whole = whole.changed(baseline=baseline.compared(whole))
+    if fail_worse and whole.head.baseline is not None:
+        against += regression_objections(whole.head.baseline)
+    for episode, part in union_of_episodes(parts):
+        if episode.trace is not None:
+            _copy(part.record.directory, directory, episode.trace)
+    return write_bundle(_conclude_merged(whole, _merged_gate(parts, whole, against), inputs))
+
+
+_model_key = attrgetter("component", "model", "fingerprint", "prompts", "base_url", "mode")
 
 
 def _conclude_merged(
-    record: SessionRecord, parts: Sequence[ShardBundle], gate: Gate, comparison: MergeComparison
+    record: SessionRecord, gate: Gate, inputs: Sequence[JsonObject]
 ) -> SessionRecord:
-    timings = [part.record.head.timings for part in parts]
-    finished = max(part.record.head.finished or "" for part in parts)
+    sessions = record.head.merged_from or []
+    finished = max(session.finished for session in sessions)
     return complete(
         record,
         finished=None if record.head.status == "running" else finished,
         gate=gate,
-        inputs=[*_merged_inputs(parts), *comparison.inputs()],
-        wall_seconds=sum(timing.wall_seconds for timing in timings),
-        evidence_seconds=sum(timing.evidence_seconds for timing in timings),
-        # The shards took out the secrets of the machines on which they ran.
+        inputs=inputs,
+        wall_seconds=sum(session.wall_seconds for session in sessions),
+        evidence_seconds=sum(session.evidence_seconds for session in sessions),
+        # The parts took out the secrets of the machines on which they ran.
         redact=lambda same: same,
     )

@@ -121,7 +121,8 @@ class RecordHead(Entry):
     tool: ToolEntry
     """What wrote the record."""
     command: str
-    """The command of the session; of merged shards that of the whole, with the merged evidence."""
+    """The command of the session; of merged sessions that of the first one, with the merged
+    evidence."""
     base_seed: Count
     """From which every episode's seed follows."""
     evidence_level: Literal["summary", "violations", "all"]
@@ -129,19 +130,22 @@ class RecordHead(Entry):
     require_repeatable: bool
     """Whether a case that is not repeatable fails the gate (ini `dura_require_repeatable`)."""
     environment: EnvironmentEntry
-    """Where the session ran; of merged shards the first one."""
+    """Where the session ran; of merged sessions the first one."""
     execution: ExecutionEntry
-    """Who simulated the episodes (`--dura-executor`); of merged shards the first one."""
+    """Who simulated the episodes (`--dura-executor`); of merged sessions the first one."""
     second_engine: Absent[SecondEngineEntry] = None
-    """What a second engine for formulas was compared on (ini `dura_stl_engine`); of merged shards
+    """What a second engine for formulas was compared on (ini `dura_stl_engine`); of merged sessions
     their sums. Absent without one."""
+    options: Absent[dict[str, str]] = None
+    """Options on which results depend, by name, as JSON: what all parts that are merged have in
+    common. Absent where none is given."""
     resume: ResumeEntry
     """What was taken over from earlier sessions (`--dura-resume`), fault-free twins apart."""
     shard: ShardEntry | None
     """Which part of a session this is (`--dura-shard`); null for a whole one."""
     merged_from: list[MergedShard] | None
-    """The shards of which `python -m pytest_dura merge` made this record, by their numbers; null
-    for the record of a session."""
+    """The sessions of which `python -m pytest_dura merge` made this record, by the numbers of their
+    shards and when they began; null for the record of a session."""
     selection: SelectionEntry
     """Which of the planned verdicts the session was asked for: what `-k`, `--deselect`, a conftest
     and `--dura-runs` left of the plan. Of a shard, that of the whole session."""
@@ -162,6 +166,8 @@ class RecordHead(Entry):
     """Sorted by id and component."""
     judgements: list[Coded[Judgement]]
     """What items asked, from which the verdicts follow; sorted by item, requirement and case."""
+    failed_items: Absent[list[str]] = None
+    """Node ids of the test items that failed in the end, sorted; absent where none did."""
     waivers: dict[str, Coded[Waiver]]
     """What excuses failures, by the node id of the item."""
     doubts: list[Coded[Doubt]]

@@ -200,8 +200,6 @@ class ShardEntry(Entry):
     """Its number, from 1."""
     count: Positive
     """How many shards there are."""
-    options: dict[str, str]
-    """Options on which results depend, by name, as JSON."""
     plan: Sha256 | None
     """SHA-256 over all units of the whole session; null until they are known."""
     units: Count | None
@@ -211,15 +209,15 @@ class ShardEntry(Entry):
 
 
 class MergedShard(Entry):
-    """A session that ran one shard of a merged one."""
+    """A session that is part of a merged record."""
 
-    index: Positive
-    """Its number, from 1."""
-    count: Positive
+    index: Positive | None
+    """Number of its shard, from 1; null for a session that was not split, as for what follows."""
+    count: Positive | None
     """How many shards there are."""
-    plan: Sha256
+    plan: Sha256 | None
     """SHA-256 over all units of the whole session."""
-    units: Count
+    units: Count | None
     """How many units it held."""
     created: str
     """When it began, in ISO 8601."""
@@ -235,6 +233,8 @@ class MergedShard(Entry):
     """Of it."""
     wall_seconds: Amount
     """From its start until its record was complete, in s."""
+    evidence_seconds: Amount
+    """Those of them that the evidence took."""
     record: Sha256
     """SHA-256 of its `evidence.json`."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -187,21 +187,25 @@ def _merged_problems(record: SessionRecord) -> Iterator[str]:
     parts = record.head.merged_from
     if parts is None:
         return
-    if (
-        not parts
-        or len(parts) != parts[0].count
-        or any(part.index != number for number, part in enumerate(parts, 1))
-    ):
-        yield "merged_from: not every shard once"
+    known = [(part.index or 0, part.created, part.record) for part in parts]
+    if not known or known != sorted(known) or len({part.record for part in parts}) < len(parts):
+        yield "merged_from: not in their order, or one is there twice"
         return
-    if len({(part.count, part.plan) for part in parts}) > 1:
-        yield "merged_from: shards of several plans"
+    shards: dict[tuple[int, str], set[int]] = defaultdict(set)
+    for part in parts:
+        if part.index and part.count and part.plan and part.units is not None:
+            shards[part.count, part.plan].add(part.index)
+        elif any((part.index, part.count, part.plan, part.units)):
+            yield "merged_from: a shard without a plan"
+    for (count, _), indices in shards.items():
+        if len(indices) != count or max(indices) != count:
+            yield "merged_from: not every shard of a session"
     if record.head.created != min(part.created for part in parts):
-        yield "created: not when the first of its shards began"
+        yield "created: not when the first of its sessions began"
     if record.head.status == "complete" and record.head.finished != max(
         part.finished for part in parts
     ):
-        yield "finished: not when the last of its shards ended"
-    failed = [part.index for part in parts if part.gate != "passed" or part.exit_code]
+        yield "finished: not when the last of its sessions ended"
+    failed = any(part.gate != "passed" or part.exit_code for part in parts)
     if failed and record.head.gate.result == "passed":
-        yield f"gate: passed, although shard {failed[0]} did not pass"
+        yield "gate: passed, although one of its sessions did not pass"

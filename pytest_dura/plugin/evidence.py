@@ -226,6 +226,7 @@ class SessionEvidence:
         from pytest_dura.evidence.gather import RecordBuilder
         from pytest_dura.evidence.looks import earlier_looks
         from pytest_dura.plugin.inputs import files_of_roles
+        from pytest_dura.plugin.items import compared_options
         from pytest_dura.plugin.progress import remove_files
         from pytest_dura.provenance import describe_environment, describe_tool
 
@@ -254,6 +255,7 @@ class SessionEvidence:
                     "shard": self._shard_json(),
                     "merged_from": None,
                     "selection": self._selection.to_json(),
+                    **({"options": given} if (given := compared_options(self.context)) else {}),
                     **self._models.price_json(),
                     **({"looks": looks} if looks else {}),
                 },

@@ -365,7 +365,7 @@ class ShardHooks:
     def to_json(self) -> dict[str, Any]:
         """The record's key ``shard``."""
         split = self._split or {"plan": None, "units": None, "holds": []}
-        return {**vars(self.shard), "options": _compared_options(self.context), **split}
+        return {**vars(self.shard), **split}
 
     @property
     def is_empty(self) -> bool:
@@ -435,7 +435,7 @@ class ShardHooks:
             session.exitstatus = pytest.ExitCode.OK
 
 
-def _compared_options(context: SessionContext) -> dict[str, str]:
+def compared_options(context: SessionContext) -> dict[str, str]:
     """Return the options on which results depend, with their values as JSON."""
     options = vars(context.config.option)
     others = {name: options[name] for name in _COMPARED_OPTIONS_OF_OTHERS if name in options}

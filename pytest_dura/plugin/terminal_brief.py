@@ -19,7 +19,12 @@ from pytest_dura.reports.failure_modes import (
 )
 from pytest_dura.reports.usage import usage_rows
 from pytest_dura.reports.verdicts import reading_sentences
-from pytest_dura.reports.wording import look_sentences, names_text, supported_sentence
+from pytest_dura.reports.wording import (
+    beyond_plan_sentences,
+    look_sentences,
+    names_text,
+    supported_sentence,
+)
 from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
@@ -93,7 +98,8 @@ def brief_lines(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator[s
     yield from effectiveness_lines(head.effectiveness, RECOVERY_ROLE)
     yield from effectiveness_lines(head.effectiveness)
     supported = [supported_sentence(head.verdicts)] if head.verdicts else []
-    for line in (*_reading_lines(head.verdicts), *supported, *look_sentences(record)):
+    notes = (*look_sentences(record), *beyond_plan_sentences(record))
+    for line in (*_reading_lines(head.verdicts), *supported, *notes):
         yield from textwrap.wrap(line, WIDTH, subsequent_indent="  ")
 
 

@@ -14,12 +14,12 @@ from pytest_dura.core.state import NOTHING, Event
 from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.looks import further_looks
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.model import RecordHead, SessionRecord
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.hazards import without_evidence_sentences
 from pytest_dura.reports.searches import unviolated_sentences, violation_sentences
-from pytest_dura.requirements.campaign_verdicts import weakness
+from pytest_dura.requirements.campaign_verdicts import beyond_plan_text, weakness
 
 NAME_LIMIT = 400
 """Characters of a name in a machine-readable format."""
@@ -80,15 +80,21 @@ def shard_text(record: SessionRecord) -> str:
 
 
 def merge_text(record: SessionRecord) -> str:
-    """Number and places of the shards that were merged; empty for a session's own record."""
-    shards = record.head.merged_from
-    if shards is None:
+    """Number and places of the sessions that were merged; empty for a session's own record."""
+    parts = record.head.merged_from
+    if parts is None:
         return ""
-    # Which shards have property tests says nothing of where they ran.
-    places = [shard.environment.to_json() | {"hypothesis": None} for shard in shards]
+    # Which parts have property tests says nothing of where they ran.
+    places = [part.environment.to_json() | {"hypothesis": None} for part in parts]
     several = len({json.dumps(place, sort_keys=True) for place in places}) > 1
-    count = counted(len(shards), "shard")
+    count = merged_parts_text(record.head)
     return f"{count}, in environments that differ" if several else f"{count}, in one environment"
+
+
+def merged_parts_text(head: RecordHead) -> str:
+    """Number of the sessions of a merged record: shards, or whole ones among them."""
+    parts = head.merged_from or ()
+    return counted(len(parts), "shard" if all(part.index for part in parts) else "session")
 
 
 def second_engine_text(record: SessionRecord) -> str:
@@ -228,6 +234,7 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
         yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
     yield from _one_situation(verdicts)
     yield from look_sentences(record)
+    yield from beyond_plan_sentences(record)
     waived = [verdict for verdict in verdicts if verdict.waiver is not None]
     if waived:
         yield f"{_share(waived, verdicts)} waived: let through by name, not by evidence."
@@ -283,6 +290,14 @@ def look_sentences(record: SessionRecord) -> Iterator[str]:
             f"{counted(len(earlier), 'earlier plan')} ({'; '.join(looks)}): its confidence holds "
             "for one look."
         )
+
+
+def beyond_plan_sentences(record: SessionRecord) -> Iterator[str]:
+    """Name the runs that lie beyond the decision of a verdict, and so enter nothing."""
+    for verdict in record.head.verdicts:
+        if verdict.beyond_plan:
+            place = f"{name(verdict.requirement)} on {name(verdict.case)}"
+            yield f"{place}: {beyond_plan_text(verdict)}."
 
 
 def _left_out(record: SessionRecord) -> Iterator[str]:

@@ -321,6 +321,9 @@ class CampaignVerdict(Shown):
     """What was judged: a formula or the import path of a function; empty for test code."""
     paired: Paired | None = None
     """For a requirement on pairs of runs."""
+    beyond_plan: tuple[Count, ...] = ()
+    """Numbers of runs beyond those that decide it, which merged parts of a session bring; they
+    enter no count, rate, bound or table."""
 
     __repr__ = short_repr
 
@@ -332,6 +335,7 @@ class CampaignVerdict(Shown):
         yield "verdict", self.verdict
         yield "reason", self.reason
         yield "runs", f"{self.run} of {self.planned}, {self.episodes} valid"
+        yield "beyond the decision", number_ranges(self.beyond_plan) or None
         yield "violations", str(self.violations)
         bound = self.bound
         if bound.upper is not None:
@@ -345,6 +349,29 @@ class CampaignVerdict(Shown):
             ]
             or None,
         )
+
+
+def number_ranges(numbers: Iterable[int]) -> str:
+    """Write ascending numbers of runs as ranges, such as ``3 to 7, 9``."""
+    ranges: list[list[int]] = []
+    for number in numbers:
+        if ranges and number == ranges[-1][1] + 1:
+            ranges[-1][1] = number
+        else:
+            ranges.append([number, number])
+    return ", ".join(f"{low} to {high}" if high > low else f"{low}" for low, high in ranges)
+
+
+def beyond_plan_text(verdict: CampaignVerdict) -> str:
+    """Say which runs lie beyond the decision; empty without any."""
+    numbers = verdict.beyond_plan
+    if not numbers:
+        return ""
+    run, lies, enters = ("runs", "lie", "enter") if numbers[1:] else ("run", "lies", "enters")
+    return (
+        f"{run} {number_ranges(numbers)} {lies} beyond the decision after {verdict.run} and "
+        f"{enters} nothing"
+    )
 
 
 def with_doubt(verdict: CampaignVerdict, doubt: str) -> CampaignVerdict:

@@ -14,7 +14,12 @@ from typing import Annotated, Literal, NamedTuple
 
 from pytest_dura.core.codec import Confidence, Count, Limit, Sha256, Share
 from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, Situations, with_doubt
+from pytest_dura.requirements.campaign_verdicts import (
+    CampaignVerdict,
+    Situations,
+    number_ranges,
+    with_doubt,
+)
 from pytest_dura.requirements.episode_verdicts import CheckVerdict, EpisodeStatus, EpisodeVerdict
 from pytest_dura.requirements.model import Method, Paired, Requirement
 from pytest_dura.requirements.pairs import (
@@ -271,6 +276,13 @@ def conclude_campaign(
     by_number = {known[judged.digest].number: judged for judged in _recorded(judgement, known)}
     while course.goes_on and (judged := by_number.pop(len(course.runs), None)) is not None:
         course.add(judged, known[judged.digest], known.get(judged.twin))
+    if course.goes_on and by_number:
+        # The order decides: what follows a gap is not judged before the gap is filled.
+        due = range(len(course.runs), max(by_number))
+        missing = [number for number in due if number not in by_number]
+        runs, are = ("runs", "are") if missing[1:] else ("run", "is")
+        doubt = f"{runs} {number_ranges(missing)} {are} missing"
+        return Conclusion(with_doubt(course.verdict(), doubt), [])
     return Conclusion(course.verdict(), sorted(by_number))
 
 

@@ -1,4 +1,4 @@
-"""``python -m pytest_dura merge``: the shards of real sessions against the same ones unsharded."""
+"""``python -m pytest_dura merge``: parts of real sessions against the same sessions as a whole."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 from collections import defaultdict
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -20,14 +21,12 @@ from pytest_dura.evidence import (
     Baseline,
     DirectoryLock,
     SessionRecord,
-    ShardUnit,
     check_record,
     file_entry,
     files_below,
     manifest_text,
     merge_bundles,
     open_record,
-    plan_digest,
     record_problems,
     record_schema,
     verify_bundle,
@@ -35,6 +34,7 @@ from pytest_dura.evidence import (
 )
 from pytest_dura.evidence import bundle as bundle_directory
 from pytest_dura.evidence.files import listed_files
+from pytest_dura.evidence.verify import conclude_again
 
 PROJECT = Path(__file__).with_name("project")
 TESTS = """
@@ -87,6 +87,10 @@ ARGUMENTS = ["-q", "-p", "no:cacheprovider", "-p", "no:unraisableexception", "te
              "--dura-scenarios", "--dura-select=corridor/*",
              "--dura-generator=corridor:Reckless"]  # fmt: skip
 COUNTS = (1, 2, 3)
+SELECTIONS = {
+    "runs": "test_each_run or tight", "rest": "not test_each_run", "some": "pairs or free or hand",
+}  # fmt: skip
+"""Names of sessions and what they select with ``-k``; the first two are the whole together."""
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +115,9 @@ def made(tmp_path_factory, forked_workers):
         [*ARGUMENTS, f"--dura-shard={index}/{count}", f"--dura-evidence=of-{count}/{index}"]
         for count in COUNTS
         for index in range(1, count + 1)
+    ]
+    sessions += [
+        [*ARGUMENTS, "-k", chosen, f"--dura-evidence={name}"] for name, chosen in SELECTIONS.items()
     ]
     sessions.append([*ARGUMENTS[:6], "-k", "nothing", "--dura-shard=1/1", "--dura-evidence=none"])
     sessions += [
@@ -172,6 +179,19 @@ def rewritten(folder, change):
     (folder / "manifest.json").write_text(manifest_text(entries))
 
 
+def replace_episode(record, other):
+    """Put another episode in the place of that with its id, and of its seed."""
+    episodes = [
+        one
+        for one in record["episodes"]
+        if (one["id"], one["seed"]) != (other["id"], other["seed"])
+    ]
+    record["episodes"] = sorted(
+        [*episodes, other],
+        key=lambda one: (one["case"], one["component"], one["spec"]["run"], one["seed"]),
+    )
+
+
 def refused(bundles, output, *words):
     with pytest.raises(ConfigurationError) as told:
         merge_bundles(bundles, output)
@@ -185,7 +205,7 @@ def refused(bundles, output, *words):
 def test_all_shards_come_to_what_the_session_comes_to(made, tmp_path, count):
     output = tmp_path / "out"
     merged = merge_bundles(of(made, count), output)
-    assert not merged.passed
+    assert merged.gate.result == "failed"
     whole = comparable(made / "whole")
     found = comparable(output)
     assert found["gate"] == whole["gate"]
@@ -237,14 +257,13 @@ def test_what_two_shards_told_of_an_episode_comes_from_one_of_them(two, tmp_path
     other["trace"] |= file_entry(hand / name)
 
     def change(record):
-        record["episodes"] = [one for one in record["episodes"] if one["id"] != other["id"]]
-        record["episodes"].append(other)
+        replace_episode(record, other)
 
     rewritten(hand, change)
     assert own.trace.kept_for == "violation"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(
-            "pytest_dura.evidence.merge_checks.verify_bundle",
+            "pytest_dura.evidence.merge.verify_bundle",
             lambda _: type("", (), {"intact": 1}),
         )
         merge_bundles(two, tmp_path / "out")
@@ -316,7 +335,7 @@ def test_what_stood_against_a_shard_stands_against_the_whole(two, tmp_path):
     against = [f"infrastructure: the disk of {folder.name} was full" for folder in two]
     for folder, reason in zip(two, against, strict=True):
         rewritten(folder, lambda record, reason=reason: record["gate"]["reasons"].append(reason))
-    assert {*against} <= {*merge_bundles(two, tmp_path / "out").reasons}
+    assert {*against} <= {*merge_bundles(two, tmp_path / "out").gate.reasons}
 
 
 MERGED = {
@@ -406,9 +425,13 @@ def test_a_number_that_is_no_integer_is_refused(two, tmp_path, count):
 
 
 @pytest.mark.parametrize("twice", [0, 1])
-def test_a_shard_that_is_there_twice_is_refused(made, tmp_path, twice):
-    bundles = [*of(made, 2), of(made, 2)[twice]]
-    refused(bundles, tmp_path / "out", f"shard {twice + 1} of 2 is there twice")
+def test_a_shard_that_is_there_twice_counts_once(made, two, tmp_path, twice):
+    merge_bundles(of(made, 2), tmp_path / "once")
+    merge_bundles([*of(made, 2), two[twice]], tmp_path / "twice")
+    assert comparable(tmp_path / "twice") == comparable(tmp_path / "once")
+    parts = [json.loads((tmp_path / name / "evidence.json").read_text())["merged_from"]
+             for name in ("once", "twice")]  # fmt: skip
+    assert parts[0] == parts[1]
 
 
 @pytest.mark.parametrize("spoilt", [0, 1])
@@ -430,10 +453,153 @@ def test_shards_of_other_plans_are_refused(made, tmp_path):
     assert second
 
 
-def test_a_session_that_was_no_shard_is_refused_and_a_merged_one(made, tmp_path):
-    refused([made / "whole"], tmp_path / "out", "that of a whole session", "--dura-shard")
-    merge_bundles(of(made, 1), tmp_path / "merged")
-    refused([tmp_path / "merged"], tmp_path / "out", "merged already")
+# -- Parts that overlap ------------------------------------------------------------------------
+
+
+def merged(bundles, output):
+    merge_bundles(bundles, output)
+    assert verify_bundle(output).problems == []
+    return comparable(output)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [["runs", "rest"], ["some", "rest", "runs"], ["whole"], ["whole", "some"],
+     ["of-2/2", "whole", "of-2/1"], ["runs", "of-3/1", "rest", "of-3/3", "of-3/2"]],
+    ids=" ".join,
+)  # fmt: skip
+def test_parts_come_to_the_whole_record_for_record_however_they_overlap(made, tmp_path, names):
+    found, whole = (
+        merged([made / name for name in names], tmp_path / "out"),
+        comparable(made / "whole"),
+    )
+    for key in whole:
+        assert found[key] == whole[key], key
+
+
+def test_a_part_alone_leaves_out_what_it_did_not_run(made, tmp_path):
+    found, some = merged([made / "some"], tmp_path / "out"), comparable(made / "some")
+    assert found == some
+    assert found["selection"]["asked"] < found["selection"]["planned"]
+    assert len(found["verdicts"]) < len(comparable(made / "whole")["verdicts"])
+
+
+def test_a_bundle_merged_with_itself_or_with_its_parts_is_the_bundle(made, tmp_path):
+    once, own = tmp_path / "once", tmp_path / "own"
+    merge_bundles(of(made, 2), once)
+    twice = shutil.copytree(once, tmp_path / "copy")
+    merge_bundles([once, twice, made / "of-2/2"], own)
+    texts = [(folder / "evidence.json").read_text() for folder in (once, own)]
+    assert texts[0].replace(str(once), "OUT") == texts[1].replace(str(own), "OUT")
+
+
+def test_merging_is_associative_and_commutative(made, tmp_path):
+    runs, rest, some = (made / name for name in ("runs", "rest", "some"))
+    merge_bundles([runs, rest], tmp_path / "1")
+    merge_bundles([rest, some], tmp_path / "2")
+    written = set()
+    for number, bundles in enumerate(
+        ([tmp_path / "1", some], [some, tmp_path / "1"], [runs, tmp_path / "2"], [some, rest, runs])
+    ):
+        output = tmp_path / f"out{number}"
+        merge_bundles(bundles, output)
+        written.add((output / "evidence.json").read_text().replace(str(output), "OUT"))
+    assert len(written) == 1
+
+
+def test_merged_bundles_that_share_a_session_are_refused(made, tmp_path):
+    merge_bundles([made / "runs", made / "rest"], tmp_path / "1")
+    merge_bundles([made / "rest", made / "some"], tmp_path / "2")
+    refused([tmp_path / "1", tmp_path / "2"], tmp_path / "out", "share a session", "themselves")
+
+
+def test_an_episode_that_two_parts_have_with_other_digests_is_refused(made, tmp_path, monkeypatch):
+    parts = [shutil.copytree(made / name, tmp_path / name) for name in ("whole", "some")]
+    own = {one.id: one for one in open_record(parts[0] / "evidence.json").episodes()}
+    digest = own["corridor/free#1"].digest
+    other = {**own["corridor/free#1"].to_json(), "digest": "0" * 64, "trace": None}
+    rewritten(parts[1], lambda record: replace_episode(record, other))
+    # The forged digest is found before; here two machines are to differ.
+    monkeypatch.setattr(
+        "pytest_dura.evidence.merge.verify_bundle", lambda _: type("", (), {"intact": 1})
+    )
+    error = refused(parts, tmp_path / "out", "corridor/free#1", "differently in two parts")
+    assert all(text in str(error) for text in (digest, "0" * 64))
+    for folder in parts:
+        assert str(folder / "evidence.json") in str(error)
+    assert "--dura-replay" in error.remedy
+
+
+def cut(folder, target, case, kept, **changes):
+    """A copy of a bundle that has some runs of a case, and concludes from these."""
+    shutil.copytree(folder, target)
+    record = json.loads((target / "evidence.json").read_text())
+    record["episodes"] = [
+        one for one in record["episodes"]
+        if one["case"] != case or not one["planned"] or one["spec"]["run"] in kept
+    ]  # fmt: skip
+    for judgement in record["judgements"]:
+        if judgement["case"] == case and judgement["kind"] != "claim":
+            judgement["runs"] = [run for run in judgement["runs"] if run["run"] in kept]
+            judgement.update(changes if judgement["kind"] == "campaign" else {})
+    record["judgements"] = [
+        one for one in record["judgements"] if one["runs"] or one["kind"] != "test"
+    ]
+    for plan in record["cases"]:
+        if plan["id"] == case and 0 not in kept:
+            plan["repeat"] = None
+    record["gate"]["reasons"] = []
+    concluded = conclude_again(SessionRecord.of(record, target))
+    written = write_bundle(conclude_again(concluded))  # its gate follows from its verdicts
+    assert verify_bundle(target).problems == []
+    return written
+
+
+def verdict_of(record, item):
+    (verdict,) = (one for one in record.head.verdicts if one.item == item)
+    return verdict
+
+
+def test_parts_of_a_campaign_come_to_its_verdict_or_say_what_is_missing(made, tmp_path):
+    whole = open_record(made / "whole/evidence.json")
+    case, item = "corridor/free", "corridor/free::GO-1"
+    runs = sorted({one.spec.run for one in whole.episodes() if one.case == case and one.planned})
+    assert len(runs) >= 3
+    first, last = tmp_path / "first", tmp_path / "last"
+    cut(made / "whole", first, case, runs[:1])
+    end = cut(made / "whole", last, case, runs[2:])
+    assert "runs 0 to 1 are missing" in verdict_of(end, item).reason
+    assert verdict_of(end, item).verdict == "undecided"
+    merge_bundles([last, first], tmp_path / "gap")
+    gap = open_record(tmp_path / "gap/evidence.json")
+    assert "run 1 is missing" in verdict_of(gap, item).reason
+    assert not verdict_of(gap, item).too_few
+    assert "run 1 is missing" in (tmp_path / "gap/report.html").read_text()
+    rest = tmp_path / "rest"
+    cut(made / "whole", rest, case, runs[1:])
+    merged = tmp_path / "merged"
+    merge_bundles([rest, first], merged)
+    found, expected = comparable(merged), comparable(made / "whole")
+    for key in ("verdicts", "judgements", "episodes", "cases", "totals", "coverage", "overall"):
+        assert found[key] == expected[key], key
+
+
+def test_runs_beyond_the_decision_are_named_and_enter_nothing(made, tmp_path, capsys):
+    case, item, both = "corridor/free", "corridor/free::GAP-1", {"until_decided": True}
+    runs = range(5)
+    ahead = cut(made / "whole", tmp_path / "ahead", case, runs, **both)
+    short = cut(made / "whole", tmp_path / "short", case, [0], **both)
+    verdict, alone = verdict_of(ahead, item), verdict_of(short, item)
+    assert (verdict.verdict, verdict.run) == ("violated", 1)
+    assert verdict.beyond_plan
+    assert replace(verdict, beyond_plan=()) == alone
+    sentence = "beyond the decision after 1 and enter"
+    for name in ("summary.md", "report.html"):
+        assert sentence in " ".join((tmp_path / "ahead" / name).read_text().split())
+        assert sentence not in (tmp_path / "short" / name).read_text()
+    merge_bundles([tmp_path / "short", tmp_path / "ahead"], tmp_path / "out")
+    merged = open_record(tmp_path / "out/evidence.json")
+    assert verdict_of(merged, item) == verdict
 
 
 def test_an_interrupted_shard_is_refused(two, tmp_path):
@@ -463,9 +629,10 @@ CHANGES = {
     "tool.code": lambda record: put(record, "0" * 64, "tool", "code"),
     "environment.python": lambda record: put(record, "3.99.0", "environment", "python"),
     "environment.git.commit": lambda record: put(record, "a" * 40, "environment", "git", "commit"),
-    "shard.options.--dura-time-budget": lambda record: put(
-        record, '"3"', "shard", "options", "--dura-time-budget"
+    "options.--dura-time-budget": lambda record: put(
+        record, '"3"', "options", "--dura-time-budget"
     ),
+    "base_seed": lambda record: put(record, 7, "base_seed"),
     "component_under_test Reckless.digest": lambda record: put(
         record, "0" * 64, "component_under_test", "digest"
     ),
@@ -485,7 +652,7 @@ def test_shards_that_were_not_made_alike_are_refused(two, tmp_path, key, monkeyp
     rewritten(two[1], CHANGES[key])
     # Of some of these verify says itself that they cannot be; here it is to be the merge.
     monkeypatch.setattr(
-        "pytest_dura.evidence.merge_checks.verify_bundle", lambda _: type("", (), {"intact": 1})
+        "pytest_dura.evidence.merge.verify_bundle", lambda _: type("", (), {"intact": 1})
     )
     error = refused(two, tmp_path / "out", "were not made alike")
     assert (error.key, error.file) == (key, str(two[1] / "evidence.json"))
@@ -541,7 +708,7 @@ def test_machines_may_differ_and_are_told(two, tmp_path):
     assert "Elsewhere" in (tmp_path / "out/report.html").read_text()
 
 
-def test_units_that_two_shards_hold_are_refused(two, tmp_path):
+def test_units_that_two_shards_hold_instead_of_others_are_missed(two, tmp_path):
     first = json.loads((two[0] / "evidence.json").read_text())["shard"]["holds"]
 
     def change(record):
@@ -549,48 +716,12 @@ def test_units_that_two_shards_hold_are_refused(two, tmp_path):
         record["shard"]["holds"] = sorted(held, key=lambda one: (one["kind"], one["name"]))
 
     rewritten(two[1], change)
-    refused(two, tmp_path / "out", "is in two shards, and would count twice")
+    refused(two, tmp_path / "out", "do not hold what the whole session was to run")
 
 
 def test_units_that_no_shard_holds_are_missed(two, tmp_path):
     rewritten(two[1], lambda record: record["shard"]["holds"].pop())
     refused(two, tmp_path / "out", "do not hold what the whole session was to run")
-
-
-def test_a_verdict_that_two_shards_reached_is_refused(made, tmp_path):
-    """A forger who gives another number and plan to one bundle of two alike is found as well."""
-    pair = [shutil.copytree(of(made, 1)[0], tmp_path / f"in-{one}") for one in (1, 2)]
-    (held,) = {json.dumps(json.loads((one / "evidence.json").read_text())["shard"]["holds"])
-               for one in pair}  # fmt: skip
-    units = json.loads(held)
-    others = [{**one, "name": f"{one['name']}-2"} for one in units]
-    plan = plan_digest(ShardUnit(**unit) for unit in [*units, *others])
-    for index, (one, holds) in enumerate(zip(pair, (units, others), strict=True), 1):
-        told = {"index": index, "count": 2, "plan": plan, "units": 2 * len(units), "holds": holds}
-        rewritten(one, lambda record, told=told: record["shard"].update(told))
-    refused(pair, tmp_path / "out", "two shards judged the same", "would count twice")
-
-
-def test_an_episode_of_two_shards_that_differs_fails_the_whole(two, tmp_path, monkeypatch):
-    """A test ran it by itself, in another shard than its case, and it came out differently."""
-    hand, held = sorted(two, key=lambda one: "corridor/free" in str(
-        json.loads((one / "evidence.json").read_text())["shard"]["holds"]))  # fmt: skip
-    episodes = {one.id: one for one in open_record(held / "evidence.json").episodes()}
-    other = {**episodes["corridor/free#0"].to_json(), "digest": "0" * 64, "trace": None}
-
-    def change(record):
-        record["episodes"] = [one for one in record["episodes"] if one["id"] != other["id"]] + [
-            other
-        ]
-
-    rewritten(hand, change)
-    monkeypatch.setattr(
-        "pytest_dura.evidence.merge_checks.verify_bundle", lambda _: type("", (), {"intact": 1})
-    )
-    merged = merge_bundles(two, tmp_path / "out")
-    assert not merged.passed
-    assert any(one.startswith("infrastructure: nondeterministic: the episode corridor/free#0")
-               for one in merged.reasons)  # fmt: skip
 
 
 # -- What is hostile, and where it goes -------------------------------------------------------
@@ -634,7 +765,7 @@ def test_a_trace_that_changes_while_it_is_copied_is_refused(two, tmp_path, monke
         trace.write_bytes(trace.read_bytes() + b"!")
         return found
 
-    monkeypatch.setattr("pytest_dura.evidence.merge_checks.verify_bundle", verified)
+    monkeypatch.setattr("pytest_dura.evidence.merge.verify_bundle", verified)
     with pytest.raises(ConfigurationError, match="a trace changed while it was copied"):
         merge_bundles(two, tmp_path / "out")
     # What is there says that it was not finished.
@@ -674,5 +805,5 @@ def test_a_wrong_call_is_told(tmp_path, capsys):
 
 def test_a_session_that_selects_nothing_passes_in_no_way(made, tmp_path):
     merged = merge_bundles([made / "none"], tmp_path / "out")
-    assert merged.reasons == ("no test was run",)
-    assert not merged.passed
+    assert merged.gate.reasons == ("no test was run",)
+    assert merged.gate.result == "failed"

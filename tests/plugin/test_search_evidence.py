@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import pytest
 
 from pytest_dura.core import ConfigurationError
 from pytest_dura.evidence import merge_bundles, open_record, verify_bundle
 from pytest_dura.evidence.item_verdicts import Waiver
-from pytest_dura.evidence.merge_checks import ShardBundle, check_consistent
+from pytest_dura.evidence.merge import Part, check_alike
 
 SEARCHED = """
 name: corridor/searched
@@ -134,23 +133,23 @@ def test_merged_shards_have_the_searches_of_the_whole(searched):
     parts = [searched.path / "part1", searched.path / "part2"]
     merged = merge_bundles(parts, searched.path / "whole")
     assert told(searched, "whole") == plain
-    assert "GAP-1 on corridor/searched is falsified by a search" in merged.reasons
+    assert "GAP-1 on corridor/searched is falsified by a search" in merged.gate.reasons
     assert bundle(searched, "whole") == []
 
 
-def test_two_shards_that_ran_the_same_search_are_no_whole(project):
+def test_a_search_that_two_parts_made_counts_once_and_may_not_differ(project):
     project.write("test_it.py", HANDMADE.format(words="'nothing found'", mark="", then=""))
-    for index in (1, 2):
-        project.run("test_it.py", f"--dura-shard={index}/2", f"--dura-evidence=part{index}")
-    parts = [
-        ShardBundle(open_record(project.path / f"part{index}/evidence.json"), "0" * 64)
-        for index in (1, 2)
-    ]
-    searches = [search for part in parts for search in part.record.head.searches]
-    assert len(searches) == 1
-    parts = [replace(part, record=part.record.changed(searches=searches)) for part in parts]
-    with pytest.raises(ConfigurationError, match="two shards ran the same search"):
-        check_consistent(parts)
+    project.run("test_it.py", "--dura-evidence=one")
+    project.run("test_it.py", "--dura-evidence=two")
+    merge_bundles([project.path / "one", project.path / "two"], project.path / "whole")
+    assert told(project, "whole") == told(project, "one")
+    parts = [Part(open_record(project.path / name / "evidence.json"), name)
+             for name in ("one", "two")]  # fmt: skip
+    (search,) = parts[0].head.searches
+    other = search.replace(budget=search.budget + 1)
+    parts[1] = Part(parts[1].record.changed(searches=[other]), "two")
+    with pytest.raises(ConfigurationError, match="parts were not made alike"):
+        check_alike(parts)
 
 
 SWALLOWED = "the gate fails: SAF-1 on corridor/tight is falsified by a search, though every"

@@ -235,7 +235,7 @@ def test_options_on_which_results_depend_are_recorded(project):
     others = ["--dura-seed=5", "--dura-evidence-level=all", "--dura-undecided=warn", "--runxfail"]
     others += ["-o", "xfail_strict=true", "-o", "junit_suite_name=shard-1"]
     project.scenarios("--dura-shard=1/2", "--dura-runs=3", "--dura-no-twins", *others)
-    assert project.evidence().shard.options == {
+    assert project.evidence().options == {
         "--dura-no-twins": "true",
         "--dura-runs": '"3"',
         "--override-ini": '["xfail_strict=true"]',

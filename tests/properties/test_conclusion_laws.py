@@ -8,7 +8,10 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pytest_dura.evidence.conclusions.verdicts import Runs, VerdictLines, conclude_verdicts
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.requirements import Paired, Requirement
+from pytest_dura.requirements.campaign_verdicts import number_ranges
 from pytest_dura.requirements.episode_verdicts import CheckVerdict
 from pytest_dura.requirements.judgements import (
     CampaignCourse,
@@ -134,3 +137,74 @@ def test_a_run_that_is_gone_is_missing_of_the_plan(
     )
     if left.run + left.saved < left.planned:
         assert left.verdict != "supported"
+
+
+def concluded(judgements: list[Judgement], runs: dict[str, Run]) -> ItemVerdict:
+    """The one verdict that the lines of some parts come to."""
+    known = Runs({}, {})
+    for run in runs.values():
+        known.take(run)
+    (verdict,) = conclude_verdicts(VerdictLines(judgements, {}, {}), known)
+    return verdict
+
+
+@lawful
+@given(campaigns(), st.data())
+def test_parts_that_stopped_on_their_own_come_to_what_the_whole_comes_to(
+    campaign: tuple[Judgement, dict[str, Run]], data: Any
+) -> None:
+    """Parts may overlap, and are joined in any order, also some of them before the others."""
+    judgement, runs = campaign
+    whole = concluded([judgement], runs)
+    owners = [data.draw(st.sets(st.integers(0, 2), min_size=1)) for _ in judgement.runs]
+    parts = [
+        replace(judgement, runs=tuple(
+            run for run, owned in zip(judgement.runs, owners, strict=True) if part in owned
+        ))
+        for part in range(3)
+    ]  # fmt: skip
+    for order in data.draw(st.permutations(parts)), [*parts, *parts], [judgement, parts[1]]:
+        assert concluded(list(order), runs) == whole
+
+
+@lawful
+@given(campaigns(), st.data())
+def test_runs_beyond_the_decision_enter_nothing_whether_they_are_there_or_not(
+    campaign: tuple[Judgement, dict[str, Run]], data: Any
+) -> None:
+    judgement, runs = campaign
+    whole = concluded([judgement], runs)
+    kept = [each for each in judgement.runs if each.run < whole.run or data.draw(st.booleans())]
+    left = concluded([replace(judgement, runs=tuple(kept))], runs)
+    assert left == replace(whole, beyond_plan=left.beyond_plan)
+    decided = len(judgement.runs) > whole.run
+    assert whole.beyond_plan == tuple(range(whole.run, len(judgement.runs)))
+    if decided:
+        assert left.beyond_plan == tuple(each.run for each in kept[whole.run :])
+
+
+@lawful
+@given(campaigns(), st.data())
+def test_runs_that_no_part_has_are_named_and_never_excused(
+    campaign: tuple[Judgement, dict[str, Run]], data: Any
+) -> None:
+    judgement, runs = campaign
+    whole = concluded([judgement], runs)
+    if whole.run < 2:
+        return
+    first = data.draw(st.integers(0, whole.run - 2))
+    last = data.draw(st.integers(first, whole.run - 2))
+    kept = [each for each in judgement.runs if not first <= each.run <= last]
+    left = concluded([replace(judgement, runs=tuple(kept))], runs)
+    assert left.run == first
+    assert left.beyond_plan == ()
+    assert left.verdict in ("undecided", "violated")
+    if left.verdict == "undecided":
+        verb = "runs {} are missing" if last > first else "run {} is missing"
+        assert verb.format(number_ranges(range(first, last + 1))) in left.reason
+        assert not left.too_few
+
+
+def test_ranges_of_runs_are_short() -> None:
+    assert number_ranges([]) == ""
+    assert number_ranges([3, 4, 5, 7, 9, 10]) == "3 to 5, 7, 9 to 10"

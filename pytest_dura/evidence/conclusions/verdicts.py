@@ -116,12 +116,16 @@ class Runs:
         if not episode.planned or case is None:
             return
         run = _run_of(episode, self._alone.intersection(case.requirements))
-        self._by_digest[run.digest] = run
-        self._by_number[run.case, run.component, run.number].append(run)
+        self.take(run)
         if key not in self._situations:
             faults = {fault.id for fault in case.faults}
             self._situations[key] = Situations(varies=varies(case.variation, faults))
         self._situations[key].add(run)
+
+    def take(self, run: Run) -> None:
+        """Take in a planned run."""
+        self._by_digest[run.digest] = run
+        self._by_number[run.case, run.component, run.number].append(run)
 
     def find(self, case: str, component: str, number: int, digest: str) -> Run | None:
         """Find a run by its digest, or by its number where one run alone has that.
@@ -216,6 +220,24 @@ def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[ItemVerdict]:
     return [conclusion.qualified(verdict) for verdict in ordered]
 
 
+def runs_beyond_plan(verdicts: Iterable[ItemVerdict]) -> dict[CaseKey, set[int]]:
+    """Number the runs of each case and component that lie beyond every decision on it."""
+    beyond: dict[CaseKey, set[int]] = defaultdict(set)
+    needed: dict[CaseKey, int] = defaultdict(int)
+    for verdict in verdicts:
+        # Each test on single episodes looks at runs of its own.
+        runs = verdict.planned if verdict.assertion is not None else verdict.run
+        for case in {verdict.case, verdict.pairs.case if verdict.pairs else verdict.case}:
+            key = case, verdict.component
+            beyond[key].update(verdict.beyond_plan)
+            needed[key] = max(needed[key], runs)
+    return {
+        key: {number for number in numbers if number >= needed[key]}
+        for key, numbers in beyond.items()
+        if numbers
+    }
+
+
 def test_function(item: str) -> str:
     """Remove the parameters from a node id."""
     return item.partition("[")[0]
@@ -292,7 +314,8 @@ class _Verdicts:
         faults = set() if case is None else {fault.id for fault in case.faults}
         declared = varies(() if case is None else case.variation, faults)
         found = replace(judgement, runs=tuple(judged))
-        return conclude_campaign(found, known, varies=declared).verdict
+        verdict, beyond = conclude_campaign(found, known, varies=declared)
+        return replace(verdict, beyond_plan=tuple(beyond))
 
     def of_test(self, test: str, asked: Sequence[Judgement]) -> ItemVerdict:
         """Conclude the verdict of a test that looks at one episode at a time."""
@@ -393,6 +416,17 @@ class _Verdicts:
         repeats = [self.lines.repeats.get((case, verdict.component)) for case in cases]
         changed = with_repeats(verdict.verdict, verdict.reason, repeats, verdict.component)
         return replace(verdict, **changed)
+
+
+def joined_lines(judgements: Iterable[Judgement]) -> list[Judgement]:
+    """Join the lines of several parts: each once, and what they say of one campaign in one."""
+    lines = dict.fromkeys(judgements)
+    campaigns: dict[tuple[str, ...], list[Judgement]] = defaultdict(list)
+    for judgement in lines:
+        if judgement.kind == "campaign":
+            campaigns[question_of(judgement)].append(judgement)
+    others = [judgement for judgement in lines if judgement.kind != "campaign"]
+    return [*others, *(each for asked in campaigns.values() for each in _joined(asked))]
 
 
 def _joined(asked: Iterable[Judgement]) -> list[Judgement]:

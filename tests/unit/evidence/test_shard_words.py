@@ -27,22 +27,23 @@ PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed":
 
 def shard(**changes):
     told = {
-        "index": 2, "count": 5, "plan": "a" * 64, "units": 9, "options": {},
+        "index": 2, "count": 5, "plan": "a" * 64, "units": 9,
         "holds": [vars(one) for one in HELD],
     }  # fmt: skip
     return {"shard": told | changes}
 
 
-def parts(count=2, **changes):
+def parts(number=2, **changes):
     known = session_record()
     shards = [
         {
-            "index": index, "count": count, "plan": "a" * 64, "units": 3,
+            "index": index, "count": number, "plan": "a" * 64, "units": 3,
             "created": known.head.created, "finished": known.head.finished, "command": HOSTILE,
             "environment": known.head.environment.replace(platform=HOSTILE), "gate": "failed",
-            "exit_code": 1, "wall_seconds": 1.0, "record": "b" * 64,
+            "exit_code": 1, "wall_seconds": 1.0, "evidence_seconds": 0.1,
+            "record": f"{index}" * 64,
         }
-        for index in range(1, min(count, 9) + 1)
+        for index in range(1, min(number, 9) + 1)
     ]  # fmt: skip
     return {"merged_from": [{**one, **changes} for one in shards]}
 
@@ -63,6 +64,8 @@ def test_a_whole_one_is_no_part():
     assert shard_text(session_record()) == merge_text(session_record()) == ""
     assert shard_text(session_record(**shard())) == "shard 2 of 5"
     assert merge_text(session_record(**parts())) == "2 shards, in one environment"
+    sessions = parts(index=None, count=None, plan=None, units=None)
+    assert merge_text(session_record(**sessions)) == "2 sessions, in one environment"
     first, second = parts()["merged_from"]
     profile = {"profile": "dura", "max_examples": 9, "derandomize": True, "database": False}
     for changes, where in (
@@ -90,12 +93,16 @@ def test_a_whole_one_is_no_part():
         (shard() | parts(), ["it is a shard, and merged from shards"]),
         (parts(), []),
         (parts(1), []),
-        ({"merged_from": parts()["merged_from"][1:]}, ["not every shard once"]),
-        ({"merged_from": []}, ["not every shard once"]),
-        (parts(10**15), ["not every shard once"]),
-        (parts(created="2030-01-01T00:00:00+00:00"), ["when the first of its shards began"]),
-        (parts(finished="2030-01-01T00:00:00+00:00"), ["when the last of its shards ended"]),
-        (parts() | {"gate": PASSED}, ["gate: passed, although shard 1 did not pass"]),
+        ({"merged_from": parts()["merged_from"][1:]}, ["not every shard of a session"]),
+        ({"merged_from": parts()["merged_from"][::-1]}, ["not in their order"]),
+        ({"merged_from": []}, ["not in their order"]),
+        (parts(record="b" * 64), ["one is there twice"]),
+        (parts(10**15), ["not every shard of a session"]),
+        (parts(index=None, count=None, plan=None, units=None), []),
+        (parts(1, plan=None), ["a shard without a plan"]),
+        (parts(created="2030-01-01T00:00:00+00:00"), ["when the first of its sessions began"]),
+        (parts(finished="2030-01-01T00:00:00+00:00"), ["when the last of its sessions ended"]),
+        (parts() | {"gate": PASSED}, ["gate: passed, although one of its sessions did not pass"]),
         (parts(gate="passed", exit_code=0) | {"gate": PASSED}, []),
     ],
 )  # fmt: skip
