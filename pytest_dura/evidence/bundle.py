@@ -77,6 +77,8 @@ STREAMED_BYTES = 8 << 20
 """Bytes of a record above which its episodes are read one at a time."""
 RESUME_FOLDER = ".episodes"
 """Folder of the episodes that an interrupted session leaves to the next one."""
+_EARLIER_FILES = ("evidence.schema.json",)
+"""Files of bundles of earlier versions, which a new session replaces as well."""
 PROGRESS_FOLDER = ".progress"
 """Folder in which the workers of a session write how far they are."""
 _TOOL = re.compile(rb'"tool"\s*:\s*\{\s*"name"\s*:\s*"pytest-dura"')
@@ -109,7 +111,8 @@ def check_directory(directory: Path) -> None:
     if record.is_symlink() or not record.is_file() or not _is_our_record(record):
         problem = f"its {RECORD_FILE} is not of a session of pytest-dura"
         raise _foreign_error(f"this directory is not empty, and {problem}", directory, RECORD_FILE)
-    expected = {RECORD_FILE, *rendered_files(), *SIGNED_FILES, *listed_files(directory)}
+    expected = {RECORD_FILE, *rendered_files(), *SIGNED_FILES, *_EARLIER_FILES}
+    expected.update(listed_files(directory))
     for name in names:
         folder, _, last = name.rpartition("/")
         if name not in expected and not (folder == TRACE_FOLDER and is_trace_name(last)):
@@ -191,7 +194,7 @@ def clear_bundle(directory: Path, *, traces: bool = True) -> None:
         ConfigurationError: If one of them cannot be removed.
     """
     with _removal_errors(directory):
-        for name in (*rendered_files(), *SIGNED_FILES):
+        for name in (*rendered_files(), *SIGNED_FILES, *_EARLIER_FILES):
             (directory / name).unlink(missing_ok=True)
         for begun in _entries(directory):
             if begun.name.startswith(_temporary_prefixes()) or begun.name.startswith(SPOOL_PREFIX):

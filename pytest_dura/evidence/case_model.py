@@ -349,6 +349,9 @@ class CasePlan(Entry):
     """Planned episodes, or the most that may be run."""
     runs_override: Count | None
     """`--dura-runs`, which replaced what the scenario plans."""
+    seed: Absent[Count] = None
+    """Seed of run 0 that the scenario names, from which those of further runs follow; absent where
+    all follow from the base seed."""
 
 
 class CaseEntry(CasePlan):

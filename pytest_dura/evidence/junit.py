@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
@@ -29,37 +31,58 @@ def junit_name(name: str) -> str:
     return text.name(name, 400)
 
 
-def junit_verdicts(xml: str) -> dict[JunitKey, tuple[str, ...]]:
+def junit_verdicts(
+    xml: str, repeated: Mapping[str, str] = MappingProxyType({})
+) -> dict[JunitKey, tuple[str, ...]]:
     """Read the statuses of all verdicts on campaigns, sorted; a test may have several.
+
+    Args:
+        xml: The file.
+        repeated: First of the items that repeat one test, by the node ids of all of them; of what
+            these came to, the worst counts.
 
     Raises:
         ValueError: If it is no JUnit file, has a document type, or an unknown verdict.
     """
-    statuses: dict[JunitKey, list[str]] = {}
+    statuses: dict[JunitKey, dict[str, list[str]]] = {}
     for item, group in _requirement_groups(xml):
         verdict = group.get("verdict")
         if verdict is not None:
-            statuses.setdefault(_result_key(item, group), []).append(
+            key = _result_key(repeated.get(item, item), group)
+            statuses.setdefault(key, {}).setdefault(item, []).append(
                 _checked_status(CAMPAIGN_STATUSES, verdict, item)
             )
-    return {key: tuple(sorted(sorted_statuses)) for key, sorted_statuses in statuses.items()}
+    worst = partial(min, key=("violated", "undecided", "supported").index)
+    return {
+        key: tuple(sorted(map(worst, zip(*by_item.values(), strict=False))))
+        for key, by_item in statuses.items()
+    }
 
 
-def junit_outcomes(xml: str) -> dict[JunitKey, Counter[str]]:
+def junit_outcomes(
+    xml: str, repeated: Mapping[str, str] = MappingProxyType({})
+) -> dict[JunitKey, Counter[str]]:
     """Count the statuses of tests on single episodes, by test function without parameters.
+
+    Args:
+        xml: The file.
+        repeated: As for :func:`junit_verdicts`.
 
     Raises:
         ValueError: As :func:`junit_verdicts`.
     """
-    counts: dict[JunitKey, Counter[str]] = {}
+    statuses: dict[JunitKey, dict[str, str]] = {}
     for item, group in _requirement_groups(xml):
         episode_verdict = group.get("episode_verdict")
         if episode_verdict is not None:
-            key = _result_key(item.partition("[")[0], group)
-            counts.setdefault(key, Counter())[
-                _checked_status(EPISODE_STATUSES, episode_verdict, item)
-            ] += 1
-    return counts
+            status = _checked_status(EPISODE_STATUSES, episode_verdict, item)
+            known = statuses.setdefault(_result_key(item.partition("[")[0], group), {})
+            first = repeated.get(item, item)
+            known[first] = min(known.get(first, status), status, key=_WORST_FIRST.index)
+    return {key: Counter(by_item.values()) for key, by_item in statuses.items()}
+
+
+_WORST_FIRST = ("violated", "missing", "open", "invalid", "satisfied")
 
 
 def _result_key(item: str, group: Mapping[str, str]) -> JunitKey:
@@ -120,7 +143,12 @@ def junit_problems(record: SessionRecord, file: Path) -> Iterator[str]:
     """
     try:
         xml = file.read_text(encoding="utf-8")
-        stated, outcomes = junit_verdicts(xml), junit_outcomes(xml)
+        repeated = {
+            junit_name(judgement.item): junit_name(judgement.recorded_as)
+            for judgement in record.head.judgements
+            if judgement.recorded_as
+        }
+        stated, outcomes = junit_verdicts(xml, repeated), junit_outcomes(xml, repeated)
     except (OSError, ValueError, LookupError) as error:
         yield f"{file.name}: cannot be read back ({type(error).__name__}: {error})"
         return

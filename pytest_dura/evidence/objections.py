@@ -32,6 +32,8 @@ def other_objections(head: RecordHead) -> list[str]:
 
 
 def _gate_of(head: RecordHead, objections: Sequence[str]) -> Gate:
+    if head.status == "running":
+        return Gate.running(warn_undecided=head.gate.warn_undecided)
     return Gate.of(
         head.verdicts,
         objections,

@@ -59,7 +59,8 @@ def episode_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> 
 
 def _input_problems(episode: EpisodeEntry, case: CaseEntry, base_seed: int) -> Iterator[str]:
     name, spec = episode.id, episode.spec
-    seed = derive_seed(base_seed, spec.scenario_name, spec.run)
+    seed = derive_seed(base_seed if case.seed is None else case.seed, spec.scenario_name, spec.run)
+    seed = seed if case.seed is None or spec.run else case.seed
     if episode.planned and episode.seed != seed:
         yield f"planned, and its seed is {episode.seed}, not {seed} as that of its run"
     if name != f"{spec.case}#{spec.run}" or episode.case != spec.case:

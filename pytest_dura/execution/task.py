@@ -298,9 +298,7 @@ def missing_episode(spec: EpisodeSpec, cause: str) -> JudgedEpisode:
         cause: Why it was not run.
     """
     failure = f"infrastructure: {cause}"
-    faults = tuple(
-        FaultRecord(fault.id, fault.target, by_chance=fault.by_chance) for fault in spec.faults
-    )
+    faults = tuple(map(FaultRecord.of, spec.faults))
     episode = Episode(
         spec=spec,
         time=np.zeros(0),

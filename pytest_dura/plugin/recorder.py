@@ -83,6 +83,7 @@ def case_record(
         },
         "planned": planned,
         "runs_override": runs_override,
+        **({} if case.scenario.seed is None else {"seed": case.scenario.seed}),
     }
 
 
