@@ -14,6 +14,12 @@ from typing import Any
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.bundle import RECORD_FILE, open_record
+from pytest_dura.evidence.conclusions.verdicts import (
+    Runs,
+    VerdictLines,
+    judged_runs,
+    question_key,
+)
 from pytest_dura.evidence.entry import plain_data
 from pytest_dura.evidence.files import file_entry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
@@ -27,6 +33,7 @@ from pytest_dura.requirements.comparison import (
     comparison_status,
     holm,
 )
+from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
 from pytest_dura.requirements.model import Requirement
 
 _CONDITION_KEYS = ("simulator", "scenario", "faults", "termination", "time_step", "time_budget")
@@ -132,7 +139,8 @@ class Claim:
         saved: Planned episodes that were not run because the verdict stood without them.
         episodes: Valid episodes.
         violations: Those that violated the requirement; an open one is not known to.
-        violating: Numbers of the runs that violated it.
+        judged: Whether each run that it rests on violated it, by number; ``None`` of one that is
+            not valid.
         conditions: Of the case's planned runs, by number.
     """
 
@@ -148,17 +156,16 @@ class Claim:
     saved: int
     episodes: int
     violations: int
-    violating: frozenset[int]
+    judged: Mapping[int, bool | None]
     conditions: Mapping[int, Conditions]
 
     @property
-    def seeds(self) -> list[int] | None:
-        """Seeds of its runs, if all of them are valid, so that each outcome is known."""
-        runs = range(self.run)
-        known = all(run in self.conditions for run in runs) and self.violating <= set(runs)
-        if not known or self.run != self.episodes or len(self.violating) != self.violations:
+    def by_seed(self) -> Mapping[int, bool | None] | None:
+        """Whether the run of each seed violated it; ``None`` unless all of its runs are valid."""
+        runs = self.judged.keys() & self.conditions.keys()
+        if len(runs) < self.run or None in self.judged.values():
             return None
-        return [self.conditions[run].seed for run in runs]
+        return {self.conditions[run].seed: self.judged[run] for run in sorted(runs)}
 
 
 def claims_of(record: SessionRecord) -> list[Claim]:
@@ -167,19 +174,31 @@ def claims_of(record: SessionRecord) -> list[Claim]:
     Raises:
         ValueError: For counts that contradict each other.
     """
-    requirements = {requirement.id: requirement for requirement in record.head.requirements}
+    lines = VerdictLines.of(record.head)
+    runs = Runs(lines.cases, lines.requirements)
     conditions: dict[tuple[str, str], dict[int, Conditions]] = {}
     for episode in record.episodes():
+        runs.add(episode)
         if episode.planned:
-            runs = conditions.setdefault((episode.case, episode.component), {})
-            runs.setdefault(episode.spec.run, Conditions.of(episode.spec))
-    return [_claim(verdict, requirements, conditions) for verdict in record.head.verdicts]
+            of_case = conditions.setdefault((episode.case, episode.component), {})
+            of_case.setdefault(episode.spec.run, Conditions.of(episode.spec))
+    judged = judged_runs(lines, runs)
+    return [
+        _claim(
+            verdict,
+            lines.requirements.get(verdict.requirement),
+            judged.get(question_key(verdict.item, verdict), ()),
+            conditions.get((verdict.case, verdict.component), {}),
+        )
+        for verdict in record.head.verdicts
+    ]
 
 
 def _claim(
     verdict: ItemVerdict,
-    requirements: Mapping[str, Requirement],
-    conditions: Mapping[tuple[str, str], Mapping[int, Conditions]],
+    requirement: Requirement | None,
+    judged: Sequence[EpisodeVerdict],
+    conditions: Mapping[int, Conditions],
 ) -> Claim:
     run, episodes, violations = verdict.run, verdict.episodes, verdict.violations
     if max(run, verdict.planned) >= _MAX_COUNT:
@@ -194,7 +213,7 @@ def _claim(
         case=verdict.case,
         component=verdict.component,
         item=verdict.item,
-        check=_check(verdict, requirements.get(verdict.requirement)),
+        check=_check(verdict, requirement),
         method=verdict.method,
         confidence=confidence,
         planned=verdict.planned,
@@ -202,12 +221,11 @@ def _claim(
         saved=verdict.saved,
         episodes=episodes,
         violations=violations,
-        violating=frozenset(
-            _run(counterexample.episode)
-            for counterexample in verdict.counterexamples
-            if counterexample.valid
-        ),
-        conditions=conditions.get((verdict.case, verdict.component), {}),
+        judged={
+            int(each.episode.rpartition("#")[2]): each.verdict == "violated" if each.valid else None
+            for each in judged
+        },
+        conditions=conditions,
     )
 
 
@@ -225,10 +243,6 @@ def _check(verdict: ItemVerdict, requirement: Requirement | None) -> str:
     if paired is not None and paired.change_at_most is not None:
         details.append(f"change_at_most {paired.change_at_most}")
     return ", ".join([check, *details])
-
-
-def _run(episode: str) -> int:
-    return int(episode.rpartition("#")[2])
 
 
 _SEQUENTIAL = ("sprt", "e-process")
@@ -305,9 +319,10 @@ def _comparison(own: Claim, other: Claim) -> BaselineComparison:
     if obstacle:
         # Were it left out, how many tests the correction counts would depend on what they show.
         return replace(comparison, reason=obstacle, p_worse=1.0, p_better=1.0)
-    if own.seeds is not None and own.seeds == other.seeds:
-        only_now = len(own.violating - other.violating)
-        only_baseline = len(other.violating - own.violating)
+    ours, theirs = own.by_seed, other.by_seed
+    if ours is not None and theirs is not None and ours.keys() == theirs.keys():
+        only_now = sum(bool(ours[seed]) and not theirs[seed] for seed in ours)
+        only_baseline = sum(bool(theirs[seed]) and not ours[seed] for seed in ours)
         pairs = compare_pairs(only_now, only_baseline, own.confidence)
         comparison = replace(
             comparison, test="McNemar", only_now=only_now, only_baseline=only_baseline

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
+from itertools import pairwise
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.conclusions.verdicts import question_key
 from pytest_dura.evidence.episode_model import EpisodeEntry
+from pytest_dura.evidence.episodes import episode_order
 from pytest_dura.evidence.gate import NOTHING_FOUND, VIOLATED_OUTCOMES, repeat_problems
 from pytest_dura.evidence.hazards import hazard_problems
 from pytest_dura.evidence.item_verdicts import ItemVerdict
@@ -454,6 +456,8 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
         if case.repeat is not None
     }
     described = {component.name for component in components_under_test(record)} | {"none"}
+    if any(episode_order(one) > episode_order(two) for one, two in pairwise(record.episodes())):
+        yield "episodes: not in the order of case, component, run and seed"
     for episode in record.episodes():
         key = episode.id, episode.component
         ids.add(key)
@@ -491,6 +495,9 @@ def _all_problems(record: SessionRecord) -> Iterator[str]:
 
 
 def _session_problems(record: SessionRecord) -> Iterator[str]:
+    failed = record.head.failed_items or []
+    if failed != sorted(set(failed)) or len(failed) != record.head.gate.failed:
+        yield f"failed_items: {len(failed)} items, and {record.head.gate.failed} at the gate"
     if record.head.status != "complete":
         yield f"the session is {record.head.status}: its evidence is incomplete"
     cases = {(case.id, case.component): case for case in record.head.cases}

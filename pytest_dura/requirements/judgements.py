@@ -8,7 +8,7 @@ while runs are simulated, when the session ends, and whenever its evidence is re
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Literal, NamedTuple
 
@@ -256,10 +256,12 @@ class Conclusion(NamedTuple):
     Args:
         verdict: The verdict.
         beyond_plan: Numbers of runs beyond those that decide, which enter nothing.
+        judged: Verdicts on the runs that enter it, in their order.
     """
 
     verdict: CampaignVerdict
     beyond_plan: list[int]
+    judged: Sequence[EpisodeVerdict]
 
 
 def conclude_campaign(
@@ -282,8 +284,8 @@ def conclude_campaign(
         missing = [number for number in due if number not in by_number]
         runs, are = ("runs", "are") if missing[1:] else ("run", "is")
         doubt = f"{runs} {number_ranges(missing)} {are} missing"
-        return Conclusion(with_doubt(course.verdict(), doubt), [])
-    return Conclusion(course.verdict(), sorted(by_number))
+        return Conclusion(with_doubt(course.verdict(), doubt), [], course.judge.verdicts)
+    return Conclusion(course.verdict(), sorted(by_number), course.judge.verdicts)
 
 
 def _recorded(judgement: Judgement, known: Mapping[str, Run]) -> Iterator[RunJudgement]:

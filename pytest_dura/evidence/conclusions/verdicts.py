@@ -196,6 +196,22 @@ def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[ItemVerdict]:
         lines: What was asked, and what bears on it.
         runs: The runs of the session.
     """
+    return _conclude(lines, runs)[0]
+
+
+def judged_runs(
+    lines: VerdictLines, runs: Runs
+) -> Mapping[tuple[str, ...], Sequence[EpisodeVerdict]]:
+    """Conclude all verdicts, and return those on the runs behind each, by its question.
+
+    Args:
+        lines: What was asked, and what bears on it.
+        runs: The runs of the session.
+    """
+    return _conclude(lines, runs)[1].judged
+
+
+def _conclude(lines: VerdictLines, runs: Runs) -> tuple[list[ItemVerdict], _Verdicts]:
     campaigns: dict[tuple[str, ...], list[Judgement]] = defaultdict(list)
     tests: dict[tuple[str, ...], list[Judgement]] = defaultdict(list)
     claims: dict[tuple[str, str, str], Judgement] = {}
@@ -217,7 +233,7 @@ def conclude_verdicts(lines: VerdictLines, runs: Runs) -> list[ItemVerdict]:
         if key not in reported and key not in lines.searched:
             verdicts.append(conclusion.unanswered(claim))
     ordered = sorted(verdicts, key=attrgetter("case", "requirement", "item"))
-    return [conclusion.qualified(verdict) for verdict in ordered]
+    return [conclusion.qualified(verdict) for verdict in ordered], conclusion
 
 
 def runs_beyond_plan(verdicts: Iterable[ItemVerdict]) -> dict[CaseKey, set[int]]:
@@ -268,6 +284,8 @@ class _Verdicts:
 
     lines: VerdictLines
     runs: Runs
+    judged: dict[tuple[str, ...], Sequence[EpisodeVerdict]] = field(default_factory=dict)
+    """Verdicts on the runs behind each verdict, by its question."""
 
     @cached_property
     def _first_waived(self) -> dict[str, str]:
@@ -281,10 +299,16 @@ class _Verdicts:
         the worst verdict; all of them are kept.
         """
         attempts: dict[str, list[CampaignVerdict]] = {}
+        behind: list[tuple[CampaignVerdict, Sequence[EpisodeVerdict]]] = []
         for judgement in _joined(asked):
-            attempts.setdefault(judgement.item, []).append(self._attempt(judgement))
+            attempt, judged = self._attempt(judgement)
+            behind.append((attempt, judged))
+            attempts.setdefault(judgement.item, []).append(attempt)
         counting = {name: _counting_attempt(entries) for name, entries in attempts.items()}
         verdict = min(counting.values(), key=lambda one: _WORST_VERDICT_FIRST.index(one.verdict))
+        self.judged[question_key(item, verdict)] = next(
+            judged for attempt, judged in behind if attempt is verdict
+        )
         waivers = [self.lines.waivers[name] for name in attempts if name in self.lines.waivers]
         bad = {name for name, entry in counting.items() if entry.verdict != "supported"}
         return _verdict(
@@ -296,7 +320,7 @@ class _Verdicts:
             ],
         )
 
-    def _attempt(self, judgement: Judgement) -> CampaignVerdict:
+    def _attempt(self, judgement: Judgement) -> tuple[CampaignVerdict, Sequence[EpisodeVerdict]]:
         """Conclude a campaign from its runs."""
         key = judgement.case, judgement.component
         case, known, judged = self.lines.cases.get(key), {}, []
@@ -314,8 +338,8 @@ class _Verdicts:
         faults = set() if case is None else {fault.id for fault in case.faults}
         declared = varies(() if case is None else case.variation, faults)
         found = replace(judgement, runs=tuple(judged))
-        verdict, beyond = conclude_campaign(found, known, varies=declared)
-        return replace(verdict, beyond_plan=tuple(beyond))
+        verdict, beyond, on_runs = conclude_campaign(found, known, varies=declared)
+        return replace(verdict, beyond_plan=tuple(beyond)), on_runs
 
     def of_test(self, test: str, asked: Sequence[Judgement]) -> ItemVerdict:
         """Conclude the verdict of a test that looks at one episode at a time."""
@@ -323,6 +347,7 @@ class _Verdicts:
         outcomes = sorted({*asked}, key=lambda each: (each.runs[0].run, each.item, each.attempt))
         final = _final_outcomes(outcomes)
         verdict = self._judge_test(outcomes)
+        self.judged[question_key(test, verdict)] = self._worst_of_each_episode(final)
         attempts = [self._judge_test(seen) for seen in _outcomes_by_attempt(outcomes)]
         if verdict in attempts:
             attempts.remove(verdict)

@@ -52,10 +52,18 @@ def test_an_invalid_run_leaves_no_pairs_since_its_number_is_unknown():
     assert one_compared(record(spoilt), record(verdict(10))).test == "Fisher"
 
 
-def test_counterexamples_that_are_not_all_there_leave_no_pairs():
-    cut = verdict(10, {0, 1})
-    cut["counterexamples"] = cut["counterexamples"][:1]
-    assert one_compared(record(cut), record(verdict(10))).test == "Fisher"
+def test_runs_that_are_not_all_there_leave_no_pairs():
+    cut = record(verdict(10, {0, 1}))
+    assert one_compared(cut, record(verdict(10))).test == "McNemar"
+    cut["judgements"][0]["runs"].pop()
+    assert one_compared(cut, record(verdict(10))).test == "Fisher"
+
+
+def test_pairs_are_told_by_the_lines_and_not_by_what_the_verdict_lists():
+    listed = record(verdict(10, {0, 1}))
+    listed["verdicts"][0]["counterexamples"] = []
+    found = one_compared(listed, record(verdict(10, {0})))
+    assert (found.test, found.only_now, found.only_baseline) == ("McNemar", 1, 0)
 
 
 def test_episodes_by_hand_are_not_among_the_runs():
