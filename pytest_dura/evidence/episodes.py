@@ -251,9 +251,9 @@ def unpack_report(part: str) -> ItemReport:
 SPOOL_PREFIX = ".session-"
 """Prefix of the file's name, which is seen only where open files cannot be removed."""
 
-_MOST_BYTES = 1_000_000
+_MOST_BYTES = 2_000_000
 """Size in the file of episodes that are kept in memory as well, where they take 20 times as much:
-3000 of a built-in scenario, for formats read a session's episodes a dozen times. Of a session that
+1000 of a built-in scenario, for formats read a session's episodes a dozen times. Of a session that
 has more, none are kept."""
 
 _T = TypeVar("_T")

@@ -234,7 +234,7 @@ class MergedShard(Entry):
     wall_seconds: Amount
     """From its start until its record was complete, in s."""
     evidence_seconds: Amount
-    """Those of them that the evidence took."""
+    """Part of these that the evidence took, in s."""
     record: Sha256
     """SHA-256 of its `evidence.json`."""
 

@@ -19,7 +19,7 @@ KEYS = {
     "require_repeatable", "selection",
     "redacted", "totals", "models", "shard", "merged_from",
     "judgements", "waivers", "doubts", "resume", "execution", "overall", "effectiveness",
-    "conclusions",
+    "conclusions", "failed_items", "options",
 }  # fmt: skip
 
 

@@ -408,6 +408,9 @@ FREE = {
     "what was to be decided, where it was": """
         judgements (fewer)
     """,
+    "the name of a test that failed": """
+        failed_items[]
+    """,
     "what a search did, of which no verdict is made: searching again tells": """
         searches[].seed, searches[].budget, searches[].refused, searches[].rule,
         searches[].parameters, searches[].searchers[].trivial,
