@@ -160,8 +160,9 @@ def test_runs_of_equal_seeds_in_another_world_are_no_pairs(suite, capsys):
 
     def change(record):
         record["component_under_test"]["name"] = "\x1b[31mRed"
-        for entry in (*record["episodes"], *record["verdicts"], *record["cases"]):
-            entry["component"] = "\x1b[31mRed"
+        for key in ("episodes", "judgements", "verdicts", "cases"):
+            for entry in record[key]:
+                entry["component"] = "\x1b[31mRed"
         record["episodes"][0]["spec"]["scenario"]["world"]["wall"] = 77.0
 
     alter(suite.path / "second", change)

@@ -530,8 +530,11 @@ def test_an_episode_that_two_parts_have_with_other_digests_is_refused(made, tmp_
     assert "--dura-replay" in error.remedy
 
 
-def cut(folder, target, case, kept, **changes):
-    """A copy of a bundle that has some runs of a case, and concludes from these."""
+def cut(folder, target, case, kept, only=None, **changes):
+    """A copy of a bundle that has some runs of a case, and concludes from these.
+
+    With ``only``, this item alone asked something of them.
+    """
     shutil.copytree(folder, target)
     record = json.loads((target / "evidence.json").read_text())
     record["episodes"] = [
@@ -543,8 +546,10 @@ def cut(folder, target, case, kept, **changes):
             judgement["runs"] = [run for run in judgement["runs"] if run["run"] in kept]
             judgement.update(changes if judgement["kind"] == "campaign" else {})
     record["judgements"] = [
-        one for one in record["judgements"] if one["runs"] or one["kind"] != "test"
-    ]
+        one for one in record["judgements"]
+        if (one["runs"] or one["kind"] != "test")
+        and (only is None or one["case"] != case or one["item"] == only or one["kind"] == "claim")
+    ]  # fmt: skip
     for plan in record["cases"]:
         if plan["id"] == case and 0 not in kept:
             plan["repeat"] = None
@@ -597,6 +602,13 @@ def test_runs_beyond_the_decision_are_named_and_enter_nothing(made, tmp_path, ca
     for name in ("summary.md", "report.html"):
         assert sentence in " ".join((tmp_path / "ahead" / name).read_text().split())
         assert sentence not in (tmp_path / "short" / name).read_text()
+    alone = {
+        name: cut(made / "whole", tmp_path / f"{name}-alone", case, kept, only=item, **both).head
+        for name, kept in (("ahead", runs), ("short", [0]))
+    }
+    assert alone["ahead"].totals.episodes > alone["short"].totals.episodes
+    for key in ("cases", "overall", "coverage", "effectiveness", "conclusions"):
+        assert getattr(alone["ahead"], key) == getattr(alone["short"], key), key
     merge_bundles([tmp_path / "short", tmp_path / "ahead"], tmp_path / "out")
     merged = open_record(tmp_path / "out/evidence.json")
     assert verdict_of(merged, item) == verdict
