@@ -101,20 +101,27 @@ MAX_YOUNG_OBJECTS = 10_000
 """New objects after which Python looks for cycles among them while an episode runs."""
 
 
+MAX_KEPT_OBJECTS = 500_000
+"""The same while tests are collected, all of which stay until the session ends."""
+
+
 @contextmanager
-def rare_collections() -> Iterator[None]:
+def rare_collections(most: int = MAX_YOUNG_OBJECTS) -> Iterator[None]:
     """Context in which Python looks for cycles after more new objects than the usual 700.
 
     All that a tick leaves is kept until the episode ends, and all that is collected until the
     session does, so that looking through it again and again frees nothing: that took a tenth of a
-    session. Where the collector is off, or looks no
-    more often, nothing changes; and what others set meanwhile stays.
+    session. Where the collector is off, or looks no more often, nothing changes; and what others
+    set meanwhile stays.
+
+    Args:
+        most: New objects after which it looks.
     """
     before = gc.get_threshold()
-    if not 0 < before[0] < MAX_YOUNG_OBJECTS:  # 0 is for never
+    if not 0 < before[0] < most:  # 0 is for never
         yield
         return
-    own = (MAX_YOUNG_OBJECTS, *before[1:])
+    own = (most, *before[1:])
     gc.set_threshold(*own)
     try:
         yield

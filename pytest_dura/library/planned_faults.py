@@ -19,7 +19,7 @@ from pytest_dura.faults.model import (
     check_target,
     with_proposal,
 )
-from pytest_dura.faults.parts import PROPOSAL
+from pytest_dura.faults.parts import PARAMETERS, PROPOSAL
 from pytest_dura.library.scenario import Scenario, channel_aliases
 
 _RESERVED = ("none", "catalogue")
@@ -27,6 +27,11 @@ _RESERVED = ("none", "catalogue")
 _MAX_ID = 200
 """Characters of an id, which is part of the names of tests and of commands."""
 _MISREAD = re.compile(r"[+~#*?\[]|::")
+
+
+_PARTS = ("activation", "duration", PARAMETERS)
+"""Keys of a fault whose values many faults of a grid share."""
+_MAX_PARTS = 10_000
 
 
 class FaultReader:
@@ -47,6 +52,8 @@ class FaultReader:
         last = Termination(scenario.lasts).last_index(scenario.time_step) - 1
         self._duration, self._end = scenario.lasts, last * scenario.time_step
         self._classes: dict[str, type[FaultEffect]] = {}
+        self._parts: dict[tuple[Any, str, str], Any] = {}
+        """Validated parts, by the type of the fault, the key, and what was given."""
         self._places: dict[tuple[str, str], Channel] = {}
         """The channels of types and targets that fit each other."""
         self._conditions: set[tuple[str, str, bool]] = set()
@@ -65,7 +72,7 @@ class FaultReader:
         """
         if ":" in str(data.get("type")):
             check_registered(str(data["type"]))
-        form = fault_form(self.by_channels(data), self._targets, self._class_of)
+        form = self._form(self.by_channels(data))
         fault = form.fault
         if self._channels is not None:
             self._check_place(fault, form.effect, self._channels)
@@ -79,6 +86,15 @@ class FaultReader:
         _check_id(fault.id)
         self._check_times(form)
         return fault
+
+    def _form(self, data: dict[str, Any]) -> FaultForm:
+        """Validate a fault; a part that an earlier fault of its type has is not read again."""
+        keys = {part: (data.get("type"), part, repr(data[part])) for part in _PARTS if part in data}
+        known = {part: self._parts[key] for part, key in keys.items() if key in self._parts}
+        form = fault_form({**data, **known}, self._targets, self._class_of)
+        if len(self._parts) < _MAX_PARTS:
+            self._parts.update({key: getattr(form, part) for part, key in keys.items()})
+        return form
 
     def by_channels(self, data: Mapping[str, Any]) -> dict[str, Any]:
         """Copy a fault's plain data, with each channel under its own name."""

@@ -105,12 +105,12 @@ class SessionContext:
             ConfigurationError: For files that cannot be used; the same one at every call.
         """
         if self._library is None:
-            from pytest_dura.core.orchestrator import rare_collections
+            from pytest_dura.core.orchestrator import MAX_KEPT_OBJECTS, rare_collections
             from pytest_dura.library.loading import load_library
 
             self.extend_import_path()
             try:
-                with rare_collections():
+                with rare_collections(MAX_KEPT_OBJECTS):
                     self._library = load_library(
                         self.options.paths,
                         builtin=self.options.builtin_scenarios,

@@ -188,10 +188,10 @@ class SessionHooks:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection(self) -> Generator[None, Any, Any]:
         """Take scenario items out of the arguments, which pytest would look up as files."""
-        from pytest_dura.core.orchestrator import rare_collections
+        from pytest_dura.core.orchestrator import MAX_KEPT_OBJECTS, rare_collections
 
         self.session.take_arguments()
-        with rare_collections():
+        with rare_collections(MAX_KEPT_OBJECTS):
             return (yield)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
