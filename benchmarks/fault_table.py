@@ -76,20 +76,19 @@ def rated() -> frozenset[str]:
 def counts(links: Sequence[Link]) -> dict[str, int]:
     """In how many of these runs a fault got how far."""
     chains = [link.chain for link in links]
-    records = [chain.record for chain in chains]
     return {
-        "activated": sum(one.activated_at is not None for one in records),
-        "manifested": sum(one.manifested_at is not None for one in records),
+        "activated": sum(one.activated_at is not None for one in chains),
+        "manifested": sum(one.manifested_at is not None for one in chains),
         "propagated": sum(one.propagation == "propagated" for one in chains),
-        "detected": sum(one.detected_at is not None for one in records),
+        "detected": sum(one.detected_at is not None for one in chains),
         "violated": sum(bool({*one.violated} - rated()) for one in chains),
         "newly violated": sum(
             one.violated_without is not None
             and bool({*one.violated} - {*one.violated_without} - rated())
             for one in chains
         ),
-        "recovery": sum(one.recovery_at is not None for one in records),
-        "recovered": sum(one.recovered_at is not None for one in records),
+        "recovery": sum(one.recovery_at is not None for one in chains),
+        "recovered": sum(one.recovered_at is not None for one in chains),
         "invalid": sum(link.invalid for link in links),
     }
 
@@ -100,7 +99,7 @@ def cell(links: Sequence[Link], read: set[str]) -> str:
     invalid = f"; {found['invalid']} invalid" if found["invalid"] else ""
     if not found["manifested"]:
         word = "not manifested" if found["activated"] else "never active"
-        if not can_reach(links[0].chain.record.target, read):
+        if not can_reach(links[0].chain.target, read):
             word = "not read"
         return word + invalid
     numbers = [str(found[name]) for name in ("activated", "manifested", "propagated", "detected")]
@@ -134,7 +133,7 @@ def main() -> None:
     with ProcessPoolExecutor(options.jobs) as pool:
         for job, found in zip(planned, pool.map(run, planned), strict=True):
             for link in found:
-                links.setdefault((link.chain.record.id, job.planner), []).append(link)
+                links.setdefault((link.chain.id, job.planner), []).append(link)
     faults = list(dict.fromkeys(fault for fault, _ in links))
     print(f"""{machine()}
 

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -64,7 +64,7 @@ def enlarged(record: SessionRecord, verdicts: int) -> SessionRecord:
                 changes = {key: getattr(entry, key) + mark}
                 if hasattr(entry, "scenario"):
                     changes["scenario"] = entry.scenario + mark
-                yield entry.replace(**changes)
+                yield replace(entry, **changes) if is_dataclass(entry) else entry.replace(**changes)
 
     coverage = head.coverage.replace(cells=list(copied(head.coverage.cells, "case")))
     return replace(

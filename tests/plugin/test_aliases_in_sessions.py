@@ -56,7 +56,7 @@ def test_a_planner_that_reads_objects_is_reached_by_a_ghost_among_them(crossing)
     (episode,) = crossing.evidence().episodes
     (fault,) = episode.faults
     assert episode.validity == "valid"
-    assert (fault.target, fault.read_by) == ("lidar", ["generator"])
+    assert (fault.target, fault.read_by) == ("lidar", ("generator",))
     assert fault.manifested_at is not None
     assert result.ret == 0, output(result)
     assert crossing.run("--dura-replay=cross/objects#0", planner).ret == 0

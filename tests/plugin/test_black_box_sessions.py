@@ -247,7 +247,7 @@ def test_an_fmu_with_inputs_of_every_type_is_run_and_its_record_says_how(project
     result = mixer(project, "VALVE", "[MIX-1, MIX-2]", **opened)
     assert result.ret == 0, output(result)
     assert project.verdict("MIX-2", "mixer/run").verdict == "supported"
-    worlds = [episode.spec.scenario.world for episode in project.evidence().episodes]
+    worlds = [episode.spec.scenario["world"] for episode in project.evidence().episodes]
     assert all(0.0 < world["open"] < 1.0 for world in worlds)  # as drawn
 
     result = mixer(project, "TEXT")

@@ -47,7 +47,7 @@ def test_a_fault_that_only_the_monitor_reads_gives_valid_runs_and_names_it(car):
     for episode in record.episodes:
         (fault,) = episode.faults
         assert episode.validity == "valid"
-        assert fault.read_by == ["safety_monitor"]
+        assert fault.read_by == ("safety_monitor",)
         assert fault.manifested_at == 0.5
     (chain,) = record.cases[0].metrics.faults
     assert (chain.manifested, chain.read_by) == (2, ["safety_monitor"])
@@ -169,7 +169,7 @@ def test_a_domain_named_in_a_scenario_gets_faults_and_an_injector(tank):
     assert verdicts["tank/filling", "LEVEL-1"] == "supported"
     (faulty,) = [one for one in project.evidence().episodes if one.faults]
     assert faulty.validity == "valid"
-    assert faulty.faults[0].read_by == ["generator"]
+    assert faulty.faults[0].read_by == ("generator",)
     assert faulty.faults[0].target == "gauge.level"
 
 

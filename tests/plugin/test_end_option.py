@@ -43,7 +43,7 @@ def test_without_the_option_no_word_of_it_is_said(project):
     assert ends(project) == [("time", 6.0)]
     record = project.evidence()
     assert record.cases[0].metrics.ended_early == 0
-    assert record.episodes[0].spec.termination.decided is None
+    assert record.episodes[0].spec.termination.decided is False
     assert "ended early" not in result.stdout.str()
     assert "ended early" not in (project.path / "dura-evidence/summary.md").read_text()
 

@@ -155,8 +155,8 @@ def test_the_causal_chain_is_in_the_record_the_table_and_the_failure(project):
         bias, noise = episode.faults
         assert (bias.planned_at, bias.activated_at, bias.manifested_at) == (0.5, 0.5, 0.5)
         assert (bias.propagation, bias.propagated_at) == ("propagated", 0.5)
-        assert (bias.outcome, bias.violated) == ("violated", ["GAP-1"])
-        assert bias.violated_without == []
+        assert (bias.outcome, bias.violated) == ("violated", ("GAP-1",))
+        assert bias.violated_without == ()
         # The noise was there before the proposals changed, and may have had its part in it.
         assert (noise.manifested_at, noise.propagation) == (0.0, "propagated")
     assert {one.case for one in record.episodes} == {"corridor/it"}, "twins are no runs"
@@ -205,7 +205,7 @@ def test_no_fault_is_blamed_for_what_happens_without_it(project):
     record = project.evidence()
     for episode in record.episodes:
         (noise,) = episode.faults
-        assert (noise.violated, noise.violated_without) == (["GAP-1"], ["GAP-1"])
+        assert (noise.violated, noise.violated_without) == (("GAP-1",), ("GAP-1",))
         assert noise.outcome == "violated also without it"
     (fault,) = record.cases[0].metrics.faults
     assert (fault.judged, fault.violated, fault.violated_without) == (3, 0, 3)
@@ -258,7 +258,7 @@ def test_an_alert_on_what_the_component_has_not_read_yet_has_detected_it(project
         (bias,) = episode.faults
         times = [getattr(bias, f"{step}_at") for step in ("activated", "detected", "manifested")]
         assert times == pytest.approx([0.5, 0.5, 0.5])
-        assert bias.read_by == ["generator", "safety_monitor", "security_assessor"]
+        assert bias.read_by == ("generator", "safety_monitor", "security_assessor")
         assert bias.detection_latency == 0.0
     (fault,) = record.cases[0].metrics.faults
     assert (fault.manifested, fault.detected, fault.rates.detection) == (3, 3, 1.0)

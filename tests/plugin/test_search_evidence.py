@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -146,7 +147,7 @@ def test_a_search_that_two_parts_made_counts_once_and_may_not_differ(project):
     parts = [Part(open_record(project.path / name / "evidence.json"), name)
              for name in ("one", "two")]  # fmt: skip
     (search,) = parts[0].head.searches
-    other = search.replace(budget=search.budget + 1)
+    other = replace(search, budget=search.budget + 1)
     parts[1] = Part(parts[1].record.changed(searches=[other]), "two")
     with pytest.raises(ConfigurationError, match="parts were not made alike"):
         check_alike(parts)

@@ -210,7 +210,7 @@ class Spoiler:
         known = part.get("properties", {})
         if name == "roles":
             return name, {role: self._role(one) for role, one in value.items()}
-        if name == "sources":
+        if name == "sources" and not value.keys() <= {"digest", "files", "versions"}:
             return name, {
                 digest: {self(file): sha256 for file, sha256 in named.items()}
                 for digest, named in value.items()
