@@ -252,8 +252,8 @@ def _fits(part, value):
 
 LONG = (
     "OWN-1", "Its own words.", "house rule", "walls are hard", "known since long", "an objection",
-    "corridor/broken", "another component", "numpy", "prompt", "well", "The campus.",
-    "a remark", "test_it.py", "own measure", "a value", "detail", "inner key", "inner value",
+    "corridor/broken", "another component", "numpy", "prompt", "well",
+    "test_it.py", "own measure", "a value", "detail", "inner key", "inner value",
     "explanations 1", "reasons 0", "recoveries 2", "action 1", "thing 2", "signal", "a monitor",
     "rule",
 )  # fmt: skip
@@ -311,6 +311,7 @@ def session(real, directory, spoil):
             one["trace"] |= _trace(directory, one, trace, spoil)
     verdicts = [decode(ItemVerdict, one) for one in told["verdicts"]]
     told["requirements"].sort(key=lambda one: one["id"])
+    told["failed_items"] = sorted(told.get("failed_items") or ())
     told["cases"].sort(key=lambda one: (one["id"], one["component"]))
     told["episodes"].sort(key=lambda one: (one["case"], one["component"], one["spec"]["run"]))
     told["verdicts"].sort(key=lambda one: (one["case"], one["requirement"], one["item"]))
