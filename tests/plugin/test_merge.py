@@ -263,7 +263,7 @@ def test_what_two_shards_told_of_an_episode_comes_from_one_of_them(two, tmp_path
     assert own.trace.kept_for == "violation"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(
-            "pytest_dura.evidence.merge.verify_bundle",
+            "pytest_dura.evidence.parts.verify_bundle",
             lambda _: type("", (), {"intact": 1}),
         )
         merge_bundles(two, tmp_path / "out")
@@ -521,7 +521,7 @@ def test_an_episode_that_two_parts_have_with_other_digests_is_refused(made, tmp_
     rewritten(parts[1], lambda record: replace_episode(record, other))
     # The forged digest is found before; here two machines are to differ.
     monkeypatch.setattr(
-        "pytest_dura.evidence.merge.verify_bundle", lambda _: type("", (), {"intact": 1})
+        "pytest_dura.evidence.parts.verify_bundle", lambda _: type("", (), {"intact": 1})
     )
     error = refused(parts, tmp_path / "out", "corridor/free#1", "differently in two parts")
     assert all(text in str(error) for text in (digest, "0" * 64))
@@ -664,7 +664,7 @@ def test_shards_that_were_not_made_alike_are_refused(two, tmp_path, key, monkeyp
     rewritten(two[1], CHANGES[key])
     # Of some of these verify says itself that they cannot be; here it is to be the merge.
     monkeypatch.setattr(
-        "pytest_dura.evidence.merge.verify_bundle", lambda _: type("", (), {"intact": 1})
+        "pytest_dura.evidence.parts.verify_bundle", lambda _: type("", (), {"intact": 1})
     )
     error = refused(two, tmp_path / "out", "were not made alike")
     assert (error.key, error.file) == (key, str(two[1] / "evidence.json"))
@@ -777,7 +777,7 @@ def test_a_trace_that_changes_while_it_is_copied_is_refused(two, tmp_path, monke
         trace.write_bytes(trace.read_bytes() + b"!")
         return found
 
-    monkeypatch.setattr("pytest_dura.evidence.merge.verify_bundle", verified)
+    monkeypatch.setattr("pytest_dura.evidence.parts.verify_bundle", verified)
     with pytest.raises(ConfigurationError, match="a trace changed while it was copied"):
         merge_bundles(two, tmp_path / "out")
     # What is there says that it was not finished.

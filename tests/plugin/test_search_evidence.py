@@ -10,7 +10,7 @@ import pytest
 from pytest_dura.core import ConfigurationError
 from pytest_dura.evidence import merge_bundles, open_record, verify_bundle
 from pytest_dura.evidence.item_verdicts import Waiver
-from pytest_dura.evidence.merge import Part, check_alike
+from pytest_dura.evidence.parts import Part, check_alike
 
 SEARCHED = """
 name: corridor/searched
