@@ -11,7 +11,7 @@ from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Fault:
     """A planned fault, which can be read where its type is not installed.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import reduce
 from operator import getitem
@@ -20,7 +20,13 @@ from pytest_dura.domains import Domain
 from pytest_dura.faults.catalogue import FAULT_TYPES, fault_class
 from pytest_dura.faults.model import possible_targets
 from pytest_dura.library.documents import MAX_DEPTH, Document, read_yaml, translate
-from pytest_dura.library.planned_faults import FaultReader, check_chains, parse_fault
+from pytest_dura.library.planned_faults import (
+    FaultReader,
+    ReadFault,
+    ReadPart,
+    check_chains,
+    parse_fault,
+)
 from pytest_dura.library.scenario import Entry, Scenario, Variation, draw_value, not_empty
 
 MAX_CASES = 10_000
@@ -135,19 +141,72 @@ def _check_keys(kind: str, keys: Iterable[str]) -> None:
 
 def _combinations(given: FaultGrid, reader: FaultReader) -> Iterator[Fault]:
     base = _with_id(given.fault)
-    paths = [path.split(".") for path in given.grid]
-    names = _short_names(list(given.grid))
-    for values in itertools.product(*given.grid.values()):
-        fault: Any = base
-        for path, value in zip(paths, values, strict=True):
-            fault = _with_value(fault, path, value)
-        # Either name of a channel makes the same fault, and so the same id.
-        fault = reader.by_channels(fault)
-        suffix = "".join(
-            f"-{name}={_id_part(reduce(getitem, path, fault))}"
-            for name, path in zip(names, paths, strict=True)
-        )
-        yield reader.read({**fault, "id": f"{base['id']}{suffix}"})
+    parts = _GridPart.of(given.grid, base)
+    names = [f"-{name}=" for name in _short_names(list(given.grid))]
+    first: ReadFault | None = None
+    for chosen in itertools.product(*(range(len(values)) for values in given.grid.values())):
+        values = {part.key: part.value(chosen, reader) for part in parts}
+        texts = {place: text for value in values.values() for place, text in value.texts.items()}
+        suffix = "".join([name + texts[place] for place, name in enumerate(names)])
+        known = {key: value.read for key, value in values.items() if value.read is not None}
+        if first is not None and len(known) == len(values):
+            yield first.combined(f"{base['id']}{suffix}", known)
+            continue
+        data = {key: value.data for key, value in values.items()}
+        read = reader.read_parts({**base, **data, "id": f"{base['id']}{suffix}"})
+        first = first or read
+        for key, value in values.items():
+            value.read = read.parts.get(key)
+        yield read.fault
+
+
+@dataclass
+class _GridValue:
+    """Value of a key of a fault in a grid, such as its ``activation``."""
+
+    data: Any
+    texts: dict[int, str]
+    """Texts for the id of the fault, by the position of the varied path in the grid."""
+    read: ReadPart | None = None
+    """What it was read as in the first fault that has it, if it is a part of a fault."""
+
+
+@dataclass
+class _GridPart:
+    """Key of a fault that a grid varies, of which each value is made and read once."""
+
+    key: str
+    base: Any
+    """The value that the fault gives without the grid."""
+    paths: dict[int, tuple[list[str], Sequence[Any]]] = field(default_factory=dict)
+    """By position in the grid: keys within the part, and their values."""
+    made: dict[tuple[int, ...], _GridValue] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, grid: Mapping[str, Sequence[Any]], base: Mapping[str, Any]) -> list[_GridPart]:
+        """Sort the paths of a grid by the key of the fault that each is in."""
+        parts: dict[str, _GridPart] = {}
+        for place, (key, values) in enumerate(grid.items()):
+            first, *inner = key.split(".")
+            part = parts.setdefault(first, cls(first, base.get(first)))
+            part.paths[place] = inner, values
+        return [*parts.values()]
+
+    def value(self, chosen: Sequence[int], reader: FaultReader) -> _GridValue:
+        """Return its value in a combination, which says the index of each path's value."""
+        own = tuple([chosen[place] for place in self.paths])
+        if own not in self.made:
+            data = self.base
+            for place, (path, values) in self.paths.items():
+                data = _with_value(data, path, values[chosen[place]])
+            # Either name of a channel makes the same fault, and so the same id.
+            data = reader.by_channels({self.key: data})[self.key]
+            texts = {
+                place: _id_part(reduce(getitem, path, data))
+                for place, (path, _) in self.paths.items()
+            }
+            self.made[own] = _GridValue(data, texts)
+        return self.made[own]
 
 
 def _with_id(fault: Mapping[str, Any]) -> dict[str, Any]:

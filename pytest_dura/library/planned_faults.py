@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from pytest_dura.core.episode import Termination
@@ -32,6 +33,52 @@ _MISREAD = re.compile(r"[+~#*?\[]|::")
 _PARTS = ("activation", "duration", PARAMETERS)
 """Keys of a fault whose values many faults of a grid share."""
 _MAX_PARTS = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class ReadPart:
+    """One of the parts of a fault that was read without an error."""
+
+    plain: Any
+    """The same object in all faults that have this part: nothing writes into plain faults."""
+    effect: FaultEffect
+    by_chance: bool
+    """Whether the activation of that fault is by chance."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadFault:
+    """A fault that was read, of which others are made that share some of its parts."""
+
+    fault: Fault
+    channel: Channel | None
+    parts: Mapping[str, ReadPart]
+
+    def combined(self, name: str, parts: Mapping[str, ReadPart]) -> Fault:
+        """Make a fault of the same type and target with parts of other faults of that type.
+
+        A part that is valid in one fault is so in each: of a grid on activations and parameters
+        each of either is validated once, and not each pair of them.
+
+        Args:
+            name: Its id.
+            parts: Those that differ from this fault's.
+        """
+        own = {**self.parts, **parts}
+        activation, effect = own["activation"], own[PARAMETERS].effect
+        fault = Fault(
+            self.fault.type,
+            name,
+            self.fault.target,
+            activation.plain,
+            own["duration"].plain,
+            own[PARAMETERS].plain,
+            activation.by_chance or effect.hits_by_chance,
+        )
+        if self.channel is not None:
+            effect.check_parameters(fault, self.channel)
+        _check_id(name)
+        return fault
 
 
 class FaultReader:
@@ -70,12 +117,16 @@ class FaultReader:
         Raises:
             ConfigurationError: If the catalogue refuses it, or the domain has no such target.
         """
+        return self.read_parts(data).fault
+
+    def read_parts(self, data: Mapping[str, Any]) -> ReadFault:
+        """Read a fault as :meth:`read` does, and keep its parts for others."""
         if ":" in str(data.get("type")):
             check_registered(str(data["type"]))
         form = self._form(self.by_channels(data))
-        fault = form.fault
+        fault, channel = form.fault, None
         if self._channels is not None:
-            self._check_place(fault, form.effect, self._channels)
+            channel = self._check_place(fault, form.effect, self._channels)
             if form.activation.when is not None:
                 known = self._channels
                 if form.activation.directed:
@@ -85,7 +136,9 @@ class FaultReader:
                 self._check_condition(form.duration.until, self._channels, "duration.until")
         _check_id(fault.id)
         self._check_times(form)
-        return fault
+        by_chance = form.activation.by_chance
+        parts = {key: ReadPart(getattr(fault, key), form.effect, by_chance) for key in _PARTS}
+        return ReadFault(fault, channel, parts)
 
     def _form(self, data: dict[str, Any]) -> FaultForm:
         """Validate a fault; a part that an earlier fault of its type has is not read again."""
@@ -110,12 +163,13 @@ class FaultReader:
 
     def _check_place(
         self, fault: Fault, effect: FaultEffect, channels: Mapping[str, Channel]
-    ) -> None:
+    ) -> Channel:
         place = fault.type, fault.target
         if place in self._places:
             effect.check_parameters(fault, self._places[place])
         else:
             self._places[place] = check_target(fault, effect, channels)
+        return self._places[place]
 
     def _check_condition(self, text: str, channels: Mapping[str, Channel], key: str) -> None:
         checked = key, text, PROPOSAL in channels
