@@ -11,9 +11,7 @@ supported under a fault that manifested in no episode, and the only hit may foll
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter_ns
 from types import MappingProxyType
 from typing import Any, Protocol, cast
@@ -26,6 +24,7 @@ from pytest_dura.core.boundary import (
     alarms,
     with_pauses,
 )
+from pytest_dura.core.collector import rare_collections
 from pytest_dura.core.component import Component, Messages, plain_copy
 from pytest_dura.core.episode import Episode, EpisodeSpec
 from pytest_dura.core.errors import (
@@ -95,39 +94,6 @@ def _all_decided(
     if any(fault.by_chance for fault in pending):
         return False
     return judge.decided(simulator, ticks, violated=bool(pending))
-
-
-MAX_YOUNG_OBJECTS = 10_000
-"""New objects after which Python looks for cycles among them while an episode runs."""
-
-
-MAX_KEPT_OBJECTS = 500_000
-"""The same while tests are collected, all of which stay until the session ends."""
-
-
-@contextmanager
-def rare_collections(most: int = MAX_YOUNG_OBJECTS) -> Iterator[None]:
-    """Context in which Python looks for cycles after more new objects than the usual 700.
-
-    All that a tick leaves is kept until the episode ends, and all that is collected until the
-    session does, so that looking through it again and again frees nothing: that took a tenth of a
-    session. Where the collector is off, or looks no more often, nothing changes; and what others
-    set meanwhile stays.
-
-    Args:
-        most: New objects after which it looks.
-    """
-    before = gc.get_threshold()
-    if not 0 < before[0] < most:  # 0 is for never
-        yield
-        return
-    own = (most, *before[1:])
-    gc.set_threshold(*own)
-    try:
-        yield
-    finally:
-        if gc.get_threshold() == own:
-            gc.set_threshold(*before)
 
 
 class Orchestrator:

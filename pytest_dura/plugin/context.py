@@ -105,7 +105,7 @@ class SessionContext:
             ConfigurationError: For files that cannot be used; the same one at every call.
         """
         if self._library is None:
-            from pytest_dura.core.orchestrator import MAX_KEPT_OBJECTS, rare_collections
+            from pytest_dura.core.collector import MAX_KEPT_OBJECTS, rare_collections
             from pytest_dura.library.loading import load_library
 
             self.extend_import_path()

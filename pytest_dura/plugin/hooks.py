@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
+from pytest_dura.core.collector import MAX_KEPT_OBJECTS, make_old, rare_collections, set_aside
 from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.items import note_repetitions, scenario_items
 from pytest_dura.plugin.markers import (
@@ -34,7 +35,7 @@ from pytest_dura.plugin.messages import (
     redact_error,
     redact_report,
 )
-from pytest_dura.plugin.options import LONG_NAMES, WAITING, send_options
+from pytest_dura.plugin.options import LONG_NAMES, SET_ASIDE, WAITING, send_options
 from pytest_dura.plugin.property_tests import explained_fixtures, register_profile
 from pytest_dura.plugin.session import session_of
 
@@ -80,9 +81,12 @@ def begin(config: pytest.Config, started: pytest.Session | None = None) -> Sessi
     """
     hooks: SessionHooks | None = config.pluginmanager.get_plugin(HOOKS)
     if hooks is None:
+        collecting = ExitStack()
+        collecting.enter_context(rare_collections(MAX_KEPT_OBJECTS))
+        config.add_cleanup(collecting.close)
         session = prepare(config)
         config.add_cleanup(session.properties.begin())
-        hooks = SessionHooks(session)
+        hooks = SessionHooks(session, collecting)
         config.pluginmanager.register(hooks, HOOKS)
         config.pluginmanager.register(EndHooks(session), f"{HOOKS}-end")
         config.pluginmanager.register(InnermostHooks(hooks), f"{HOOKS}-innermost")
@@ -147,8 +151,10 @@ class InnermostHooks:
 class SessionHooks:
     """Hooks of one session, registered in the controller and in every worker alike."""
 
-    def __init__(self, session: DuraSession) -> None:
+    def __init__(self, session: DuraSession, collecting: ExitStack) -> None:
         self.session = session
+        self._collecting = collecting
+        """What holds until tests are collected."""
         self._pytest_session: pytest.Session | None = None
         self._pid = os.getpid()
         self._guard: ExitStack | None = None
@@ -188,10 +194,8 @@ class SessionHooks:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_collection(self) -> Generator[None, Any, Any]:
         """Take scenario items out of the arguments, which pytest would look up as files."""
-        from pytest_dura.core.orchestrator import MAX_KEPT_OBJECTS, rare_collections
-
         self.session.take_arguments()
-        with rare_collections(MAX_KEPT_OBJECTS):
+        with self._collecting:
             return (yield)
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
@@ -282,6 +286,8 @@ class SessionHooks:
             marked = [item.nodeid for item in own_items if item.get_closest_marker("dura")]
             self.session.evidence.note_tests(node_ids, marked)
         self.session.evidence.expect([item.nodeid for item in session.items])
+        make_old()  # else Python, which may look again from now on, looks at all of that first
+        self._collecting.close()
 
     def pytest_report_collectionfinish(self, items: Sequence[pytest.Item]) -> list[str]:
         """Name the requirements that nothing uses, and who simulates."""
@@ -474,6 +480,8 @@ class SessionHooks:
             self.session.evidence.enforce_exit_code(self._pytest_session)
         self.session.executor.close()
         self.session.models.end()
+        # Pytest has just looked through all objects for garbage, and is about to do so again.
+        self.session.config.stash[SET_ASIDE] = set_aside()
 
     def _begin_guard(self) -> None:
         """Keep any code from ending this process with a success; a second call does nothing."""

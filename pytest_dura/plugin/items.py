@@ -50,13 +50,13 @@ class ScenarioCases(pytest.Collector):
 
     def collect(self) -> Iterator[pytest.Item]:
         """Yield the items of each case in the order of the plan."""
+        paths = {"": self.config.rootpath}  # of the files, each of which has many cases
         for planned in self.context.plan:
             name, file = planned.case.id, planned.case.scenario.file
+            if file not in paths:
+                paths[file] = Path(file).absolute()
             case: ScenarioCase = ScenarioCase.from_parent(
-                self.session,
-                name=name,
-                nodeid=name,
-                path=Path(file).absolute() if file else self.config.rootpath,
+                self.session, name=name, nodeid=name, path=paths[file]
             )
             case.planned, case.cases = planned, self
             yield from case.collect()

@@ -688,6 +688,8 @@ def option_rows() -> tuple[Option[Any], ...]:
 
 WAITING = "dura-waiting"
 """Name of the plugin that waits for the first use of the package."""
+SET_ASIDE = pytest.StashKey[bool]()
+"""Whether the session exempted objects from searches for cycles, until it has ended."""
 LONG_NAMES = "dura_"
 """What the long names of fixtures begin with; the rest of them is the short name."""
 

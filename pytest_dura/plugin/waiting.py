@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from typing import TYPE_CHECKING
 
 import pytest
 
 from pytest_dura.plugin import event_hook, fixtures, short_fixtures
-from pytest_dura.plugin.options import WAITING, add_options, asks_for_session, short_names
+from pytest_dura.plugin.options import (
+    SET_ASIDE,
+    WAITING,
+    add_options,
+    asks_for_session,
+    short_names,
+)
 
 if TYPE_CHECKING:
     from pytest_dura.plugin.hooks import SessionHooks
@@ -55,6 +62,8 @@ def pytest_cmdline_main(config: pytest.Config) -> int | None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Register markers and fixtures, and what waits for a session that uses the package."""
+    # Added before pytest's own, it comes after them, of which one looks for garbage.
+    config.add_cleanup(lambda: gc.unfreeze() if config.stash.get(SET_ASIDE, False) else None)
     for marker in MARKERS:
         config.addinivalue_line("markers", marker)
     register = config.pluginmanager.register

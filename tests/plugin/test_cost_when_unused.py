@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 HEAVY = [
     "numpy", "highway_env", "rtamt", "pydantic", "yaml", "scipy", "gymnasium", "hypothesis",
     "jinja2", "jsonschema", "mcap", "sqlite3", "lazy_loader",
@@ -108,3 +110,60 @@ def test_the_package_is_loaded_from_ordinary_bytecode(tmp_path):
     (tmp_path / "test_plain.py").write_text(PLAIN)
     status, _ = run(code, "-q", *OTHERS, str(tmp_path / "test_plain.py"))
     assert status == 0
+
+
+LOOKS = """
+import gc, pytest
+
+looks = []
+gc.callbacks.append(lambda phase, info: looks.append(gc.get_freeze_count() > 0)
+    if phase == "start" and info["generation"] == 2 else None)
+before = gc.get_threshold()
+status = pytest.main(sys.argv[1:])
+print("looks", looks[-2:], gc.get_freeze_count(), gc.get_threshold() == before)
+"""
+DRIVEN = """
+import gc, sys, weakref
+import pytest
+
+@pytest.mark.dura(scenario="corridor/free", runs=1)
+@pytest.mark.requirement("X-1", text="it runs")
+def test_one(episode, request):
+    assert not episode.collided
+    assert gc.get_freeze_count() == 0
+    assert gc.get_threshold()[0] < 100_000
+    if sys.version_info < (3, 12):  # later ones may be back in a younger one
+        assert any(node is request.node for node in gc.get_objects(generation=2))
+"""
+GARBAGE = """
+class Failing:
+    def __del__(self):
+        raise OSError("not closed")
+
+def test_two():
+    one = Failing()
+    one.other = one
+"""
+
+
+def _run(project, name, *command):
+    """What pytest does in a process of its own with a file of the project."""
+    arguments = [*OTHERS, "-q", "--rootdir", str(project.path), str(project.path / name)]
+    return subprocess.run(
+        [sys.executable, *command, *arguments], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_pytest_looks_once_for_garbage_at_the_end_of_a_session(project, own):
+    project.write("test_looks.py", DRIVEN if own else "def test_one(): pass")
+    done = _run(project, "test_looks.py", "-c", f"import sys\n{LOOKS}")
+    assert "1 passed" in done.stdout, done.stdout
+    assert done.stdout.splitlines()[-1] == f"looks [False, {own}] 0 True"
+
+
+def test_garbage_of_tests_is_still_reported(project):
+    project.write("test_garbage.py", DRIVEN + GARBAGE)
+    done = _run(project, "test_garbage.py", "-W", "error", "-m", "pytest", "-W", "error")
+    assert "not closed" in done.stdout + done.stderr
+    assert done.returncode == 1

@@ -11,7 +11,7 @@ from thermostat import Controller, HeatMonitor
 
 from pytest_dura import Assessment
 from pytest_dura.core import RoleView
-from pytest_dura.core.orchestrator import MAX_YOUNG_OBJECTS, rare_collections
+from pytest_dura.core.collector import MAX_YOUNG_OBJECTS, rare_collections
 
 
 @pytest.fixture(autouse=True)
