@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -77,10 +78,14 @@ def test_a_grid_validates_each_value_of_a_part_once_and_checks_each_combination(
     library = load_library([tmp_path], builtin=False)
     cases = expand_cases(library.scenarios, read=library.faults)
     assert done == {"fault_form": 2 + 3 * 2 - 1, "check_parameters": 2 * 3 * 2}
-    for case in cases:
+    drawn = itertools.product([0.5, 1.0], [1.0, 2.0, 3.0], ["security_assessor", "fault_injector"])
+    for case, (probability, at, by) in zip(cases, drawn, strict=True):
         (fault,) = case.faults
+        assert fault.parameters is not None
+        assert fault.parameters["probability"] == probability
+        assert (fault.activation["at"], fault.activation["by"]) == (at, by)
         assert fault == parse_fault(case.scenario, fault.in_file())
-        assert fault.by_chance is (fault.parameters["probability"] == 0.5)
+        assert fault.by_chance is (probability == 0.5)
     assert [case.id for case in cases][:3] == [
         "scale/grid+object-miss-probability=0.5-at=1-by=security_assessor",
         "scale/grid+object-miss-probability=0.5-at=1-by=fault_injector",

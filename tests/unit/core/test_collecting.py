@@ -11,7 +11,7 @@ from thermostat import Controller, HeatMonitor
 
 from pytest_dura import Assessment
 from pytest_dura.core import RoleView
-from pytest_dura.core.collector import MAX_YOUNG_OBJECTS, rare_collections
+from pytest_dura.core.collector import MAX_YOUNG_OBJECTS, make_old, rare_collections, set_aside
 
 
 @pytest.fixture(autouse=True)
@@ -84,3 +84,36 @@ def test_so_it_is_during_an_episode_and_not_after_it(fails: bool) -> None:
     assert (episode.failure is not None) is fails
     assert monitor.noted == {MAX_YOUNG_OBJECTS}
     assert gc.get_threshold() == (700, 11, 12)
+
+
+def _is_old(value: object) -> bool:
+    return any(each is value for each in gc.get_objects(generation=2))
+
+
+def test_what_there_is_becomes_old_without_a_look_at_it() -> None:
+    gc.unfreeze()  # what another test process has kept
+    looks: list[str] = []
+    gc.callbacks.append(lambda phase, _: looks.append(phase))
+    try:
+        kept = [object()]
+        assert not _is_old(kept)
+        make_old()
+        assert _is_old(kept)
+        assert gc.get_freeze_count() == 0
+    finally:
+        gc.callbacks.pop()
+    assert not looks
+
+
+def test_what_somebody_exempts_stays_exempt() -> None:
+    gc.unfreeze()
+    assert set_aside()
+    try:
+        exempt = gc.get_freeze_count()
+        kept = [object()]
+        make_old()
+        assert not set_aside()
+        assert gc.get_freeze_count() == exempt
+        assert not _is_old(kept)
+    finally:
+        gc.unfreeze()
