@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import http.server
-import importlib
 import os
 import re
 import subprocess
@@ -19,7 +18,6 @@ import pytest
 from filelock import FileLock
 
 import pytest_dura
-from pytest_dura.plugin.options import option_rows
 
 REPOSITORY = Path(__file__).parents[2]
 LOADED = {"script", "img", "iframe", "source", "video", "audio", "embed", "object"}
@@ -139,32 +137,11 @@ def test_no_markup_of_another_language_is_shown(site):
     assert re.findall(r":[a-z]+:<code>|:[a-z]+:`|^:::.*", text, re.MULTILINE) == []
 
 
-@pytest.mark.parametrize("name", ["api.md", "fixtures.md", "files.md", "roles.md"])
-def test_the_committed_reference_is_up_to_date(name, monkeypatch):
-    monkeypatch.syspath_prepend(REPOSITORY / "docs")
-    reference = importlib.import_module("reference_pages")
-    committed = (reference.FOLDER / name).read_text("utf-8")
-    assert committed == reference.reference_pages()[name], "run `python docs/reference_pages.py`"
-
-
 def test_every_public_name_has_its_place(pages):
     ids = pages["reference/api/index.html"].ids
     names = set(pytest_dura.__all__) - {"__version__"}
     missing = {name for name in names if not any(place.endswith(f".{name}") for place in ids)}
     assert missing == set()
-
-
-def test_every_option_fixture_and_key_is_on_the_site(site):
-    options = (site / "options" / "index.html").read_text("utf-8")
-    assert [row.flag for row in option_rows() if row.flag and row.flag not in options] == []
-    fixtures = (site / "reference" / "fixtures" / "index.html").read_text("utf-8")
-    for name in ("orchestrator", "run_episode", "episode", "campaign", "recovery_planner"):
-        assert f"<code>{name}</code>" in fixtures
-    for marker in ("dura", "falsify", "requirement"):
-        assert f'id="{marker}"' in fixtures
-    keys = (site / "reference" / "files" / "index.html").read_text("utf-8")
-    for key in ("time_step", "at_most", "mitigates", "triggering_condition", "campaigns"):
-        assert f"<code>{key}</code>" in keys
 
 
 def test_the_site_shows_what_github_shows(pages):

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from pytest_dura.execution import address_of
-from pytest_dura.plugin.option_reference import PAGE, reference_page, write_page
+from pytest_dura.plugin.option_reference import reference_page
 from pytest_dura.plugin.option_values import whole_number
 from pytest_dura.plugin.options import Option, Options, option_rows, send_options
 from pytest_dura.plugin.session import session_of
@@ -40,13 +38,6 @@ def addresses(project, *given):
     planning.make_plan()
     task = planning.runner.task
     return {address_of(task(planned.case, 1)).name for planned in planning.plan}
-
-
-def test_the_committed_page_is_up_to_date(tmp_path):
-    committed = (Path(__file__).parents[2] / "docs" / PAGE).read_text("utf-8")
-    assert committed == reference_page(), "run `python -m pytest_dura.plugin.option_reference`"
-    write_page(tmp_path / PAGE)
-    assert (tmp_path / PAGE).read_text("utf-8") == committed
 
 
 def test_the_help_of_a_session_is_that_of_the_table(project):

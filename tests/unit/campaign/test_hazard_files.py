@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import jsonschema
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.library import builtin_paths, load_library, load_scenarios, parse_yaml
-from pytest_dura.library.hazards import hazard_schema
+from pytest_dura.library import load_library, load_scenarios
 
 HAZARDS = """hazards:
   - id: H-1
@@ -126,14 +123,3 @@ def test_each_built_in_requirement_mitigates_a_hazard_and_the_other_way_round() 
     assert all(hazard.severity and hazard.loss for hazard in found.hazards.values())
     assert found.hazards_of(()) == []
     assert [hazard.id for hazard in found.hazards_of(["H-INT-2"])] == ["H-INT-2"]
-
-
-def test_the_published_schema_is_that_of_the_model_and_accepts_the_built_in_file() -> None:
-    (folder,) = builtin_paths()
-    published = json.loads((folder / "hazards.schema.json").read_text())
-    assert published == hazard_schema()
-    validator = jsonschema.Draft202012Validator(published)
-    data = parse_yaml((folder / "hazards.yaml").read_text(), "hazards.yaml").data
-    validator.validate(data)
-    wrong = {"hazards": [{**data["hazards"][0], "severity": "fatal"}]}
-    assert not validator.is_valid(wrong)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from pytest_dura import (
@@ -15,16 +13,9 @@ from pytest_dura import (
     Signal,
     Simulator,
 )
-from pytest_dura.library.domain_reference import PAGE, builtin_domains, declared, reference_page
+from pytest_dura.library.domain_reference import declared
 
-DOCS = Path(__file__).parents[3] / "docs"
 LEVEL = Signal("level", "m", "above the bottom")
-
-
-def test_the_committed_page_is_up_to_date() -> None:
-    committed = (DOCS / PAGE).read_text("utf-8")
-    expected = reference_page(builtin_domains())
-    assert committed == expected, "run `python -m pytest_dura.library.domain_reference`"
 
 
 @pytest.mark.parametrize("kind", [Signal, Action])

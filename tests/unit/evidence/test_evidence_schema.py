@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import math
-import re
 from pathlib import Path
 
 import pytest
@@ -18,15 +17,7 @@ from session_records import session_record
 from pytest_dura.core.codec import encode
 from pytest_dura.core.mismatches import MAX_MISMATCHES
 from pytest_dura.evidence import Baseline, SessionRecord, check_record, record_schema
-from pytest_dura.evidence.schema import (
-    PAGE,
-    TABLES_BEGIN,
-    TABLES_END,
-    generate_schema,
-    record_vocabulary,
-    schema_tables,
-    updated_page,
-)
+from pytest_dura.evidence.schema import record_vocabulary
 
 DOCS = Path(__file__).parents[3] / "docs"
 lawful = settings(derandomize=True, deadline=None, max_examples=40)
@@ -80,7 +71,7 @@ OPEN = {
 """Keys whose values are the user's own, or of names that are."""
 OPTIONAL = {"type", "duration", "world", "path", "digest", "file_count", "files", "opaque",
             "distribution", "params", "sources"}  # fmt: skip
-STEPS = [step for step in steps(RECORD) if not (set(step[:-1]) & OPEN)]
+STEPS = [step for step in steps(RECORD) if not set(step[:-1]) & {*OPEN, "scenario"}]
 
 
 def at(data, step):
@@ -92,12 +83,6 @@ def at(data, step):
 def test_the_schema_is_one_of_its_draft():
     Draft202012Validator.check_schema(record_schema())
     assert record_schema()["$id"] == "urn:pytest-dura:evidence:1"
-
-
-def test_the_committed_schema_is_that_of_the_models():
-    # A key that may be absent, and is required in the file, would pass a comparison of keys.
-    again = "run `python -m pytest_dura.evidence.schema`"
-    assert json.dumps(record_schema()) == json.dumps(generate_schema()), again
 
 
 def test_every_property_is_described():
@@ -245,20 +230,3 @@ def test_the_problems_of_a_foreign_file_are_bounded():
 def test_the_words_of_a_record():
     assert {"episodes", "undecided", "violations", "complete"} <= record_vocabulary()
     assert "nobody knows" not in record_vocabulary()
-
-
-def test_the_committed_page_is_up_to_date():
-    committed = (DOCS / PAGE).read_text("utf-8")
-    assert committed == updated_page(committed), "run `python -m pytest_dura.evidence.schema`"
-    assert committed.count(TABLES_BEGIN) == committed.count(TABLES_END) == 1
-
-
-def test_every_key_has_its_row_in_the_page():
-    page = schema_tables()
-    for path, one in properties():
-        name = path.rpartition(".")[2]
-        told = one.get("description", "").replace("|", "\\|")
-        assert re.search(rf"^\\| `([^`|]*\\.)?{name}` \\|", page, re.MULTILINE), path
-        assert told in page or "attempt" in path, path
-    rows = [line for line in page.splitlines() if line.startswith("|")]
-    assert {line.replace("\\|", "").count("|") for line in rows} == {4}
