@@ -10,10 +10,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from forked_workers import AVAILABLE, WITHOUT_RETRIES, ForkedWorkers, import_all
+from forked_workers import AVAILABLE, WITHOUT_RETRIES, ForkedWorkers, decide_once, import_all
 
 from pytest_dura.evidence import all_formats
 from pytest_dura.evidence.model import WholeRecord
+from pytest_dura.execution import sources
 from pytest_dura.library import builtin_paths, loading, read_yaml
 
 # In-process runs forget what they imported: what is ours would be compiled anew for each of them,
@@ -148,6 +149,7 @@ def _kept(name):
     return property(get)
 
 
+IS_OWN = decide_once(sources._is_own)
 KEPT = {name: _kept(name) for name in ("entry_points", "files", "metadata")}
 
 
@@ -156,6 +158,7 @@ def fast_sessions(monkeypatch, forked_workers):
     monkeypatch.setenv("PYTEST_ADDOPTS", WITHOUT_RETRIES)
     # Milliseconds each, for what no test can see: that files survive a loss of power.
     monkeypatch.setattr(os, "fsync", lambda _: None)
+    monkeypatch.setattr(sources, "_is_own", IS_OWN)
     monkeypatch.setattr(loading, "read_yaml", _read)
     monkeypatch.setattr(loading, "check_scenario", _check_once(loading.check_scenario))
     for name, kept in KEPT.items():

@@ -25,6 +25,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
@@ -116,10 +117,29 @@ def import_all() -> None:
             importlib.import_module(name)
 
 
+def decide_once(is_own: Callable[[str], bool]) -> Callable[[str], bool]:
+    """Whether a module is the user's own, asked once of each file: there are hundreds of modules.
+
+    A session asks where each of them lies, which takes as long as all else that a short one does.
+    """
+    known: dict[tuple[str, str | None], bool] = {}
+
+    def decided(name: str) -> bool:
+        key = name, getattr(sys.modules.get(name), "__file__", None)
+        if key not in known:
+            known[key] = is_own(name)
+        return known[key]
+
+    return decided
+
+
 def _run_a_session(project: str) -> None:
     """What a session imports is imported then, by the hook that pytest expects to have done it."""
     import pytest
 
+    from pytest_dura.execution import sources
+
+    sources._is_own = decide_once(sources._is_own)
     with tempfile.TemporaryDirectory() as name:
         folder = shutil.copytree(project, Path(name, "project"))
         here = Path.cwd()
