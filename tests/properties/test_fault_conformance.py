@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fault_runs import CHANNEL, check_place
+from fault_runs import CHANNEL, check_place, commanded, through
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from roads import car, channels_of
@@ -105,12 +105,43 @@ def plain(value: Any) -> Any:
     return (value.ids, value.data.tolist()) if hasattr(value, "with_body") else value
 
 
+def corrupted(values: list[Any], own: Fault) -> None:
+    """Let a fault act; a picture is not read."""
+    injector = CampaignInjector()
+    injector.reset(RoleContext(1, DT, {}, (own,)))
+    for value in values:
+        injector.corrupt({CHANNEL: value}, 0.0)
+
+
 def changes(own: Fault) -> bool:
     """Whether a fault changes anything of a stream of values that it can act on."""
     ticks = worlds(fault_class(own.type))
     place = Target.parse(own.target).channel
     found = shown(ticks, own)
     return any(one is not channels[place] for one, channels in zip(found, ticks, strict=True))
+
+
+WRONG = {
+    "number": ["1", [1.0], math.nan, math.inf],
+    "integer": ["1", [1], 1.5, math.nan],
+    "string": [3.5],
+    "boolean": [3.5, "no"],
+    "array": [3.5, "V1"],
+    "object": [3.5],
+}
+"""Values of other types than a parameter's, by that type in its JSON Schema."""
+BEYOND = {"minimum": -1, "maximum": 1, "exclusiveMinimum": 0, "exclusiveMaximum": 0}
+"""How far from a limit the next value lies that it excludes."""
+
+
+def wrong_values(schema: dict[str, Any]) -> list[Any]:
+    """Values that the JSON Schema of a parameter excludes: by type, limits or choices."""
+    alternatives = [one for one in schema.get("anyOf", [schema]) if one.get("type") != "null"]
+    if len(alternatives) > 1:
+        return [[1.0]]
+    (one,) = alternatives
+    beyond = [one[key] + step for key, step in BEYOND.items() if key in one]
+    return [*WRONG[one["type"]], *beyond, *(["nonsense"] if "enum" in one else [])]
 
 
 # The questions
@@ -166,6 +197,52 @@ def the_ends_of_its_spans_make_faults(name: str, kind: type[FaultEffect]) -> Non
         made = planned(name, **together).parameters
         assert made is not None
         assert {**made, **together} == made, "all parameters at one end"
+
+
+def a_wrong_parameter_is_refused_at_its_key(name: str, kind: type[FaultEffect]) -> None:
+    fields = parameters_of(kind).model_json_schema().get("properties", {})
+    wrong = [(key, value) for key, schema in fields.items() for value in wrong_values(schema)]
+    wrong += [(f"{key}q", 1.0) for key in fields] or [("power", 1.0)]
+    for key, value in wrong:
+        with pytest.raises(ConfigurationError) as caught:
+            planned(name, **{key: value})
+        assert str(caught.value.key).partition(".")[2].partition(".")[0] == key, (key, value)
+        assert caught.value.expected or caught.value.remedy
+        assert key[:-1] not in fields or f"did you mean '{key[:-1]}'?" in str(caught.value)
+
+
+def what_is_not_a_value_of_its_kind_is_named(name: str, kind: type[FaultEffect]) -> None:
+    wrong: dict[str, list[Any]] = {
+        "number": ["12", None, True, [1.0], {"speed": 1.0}],
+        "command": ["left", None, [1.0]],
+        "image": [3.0, np.zeros((4, 6), np.uint8), np.zeros((4, 6, 3))],
+    }
+    wrong["image"] += [Lazy(lambda value=value: value) for value in wrong["image"]]
+    place = "command" if kind.acts_on == "command" else CHANNEL
+    noun = "picture" if kind.acts_on == "image" else "number"
+    ask = commanded if kind.acts_on == "command" else corrupted
+    own = parse_fault({**planned(name).plain(), "target": place})
+    for value in [] if name == "stuck-command" else wrong.get(kind.acts_on, []):
+        with pytest.raises(ConfigurationError, match=f"acts on a {noun}"):
+            ask([value], own)
+
+
+def numbers_of_any_kind_are_changed_one_by_one(name: str, kind: type[FaultEffect]) -> None:
+    if kind.acts_on != "number":
+        return
+    given = {"bits": 20} if name == "bit-flip" else {}
+    for number in (7, np.float32(7.0), np.int64(7)):
+        (found,) = shown([{**worlds(kind)[0], CHANNEL: number}], planned(name, **given))
+        assert type(found) is float or (name == "drift" and found is number), "nothing at first"
+    rows = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    rows.flags.writeable = False
+    plan = parse_fault({**planned(name, **given).plain(), "target": f"{CHANNEL}.1"})
+    found = through([rows] * 2, plan)[1]
+    assert np.array_equal(found[0], rows[0])
+    assert (found[1] != rows[1]).all()
+    assert not found.flags.writeable
+    if name in ("noise", "bit-flip"):
+        assert len(set((found[1] - rows[1]).tolist())) == 3, "each draws its own"
 
 
 def neutral_values_change_nothing_and_far_ones_something(
@@ -296,6 +373,9 @@ QUESTIONS = (
     a_target_of_another_kind_is_refused,
     every_parameter_has_a_meaning_and_every_number_a_span,
     the_ends_of_its_spans_make_faults,
+    a_wrong_parameter_is_refused_at_its_key,
+    what_is_not_a_value_of_its_kind_is_named,
+    numbers_of_any_kind_are_changed_one_by_one,
     neutral_values_change_nothing_and_far_ones_something,
     nothing_is_changed_before_it_begins_nor_written_into,
     its_draws_do_not_depend_on_other_faults,

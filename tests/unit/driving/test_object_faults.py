@@ -12,9 +12,9 @@ import pytest
 from roads import run, spec_of_drive, truth_of
 
 from pytest_dura import Episode, RoleSpec
-from pytest_dura.core import ConfigurationError, Proposal
+from pytest_dura.core import Proposal
 from pytest_dura.driving import Aggressive
-from pytest_dura.faults import FAULT_TYPES, default_fault, fault_class, parse_fault
+from pytest_dura.faults import FAULT_TYPES, default_fault, fault_class
 
 OWN = [name for name in FAULT_TYPES if FAULT_TYPES.path(name).startswith("pytest_dura.driving")]
 WORLD: dict[str, Any] = {
@@ -24,18 +24,6 @@ WORLD: dict[str, Any] = {
     "pedestrians": [{"id": "P1", "arm": "north", "start": 1.0}],
 }
 AT, TICK = 1.0, 10
-IDLE: dict[str, dict[str, Any]] = {
-    "trajectory-spoof": {"magnitude": 0.0},
-    "object-miss": {"probability": 0.0},
-    "position-noise": {"sigma": 0.0},
-    "range-cut": {"reach": 80.0},
-    "class-change": {"probability": 0.0},
-    "moved-obstacle": {"dx": 0.0, "dy": 0.0},
-    "gnss-jump": {},
-    "gnss-drag-off": {"rate": 0.0},
-    "prompt-text": {"text": ""},
-}
-"""Parameters of no magnitude; ghosts, id switches and jammers have no such thing."""
 SEEN: list[dict[str, Any]] = []
 """What the Generator of the latest episode was shown, tick by tick."""
 
@@ -92,39 +80,9 @@ def test_the_truth_is_bit_identical_and_the_percept_is_not(name: str, clean: Any
     assert any(one[channel] != other[channel] for one, other in zip(shown, expected, strict=True))
 
 
-@pytest.mark.parametrize("name", sorted(IDLE))
-def test_a_fault_of_no_magnitude_is_none_and_counts_as_not_manifested(
-    name: str, clean: Any
-) -> None:
-    idle, shown = episode({**planned(name), "parameters": IDLE[name]})
-    without, expected = clean
-    assert shown == expected
-    for signal, column in without.signals.items():
-        assert column.tobytes() == idle.signals[signal].tobytes()
-    (record,) = idle.faults
-    assert record.activated_at is not None
-    assert not record.success
-    assert idle.invalid_reason == f"never manifested: {name}"
-
-
 def test_all_at_once_leave_the_truth_alone(clean: Any) -> None:
     attacked, _ = episode(*(planned(name) for name in OWN))
     assert truth_of(attacked) == truth_of(clean[0])
-
-
-def test_another_fault_shifts_no_draws(clean: Any) -> None:
-    noise, miss = planned("position-noise"), planned("object-miss")
-    _, alone = episode(noise)
-    _, both = episode(noise, miss)
-    kept = [
-        (body, other["lidar"].get(body.id))
-        for one, other in zip(alone, both, strict=True)
-        for body in one["lidar"]
-    ]
-    assert any(other is None for _, other in kept), "some are missed"
-    assert all(other in (None, body) for body, other in kept), "the others scatter as before"
-    _, jumped = episode(noise, planned("gnss-jump"))
-    assert [one["lidar"] for one in jumped] == [one["lidar"] for one in alone]
 
 
 def test_a_jammed_receiver_shows_the_pose_of_the_tick_before(clean: Any) -> None:
@@ -153,33 +111,3 @@ def test_misses_are_counted_per_tick_and_object(clean: Any) -> None:
     full = [len(one["lidar"]) for one in clean[1][TICK : TICK + 10]]
     assert len({whole - size for whole, size in zip(full, sizes, strict=True)}) > 1
     assert np.all(np.array(sizes) <= full)
-
-
-@pytest.mark.parametrize(
-    "name, parameters, key",
-    [
-        ("object-miss", {"probability": 1.5}, "parameters.probability"),
-        ("object-miss", {"nearest": 0}, "parameters.nearest"),
-        ("position-noise", {"sigma": -0.1}, "parameters.sigma"),
-        ("range-cut", {"reach": float("inf")}, "parameters.reach"),
-        ("class-change", {"becomes": "lorry"}, "parameters.becomes"),
-        ("id-switch", {"ids": ["V1"]}, "parameters"),
-        ("id-switch", {"ids": ["V1", "V1"]}, "parameters"),
-        ("moved-obstacle", {"dx": float("nan")}, "parameters.dx"),
-        ("moved-obstacle", {"frame": "world"}, "parameters.frame"),
-        ("gnss-jump", {"up": 3.0}, "parameters.up"),
-        ("gnss-drag-off", {"rate": -1.0}, "parameters.rate"),
-        ("gnss-drag-off", {"direction": "up"}, "parameters.direction"),
-        ("gnss-jam", {"power": 3.0}, "parameters.power"),
-        ("prompt-text", {"ahead": 0.0}, "parameters.ahead"),
-        ("prompt-text", {"text": 3}, "parameters.text"),
-        ("ghost-obstacle", {"speed": -1.0}, "parameters.speed"),
-        ("trajectory-spoof", {"velocity": [1.0]}, "parameters.velocity"),
-    ],
-)
-def test_a_value_out_of_range_is_refused_at_its_key(
-    name: str, parameters: dict[str, Any], key: str
-) -> None:
-    with pytest.raises(ConfigurationError) as caught:
-        parse_fault({"type": name, "activation": {"at": 1.0}, "parameters": parameters})
-    assert str(caught.value.key).startswith(key)

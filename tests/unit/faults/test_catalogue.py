@@ -137,6 +137,33 @@ def test_what_is_no_fault_is_refused_at_its_key(
         assert leaked not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "kind, parameters, key, told",
+    [
+        ("out-of-range", {}, "parameters.low", "Lower end"),
+        ("out-of-range", {"low": 2.0, "high": 1.0}, "parameters", "low is above high"),
+        ("out-of-range", {"low": 0.0, "high": 1e300}, "parameters", "change the excess"),
+        ("masquerade", {"forged": {"a": 1.0}, "value": 1.0}, "parameters", "give one"),
+        ("masquerade", {"forged": {"a": float("nan")}}, "parameters.forged.a", "finite"),
+        ("masquerade", {"forged": {"a": [1.0]}}, "parameters.forged.a", "a number, a text"),
+        ("patch", {"colour": [0, 0, 256]}, "parameters.colour.2", "less than or equal to 255"),
+        ("patch", {"colour": [0, 0]}, "parameters.colour.2", "missing"),
+        ("id-switch", {"ids": ["V1"]}, "parameters", "two"),
+        ("id-switch", {"ids": ["V1", "V1"]}, "parameters", "two"),
+        ("trajectory-spoof", {"velocity": [1.0]}, "parameters.velocity", "missing"),
+    ],
+)
+def test_parameters_that_do_not_go_together_or_lack_a_part_are_refused(
+    kind: str, parameters: dict[str, Any], key: str, told: str
+) -> None:
+    """Those that are wrong on their own are asked of each type in ``test_fault_conformance.py``."""
+    data = {"type": kind, "target": "link", "activation": {"at": 1.0}, "parameters": parameters}
+    with pytest.raises(ConfigurationError) as caught:
+        parse_fault(data)
+    assert str(caught.value.key).startswith(key)
+    assert told in str(caught.value)
+
+
 def test_without_target_and_domain_there_is_one_clear_error() -> None:
     with pytest.raises(ConfigurationError) as caught:
         parse_fault({"type": "bias", "activation": {"at": 1.0}})
@@ -173,15 +200,6 @@ def test_what_is_by_chance_need_not_happen(activation: dict[str, Any], by_chance
 def test_a_fault_without_a_type_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="unknown fault"):
         parse_fault({"duration": 3.0})
-
-
-@pytest.mark.parametrize("magnitude", [-0.1, 1.1])
-def test_a_spoof_s_magnitude_is_a_share(magnitude: float) -> None:
-    with pytest.raises(ConfigurationError) as caught:
-        parse_fault(
-            {**default_fault("trajectory-spoof").plain(), "parameters": {"magnitude": magnitude}}
-        )
-    assert caught.value.key == "parameters.magnitude"
 
 
 def due_ticks(activation: Activation, dt: float, count: int) -> list[int]:
