@@ -67,15 +67,15 @@ def test_named_items_are_simulated_by_processes_too(project):
 
 
 @pytest.mark.parametrize(
-    "arguments, reason",
+    "argument, reason",
     [
-        (["-s"], "-s shows what components print"),
-        (["--pdb"], "--pdb or --trace is on"),
-        (["--dura-llm=record"], "a cassette of a language model is of this process"),
+        ("-s", "-s shows what components print"),
+        ("--pdb", "--pdb or --trace is on"),
+        ("--dura-llm=record", "a cassette of a language model is of this process"),
     ],
 )
-def test_what_needs_this_process_stays_in_it_and_the_reason_is_shown(project, arguments, reason):
-    result = project.scenarios(LONG, *arguments)
+def test_what_needs_this_process_stays_in_it_and_the_reason_is_shown(project, argument, reason):
+    result = project.scenarios(LONG, argument)
     line = f"dura: episodes are simulated in pytest's own process (auto: {reason})"
     result.stdout.fnmatch_lines([line])
     assert chosen(project) == ("in-process", None, f"auto: {reason}")
@@ -105,12 +105,10 @@ SLOW, CARELESS, ASLEEP = "Warning: slow", "Careless: careless", "RuntimeWarning:
 @pytest.mark.parametrize(
     "setting, arguments, raised",
     [
-        ("error", [], {SLOW}),
         ("error\n ignore:sl[ao]w", [], {CARELESS}),
         ("error\n ignore::DeprecationWarning\n ignore::warns.Careless", [], {ASLEEP}),
         ("error\n ignore:half:RuntimeWarning:warns", ["-W", "ignore::UserWarning"], {SLOW}),
         ("default", ["-W", "error::UserWarning"], {CARELESS}),
-        ("error", ["-W", "ignore"], set()),
     ],
 )
 def test_warnings_that_are_errors_count_alike_wherever_an_episode_is_simulated(
@@ -121,7 +119,7 @@ def test_warnings_that_are_errors_count_alike_wherever_an_episode_is_simulated(
     project.write("pytest.ini", f"[pytest]\npythonpath = .\nfilterwarnings =\n {setting}\n")
     free = project.path / "scenarios/corridor/free.yaml"
     free.write_text(free.read_text().replace("corridor:Watch", "warns:Watch"))
-    arguments = [LONG, "--dura-generator=warns:Planner", *arguments]
+    arguments = ["--dura-runs=1", "--dura-generator=warns:Planner", *arguments]
     project.scenarios("--dura-executor=in-process", *arguments)
     plain = record(project)
     text = json.dumps(plain["episodes"])
@@ -129,8 +127,8 @@ def test_warnings_that_are_errors_count_alike_wherever_an_episode_is_simulated(
     missing = {one["spec"]["case"] for one in plain["episodes"] if one["validity"] == "missing"}
     assert missing == ({"corridor/free"} if ASLEEP in raised else set())
 
-    project.scenarios(*arguments)
-    assert chosen(project) == ("processes", 2, "auto: 40 episodes on 2 cores")
+    project.scenarios("--dura-executor=processes:1", *arguments)
+    assert chosen(project)[:2] == ("processes", 1)
     assert record(project) == plain
 
 
@@ -152,7 +150,7 @@ def test_the_filters_of_a_test_reach_the_processes_that_it_asks(project):
     for marked, outcome in ((True, "passed"), (False, "failed")):
         if not marked:
             project.write("test_it.py", MARKED.replace("@pytest.mark.filterwarnings", "# "))
-        for executor in ("in-process", "processes:2"):
+        for executor in ("in-process", "processes:1"):
             arguments = [f"--dura-executor={executor}", "--dura-generator=warns:Planner"]
             project.run("test_it.py", *arguments).assert_outcomes(**{outcome: 1})
 
