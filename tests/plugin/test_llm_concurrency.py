@@ -32,7 +32,7 @@ def run_brief(project, *arguments):
 
 
 class Together:
-    """A behaviour that answers once so many requests are there, or after a second."""
+    """A behaviour that answers once so many requests are there, or after two seconds."""
 
     def __init__(self, count, text):
         self._barrier, self._answer = threading.Barrier(count), answers_by(text)
@@ -44,7 +44,7 @@ class Together:
             self._now += 1
             self.most = max(self.most, self._now)
         try:
-            self._barrier.wait(1.0)
+            self._barrier.wait(2.0)
             self.met += 1
         except threading.BrokenBarrierError:
             self._barrier.reset()

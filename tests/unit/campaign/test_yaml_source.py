@@ -197,10 +197,10 @@ def bomb(levels: int) -> str:
 
 
 def test_a_bomb_of_aliases_is_refused_before_it_grows() -> None:
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(ConfigurationError) as caught:
         parse_yaml(bomb(30), "bomb.yaml")
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
     assert "aliases" in caught.value.problem
     assert caught.value.line == 5
     assert "without nested aliases" in str(caught.value.remedy)

@@ -63,7 +63,7 @@ def test_a_pause_is_no_time_of_a_call_with_a_limit(run) -> None:
 
     result, seconds = run(call)
     assert result == "back"
-    assert 3 * LIMIT <= seconds < 4 * LIMIT
+    assert 3 * LIMIT <= seconds < 3 * LIMIT + 5.0
 
 
 @pytest.mark.parametrize("run", [in_main, in_thread])
@@ -75,7 +75,7 @@ def test_what_a_call_does_after_a_pause_is_held_to_its_limit(run) -> None:
     begun = time.monotonic()
     with pytest.raises(TimeBudgetExceeded):
         run(call)
-    assert 3 * LIMIT <= time.monotonic() - begun < 5.0
+    assert 3 * LIMIT <= time.monotonic() - begun < 9.0
 
 
 def test_where_no_call_is_under_way_a_pause_is_nothing() -> None:

@@ -44,7 +44,7 @@ def test_a_killed_session_blocks_nobody(tmp_path):
         with pytest.raises(ConfigurationError, match="is writing to this evidence directory"):
             DirectoryLock(tmp_path)
         other.kill()
-        other.wait(10)
+        other.wait(60)
     assert (tmp_path / LOCK_FILE).exists()
     DirectoryLock(tmp_path).release()
 

@@ -27,7 +27,7 @@ BUDGET = 10.0
 # The deadline
 
 
-BUSY = 2.0
+BUSY = 6.0
 """Seconds that a busy machine may add; without a budget these servers take 10 s and more."""
 
 

@@ -72,10 +72,7 @@ def made(server: WaitingServer, mode: Any = "live", tape: Path | None = None, **
 @pytest.mark.parametrize("width, most", [(1, 1), (3, 3), (20, 7)])
 def test_so_many_are_under_way_at_once_and_answers_keep_their_order(server, width, most) -> None:
     session = made(server, concurrency=width)
-    begun = time.monotonic()
     assert texts(session.ask_all(requests(7), 5.0)) == [f"to {number}" for number in range(7)]
-    rounds = -(-7 // width)
-    assert time.monotonic() - begun < (rounds + 3) * SECONDS + 0.3
     assert server.most == most
     if width == 1:
         assert server.asked == list(map(str, range(7)))

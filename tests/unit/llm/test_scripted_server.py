@@ -140,10 +140,10 @@ def test_a_slow_answer_comes_late_or_after_the_timeout(scripted_server):
 
 
 def test_a_dribbled_body_outlasts_a_timeout_between_bytes(scripted_server):
-    server = scripted_server(scripted.dribbles("slowly", pause=0.002))
+    server = scripted_server(scripted.dribbles("slowly", pause=0.01))
     begun = time.monotonic()
-    assert ask(server, timeout=0.3).choices[0].message.content == "slowly"
-    assert time.monotonic() - begun > 0.5
+    assert ask(server, timeout=1.0).choices[0].message.content == "slowly"
+    assert time.monotonic() - begun > 1.0
 
 
 def test_connections_that_break(scripted_server):
@@ -168,7 +168,7 @@ def test_an_endless_body_ends_at_the_servers_bound_or_with_the_client(scripted_s
     )
     assert 2**20 <= len(raw(server)[2]) < 2**20 + 2**17
     assert len(raw(server, limit=1000)[2]) == 1000
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + 30
     while not server.requests[1].abandoned and time.monotonic() < deadline:
         time.sleep(0.01)
     assert [request.abandoned for request in server.requests] == [False, True]
@@ -188,7 +188,7 @@ def test_closing_interrupts_what_is_under_way_and_leaves_no_thread():
 
     waiting = threading.Thread(target=waits)
     waiting.start()
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + 30
     while not server.requests and time.monotonic() < deadline:
         time.sleep(0.01)
     begun = time.monotonic()
