@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from corridors import expect, requirement, scenario
+from outputs import shown_of
 
 BUDGET = "{until: decided, at_most: 40}"
 METHODS = {
@@ -135,32 +136,30 @@ def test_a_budget_that_cannot_be_used_is_one_error(project, runs, told):
     assert "Traceback" not in result.stderr.str()
 
 
-@pytest.mark.parametrize(
-    "runs", ["{'until': 'decided'}", "{'until': 'bored', 'at_most': 4}", "{'at_most': 4}", "True"]
-)
-def test_a_marker_with_a_budget_that_cannot_be_used_is_one_error(project, runs):
+WRONG_RUNS = ["{'until': 'decided'}", "{'until': 'bored', 'at_most': 4}", "{'at_most': 4}", "True"]
+WRONG_RATES = {
+    "method='sprt'": "E*a method decides on a rate*",
+    "at_most=1.5": "E*at_most lies strictly between 0 and 1",
+    "at_most=0.1, confidence=0.3": "E*confidence lies strictly between 0.5 and 1",
+    "at_most=0.1, method='sprt', p0=0.2": "E*p0*",
+    "at_most=0.1, method='magic'": "E*magic*",
+}
+
+
+def test_a_marker_and_a_test_with_what_cannot_be_used_run_nothing_and_show_the_users_line(project):
     scenario(project)
-    project.write("test_it.py", TEST.format(runs=runs, rate="at_most=0.3"))
+    asked = [(runs, "at_most=0.3") for runs in WRONG_RUNS] + [(2, rate) for rate in WRONG_RATES]
+    text = "".join(
+        TEST.format(runs=runs, rate=rate).replace("test_it", f"test_{n}")
+        for n, (runs, rate) in enumerate(asked)
+    )
+    project.write("test_it.py", text)
     result = project.run("test_it.py")
     assert result.ret == 1
-    result.stdout.fnmatch_lines(["*test_it.py:*: the marker dura cannot be used: wrong `runs`"])
-
-
-@pytest.mark.parametrize(
-    "rate, told",
-    [
-        ("method='sprt'", ["E*a method decides on a rate*"]),
-        ("at_most=1.5", ["E*at_most lies strictly between 0 and 1"]),
-        ("at_most=0.1, confidence=0.3", ["E*confidence lies strictly between 0.5 and 1"]),
-        ("at_most=0.1, method='sprt', p0=0.2", ["E*p0*"]),
-        ("at_most=0.1, method='magic'", ["E*magic*"]),
-    ],
-)
-def test_a_rate_that_makes_no_sense_shows_the_users_line_and_runs_nothing(project, rate, told):
-    scenario(project)
-    project.write("test_it.py", TEST.format(runs=2, rate=rate))
-    result = project.run("test_it.py")
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(told)
+    result.assert_outcomes(errors=len(WRONG_RUNS), failed=len(WRONG_RATES))
+    shown = shown_of(result)
+    wrong = "*test_it.py:*: the marker dura cannot be used: wrong `runs`"
+    for n, told in enumerate([*[wrong] * len(WRONG_RUNS), *WRONG_RATES.values()]):
+        shown[f"test_{n}"].fnmatch_lines([told])
     assert "pytest_dura/" not in result.stdout.str()
     assert project.evidence().episodes == []

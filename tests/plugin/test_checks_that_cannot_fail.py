@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from corridors import requirement, scenario
-from outputs import output
+from outputs import output, shown_of
 
 from pytest_dura.core.codec import encode
 
@@ -46,30 +46,26 @@ def test_a_formula_that_holds_always_is_refused_at_its_line(project):
     assert "Traceback" not in told
 
 
-@pytest.mark.parametrize(
-    "fixture, body, refusal",
-    [
-        ("campaign", "campaign.require('(gap > 0) and (always (x < 99))')", REFUSED),
-        ("episode", "assert episode.robustness('gap > 0') > 0", REFUSED),
-        ("episode", "assert episode.satisfies('gap > 0')", REFUSED),
-        ("campaign", "campaign.require('always (gap >= gap)')", CERTAIN),
-        ("episode", "assert episode.satisfies('always (gap >= gap)')", CERTAIN),
-    ],
-)
-def test_a_formula_of_a_test_that_cannot_fail_is_refused(project, fixture, body, refusal):
-    project.write("test_it.py", a_test([body], fixture))
-    result = project.run("test_it.py")
-    assert result.ret == 1
-    assert refusal in output(result)
-    assert "passed" not in result.parseoutcomes()
+REFUSALS = [
+    ("campaign", "campaign.require('(gap > 0) and (always (x < 99))')", REFUSED),
+    ("episode", "assert episode.robustness('gap > 0') > 0", REFUSED),
+    ("episode", "assert episode.satisfies('gap > 0')", REFUSED),
+    ("campaign", "campaign.require('always (gap >= gap)')", CERTAIN),
+    ("episode", "assert episode.satisfies('always (gap >= gap)')", CERTAIN),
+]
 
 
-def test_a_marker_that_reads_one_sample_is_refused(project):
-    project.write("test_it.py", a_test(["pass"], "campaign", ["falsify('gap > 0')"]))
+def test_a_formula_of_a_test_or_a_marker_that_cannot_fail_is_refused(project):
+    texts = [a_test([body], fixture, runs=1) for fixture, body, _ in REFUSALS]
+    texts.append(a_test(["pass"], "campaign", ["falsify('gap > 0')"]))
+    for n, text in enumerate(texts):
+        texts[n] = text.replace("test_it", f"test_{n}")
+    project.write("test_it.py", "".join(texts))
     result = project.run("test_it.py")
     assert result.ret == 1
-    result.assert_outcomes(errors=1)
-    assert REFUSED in output(result)
+    result.assert_outcomes(failed=len(REFUSALS), errors=1)
+    for n, refusal in enumerate([*(refusal for *_, refusal in REFUSALS), REFUSED]):
+        assert refusal in str(shown_of(result)[f"test_{n}"])
 
 
 @pytest.mark.parametrize(
@@ -144,18 +140,21 @@ def test_a_verdict_by_the_own_check_of_a_requirement_says_nothing_of_assertions(
     assert "by assertion" not in output(result)
 
 
-@pytest.mark.parametrize(
-    "body",
-    ["pass", "assert episode.id.startswith('corridor') and episode.spec.run < 9", "print(episode)"],
-)
-def test_a_test_that_looks_at_nothing_supports_nothing(project, body):
-    project.write("test_it.py", a_test([body], marks=[OWN]))
+def test_a_test_that_looks_at_nothing_supports_nothing(project):
+    bodies = ("pass", "assert episode.id[0] == 'c' and episode.spec.run < 9", "print(episode)")
+    text = ""
+    for n, body in enumerate(bodies):
+        own = OWN.replace("OWN-1", f"OWN-{n}")
+        text += a_test([body], marks=[own]).replace("test_it", f"test_{n}")
+    project.write("test_it.py", text)
     result = project.run("test_it.py")
     assert result.ret == 1
-    assert project.verdict("OWN-1", "corridor/free").verdict == "undecided"
-    assert "invalid: the test looked at nothing of corridor/free#0" in output(result)
+    for n in range(len(bodies)):
+        assert project.verdict(f"OWN-{n}", "corridor/free").verdict == "undecided"
+        told = str(shown_of(result)[f"test_{n}"])
+        assert "invalid: the test looked at nothing of corridor/free#" in told
     relaxed = project.run("test_it.py", "--dura-undecided=warn")
-    relaxed.assert_outcomes(failed=2)
+    relaxed.assert_outcomes(failed=2 * len(bodies))
 
 
 def test_a_formula_that_is_false_in_a_passing_test_is_shown(project):

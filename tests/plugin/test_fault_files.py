@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from outputs import output
+from outputs import output, shown_of
 
 SCENARIO = """\
 name: cross/one
@@ -69,51 +69,52 @@ def test_all_that_is_wrong_with_a_file_is_one_error_before_anything_runs(crossin
     assert f"also:     {file}:12: the fault 'delay' cannot be used: 'odometry.speed = 5'" in text
 
 
-@pytest.mark.parametrize(
-    "faults, key, problem, remedy",
-    [
-        (
-            '"late"',
-            "faults.0.activation.after.fault",
-            "'late' waits for 'ghost-obstacle', which is not planned with it",
-            "ghost-obstacle+late",
-        ),
-        (
-            '{"type": "bias", "target": "lidar", "activation": {"at": 1.0}}',
-            "target",
-            "cannot act on 'lidar': it acts on a number",
-            "choose a target",
-        ),
-        (
-            '{"type": "bias", "activation": {"at": 1.0, "rate": 2.0}}',
-            "activation",
-            "at and rate contradict each other",
-            "keep one of them",
-        ),
-        (
-            '{"type": "bias", "activation": {"at": 1.0, "evry": 2.0}}',
-            "activation.evry",
-            "unknown key 'evry'",
-            "did you mean 'every'?",
-        ),
-        (
-            '{"type": "bias", "activation": {"at": 20.0}}',
-            "activation.at",
-            "can only begin at 20 s, when the episode is over",
-            "let it begin earlier",
-        ),
-    ],
-)
-def test_a_marker_s_faults_are_refused_at_the_test(crossing, faults, key, problem, remedy):
-    crossing.write("test_marked.py", MARKED.replace("FAULTS", faults))
-    result = crossing.run("test_marked.py")
+REFUSED = [
+    (
+        '"late"',
+        "faults.0.activation.after.fault",
+        "'late' waits for 'ghost-obstacle', which is not planned with it",
+        "ghost-obstacle+late",
+    ),
+    (
+        '{"type": "bias", "target": "lidar", "activation": {"at": 1.0}}',
+        "target",
+        "cannot act on 'lidar': it acts on a number",
+        "choose a target",
+    ),
+    (
+        '{"type": "bias", "activation": {"at": 1.0, "rate": 2.0}}',
+        "activation",
+        "at and rate contradict each other",
+        "keep one of them",
+    ),
+    (
+        '{"type": "bias", "activation": {"at": 1.0, "evry": 2.0}}',
+        "activation.evry",
+        "unknown key 'evry'",
+        "did you mean 'every'?",
+    ),
+    (
+        '{"type": "bias", "activation": {"at": 20.0}}',
+        "activation.at",
+        "can only begin at 20 s, when the episode is over",
+        "let it begin earlier",
+    ),
+]
+
+
+def test_a_marker_s_faults_are_refused_at_the_test(crossing):
+    for n, (faults, *_) in enumerate(REFUSED):
+        crossing.write(f"test_{n}.py", MARKED.replace("FAULTS", faults).replace("_it", f"_{n}"))
+    result = crossing.run(*(f"test_{n}.py" for n in range(len(REFUSED))))
     assert result.ret == pytest.ExitCode.TESTS_FAILED
-    text = told(result)
-    assert "test_marked.py:3: " in text
-    assert problem in text
-    assert f"key:      {key}\n" in text
-    assert remedy in text
-    assert "nothing may run" not in text
+    assert "nothing may run" not in told(result)
+    for n, (_, key, problem, remedy) in enumerate(REFUSED):
+        text = str(shown_of(result)[f"test_{n}"])
+        assert f"test_{n}.py:3: " in text
+        assert problem in text
+        assert f"key:      {key}\n" in text
+        assert remedy in text
 
 
 def test_faults_on_the_command_line_are_refused_alike(crossing):

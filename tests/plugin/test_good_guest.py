@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
+from outputs import shown_of
 
 PLAIN = """
 import unittest
@@ -50,35 +53,42 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(
-    "name, mode", [*((name, []) for name in WRONG), ("unknown scenario", ["-n", "2"])]
-)
-def test_a_wrong_marker_fails_its_test_alone(project, name, mode):
-    wrong, message = WRONG[name]
-    project.write("test_it.py", f"{PLAIN}\n{wrong}\n")
+def written(project, *texts):
+    """A file with these tests beside plain ones, of which each is called by its number."""
+    named = [
+        re.sub("test_wrong|class TestCase", rf"\g<0>_{n}", text) for n, text in enumerate(texts)
+    ]
+    project.write("test_it.py", "\n\n".join([PLAIN, *named]))
+
+
+@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
+def test_a_wrong_marker_fails_its_test_alone(project, mode):
+    written(project, *(text for text, _ in WRONG.values()))
     result = project.run("test_it.py", "-W", "ignore::pytest.PytestUnknownMarkWarning", *mode)
-    result.assert_outcomes(passed=2, errors=1)
+    result.assert_outcomes(passed=2, errors=len(WRONG))
     assert result.ret == 1
-    result.stdout.fnmatch_lines([message])
+    shown = {name.rpartition("_")[2]: lines for name, lines in shown_of(result).items()}
+    for n, (_, message) in enumerate(WRONG.values()):
+        shown[str(n)].fnmatch_lines([message])
     assert "INTERNALERROR" not in result.stdout.str() + result.stderr.str()
     assert "hooks.py" not in result.stdout.str()
 
 
-@pytest.mark.parametrize(
-    "excuse", ["xfail", "xfail(run=False)", "skip", "skipif(True, reason='x')"]
-)
-@pytest.mark.parametrize("wrong", ["no episode", "unknown scenario", "unittest"])
-def test_nothing_excuses_a_wrong_marker(project, wrong, excuse):
-    text = WRONG[wrong][0].replace("@pytest.mark.dura", f"@pytest.mark.{excuse}\n@@", 1)
-    indent = "    " if wrong == "unittest" else ""
-    text = text.replace("@@", f"{indent}@pytest.mark.dura")
-    project.write("test_it.py", f"{PLAIN}\n{text}\n")
+def test_nothing_excuses_a_wrong_marker(project):
+    texts = []
+    for wrong in ("no episode", "unknown scenario", "unittest"):
+        for excuse in ("xfail", "xfail(run=False)", "skip", "skipif(True, reason='x')"):
+            text = WRONG[wrong][0].replace("@pytest.mark.dura", f"@pytest.mark.{excuse}\n@@", 1)
+            indent = "    " if wrong == "unittest" else ""
+            texts.append(text.replace("@@", f"{indent}@pytest.mark.dura"))
+    written(project, *texts)
     result = project.run("test_it.py", "--dura-evidence=out")
-    result.assert_outcomes(passed=2, errors=1)
+    result.assert_outcomes(passed=2, errors=12)
     assert result.ret == 1
     gate = project.evidence("out").gate
     assert gate.result == "failed"
-    assert any("test_wrong: a marker cannot be used" in reason for reason in gate.reasons)
+    for n in range(12):
+        assert any(f"test_wrong_{n}: a marker cannot be used" in reason for reason in gate.reasons)
 
 
 def test_a_session_of_wrong_markers_alone_fails_the_gate(project):

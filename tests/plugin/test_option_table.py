@@ -40,6 +40,14 @@ def addresses(project, *given):
     return {address_of(task(planned.case, 1)).name for planned in planning.plan}
 
 
+@pytest.fixture
+def elsewhere(project):
+    """What the options of other places name is there."""
+    text = (project.path / "scenarios/corridor/tight.yaml").read_text()
+    project.write("my/scenarios/other.yaml", text.replace("corridor/tight", "other/tight"))
+    return project
+
+
 def test_the_help_of_a_session_is_that_of_the_table(project):
     text = " ".join(project.run("--help").stdout.str().split())
     for row in option_rows():
@@ -47,20 +55,19 @@ def test_the_help_of_a_session_is_that_of_the_table(project):
         assert row.key.removeprefix("ini ") in text
 
 
-@pytest.mark.parametrize("row", FLAGS, ids=lambda row: row.name)
-def test_the_table_says_which_options_make_other_episodes(project, row):
-    text = (project.path / "scenarios/corridor/tight.yaml").read_text()
-    project.write("my/scenarios/other.yaml", text.replace("corridor/tight", "other/tight"))
-    same = bool(addresses(project) & addresses(project, *arguments(row)))
-    assert same is (not row.changes_episodes or row.name in OF_MODELS)
+def test_the_table_says_which_options_make_other_episodes(elsewhere):
+    plain = addresses(elsewhere)
+    for row in FLAGS:
+        same = bool(plain & addresses(elsewhere, *arguments(row)))
+        assert same is (not row.changes_episodes or row.name in OF_MODELS), row.flag
 
 
-@pytest.mark.parametrize("row", FLAGS, ids=lambda row: row.name)
-def test_printed_commands_repeat_what_the_table_says(project, row):
-    (project.path / "my/scenarios").mkdir(parents=True)
-    options = session(project, *arguments(row)).options
-    for command in ("rerun", "replay"):
-        assert (arguments(row)[-1] in options.repeated(command)) is (command in row.repeated_in)
+def test_printed_commands_repeat_what_the_table_says(elsewhere):
+    for row in FLAGS:
+        options = session(elsewhere, *arguments(row)).options
+        for command in ("rerun", "replay"):
+            repeated = arguments(row)[-1] in options.repeated(command)
+            assert repeated is (command in row.repeated_in), row.flag
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import shutil
 
 import pytest
 from corridors import IDLE, expect, scenario
+from outputs import shown_of
 
 from pytest_dura.__main__ import main
 from pytest_dura.core.codec import encode
@@ -221,45 +222,51 @@ def test_the_twin_that_is_missing_is_named(project):
     assert detail.endswith(", in corridor/it~recovery_planner#0")
 
 
-@pytest.mark.parametrize(
-    "call, lines",
-    [
-        ("paired(without='security_assessor')", ["*has no role 'security_assessor' to switch off"]),
-        (
-            "paired(without='recovery_planer')",
-            ["*there is no role 'recovery_planer' to switch off", "*did you mean 'recovery_plan*"],
-        ),
-        ("paired(without='generator')", ["*the generator cannot be switched off"]),
-        ("paired(without='faults')", ["*the case 'corridor/it' has no faults to leave out"]),
-        (
-            "paired(without='recovery_planner').require()",
-            ["*pairs are compared by a check or by a measure", "*found: *'neither'"],
-        ),
-        (
-            "paired(without='recovery_planner').require(measure='checks:farthest')",
-            ["*`measure` and `change_at_most` go together"],
-        ),
-        (
-            "paired(without='recovery_planner').require('always (gap > 0)', change_at_most=1)",
-            ["*`measure` and `change_at_most` go together"],
-        ),
-        (
-            "paired('recovery_planner').require('x', measure='checks:farthest', change_at_most=1)",
-            ["*pairs are compared by a check or by a measure"],
-        ),
-        (
-            "paired(without='recovery_planner').counts('always (gapp > 0)')",
-            ["*unknown signal 'gapp' in the formula"],
-        ),
-        (
-            "paired(without='recovery_planner').change('checks:raises')",
-            ["*the measure checks:raises failed on corridor/it#0: LookupError: no such map*"],
-        ),
-    ],
-)
-def test_a_comparison_that_cannot_be_made_shows_the_users_line_alone(project, call, lines):
+REFUSED = [
+    ("paired(without='security_assessor')", ["*has no role 'security_assessor' to switch off"]),
+    (
+        "paired(without='recovery_planer')",
+        ["*there is no role 'recovery_planer' to switch off", "*did you mean 'recovery_plan*"],
+    ),
+    ("paired(without='generator')", ["*the generator cannot be switched off"]),
+    ("paired(without='faults')", ["*the case 'corridor/it' has no faults to leave out"]),
+    (
+        "paired(without='recovery_planner').require()",
+        ["*pairs are compared by a check or by a measure", "*found: *'neither'"],
+    ),
+    (
+        "paired(without='recovery_planner').require(measure='checks:farthest')",
+        ["*`measure` and `change_at_most` go together"],
+    ),
+    (
+        "paired(without='recovery_planner').require('always (gap > 0)', change_at_most=1)",
+        ["*`measure` and `change_at_most` go together"],
+    ),
+    (
+        "paired('recovery_planner').require('x', measure='checks:farthest', change_at_most=1)",
+        ["*pairs are compared by a check or by a measure"],
+    ),
+    (
+        "paired(without='recovery_planner').counts('always (gapp > 0)')",
+        ["*unknown signal 'gapp' in the formula"],
+    ),
+    (
+        "paired(without='recovery_planner').change('checks:raises')",
+        ["*the measure checks:raises failed on corridor/it#0: LookupError: no such map*"],
+    ),
+]
+
+
+def test_a_comparison_that_cannot_be_made_shows_the_users_line_alone(project):
     scenario(project, **HARM)
-    result = run(project, f"campaign.{call}")
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(lines)
+    text = "import pytest\n"
+    for n, (call, _) in enumerate(REFUSED):
+        text += f"@pytest.mark.dura(scenario='corridor/it')\ndef test_{n}(campaign):\n"
+        text += f"    campaign.{call}\n"
+    project.write("test_it.py", text)
+    result = project.run("test_it.py")
+    result.assert_outcomes(failed=len(REFUSED))
+    shown = shown_of(result)
+    for n, (_, lines) in enumerate(REFUSED):
+        shown[f"test_{n}"].fnmatch_lines(lines)
     assert "pytest_dura/" not in result.stdout.str()

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pytest
+from outputs import shown_of
 
 EPISODE_TEST = """
 import pytest
@@ -144,65 +145,70 @@ def test_an_unknown_name_by_hand_shows_the_users_line_only(project):
     assert "cases.py" not in text
 
 
-@pytest.mark.parametrize(
-    "marks, signature, lines",
-    [
-        (
-            ["dura(scenario='corridor/fre')"],
-            "episode",
-            ["*test_it.py:*: no scenario matches 'corridor/fre'", "*did you mean 'corridor/free'?"],
-        ),
-        (
-            ["dura(scenario='corridor/free', faults=['ghost'])"],
-            "campaign",
-            ["*test_it.py:*: unknown fault 'ghost'", "*ghost-obstacle*"],
-        ),
-        (
-            ["dura(scenaro='corridor/free')"],
-            "episode",
-            ["*the marker dura cannot be used*", "*did you mean 'scenario'?"],
-        ),
-        (["dura(scenario=3)"], "episode", ["*wrong `scenario`", "*found:*3"]),
-        (["dura(scenario='corridor/free', runs=0)"], "episode", ["*wrong `runs`", "*at least 1*"]),
-        (["dura(scenario='corridor/free', faults=7)"], "episode", ["*wrong `faults`"]),
-        (["dura(scenario='corridor/free', faults=[])"], "episode", ["*wrong `faults`"]),
-        (["dura(scenario='corridor/free', faults=[None])"], "episode", ["*wrong `faults`"]),
-        (
-            ["dura(scenario='corridor/free')", "dura(scenario='corridor/tight')"],
-            "episode",
-            [
-                "*several markers dura, of which one alone would count",
-                "*name all scenarios in one*",
-            ],
-        ),
-        (["dura(scenario='corridor/free')"], "orchestrator", ["*the marker dura runs nothing*"]),
-        (
-            ["dura(scenario='corridor/free')", "requirement(['GAP-1', 'GO-1'])"],
-            "episode",
-            ["*the id of a requirement is a text", "*one marker each"],
-        ),
-        (
-            ["dura(scenario='corridor/free')", "requirement('SAF-99')"],
-            "episode",
-            [
-                "*test_it.py:*: the requirement 'SAF-99' has no text",
-                '*requirement("SAF-99", text=*',
-            ],
-        ),
-        (
-            ["dura(scenario='corridor/free')", "requirement('X', text='t', kind='safty')"],
-            "episode",
-            ["*no kind of requirement 'safty'", "*safety, security*"],
-        ),
-    ],
-)
-def test_a_marker_that_cannot_be_used_is_one_error(project, marks, signature, lines):
-    decorators = "".join(f"@pytest.mark.{mark}\n" for mark in marks)
-    project.write("test_it.py", f"import pytest\n{decorators}def test_it({signature}): pass\n")
+WRONG = [
+    (
+        ["dura(scenario='corridor/fre')"],
+        "episode",
+        ["*test_it.py:*: no scenario matches 'corridor/fre'", "*did you mean 'corridor/free'?"],
+    ),
+    (
+        ["dura(scenario='corridor/free', faults=['ghost'])"],
+        "campaign",
+        ["*test_it.py:*: unknown fault 'ghost'", "*ghost-obstacle*"],
+    ),
+    (
+        ["dura(scenaro='corridor/free')"],
+        "episode",
+        ["*the marker dura cannot be used*", "*did you mean 'scenario'?"],
+    ),
+    (["dura(scenario=3)"], "episode", ["*wrong `scenario`", "*found:*3"]),
+    (["dura(scenario='corridor/free', runs=0)"], "episode", ["*wrong `runs`", "*at least 1*"]),
+    (["dura(scenario='corridor/free', faults=7)"], "episode", ["*wrong `faults`"]),
+    (["dura(scenario='corridor/free', faults=[])"], "episode", ["*wrong `faults`"]),
+    (["dura(scenario='corridor/free', faults=[None])"], "episode", ["*wrong `faults`"]),
+    (
+        ["dura(scenario='corridor/free')", "dura(scenario='corridor/tight')"],
+        "episode",
+        [
+            "*several markers dura, of which one alone would count",
+            "*name all scenarios in one*",
+        ],
+    ),
+    (["dura(scenario='corridor/free')"], "orchestrator", ["*the marker dura runs nothing*"]),
+    (
+        ["dura(scenario='corridor/free')", "requirement(['GAP-1', 'GO-1'])"],
+        "episode",
+        ["*the id of a requirement is a text", "*one marker each"],
+    ),
+    (
+        ["dura(scenario='corridor/free')", "requirement('SAF-99')"],
+        "episode",
+        [
+            "*test_it.py:*: the requirement 'SAF-99' has no text",
+            '*requirement("SAF-99", text=*',
+        ],
+    ),
+    (
+        ["dura(scenario='corridor/free')", "requirement('X', text='t', kind='safty')"],
+        "episode",
+        ["*no kind of requirement 'safty'", "*safety, security*"],
+    ),
+]
+"""Markers, the arguments of the test that has them, and what is said of them."""
+
+
+def test_a_marker_that_cannot_be_used_is_one_error(project):
+    text = "import pytest\n"
+    for n, (marks, arguments, _) in enumerate(WRONG):
+        text += "".join(f"@pytest.mark.{mark}\n" for mark in marks)
+        text += f"def test_{n}({arguments}): pass\n"
+    project.write("test_it.py", text)
     result = project.run("test_it.py")
     assert result.ret == 1
-    result.assert_outcomes(errors=1)
-    result.stdout.fnmatch_lines(lines)
+    result.assert_outcomes(errors=len(WRONG))
+    shown = shown_of(result)
+    for n, (*_, lines) in enumerate(WRONG):
+        shown[f"test_{n}"].fnmatch_lines(lines)
     assert "Traceback" not in result.stdout.str()
 
 
