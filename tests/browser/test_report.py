@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import contextmanager
 
 import pytest
-from hostile_records import HOSTILE, spoilt_record
 from report_pages import VIOLATING, record_with_trace
 from session_records import episode, session_record, verdict
 
@@ -357,18 +356,6 @@ def test_it_prints_without_what_only_a_screen_can_do(opened, html):
         details.evaluate("one => { one.open = true }")
     wide = "all => all.filter(one => one.scrollWidth > innerWidth).map(one => one.id)"
     assert page.locator("table").evaluate_all(wide) == []
-
-
-def test_a_hostile_record_runs_nothing_and_loads_nothing(opened, tmp_path):
-    spoil = "".join((HOSTILE_TEXT, *HOSTILE))
-    record = spoilt_record(record_with_trace(tmp_path), lambda text: text + spoil, tmp_path)
-    page = opened(render(record), **PHONE)
-    for details in page.locator("details").all():
-        details.evaluate("one => { one.open = true }")
-    assert page.evaluate("window.hit") is None
-    assert page.locator("main img, [onload], [onerror]").count() == 0
-    assert "<script>window.hit" in page.locator("#verdicts").inner_text()
-    assert sideways(page) <= 0
 
 
 def test_injected_markup_would_not_run_even_if_it_were_not_escaped(opened):

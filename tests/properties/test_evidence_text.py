@@ -1,14 +1,19 @@
 """Laws of the texts that evidence shows, whatever users and components wrote."""
 
+import ast
 import re
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from jinja2 import Environment
 
+import pytest_dura
 from pytest_dura.evidence import code, markdown, name, one_line, visible
 from pytest_dura.evidence.text import LEAST_LIMIT, without_commands
+from pytest_dura.reports.svg import NAMESPACE, document, joined, tag
 
 HOSTILE = (
     "\x00\x1b[31m", "\x7f\x9b", "\u202e\u2066\u200b\u2060\ufeff", "\ud800", "\udfff",
@@ -162,3 +167,51 @@ def test_code_spans(text, shown):
 )
 def test_prose_in_markdown(text, shown):
     assert markdown(text) == shown
+
+
+PACKAGE = Path(pytest_dura.__file__).parent
+TEMPLATE = Environment(autoescape=True).from_string("<p>{{ element }}{{ text }}</p>")
+CONSTANTS = {"reports/html/player.py", "reports/gsn/drawing.py"}
+"""Modules with markup in a constant: the page of a player, and the ends of arrows."""
+
+
+@quick
+@given(TEXTS)
+@example("</text><script>alert('1')</script> & ' \" --> ]]>")
+def test_an_element_holds_texts_as_texts_and_elements_as_elements(text):
+    """What a browser and a reader of XML get of any text of a picture, or of a page's template."""
+    shown = one_line(text)
+    inner = tag("title", shown)
+    root = ET.fromstring(document(10, 20, tag("g", inner, shown, class_=shown, data_id=shown)))
+    (group,) = root
+    assert [one.tag.removeprefix(f"{{{NAMESPACE}}}") for one in root.iter()] == [
+        "svg",
+        "g",
+        "title",
+    ]
+    assert group.get("class") == group.get("data-id") == shown
+    assert (group[0].text or "") == (group[0].tail or "") == shown
+    assert joined([shown, inner], "\n").endswith(f"\n{inner}")
+    paragraph = ET.fromstring(TEMPLATE.render(element=inner, text=shown))
+    assert [one.tag for one in paragraph.iter()] == ["p", "title"]
+    assert "".join(paragraph.itertext()) == shown * 2
+    # Sums of elements are texts again, and are escaped.
+    assert list(ET.fromstring(tag("g", inner + inner))) == []
+
+
+def test_nothing_else_makes_markup():
+    """So that a picture and a page have no other way to show a text than the law above."""
+    writers, trusted = set(), []
+    for file in PACKAGE.rglob("*.py"):
+        where = file.relative_to(PACKAGE).as_posix()
+        nodes = list(ast.walk(ast.parse(file.read_text("utf-8"))))
+        prose = {node.value for node in nodes if isinstance(node, ast.Expr)}
+        for node in {*nodes} - prose:
+            if isinstance(node, ast.Constant) and where.startswith("reports/"):
+                writers |= {where} if re.search("<[a-z]", str(node.value)) else set()
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Markup":
+                trusted.append(where)
+    assert writers == CONSTANTS
+    assert sorted(trusted) == ["reports/html/page.py", "reports/html/players.py"]
+    templates = "".join(file.read_text("utf-8") for file in PACKAGE.rglob("templates/*.html"))
+    assert set(re.findall(r"(\S+) ?\| ?safe", templates)) <= {'"<br>"', '{{"<br>"'}

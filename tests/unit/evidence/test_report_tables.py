@@ -13,7 +13,7 @@ from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.plugin.terminal_tables import case_table, fault_table
 from pytest_dura.reports import Cell, Column, Shown, case_columns, shown_in, summary, tables
-from pytest_dura.reports.columns import NO_VALUE, name_cell
+from pytest_dura.reports.columns import NO_VALUE
 from pytest_dura.reports.html import verdict_sections
 from pytest_dura.reports.html.page import render
 
@@ -95,11 +95,3 @@ def test_sums_of_rows_that_are_not_shown_leave_out_what_does_not_add_up() -> Non
     assert sums["n"] == f"{valid} / {planned}"
     assert sums["flagged"] == str(sum(case.metrics.flagged.valid for case in cases))
     assert sums["clearance time"] == sums["case"] == NO_VALUE
-
-
-def test_names_of_users_are_harmless_in_each_format() -> None:
-    cell = name_cell("<b>|`x`\n", "small")
-    assert cell.terminal == cell.page
-    assert "\n" not in cell.terminal
-    assert cell.summary.startswith("``")
-    assert name_cell("").summary == "-"

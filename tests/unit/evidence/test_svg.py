@@ -2,37 +2,9 @@
 
 from __future__ import annotations
 
-from xml.etree import ElementTree as ET
-
 import pytest
-from jinja2 import Environment
 
-from pytest_dura.reports.svg import NAMESPACE, Scale, document, joined, path_of, tag
-
-HOSTILE = """</text><script>alert("1")</script> & ' " --> ]]>"""
-
-
-def test_texts_and_attributes_are_escaped_and_elements_are_not():
-    group = tag("g", tag("title", HOSTILE), HOSTILE, class_=HOSTILE, data_id=HOSTILE)
-    root = ET.fromstring(document(10, 20, group))
-    (read,) = root
-    assert (read.get("class"), read.get("data-id")) == (HOSTILE, HOSTILE)
-    assert read[0].text == read[0].tail == HOSTILE
-    assert [one.tag for one in root.iter()] == [
-        f"{{{NAMESPACE}}}{n}" for n in ("svg", "g", "title")
-    ]
-
-
-def test_joining_keeps_the_difference_between_texts_and_elements():
-    assert joined(["a<b", tag("br")], "\n") == "a&lt;b\n<br/>"
-    plain = tag("br") + tag("br")
-    assert type(plain) is str  # sums of elements are texts again, and are escaped
-    assert tag("g", plain) == "<g>&lt;br/&gt;&lt;br/&gt;</g>"
-
-
-def test_a_template_escapes_texts_and_leaves_elements():
-    template = Environment(autoescape=True).from_string("{{ element }}{{ text }}")
-    assert template.render(element=tag("b", "<"), text="<i>") == "<b>&lt;</b>&lt;i&gt;"
+from pytest_dura.reports.svg import Scale, document, path_of, tag
 
 
 def test_numbers_have_one_decimal_and_nothing_is_left_out_but_none():
