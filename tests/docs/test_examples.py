@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import ast
 import configparser
+import contextlib
+import functools
 import importlib.util
+import io
 import itertools
 import re
 import shlex
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +23,7 @@ import pytest
 import yaml
 from printed import Block, blocks_of
 
+from pytest_dura.__main__ import main
 from pytest_dura.library.documents import parse_yaml, validate
 from pytest_dura.library.hazards import HazardFile
 from pytest_dura.library.requirements import RequirementFile
@@ -49,24 +52,13 @@ OTHER_YAML = {
 """A key by which YAML is no file of ours, and what it is."""
 
 
-def blocks(*languages: str, without: str = "") -> list[pytest.param]:
-    return [
-        pytest.param(block, id=f"{name}-{number}")
-        for name in PAGES
-        for number, block in enumerate(blocks_of(DOCS / name))
-        if block.language in languages and name != without
-    ]
-
-
 def test_every_block_is_of_a_language_that_is_checked():
     languages = {block.language for name in PAGES for block in blocks_of(DOCS / name)}
     assert languages <= TEXTS | {"python", "sh", "yaml", "toml", "ini"}
     assert languages >= {"python", "sh", "yaml"}
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_every_option_and_setting_that_a_page_names_exists(name):
-    text = (DOCS / name).read_text("utf-8")
+def check_names(text):
     named = set(re.findall(r"(?<![\w-])--dura-[a-z-]*[a-z]", text))
     assert named <= FLAGS | OF_ONE_PAGE
     settings = set(re.findall(r"(?:^|`)(dura_[a-z_]+) = ", text, re.MULTILINE))
@@ -74,8 +66,7 @@ def test_every_option_and_setting_that_a_page_names_exists(name):
     assert settings <= SETTINGS
 
 
-@pytest.mark.parametrize("block", blocks("python", without=QUOTES))
-def test_python_is_python_and_imports_what_is_there(block):
+def check_python(block):
     for node in ast.walk(ast.parse(block.text)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pytest_dura"):
             module = importlib.import_module(node.module)
@@ -83,8 +74,8 @@ def test_python_is_python_and_imports_what_is_there(block):
                 assert hasattr(module, name) or importlib.util.find_spec(f"{node.module}.{name}")
 
 
-@pytest.mark.parametrize("block", blocks("yaml"))
-def test_yaml_is_a_file_of_ours_or_a_part_of_one(block):
+def check_yaml(block):
+    """It is a file of ours, or a part of one."""
     data = yaml.safe_load(block.text)
     if isinstance(data, list):  # steps of a workflow, or campaigns and faults
         assert all(isinstance(each, (dict, str)) for each in data)
@@ -102,13 +93,11 @@ def _defines(data) -> bool:
     return any(isinstance(each, dict) for each in data.get("requirements", ()))
 
 
-@pytest.mark.parametrize("block", blocks("toml"))
-def test_toml_is_toml(block):
+def check_toml(block):
     assert tomllib.loads(block.text)
 
 
-@pytest.mark.parametrize("block", blocks("ini"))
-def test_settings_are_ones_of_ours_or_of_pytest(block):
+def check_settings(block):
     text = block.text if block.text.startswith("[") else f"[pytest]\n{block.text}"
     parser = configparser.ConfigParser()
     parser.read_string(text)
@@ -135,30 +124,21 @@ def commands(block: Block) -> Iterator[list[str]]:
                 yield command
 
 
-@pytest.fixture(scope="module")
-def subcommands():
-    """Options of each command of ``python -m pytest_dura``, as its help shows them."""
-    known: dict[str, set[str]] = {}
-
-    def options(command: str) -> set[str]:
-        if command not in known:
-            done = subprocess.run(
-                [sys.executable, "-m", "pytest_dura", command, "--help"],
-                capture_output=True, text=True, check=False, timeout=60,
-            )  # fmt: skip
-            assert done.returncode == 0, done.stderr
-            known[command] = set(re.findall(r"--[a-z][a-z-]*", done.stdout))
-        return known[command]
-
-    return options
+@functools.cache
+def options_of(command: str) -> set[str]:
+    """Options of a command of ``python -m pytest_dura``, as its help shows them."""
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told), pytest.raises(SystemExit):
+        main([command, "--help"])
+    return set(re.findall(r"--[a-z][a-z-]*", told.getvalue()))
 
 
-@pytest.mark.parametrize("block", blocks("sh", ""))
-def test_commands_are_there_with_the_options_that_they_are_given(block, subcommands):
+def check_commands(block):
+    """They are there, with the options that they are given."""
     for words in commands(block):
         if words[:2] == ["python", "-m"] and words[2] == "pytest_dura":
             given = {word.partition("=")[0] for word in words[4:] if word.startswith("--")}
-            assert given <= subcommands(words[3])
+            assert given <= options_of(words[3])
         elif words[:2] == ["python", "-m"]:
             assert words[2] in ("pytest", "venv", "pip") or importlib.util.find_spec(words[2])
         elif words[:1] == ["python"]:
@@ -168,6 +148,20 @@ def test_commands_are_there_with_the_options_that_they_are_given(block, subcomma
             assert given <= FLAGS
         elif words[:1] == ["cp"] and "$" not in words[-2]:
             assert (REPOSITORY / words[-2]).exists()
+
+
+CHECKS = {
+    "python": check_python, "yaml": check_yaml, "toml": check_toml, "ini": check_settings,
+    "sh": check_commands, "": check_commands,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_what_a_page_names_is_there_and_each_example_is_one(name):
+    check_names((DOCS / name).read_text("utf-8"))
+    for block in blocks_of(DOCS / name):
+        if block.language in CHECKS and (name, block.language) != (QUOTES, "python"):
+            CHECKS[block.language](block)
 
 
 def test_a_wrong_option_is_seen():
