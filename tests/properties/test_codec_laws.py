@@ -124,22 +124,14 @@ def refusal(type_, data):
     return [(mismatch.pointer, mismatch.found) for mismatch in refused.value.mismatches]
 
 
-@pytest.mark.parametrize("type_", TYPES)
-@lawful
-@given(data=st.data())
-def test_what_is_written_is_read_back(type_, data):
-    value = data.draw(values_of(type_))
+def reads_back(type_, value):
     written = json.dumps(encode(value), allow_nan=False)
     again = decode(type_, json.loads(written))
     assert again == value
     assert json.dumps(encode(again)) == written
 
 
-@pytest.mark.parametrize("type_", TYPES)
-@lawful
-@given(data=st.data())
-def test_a_key_more_or_less_is_refused_where_it_is(type_, data):
-    value = data.draw(values_of(type_))
+def refuses_a_key_more_or_less(type_, value, data):
     plain = encode(value)
     path, part = data.draw(st.sampled_from(list(instances(value))))
     more, less = copy.deepcopy(plain), copy.deepcopy(plain)
@@ -151,11 +143,7 @@ def test_a_key_more_or_less_is_refused_where_it_is(type_, data):
     assert refusal(type_, less) == [(pointer(path), f'missing key "{name}"')]
 
 
-@pytest.mark.parametrize("type_", TYPES)
-@lawful
-@given(data=st.data())
-def test_another_json_type_is_refused_where_it_is(type_, data):
-    value = data.draw(values_of(type_))
+def refuses_another_json_type(type_, value, data):
     path, part = data.draw(st.sampled_from(list(instances(value))))
     name, shape = data.draw(st.sampled_from(list(fields_of(type(part)).items())))
     others = [None, True, 7, 7.5, "no value", {}, []]
@@ -168,6 +156,17 @@ def test_another_json_type_is_refused_where_it_is(type_, data):
         changed = encode(value)
         at(changed, path)[name] = other
         assert [where for where, _ in refusal(type_, changed)] == [pointer((*path, name))]
+
+
+@pytest.mark.parametrize("type_", TYPES)
+@lawful
+@given(data=st.data())
+def test_a_type_reads_what_it_wrote_and_nothing_else(type_, data):
+    """Where another value or key stands, it is refused at its place."""
+    value = data.draw(values_of(type_))
+    reads_back(type_, value)
+    refuses_a_key_more_or_less(type_, value, data)
+    refuses_another_json_type(type_, value, data)
 
 
 def test_every_form_was_drawn():

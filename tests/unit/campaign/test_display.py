@@ -141,17 +141,17 @@ def test_no_public_class_has_the_endless_repr_of_dataclasses():
         assert not hasattr(kind.__repr__, "__wrapped__"), kind
 
 
-@pytest.mark.parametrize("kind", public_classes(), ids=lambda kind: kind.__name__)
-def test_every_public_dataclass_describes_hostile_values_shortly(kind):
-    if not dataclasses.is_dataclass(kind) or kind.__repr__ is not short_repr:
-        return
-    value = object.__new__(kind)
-    for field in dataclasses.fields(kind):
-        object.__setattr__(value, field.name, HOSTILE)
-    text = repr(value)
-    assert len(text) <= LONGEST_REPR
-    assert text.isprintable()
-    assert text.startswith(kind.__name__ + "(")
+def test_every_public_dataclass_describes_hostile_values_shortly():
+    kinds = [kind for kind in public_classes() if kind.__repr__ is short_repr]
+    assert len(kinds) > 20
+    for kind in filter(dataclasses.is_dataclass, kinds):
+        value = object.__new__(kind)
+        for field in dataclasses.fields(kind):
+            object.__setattr__(value, field.name, HOSTILE)
+        text = repr(value)
+        assert len(text) <= LONGEST_REPR
+        assert text.isprintable()
+        assert text.startswith(kind.__name__ + "(")
 
 
 @dataclasses.dataclass

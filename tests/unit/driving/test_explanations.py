@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from roads import car, channels_of, run, spec_of_drive, walker
 
 from pytest_dura import Episode, RoleSpec
@@ -200,8 +202,8 @@ def test_an_intent_contradicts_a_maneuver_that_aims_elsewhere(
     assert found["intent_against_maneuver"] == expected
 
 
-@pytest.mark.parametrize("maneuver", Maneuver)
-@pytest.mark.parametrize("speed", [0.0, 2.0, 4.9, 7.0, 9.0, 12.0])
+@settings(derandomize=True, deadline=None)
+@given(st.sampled_from(Maneuver), st.sampled_from([0.0, 2.0, 4.9, 7.0, 9.0, 12.0]))
 def test_some_intent_fits_each_maneuver(maneuver: Maneuver, speed: float) -> None:
     assert not all(contradicts(intent, maneuver, speed) for intent in (-1, 0, 1))
     low, high = speeds_of(maneuver)

@@ -278,17 +278,17 @@ def test_an_object_out_of_sight_is_forgotten() -> None:
     assert not any(subject == "V1" for _, subject in looker.monitor._tests)
 
 
-@pytest.mark.parametrize("absurd", [1e300, -1e300, math.inf, math.nan])
 @pytest.mark.parametrize("field", ["speed", "x", "heading", "acceleration", "yaw_rate"])
-def test_absurd_values_alarm_and_break_nothing(field: str, absurd: float) -> None:
-    looker = Looker()
+def test_absurd_values_alarm_and_break_nothing(field: str) -> None:
     first, second, third, fourth = cruise(4)
-    for percept, wrong in ((first, False), (second, True), (third, False), (fourth, False)):
-        seen = shown(percept, **{field: absurd}) if wrong else percept
-        # Where the stop line is matters to what this command asks for.
-        found = looker.monitor.run(looker.views.role(seen, "wait"))
-        assert found.alerts or not wrong
-        assert math.isfinite(found.score)
+    for absurd in (1e300, -1e300, math.inf, math.nan):
+        looker = Looker()
+        for percept, wrong in ((first, False), (second, True), (third, False), (fourth, False)):
+            seen = shown(percept, **{field: absurd}) if wrong else percept
+            # Where the stop line is matters to what this command asks for.
+            found = looker.monitor.run(looker.views.role(seen, "wait"))
+            assert found.alerts or not wrong
+            assert math.isfinite(found.score)
 
 
 def test_limits_of_ones_own() -> None:

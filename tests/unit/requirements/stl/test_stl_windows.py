@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from pytest_dura.requirements.stl import windows
 
 INF = np.inf
 
 
-@pytest.mark.parametrize("first, last", [(0, 0), (0, 1), (0, 6), (2, 5), (3, 3), (0, 50), (8, 99)])
-@pytest.mark.parametrize("size", [1, 2, 9, 20])
-@pytest.mark.parametrize("join, of", [(np.minimum, min), (np.maximum, max)])
-def test_sliding_windows_are_cut_at_the_ends(first, last, size, join, of) -> None:
+law = settings(derandomize=True, deadline=None, max_examples=60)
+sizes = st.integers(1, 20)
+firsts = st.integers(0, 12)
+widths = st.integers(0, 12) | st.just(99)
+
+
+@law
+@given(firsts, widths, sizes, st.sampled_from([(np.minimum, min), (np.maximum, max)]))
+def test_sliding_windows_are_cut_at_the_ends(first, width, size, joins) -> None:
+    (join, of), last = joins, first + width
     values = np.random.default_rng(size).normal(size=(3, size))
     empty = INF if of is min else -INF
     ahead = windows.sliding(values, join, first, last)
@@ -26,9 +33,10 @@ def test_sliding_windows_are_cut_at_the_ends(first, last, size, join, of) -> Non
             assert back[row, t] == of(earlier, default=empty)
 
 
-@pytest.mark.parametrize("first, last", [(0, 0), (0, 3), (1, 1), (2, 7), (0, None), (9, 12)])
-@pytest.mark.parametrize("size", [1, 2, 9, 20])
-def test_until_needs_its_left_side_before_the_right_one_and_not_with_it(first, last, size) -> None:
+@law
+@given(firsts, widths | st.none(), sizes)
+def test_until_needs_its_left_side_before_the_right_one_and_not_with_it(first, width, size) -> None:
+    last = None if width is None else first + width
     left, right = np.random.default_rng(size).normal(size=(2, size))
     found = windows.until(left, right, first, last)
     mirrored = windows.since(left[::-1], right[::-1], first, last)[::-1]
