@@ -284,23 +284,27 @@ ROLES = {"a": "Monitor", "b": "Step", "c": "Signals", "d": "Close"}
 
 
 @pytest.mark.parametrize("mode", [[], [PROCESSES]], ids=["plain", "processes"])
-@pytest.mark.parametrize("deed", ["xfail", "interrupt", "os._exit"])
-def test_roles_and_simulators_make_an_episode_missing(project, deed, mode):
+def test_roles_and_simulators_make_an_episode_missing(project, mode):
     project.write("hostile.py", PARTS)
-    for name, kind in ROLES.items():
-        role = {"monitor" if name == "a" else "simulator": path(kind, deed)}
-        scenario(project, f"r-{name}", runs=1, requirements="[GAP-1]", **role)
+    deeds = ("xfail", "interrupt", "os._exit")
+    for deed in deeds:
+        for name, kind in ROLES.items():
+            role = {"monitor" if name == "a" else "simulator": path(kind, deed)}
+            case = f"r-{slug(deed)}-{name}"
+            scenario(project, case, runs=1, requirements="[GAP-1]", **role)
     scenario(project, "r-e", monitor="hostile:Alarming", runs=1, requirements="[GAP-1]")
     result = project.scenarios(*mode, select="corridor/r-*")
     quiet(result)
-    result.assert_outcomes(failed=4, passed=1)
+    result.assert_outcomes(failed=len(deeds) * len(ROLES), passed=1)
     record = project.evidence()
     failures = {episode.case: episode.failure for episode in record.episodes}
     assert failures.pop("corridor/r-e") is None
-    for case, failure in failures.items():
-        who = "safety_monitor at tick 2" if case.endswith("a") else "simulator at tick "
-        assert failure.startswith(f"infrastructure: {who}")
-        assert RAISES[deed].removeprefix("raised ") in failure
+    for deed in deeds:
+        for name in ROLES:
+            failure = failures[f"corridor/r-{slug(deed)}-{name}"]
+            who = "safety_monitor at tick 2" if name == "a" else "simulator at tick "
+            assert failure.startswith(f"infrastructure: {who}")
+            assert RAISES[deed].removeprefix("raised ") in failure
     assert {one.verdict for one in record.verdicts} == {"undecided", "supported"}
     assert result.ret == 1
 

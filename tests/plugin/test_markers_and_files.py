@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from corridors import expect, requirement, scenario
+from outputs import shown_of
 
 PUSHED = {"generator": "Reckless", "world": "{wall: 1.0}"}
 PAIRED = "{without: recovery_planner}"
@@ -20,57 +21,68 @@ def write_test(project, body, *marks, look="campaign", name="it", runs=3):
     )
 
 
-@pytest.mark.parametrize(
-    "rate, call, key",
-    [
-        ({}, "require('always (gap > -100)')", "check"),
-        ({}, "require(lambda one: True)", "check"),
-        ({}, "require('always (gap > 0)', at_most=0.99)", "at_most"),
-        ({}, "require(at_most=0.99)", "at_most"),
-        ({}, "require(confidence=0.6)", "confidence"),
-        ({"at_most": 0.4}, "require('always (gap > 0)', at_most=0.9)", "at_most"),
-        ({"at_most": 0.4, "method": "e-process"}, "require(method='fixed')", "method"),
-        ({"at_most": 0.4, "method": "sprt", "p0": 0.1}, "require(p0=0.3)", "p0"),
-        ({}, "paired(without='safety_monitor').require('always (gap > 0)')", "paired"),
-        ({"paired": PAIRED}, "paired(without='safety_monitor').require()", "paired"),
-        ({"check": "", "at_most": 0.4}, "require('always (gap > 0)', at_most=0.9)", "at_most"),
-        ({"check": ""}, "require('always (gap > 0)', at_most=0.9)", "at_most"),
-    ],
-)
-def test_a_requirement_of_a_file_cannot_be_decided_otherwise(project, rate, call, key):
-    requirement(project, **{"check": "always (gap > 0)"} | rate)
+OTHERWISE = [
+    ({}, "require('always (gap > -100)')", "check"),
+    ({}, "require(lambda one: True)", "check"),
+    ({}, "require('always (gap > 0)', at_most=0.99)", "at_most"),
+    ({}, "require(at_most=0.99)", "at_most"),
+    ({}, "require(confidence=0.6)", "confidence"),
+    ({"at_most": 0.4}, "require('always (gap > 0)', at_most=0.9)", "at_most"),
+    ({"at_most": 0.4, "method": "e-process"}, "require(method='fixed')", "method"),
+    ({"at_most": 0.4, "method": "sprt", "p0": 0.1}, "require(p0=0.3)", "p0"),
+    ({}, "paired(without='safety_monitor').require('always (gap > 0)')", "paired"),
+    ({"paired": PAIRED}, "paired(without='safety_monitor').require()", "paired"),
+    ({"check": "", "at_most": 0.4}, "require('always (gap > 0)', at_most=0.9)", "at_most"),
+    ({"check": ""}, "require('always (gap > 0)', at_most=0.9)", "at_most"),
+]
+"""What a file says of a requirement beside its check, what its test calls, and the key refused."""
+
+
+def write_calls(project, *pairs):
+    """A test for each requirement of a file and the call that it makes, by their numbers."""
+    for n, (keys, call) in enumerate(pairs):
+        requirement(project, **{"check": "always (gap > 0)"} | keys, name=f"R-{n}")
+        write_test(project, f"import checks; campaign.{call}", f"requirement('R-{n}')", name=n)
+    return [f"test_{n}.py" for n in range(len(pairs))]
+
+
+def test_a_requirement_of_a_file_cannot_be_decided_otherwise(project):
     scenario(project, recovery_planner="Brake", **PUSHED)
-    write_test(project, f"campaign.{call}", "requirement('R-1')")
-    result = project.run("test_it.py")
-    result.assert_outcomes(failed=1)
-    found = expect(project, result, "undecided")
-    assert found.run == 0
-    text = result.stdout.str()
-    assert "the requirement 'R-1' is defined in a file, and is decided as it says there" in text
-    assert f"key:      {key}" in text
-    assert "pytest_dura/" not in text.partition("= dura =")[0]
+    files = write_calls(project, *((keys, call) for keys, call, _ in OTHERWISE))
+    result = project.run(*files)
+    result.assert_outcomes(failed=len(OTHERWISE))
+    assert result.ret == 1
+    told = "is defined in a file, and is decided as it says there"
+    for n, (*_, key) in enumerate(OTHERWISE):
+        found = project.verdict(f"R-{n}")
+        assert (found.verdict, found.run) == ("undecided", 0)
+        text = str(shown_of(result)[f"test_{n}"])
+        assert f"the requirement 'R-{n}' {told}" in text
+        assert f"key:      {key}" in text
+        assert "pytest_dura/" not in text
 
 
-@pytest.mark.parametrize(
-    "rate, call",
-    [
-        ({}, "require('always  (gap > 0)')"),
-        ({"at_most": 0.7}, "require('always (gap > 0)')"),
-        ({"at_most": 0.7}, "require('always (gap > 0)', at_most=0.7, confidence=0.95)"),
-        ({"check": "checks:touches_nothing"}, "require(checks.touches_nothing)"),
-        ({"check": "", "at_most": 0.7}, "require('always (gap > 0)')"),
-        ({"paired": PAIRED}, "require('always (gap > 0)')"),
-        ({"paired": PAIRED}, "paired(without='recovery_planner').require()"),
-        ({"check": ""}, "paired(without='recovery_planner').require('always (gap > 0)')"),
-    ],
-)
-def test_what_its_file_says_may_be_repeated(project, rate, call):
-    requirement(project, **{"check": "always (gap > 0)"} | rate)
+REPEATED = [
+    ({}, "require('always  (gap > 0)')"),
+    ({"at_most": 0.7}, "require('always (gap > 0)')"),
+    ({"at_most": 0.7}, "require('always (gap > 0)', at_most=0.7, confidence=0.95)"),
+    ({"check": "checks:touches_nothing"}, "require(checks.touches_nothing)"),
+    ({"check": "", "at_most": 0.7}, "require('always (gap > 0)')"),
+    ({"paired": PAIRED}, "require('always (gap > 0)')"),
+    ({"paired": PAIRED}, "paired(without='recovery_planner').require()"),
+    ({"check": ""}, "paired(without='recovery_planner').require('always (gap > 0)')"),
+]
+
+
+def test_what_its_file_says_may_be_repeated(project):
     scenario(project, recovery_planner="Brake")
-    write_test(project, f"import checks; campaign.{call}", "requirement('R-1')")
-    found = expect(project, project.run("test_it.py"), "supported")
-    assert found.bound.at_most == rate.get("at_most")
-    assert (found.pairs is not None) is ("paired" in rate or "paired" in call)
+    result = project.run(*write_calls(project, *REPEATED))
+    result.assert_outcomes(passed=len(REPEATED))
+    for n, (keys, call) in enumerate(REPEATED):
+        found = project.verdict(f"R-{n}")
+        assert found.verdict == "supported"
+        assert found.bound.at_most == keys.get("at_most")
+        assert (found.pairs is not None) is ("paired" in keys or "paired" in call)
 
 
 def test_a_rate_of_a_file_is_decided_on_all_runs_and_fails_none_of_them(project):
