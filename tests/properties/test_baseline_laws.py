@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pytest_dura.evidence import SessionRecord, claims_of, compare_claims
 from pytest_dura.evidence.baseline import BaselineComparison
 
-lawful = settings(derandomize=True, deadline=None, max_examples=15)
+lawful = settings(derandomize=True, deadline=None, max_examples=8)
 RUNS = 12
 LEVEL = 0.05
 
