@@ -1,8 +1,7 @@
-"""Episodes on their way into the record: their entries, reports of items, a spool on disk."""
+"""Episodes on their way into the record: their entries, and a spool on disk."""
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
 import os
@@ -12,29 +11,21 @@ import weakref
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field, is_dataclass, replace
-from functools import cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
-
-from pydantic import TypeAdapter
 
 from pytest_dura.core.codec import encode, fields_as_data
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
-from pytest_dura.core.measures import Measure, MeasureInfo, measured
-from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
+from pytest_dura.core.measures import Measure, measured
 from pytest_dura.evidence.conclusions.cases import with_chains
-from pytest_dura.evidence.entry import Coded, Entry, JsonObject, plain_data
+from pytest_dura.evidence.entry import JsonObject, plain_data
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
-from pytest_dura.evidence.searches import RecordedSearch
+from pytest_dura.evidence.lines import FaultTrace, KeptTrace
 from pytest_dura.evidence.sessions import OWN_ORIGIN
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
-from pytest_dura.requirements.hazards import Hazard
-from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.runs import declared_verdicts
 
 
@@ -103,149 +94,6 @@ def outcome_figures(episode: Episode, measures: Iterable[Measure]) -> dict[str, 
         "alerts": episode.metrics.alerts,
         "switching": encode(switching(episode)),
     }
-
-
-EPISODES_PER_PART = 64
-"""Episodes that a report holds unpacked; see :meth:`ItemReport.split`."""
-_ABOUT_ITEM = ("item", "recorded_as", "attempt")
-_PART_KEYS = ("components", "cases", "measures", "hazards", "requirements", "episodes", "chains")
-
-
-class RepeatReport(RepeatEntry):
-    """Result of repeating an episode."""
-
-    case: str
-    """Id of its case."""
-    component: str
-    """Name of the component under test."""
-
-
-@dataclass
-class ItemReport:
-    """Report of one test item, which crosses processes as JSON.
-
-    Args:
-        item: Node id.
-        recorded_as: Node id of the first of several items that repeat one test on the same
-            parameters; empty where nothing repeats it.
-        attempt: Number of the attempt at the item, from 1.
-        retried: Whether this attempt passed after an earlier one had failed.
-        components: Components under test, of :func:`describe_component`.
-        sources: SHA-256 of the files of components by their names, by the components' digests.
-        cases: Cases that it used.
-        measures: What the simulators declare.
-        hazards: Those that the requirements mitigate, and once in each process those of the user.
-        requirements: Each requirement involved.
-        episodes: Of :func:`episode_record`.
-        judgements: What it asked, on campaigns and on single episodes.
-        verdicts: On campaigns, for the formats that the process of the item writes; they follow
-            from the judgements, and do not leave it.
-        outcomes: Of tests on one episode, likewise.
-        searches: For violations, without the item.
-        monitors: How good they are.
-        chains: How far each fault got, with the ``episode`` and its ``case``.
-        claimed: Cases of what the item is to decide, which may never run.
-        traces: ``{id, component, digest, trace}`` of episodes whose trace was written.
-        models: Language models that were used, as in the record's ``models``, with the counts of
-            this ``process`` since it began.
-        problems: Doubts about the whole session, each beginning with ``infrastructure:``.
-        objections: Further reasons why the session does not pass, whatever its verdicts say.
-        notes: What the user should know of the session, without doubt about it.
-        searched: ``{run, origin}`` of simulations of searches, where earlier sessions may have made
-            them; ``run`` identifies each.
-        repeats: Results of repeating an episode.
-        parts: Packed reports with earlier episodes of the item.
-    """
-
-    item: str
-    recorded_as: str = ""
-    attempt: int = 1
-    retried: bool = False
-    components: list[JsonObject] = field(default_factory=list)
-    sources: dict[str, dict[str, str]] = field(default_factory=dict)
-    cases: list[CasePlan] = field(default_factory=list)
-    measures: list[Coded[MeasureInfo]] = field(default_factory=list)
-    hazards: list[Coded[Hazard]] = field(default_factory=list)
-    requirements: list[Coded[Requirement]] = field(default_factory=list)
-    episodes: list[JsonObject] = field(default_factory=list)
-    judgements: list[Coded[Judgement]] = field(default_factory=list)
-    verdicts: list[Coded[CampaignVerdict]] = field(default_factory=list)
-    outcomes: list[JsonObject] = field(default_factory=list)
-    searches: list[Coded[RecordedSearch]] = field(default_factory=list)
-    monitors: list[Coded[MonitorQuality]] = field(default_factory=list)
-    chains: list[JsonObject] = field(default_factory=list)
-    claimed: list[CasePlan] = field(default_factory=list)
-    traces: list[JsonObject] = field(default_factory=list)
-    models: list[JsonObject] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-    objections: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    searched: list[JsonObject] = field(default_factory=list)
-    repeats: list[RepeatReport] = field(default_factory=list)
-    parts: list[str] = field(default_factory=list)
-
-    def to_json(self) -> JsonObject:
-        """Convert to plain data."""
-        return {
-            name: [_plain(each) for each in value] if isinstance(value, list) else value
-            for name, value in vars(self).items()
-        }
-
-    @classmethod
-    def from_json(cls, data: JsonObject) -> ItemReport:
-        """Make it of what :meth:`to_json` returns.
-
-        Raises:
-            ValidationError: If an entry does not agree with its model.
-        """
-        return _adapter().validate_python(data)
-
-    @classmethod
-    def from_text(cls, text: str | bytes) -> ItemReport:
-        """Read the JSON of :meth:`to_json`, as it crosses processes."""
-        return cls.from_json(json.loads(text))
-
-    def __bool__(self) -> bool:
-        """Whether it reports anything."""
-        return any(value for name, value in vars(self).items() if name not in _ABOUT_ITEM)
-
-    @property
-    def full(self) -> bool:
-        """Whether it holds so many episodes that they should be split off."""
-        return len(self.episodes) + len(self.chains) >= EPISODES_PER_PART
-
-    def without_secrets(self, redact: Callable[[Any], Any]) -> ItemReport:
-        """Redact the report; packed parts were redacted when they were packed."""
-        redacted = redact({**self.to_json(), "parts": []})
-        return ItemReport.from_json({**redacted, "parts": self.parts})
-
-    def split(self, redact: Callable[[Any], Any]) -> str:
-        """Move the episodes into a packed report of their own, and return it.
-
-        Args:
-            redact: Removes secrets from plain data.
-        """
-        part = ItemReport("", **{name: getattr(self, name) for name in _PART_KEYS})
-        self.episodes, self.chains = [], []
-        text = json.dumps(part.without_secrets(redact).to_json(), allow_nan=False)
-        return base64.b64encode(zlib.compress(text.encode(), 1)).decode()
-
-
-def _plain(part: Any) -> Any:
-    """Convert an entry or a dataclass of the domain to plain data."""
-    if isinstance(part, Entry):
-        return part.to_json()
-    return encode(part) if is_dataclass(part) else part
-
-
-@cache
-def _adapter() -> TypeAdapter[ItemReport]:
-    return TypeAdapter(ItemReport)
-
-
-def unpack_report(part: str) -> ItemReport:
-    """Unpack a report of :meth:`ItemReport.split`."""
-    return ItemReport.from_text(zlib.decompress(base64.b64decode(part)))
 
 
 SPOOL_PREFIX = ".session-"
@@ -325,31 +173,32 @@ class EpisodeSpool:
             )
         return str(digest)
 
-    def add_chain(self, chain: JsonObject) -> None:
+    def add_chain(self, line: FaultTrace) -> None:
         """Add how far a fault of an episode got; the last report holds.
 
         Raises:
             ConfigurationError: If it cannot be written.
         """
-        keys = _key(chain["component"]), _key(chain["episode"]), _key(chain["id"])
-        self._execute("INSERT OR REPLACE INTO chains VALUES (?, ?, ?, ?)", *keys, _packed(chain))
+        keys = _key(line.component), _key(line.episode), _key(line.fault.id)
+        chain = _packed(encode(line.fault))
+        self._execute("INSERT OR REPLACE INTO chains VALUES (?, ?, ?, ?)", *keys, chain)
 
-    def add_trace(self, trace: JsonObject) -> None:
-        """Add the file of an episode's trace: ``{id, component, digest, trace}``.
+    def add_trace(self, line: KeptTrace) -> None:
+        """Add the file of an episode's trace.
 
         Several workers may report one, in any order; the weightiest reason to keep it stays.
 
         Raises:
             ConfigurationError: If it cannot be written.
         """
-        keys = _key(trace["component"]), _key(trace["id"]), trace["digest"]
+        keys = _key(line.component), _key(line.id), line.digest
         known = "SELECT data FROM traces WHERE component = ? AND name = ? AND digest = ?"
         if any(
-            _weight(_unpacked(data)["kept_for"]) > _weight(trace["trace"]["kept_for"])
+            _weight(_unpacked(data)["kept_for"]) > _weight(line.trace["kept_for"])
             for (data,) in self._execute(known, *keys)
         ):
             return
-        values = *keys, _packed(trace["trace"])
+        values = *keys, _packed(line.trace)
         self._execute("INSERT OR REPLACE INTO traces VALUES (?, ?, ?, ?)", *values)
 
     def __iter__(self) -> Iterator[EpisodeEntry]:

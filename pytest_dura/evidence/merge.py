@@ -25,7 +25,7 @@ from pytest_dura.evidence.conclusions.cases import untraced
 from pytest_dura.evidence.conclusions.verdicts import joined_lines, test_function
 from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
-from pytest_dura.evidence.episodes import ItemReport, RepeatReport, episode_order, trace_weight
+from pytest_dura.evidence.episodes import episode_order, trace_weight
 from pytest_dura.evidence.files import (
     LOCK_FILE,
     DirectoryLock,
@@ -34,6 +34,14 @@ from pytest_dura.evidence.files import (
 )
 from pytest_dura.evidence.gate import NO_TESTS, OK, TESTS_FAILED, Gate, repeat_objections
 from pytest_dura.evidence.gather import RecordBuilder
+from pytest_dura.evidence.lines import (
+    ClaimedCase,
+    Line,
+    Remark,
+    RepeatedCase,
+    UsedComponent,
+    UsedModel,
+)
 from pytest_dura.evidence.model import RecordHead, SessionRecord, components_under_test
 from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.parts import (
@@ -45,7 +53,12 @@ from pytest_dura.evidence.parts import (
     read_parts,
     session_order,
 )
-from pytest_dura.evidence.session_model import MergedShard, SelectionEntry
+from pytest_dura.evidence.session_model import (
+    ComponentEntry,
+    ComponentUnderTest,
+    MergedShard,
+    SelectionEntry,
+)
 from pytest_dura.evidence.sessions import merged_resume
 from pytest_dura.evidence.traces import is_trace_path
 
@@ -101,46 +114,49 @@ def _joined(held: Sequence[tuple[EpisodeEntry, Part]]) -> tuple[EpisodeEntry, Pa
     return traced.replace(planned=planned, faults=faults), owner
 
 
-def _joined_heads(record: RecordBuilder, parts: Sequence[Part]) -> None:
+Component = ComponentEntry | ComponentUnderTest
+
+
+def _lines_of(head: RecordHead, components: Iterable[Component], process: str) -> Iterator[Line]:
+    """Yield what the head of a part says.
+
+    Args:
+        head: The head.
+        components: Its components under test.
+        process: Tells the part apart from others.
+    """
+    sources = head.component_under_test.sources or {}
+    for component in components:
+        if component.name:
+            about = component.to_json(exclude=KEYS_OF_ALL_COMPONENTS)
+            yield UsedComponent(about, sources.get(component.digest or "", {}))
+    for case in head.cases:
+        plan = case.to_json(include=PLANNED_KEYS)
+        yield CasePlan.model_validate(plan)
+        yield ClaimedCase.model_validate(plan)
+        if case.repeat is not None:
+            repeat = case.repeat.to_json()
+            yield RepeatedCase(**repeat, case=case.id, component=case.component)
+    for model in head.models:
+        yield UsedModel(process, model.to_json())
+    for note in head.resume.problems:
+        yield Remark("note", note)
+    yield from (*head.measures, *(head.hazards or ()), *head.requirements, *head.doubts)
+    yield from head.searches
+
+
+def _add_heads(record: RecordBuilder, parts: Sequence[Part]) -> None:
     """Add what the heads of the parts say to a record."""
     for number, part in enumerate(parts):
-        head = part.head
-        report = ItemReport("")
-        report.components += [
-            component.to_json(exclude=KEYS_OF_ALL_COMPONENTS)
-            for component in components_under_test(part.record)
-            if component.name
-        ]
-        report.sources.update(head.component_under_test.sources or {})
-        report.cases += [
-            CasePlan.model_validate(case.to_json(include=PLANNED_KEYS)) for case in head.cases
-        ]
-        report.repeats += [
-            RepeatReport(**case.repeat.to_json(), case=case.id, component=case.component)
-            for case in head.cases
-            if case.repeat is not None
-        ]
-        report.measures += head.measures
-        report.hazards += head.hazards or []
-        report.requirements += head.requirements
-        report.models += [{**model.to_json(), "process": f"{number:09}"} for model in head.models]
-        report.notes += head.resume.problems
-        report.claimed += report.cases
-        record.add(report)
-        for item in head.failed_items or ():
+        record.add(_lines_of(part.head, components_under_test(part.record), f"{number:09}"))
+        for item in part.head.failed_items or ():
             record.fail(item)
-        for item, waiver in head.waivers.items():
+        for item, waiver in part.head.waivers.items():
             record.waive(item, waiver.kind, waiver.reason)
-        for doubt in head.doubts:
-            record.doubt(doubt)
-        for search in head.searches:
-            record.searches.adopt(search)
-    for judgement in joined_lines(each for part in parts for each in part.head.judgements):
-        record.add_judgement(judgement)
+    record.add(joined_lines(each for part in parts for each in part.head.judgements))
     # Of two measurements that on more runs holds, which is the last one.
     monitors = [monitor for part in parts for monitor in part.head.monitors]
-    most = attrgetter("episodes", "invalid", "missing", "untimed")
-    record.add(ItemReport("", monitors=sorted(monitors, key=most)))
+    record.add(sorted(monitors, key=attrgetter("episodes", "invalid", "missing", "untimed")))
 
 
 _SAME = ("tool", "base_seed", "evidence_level", "require_repeatable", "execution", "llm_price",
@@ -387,7 +403,7 @@ def _write_merged(
                        "sha256": baseline.session.sha256, "changed": False})  # fmt: skip
     running = Gate.running(warn_undecided=parts[0].head.gate.warn_undecided)
     begin_bundle(_conclude_merged(begun, running, inputs))
-    _joined_heads(record, parts)
+    _add_heads(record, parts)
     head = record.head("complete")
     tapes = {_model_key(model): model.cassette for part in parts for model in part.head.models}
     models = [model.replace(cassette=tapes[_model_key(model)]) for model in head.models]

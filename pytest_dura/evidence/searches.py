@@ -1,10 +1,10 @@
-"""Searches for violations in the record, and their collection in a session."""
+"""Searches for violations in the record."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
 
 from pytest_dura.core.codec import encode
@@ -44,41 +44,22 @@ def searched_claims(searches: Iterable[RecordedSearch]) -> set[tuple[str, str, s
     }
 
 
-@dataclass
-class SearchRecords:
-    """Collects the searches of a session.
+def searched_question(search: RecordedSearch) -> str:
+    """Identify a search, which is a function of its case, its seed and its budget.
 
-    A search is a function of its case, its seed and its budget: if it is reported twice, it is
-    recorded once. Of one that came out differently the second time, both results are recorded.
+    Of one that came out differently the second time, both results are recorded.
     """
+    return json.dumps(encode(replace(search, waiver=None)), sort_keys=True)
 
-    _searches: dict[str, RecordedSearch] = field(default_factory=dict)
 
-    def add(self, item: str, searches: Iterable[RecordedSearch]) -> None:
-        """Take in the searches that an item reports."""
-        for search in searches:
-            self.adopt(replace(search, item=item))
+def search_entries(
+    searches: Iterable[RecordedSearch], waivers: Mapping[str, Waiver]
+) -> list[RecordedSearch]:
+    """List the entries of the record's key ``searches``, sorted.
 
-    def adopt(self, search: RecordedSearch) -> None:
-        """Take over a search of another session, with its item and its waiver."""
-        question = encode(replace(search, waiver=None))
-        self._searches.setdefault(json.dumps(question, sort_keys=True), search)
-
-    @property
-    def answered(self) -> set[tuple[str, str, str]]:
-        """Claims that items searched instead of deciding them: they get no verdict."""
-        return searched_claims(self._searches.values())
-
-    def entries(self, waivers: Mapping[str, Waiver]) -> list[RecordedSearch]:
-        """List the entries of the record's key ``searches``, sorted.
-
-        Args:
-            waivers: By the node id of the item that each excuses.
-        """
-        ordered = sorted(
-            self._searches.items(),
-            key=lambda entry: (*_sort_key(entry[1]), entry[0]),
-        )
-        return [
-            replace(search, waiver=waivers.get(search.item, search.waiver)) for _, search in ordered
-        ]
+    Args:
+        searches: The searches.
+        waivers: By the node id of the item that each excuses.
+    """
+    ordered = sorted(searches, key=lambda search: (*_sort_key(search), searched_question(search)))
+    return [replace(search, waiver=waivers.get(search.item, search.waiver)) for search in ordered]

@@ -21,32 +21,21 @@ OWN_ORIGIN: JsonObject = {"session": None, "changed": None}
 """The origin of an episode that was simulated by the session itself, for the first time."""
 
 
-class ResumeRecord:
-    """Collects what items report of earlier sessions, beside the episodes of the record."""
+def resume_json(
+    header: JsonObject, searched: Collection[JsonObject], notes: Iterable[str]
+) -> JsonObject:
+    """Build the record's key ``resume``, apart from what follows from its episodes.
 
-    def __init__(self) -> None:
-        self._notes: set[str] = set()
-        self._searched: dict[str, JsonObject] = {}
-
-    def add(self, notes: Iterable[str], searched: Iterable[JsonObject]) -> None:
-        """Take in an item's notes, and the origins of the simulations of its searches."""
-        self._notes.update(notes)
-        for simulation in searched:
-            self._searched.setdefault(simulation["run"], simulation)
-
-    def to_json(self, header: JsonObject) -> JsonObject:
-        """Build the record's key ``resume``, apart from what follows from its episodes.
-
-        Args:
-            header: ``resumed``, ``session`` and ``sources`` of the session itself.
-        """
-        searched = _search_origin_counts(self._searched.values()) if header["resumed"] else None
-        return {"searched": searched, **header, "problems": sorted(self._notes)}
-
-
-def _search_origin_counts(runs: Collection[JsonObject]) -> JsonObject:
-    origins = (OriginEntry.model_validate(run["origin"]) for run in runs)
-    return {"simulations": len(runs), **origin_counts(origins)._asdict()}
+    Args:
+        header: ``resumed``, ``session`` and ``sources`` of the session itself.
+        searched: Origins of the simulations of its searches.
+        notes: What items report beside.
+    """
+    counts = None
+    if header["resumed"]:
+        origins = origin_counts(map(OriginEntry.model_validate, searched))
+        counts = {"simulations": len(searched), **origins._asdict()}
+    return {"searched": counts, **header, "problems": sorted(set(notes))}
 
 
 class OriginCounts(NamedTuple):
@@ -100,7 +89,7 @@ def merged_resume(parts: Iterable[ResumeEntry]) -> dict[str, Any]:
 
 
 def _summed_origins(counts: Sequence[SearchOrigins]) -> dict[str, Any]:
-    """Sum of several :func:`_search_origin_counts`; no two shards make the same search."""
+    """Sum of the counts of several shards; no two of them make the same search."""
     sessions: Counter[str] = Counter()
     changes: Counter[tuple[str, ...]] = Counter()
     for count in counts:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pytest_dura.campaign.events import EpisodeUsed
+    from pytest_dura.evidence.lines import RepeatedCase, SearchedRun
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.execution.cache import EpisodeCache
     from pytest_dura.execution.executors import Execution, ExecutorChoice
@@ -475,14 +476,16 @@ class SharedEpisodes:
         new, self._problems_reported = problems[self._problems_reported :], len(problems)
         return new
 
-    def take_searched(self) -> list[dict[str, Any]]:
+    def take_searched(self) -> list[SearchedRun]:
         """Return the origins of the runs that searches used since the last call."""
         if self._store is None:
             return []
+        from pytest_dura.evidence.lines import SearchedRun
+
         earlier = self._store.earlier
         searched = list(islice(earlier.searched, self._searches_reported, None))
         self._searches_reported += len(searched)
-        return [{"run": f"{key[0]} {key[1]}", "origin": earlier.origin(key)} for key in searched]
+        return [SearchedRun(f"{key[0]} {key[1]}", earlier.origin(key)) for key in searched]
 
     def first_to_repeat(self, case: str, component: str) -> bool:
         """Whether this process is the first of the session that repeats an episode of a case."""
@@ -701,13 +704,11 @@ class Repeats:
         signals = {} if tolerances is None else episode.signals
         self._due[key] = _DueRepetition(task, episode.digest, declared, signals, tolerances)
 
-    def item_ends(
-        self, item: pytest.Item, nextitem: pytest.Item | None
-    ) -> Iterator[dict[str, Any]]:
+    def item_ends(self, item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[RepeatedCase]:
         """Repeat what is due, unless the next item is on the same case.
 
         Yields:
-            What came of each repetition, as the record has it.
+            What came of each repetition.
         """
         stopped = bool(item.session.shouldstop or item.session.shouldfail)
         if stopped or self._executor.is_lost:
@@ -716,6 +717,8 @@ class Repeats:
             nextitem is not None and _case_id_of(nextitem) == _case_id_of(item) != ""
         ):
             return
+        from pytest_dura.evidence.lines import RepeatedCase
+
         # The last case first: a component that behaves by turns, one way in a run and another way
         # in its twin, would otherwise meet the turn of the first time.
         in_turn = list(reversed(self._due.items()))
@@ -727,7 +730,8 @@ class Repeats:
             self._done.add((case, component))
             if repeated is not None:
                 about = {"case": case, "component": component, "episode": due.task.spec.id}
-                yield {**about, "digest": due.digest, "declared": due.declared, **repeated}
+                about |= {"digest": due.digest, "declared": due.declared}
+                yield RepeatedCase.model_validate({**about, **repeated})
         self._due.clear()
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:

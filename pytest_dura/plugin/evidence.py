@@ -21,17 +21,17 @@ from pytest_dura.core.boundary import HeldInterruptions
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.gate import Gate, verdict_objections
 from pytest_dura.plugin.messages import error_text
-from pytest_dura.plugin.recorder import REPORT_ATTRIBUTE, case_record
+from pytest_dura.plugin.recorder import REPORT_ATTRIBUTE, case_plan
 from pytest_dura.plugin.roles import root_conftest_with
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from pytest_dura.evidence.baseline import Baseline
-    from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.evidence.files import DirectoryLock
     from pytest_dura.evidence.gather import RecordBuilder, Status
     from pytest_dura.evidence.item_verdicts import WaiverKind
+    from pytest_dura.evidence.lines import Line
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.plugin.property_tests import PropertyTests
     from pytest_dura.plugin.roles import SessionRoles
-    from pytest_dura.requirements.hazards import Hazard
 
 
 _REGULAR_EXIT_CODES = (
@@ -111,13 +110,10 @@ class GivenBaseline:
         return regression_objections(baseline)
 
 
-Expected = tuple[str, dict[str, Any], dict[str, Any]]
-
-
-def _expected_items(
+def _expected_lines(
     context: SessionContext, roles: SessionRoles, chosen: Iterable[str]
-) -> list[Expected]:
-    """Return node id, requirement and case of each chosen scenario item, as recorded.
+) -> list[Line]:
+    """Return what the chosen scenario items are to decide.
 
     There may be tens of thousands of cases: what many of them share is looked up once.
 
@@ -128,16 +124,15 @@ def _expected_items(
     """
     if not context.plan:
         return []
-    from pytest_dura.core.codec import encode
     from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT
+    from pytest_dura.evidence.gather import claim
+    from pytest_dura.evidence.lines import ClaimedCase
 
-    chosen_ids, requirements = set(chosen), context.library().requirements
-    used = {name for planned in context.plan for name in planned.requirements}
-    recorded = {name: encode(requirements[name]) for name in sorted(used)}
+    chosen_ids, library, used = set(chosen), context.library(), set()
     overrides = roles.chosen()
     in_conftest = root_conftest_with(context.config, "generator") is not None
     components: dict[tuple[str, tuple[str, ...]], str] = {}
-    expected: list[Expected] = []
+    expected: list[Line] = []
     for planned in context.plan:
         case = planned.case
         names = [name for name in planned.requirements if f"{case.id}::{name}" in chosen_ids]
@@ -149,8 +144,14 @@ def _expected_items(
                     UNKNOWN_COMPONENT if in_conftest else case.roles(overrides)["generator"].label
                 )
             off = case.roles_off(overrides)
-            record = case_record(case, components[key], runs, context.options.runs, off)
-            expected += [(f"{case.id}::{name}", recorded[name], record) for name in names]
+            plan = case_plan(case, components[key], runs, context.options.runs, off)
+            expected.append(ClaimedCase.model_validate(plan.to_json()))
+            expected += [claim(f"{case.id}::{name}", name, plan) for name in names]
+            used.update(names)
+    requirements = [library.requirements[name] for name in sorted(used)]
+    if expected:
+        hazards = {name for requirement in requirements for name in requirement.mitigates}
+        expected += [*requirements, *library.hazards_of(hazards)]
     return expected
 
 
@@ -292,21 +293,11 @@ class SessionEvidence:
         if self.record is None or items == self._expected:
             return
 
+        from pytest_dura.evidence.lines import without_secrets
+
         self._expected = items
-        expected = _expected_items(self.context, self._roles, items)
-        for entry in self.context.redact(expected):  # as the reports of the items will hold it
-            self.record.expect(*entry)
-        if expected:
-            self.record.add_hazards(self._expected_hazards(expected))
-
-    def _expected_hazards(self, expected: Sequence[Expected]) -> list[Hazard]:
-        """List the hazards of the user, and those that expected requirements mitigate."""
-        from pytest_dura.core.codec import decode, encode
-        from pytest_dura.requirements.hazards import Hazard
-
-        named = {name for _, known, _ in expected for name in known["mitigates"]}
-        hazards = self.context.library().hazards_of(named)
-        return [decode(Hazard, self.context.redact(encode(hazard))) for hazard in hazards]
+        expected = _expected_lines(self.context, self._roles, items)
+        self.record.add(without_secrets(expected, self.context.redact))
 
     def note_tests(self, items: list[str], claiming: Iterable[str] = ()) -> None:
         """Note the tests that will run, and hash their files close to when they were read.
@@ -327,14 +318,13 @@ class SessionEvidence:
             return
         started, self._any_report = perf_counter(), True
         # It is taken out, since the terminal and others keep the reports of all items.
-        item_reports = vars(report).pop(REPORT_ATTRIBUTE, [])
-        if item_reports or report.nodeid not in self._claiming:
+        texts = vars(report).pop(REPORT_ATTRIBUTE, None)
+        if texts is not None or report.nodeid not in self._claiming:
             self._unreported.discard(report.nodeid)
-        if item_reports:
-            from pytest_dura.evidence.episodes import ItemReport
-
-            for item_report in item_reports:
-                self._add(ItemReport.from_text(item_report))
+        for text in texts or ():
+            self._add(text)
+        if texts is not None and self.record is not None:
+            self._sources().add_item(report.nodeid)
         if report.failed:
             self._failed.add(report.nodeid)
             if self.record is not None:
@@ -353,21 +343,23 @@ class SessionEvidence:
             record.waive(*waived)
         self._waived.clear()
 
-    def take(self, part: str) -> None:
-        """Add episodes of the item that runs in this process; see ItemReport."""
-        from pytest_dura.evidence.episodes import unpack_report
-
+    def take(self, text: str) -> None:
+        """Add packed lines of the item that runs in this process."""
         started = perf_counter()
-        self._add(unpack_report(part))
+        self._add(text)
         self._seconds_spent += perf_counter() - started
 
-    def _add(self, item_report: ItemReport) -> None:
+    def _add(self, text: str) -> None:
         self.start(late=True)
         if self.record is None:
             return
+        from pytest_dura.evidence.lines import unpack_lines
+
+        lines = unpack_lines(text)
         try:
-            self.record.add(item_report)
-            self._sources().add_report(item_report)
+            self.record.add(lines)
+            for line in lines:
+                self._sources().add_line(line)
         except ConfigurationError as error:
             # Without the episodes the session can show nothing.
             pytest.exit(error_text(error))
@@ -462,6 +454,8 @@ class SessionEvidence:
 
     def _judged(self, session: pytest.Session) -> tuple[Gate, SessionRecord]:
         """Judge the session; returns the gate and the concluded record."""
+        from pytest_dura.evidence.lines import without_secrets
+
         assert self.record is not None
         started = perf_counter()
         stopped = self.interrupted or bool(session.shouldstop or session.shouldfail)
@@ -478,7 +472,7 @@ class SessionEvidence:
         }
         self.record.header = self._properties.with_profile(header)
         # Those of an item that never reported, and of episodes that were begun ahead in vain.
-        self.record.add_models(self.context.redact(self._models.take()))
+        self.record.add(without_secrets(self._models.take(), self.context.redact))
         record = self.given.with_baseline(self.record.record(status))
         recorded = [*self.record.problems, *self.record.objections]
         self.objections = [*recorded, *self.given.regressions(record)]

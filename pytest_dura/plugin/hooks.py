@@ -310,7 +310,7 @@ class SessionHooks:
         refusal = self._refusal_of(item)
         if refusal is not None:
             if self.has_own_items:
-                self.session.recorder.add_objection(f"{item.nodeid}: a marker cannot be used")
+                self.session.recorder.remark("objection", f"{item.nodeid}: a marker cannot be used")
             pytest.fail(refusal, pytrace=False)
 
     def _refusal_of(self, item: pytest.Item) -> str | None:
@@ -333,8 +333,7 @@ class SessionHooks:
     def pytest_runtest_teardown(self, item: pytest.Item, nextitem: pytest.Item | None) -> None:
         """Repeat an episode of a case after the last item on it, while its roles are there."""
         if uses_runner(item):
-            for repeat in self.session.repeats.item_ends(item, nextitem):
-                self.session.recorder.case_repeated(repeat)
+            self.session.recorder.add(self.session.repeats.item_ends(item, nextitem))
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtestloop(self) -> Generator[None, Any, Any]:
@@ -413,11 +412,11 @@ class SessionHooks:
             escape_error(call.excinfo.value)
         report = yield
         self.session.properties.add_section(report)
-        item_report = self.session.recorder.attach(item, call, report)
+        decided = self.session.recorder.attach(item, call, report)
         # A test that could not be set up is not called; wrong markers name nothing to judge.
         ended = call.when == "call" or (call.when == "setup" and call.excinfo is not None)
         if ended and uses_runner(item) and self._refusal_of(item) is None:
-            self.session.judge_item(item, report, item_report)
+            self.session.judge_item(item, report, decided)
         reached = self.session.models.limit_reached
         if reached and not item.session.shouldstop:
             item.session.shouldstop = (

@@ -16,7 +16,7 @@ from pytest_dura.provenance import MAX_LISTED_FILES, imported_files, is_installe
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.baseline import Baseline
-    from pytest_dura.evidence.episodes import ItemReport
+    from pytest_dura.evidence.lines import Line
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.model import Requirement
 
@@ -75,23 +75,27 @@ class SessionInputs:
         self.inputs.add("test", file)
         self._add_conftests(file.parent)
 
-    def add_report(self, report: ItemReport) -> None:
-        """Add what the report of an item names."""
-        self.add_item(report.item)
-        for component in report.components:
-            self.inputs.add_reported("component", component["files"])
-            self._add_imports("component", component["path"])
-        for case in (*report.cases, *report.claimed):
-            self._add_scenario(case.scenario)
-        for requirement in report.requirements:
-            self._add_requirement(requirement.id, requirement)
-        for episode in report.episodes:
-            spec = episode["spec"]
+    def add_line(self, line: Line) -> None:
+        """Add what a line of an item names."""
+        from pytest_dura.evidence.case_model import CasePlan
+        from pytest_dura.evidence.lines import EpisodeLine, UsedComponent
+        from pytest_dura.evidence.searches import RecordedSearch
+        from pytest_dura.requirements.model import Requirement
+
+        if isinstance(line, UsedComponent):
+            self.inputs.add_reported("component", line.description["files"])
+            self._add_imports("component", line.description["path"])
+        elif isinstance(line, CasePlan):
+            self._add_scenario(line.scenario)
+        elif isinstance(line, Requirement):
+            self._add_requirement(line.id, line)
+        elif isinstance(line, EpisodeLine):
+            spec = line.entry["spec"]
             roles = {name: role["path"] for name, role in spec["roles"].items()}
             self._add_roles(spec["simulator"]["path"], roles)
-        for search in report.searches:
-            self._add_scenario(search.scenario)
-            self._add_roles(search.simulator, search.roles)
+        elif isinstance(line, RecordedSearch):
+            self._add_scenario(line.scenario)
+            self._add_roles(line.simulator, line.roles)
 
     def _add_roles(self, simulator: str, roles: Mapping[str, str]) -> None:
         """Add simulator and roles by their import paths, without the component under test."""

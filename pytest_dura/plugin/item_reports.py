@@ -29,7 +29,6 @@ from pytest_dura.evidence.text import markdown, name, one_line, visible
 from pytest_dura.plugin.context import draws_reason, replay_command
 from pytest_dura.plugin.markers import marked_requirements
 from pytest_dura.plugin.outcomes import (
-    EpisodeOutcome,
     ItemJudged,
     ItemResult,
     episode_of,
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.reports.incidents import BriefRun
     from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-    from pytest_dura.requirements.judgements import Assertion
+    from pytest_dura.requirements.judgements import Assertion, Judgement
     from pytest_dura.requirements.model import Requirement
 
 
@@ -158,18 +157,19 @@ def _result_properties(
     yield "kind", requirement.kind
     yield "case", result.case.id if result.case else result.verdict and result.verdict.case
     yield "component", result.component
-    if result.outcome is not None:
-        yield from _outcome_properties(result.outcome)
+    if result.judged is not None and result.judgement is not None:
+        yield from _outcome_properties(result.judged, result.judgement)
         yield "event", sentence
     if result.verdict is not None:
         yield from _verdict_properties(context, result, sentence)
 
 
-def _outcome_properties(outcome: EpisodeOutcome) -> Iterator[tuple[str, Any]]:
-    judged, assertion = outcome.judged, outcome.assertion
+def _outcome_properties(judged: EpisodeVerdict, judgement: Judgement) -> Iterator[tuple[str, Any]]:
+    assertion = judgement.assertion
+    assert assertion is not None
     yield "episode_verdict", judged.verdict
-    yield "planned", outcome.planned
-    yield "at_most", outcome.at_most
+    yield "planned", judgement.planned
+    yield "at_most", judgement.at_most
     yield "margin", judged.margin
     yield "violated_at", judged.time
     yield "detail", judged.detail
@@ -213,7 +213,7 @@ def event_sentence(context: SessionContext, result: ItemResult) -> str:
     """
     if result.status != "violated":
         return ""
-    judged = result.outcome and result.outcome.judged
+    judged = result.judged
     examples = result.verdict.counterexamples if result.verdict else ()
     episode: Episode | None = result.episode
     if episode is None and examples and result.case is not None:
@@ -320,6 +320,8 @@ def _requirement_url(config: pytest.Config, requirement: str) -> str:
 
 LARGEST = 2_000_000
 """Bytes of an attachment."""
+_ASKED_OF_EPISODE = ("assertion", "case", "planned", "at_most", "confidence")
+"""What an attached verdict on an episode says of the question."""
 _COUNTEREXAMPLES = 100
 """Counterexamples in the attached verdict."""
 
@@ -348,11 +350,12 @@ def _report_item(context: SessionContext, event: ItemJudged) -> None:
     if results and not hasattr(getattr(item, "function", None), "__allure_display_name__"):
         allure.add_title(test_title=_title(item, results))
     for result in results:
-        verdict = result.verdict or result.outcome
+        verdict = result.verdict or result.judged
         if verdict is not None:
             data = encode(verdict)
-            if isinstance(verdict, EpisodeOutcome):
-                data = data.pop("judged") | data
+            if result.judgement is not None:
+                asked = encode(result.judgement)
+                data |= {key: asked[key] for key in _ASKED_OF_EPISODE}
             text = _verdict_json(context.redact(data))
             _attach(text, f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
@@ -367,7 +370,7 @@ def _title(item: pytest.Item, results: Sequence[ItemResult]) -> str:
 
 
 def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
-    verdict, outcome = result.verdict, result.outcome
+    verdict, judgement = result.verdict, result.judgement
     parameters: dict[str, Any] = {
         "case": result.case.id if result.case else verdict and verdict.case,
         "component": result.component,
@@ -383,8 +386,8 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
             "confidence": None if bound.upper is None else bound.confidence,
             "at most": bound.at_most,
         }
-    elif outcome is not None:
-        parameters |= {"planned": outcome.planned, "at most": outcome.at_most}
+    elif judgement is not None:
+        parameters |= {"planned": judgement.planned, "at most": judgement.at_most}
     parameters["base seed"] = context.options.seed
     return {
         name: one_line(value, 200) if isinstance(value, str) else value
@@ -404,15 +407,16 @@ def _description(item: pytest.Item, results: Sequence[ItemResult], events: Seque
         own = item.function.__doc__ if hasattr(item, "function") else None
     parts = [inspect.cleandoc(own)] if own else []
     for result, sentence in zip(results, events, strict=True):
-        requirement, outcome = result.requirement, result.outcome
-        reason = outcome.judged.detail if outcome else result.verdict and result.verdict.reason
+        requirement, judged = result.requirement, result.judged
+        reason = judged.detail if judged else result.verdict and result.verdict.reason
+        assertion = result.judgement and result.judgement.assertion
         parts.append(f"**{markdown(requirement.id)}** {markdown(requirement.text, 2000)}")
         for heading, text in (
             ("Source", requirement.source),
             ("Why this bound", requirement.reason),
             ("Verdict", f"{result.status or 'none'}. {reason or ''}"),
             ("What happened", sentence),
-            ("By assertion", "" if outcome is None else _looked_at(outcome.assertion)),
+            ("By assertion", _looked_at(assertion) if assertion else ""),
         ):
             if text:
                 parts.append(f"{heading}: {markdown(text, 2000)}")
@@ -482,7 +486,7 @@ def _attach_picture(
 
 
 def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
-    if result.outcome is not None:
+    if result.judged is not None:
         return result.status == "violated"
     examples = result.verdict.counterexamples if result.verdict else ()
     return any(example.episode == episode.id for example in examples)
@@ -491,7 +495,7 @@ def _is_counterexample(result: ItemResult, episode: Episode) -> bool:
 def _check_of(result: ItemResult | None) -> str:
     if result is None:
         return ""
-    own = result.outcome and result.outcome.assertion
+    own = result.judgement and result.judgement.assertion
     if own and own.failed and not own.by_check:
         return ""  # it held: what failed is an assertion of the test
     return (result.verdict and result.verdict.check) or str(result.requirement.check)
@@ -511,8 +515,8 @@ def _judged_on(result: ItemResult, episode: Episode) -> EpisodeVerdict | None:
     from pytest_dura.core.errors import ConfigurationError
     from pytest_dura.requirements.episode_verdicts import judge_episode
 
-    if result.outcome is not None:
-        return result.outcome.judged
+    if result.judged is not None:
+        return result.judged
     try:
         return judge_episode(result.requirement, episode, _check_of(result))
     except ConfigurationError:  # a measure of pairs, or a function inside a test

@@ -20,6 +20,7 @@ from pytest_dura.plugin.roles import root_conftest_with
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
     from pytest_dura.core.role_spec import RoleSpec
+    from pytest_dura.evidence.lines import UsedModel
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.llm.servers import ModelDescription
     from pytest_dura.llm.session import ModelSession
@@ -283,12 +284,8 @@ class LanguageModels:
                 self._register(key)
                 self._latest[stated] = key
 
-    def take(self) -> list[JsonObject]:
-        """Return the models that are new or were asked since the last call, with the counts so far.
-
-        Returns:
-            Entries for :class:`pytest_dura.evidence.episodes.ItemReport`.
-        """
+    def take(self) -> list[UsedModel]:
+        """Return the models that are new or were asked since the last call."""
         session = self._active
         if session is None:
             return []
@@ -317,10 +314,12 @@ class LanguageModels:
             self._used[key] = Counter()
             self._unsent.add(key)
 
-    def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> JsonObject:
+    def _entry(self, session: ModelSession, key: tuple[Any, ...]) -> UsedModel:
+        from pytest_dura.evidence.lines import UsedModel
+
         component, model, fingerprint, prompts = key
         known = session.known(model, fingerprint)
-        return {
+        counts = {
             "component": component,
             "model": model,
             "about": "" if known is None else known.about,
@@ -329,7 +328,6 @@ class LanguageModels:
             "fingerprint": fingerprint,
             "capabilities": None if known is None else dict(known.capabilities),
             "prompts": prompts if isinstance(prompts, str) else None,
-            "process": str(self.context.worker_input.get("workerid", "main")),
             **{outcome: self._used[key][outcome] for outcome in _OUTCOMES},
             **{
                 f"{how}_tokens": {
@@ -344,6 +342,7 @@ class LanguageModels:
                 if counted.startswith(_CAUSE)
             },
         }
+        return UsedModel(str(self.context.worker_input.get("workerid", "main")), counts)
 
     def price_json(self) -> JsonObject:
         """The record's key ``llm_price``, which is absent without a price."""

@@ -6,13 +6,13 @@ the requirement's own check.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NoReturn
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import pytest
 
-from pytest_dura.core.codec import decode
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.markers import Target, decides_nothing, marked_requirements
 from pytest_dura.plugin.options import LONG_NAMES
@@ -20,7 +20,6 @@ from pytest_dura.plugin.options import LONG_NAMES
 if TYPE_CHECKING:
     from pytest_dura.campaign.campaign import Campaign
     from pytest_dura.campaign.runner import Runner
-    from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
         EpisodeVerdict,
         JudgedEpisode,
     )
-    from pytest_dura.requirements.judgements import Assertion
+    from pytest_dura.requirements.judgements import Judgement
     from pytest_dura.requirements.model import Requirement
 
 
@@ -83,36 +82,6 @@ class UsedEpisodes:
 
 
 @dataclass(frozen=True)
-class EpisodeOutcome:
-    """Outcome of a test on one episode for one requirement.
-
-    Args:
-        judged: What it says of the episode.
-        assertion: What the test looked at, and what failed.
-        case: Id of the case.
-        planned: Episodes of the case.
-        at_most: Of the requirement.
-        confidence: Of the requirement.
-    """
-
-    judged: EpisodeVerdict
-    assertion: Assertion
-    case: str
-    planned: int
-    at_most: float | None
-    confidence: float
-
-
-def _reported_outcome(data: Mapping[str, Any]) -> EpisodeOutcome:
-    """Read an outcome of an item's report."""
-    from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-    from pytest_dura.requirements.judgements import Assertion
-
-    judged, assertion = decode(EpisodeVerdict, data["judged"]), decode(Assertion, data["assertion"])
-    return EpisodeOutcome(**{**data, "judged": judged, "assertion": assertion})
-
-
-@dataclass(frozen=True)
 class ItemResult:
     """Result of an item for one requirement.
 
@@ -120,14 +89,16 @@ class ItemResult:
         requirement: The requirement.
         case: The case it was judged on, if the item has one.
         verdict: Of an item on a campaign.
-        outcome: Of an item on one episode.
+        judged: What an item on one episode says of it.
+        judgement: What that item asked, and what its assertions came to.
         episode: The episode that the item looked at, if it looked at one.
     """
 
     requirement: Requirement
     case: Case | None = None
     verdict: CampaignVerdict | None = None
-    outcome: EpisodeOutcome | None = None
+    judged: EpisodeVerdict | None = None
+    judgement: Judgement | None = None
     episode: JudgedEpisode | None = None
 
     @property
@@ -142,7 +113,7 @@ class ItemResult:
 
     @property
     def _judged(self) -> CampaignVerdict | EpisodeVerdict | None:
-        return self.outcome.judged if self.outcome else self.verdict
+        return self.judged or self.verdict
 
     @property
     def question(self) -> tuple[Any, ...]:
@@ -151,7 +122,40 @@ class ItemResult:
         if self.verdict is not None:
             bound = self.verdict.bound
             return *key, self.verdict.case, self.verdict.check, bound.at_most, bound.confidence
-        return *key, self.outcome and self.outcome.case
+        return *key, self.judgement and self.judgement.case
+
+
+_T = TypeVar("_T")
+
+
+@dataclass
+class Decided:
+    """What an item decided since its last report, for what the process of the item writes.
+
+    Args:
+        results: The results, without case and episode.
+        searched: Ids of the requirements that it searched for violations of.
+    """
+
+    results: list[ItemResult] = field(default_factory=list)
+    searched: set[str] = field(default_factory=set)
+
+    def without_secrets(self, redact: Callable[[Any], Any]) -> Decided:
+        """Copy it without secrets."""
+
+        def plain(value: _T) -> _T:
+            return value and decode(type(value), redact(encode(value)))
+
+        results = [
+            ItemResult(
+                plain(each.requirement),
+                verdict=plain(each.verdict),
+                judged=plain(each.judged),
+                judgement=plain(each.judgement),
+            )
+            for each in self.results
+        ]
+        return Decided(results, self.searched)
 
 
 @dataclass(frozen=True)
@@ -175,14 +179,14 @@ _EARLIER_RESULTS = pytest.StashKey[list[ItemResult]]()
 def item_results(
     context: SessionContext,
     item: pytest.Item,
-    report: ItemReport | None,
+    decided: Decided,
 ) -> list[ItemResult]:
     """Return the results of an item that has run or could not be set up.
 
     Args:
         context: The session's context.
         item: An item that uses the runner.
-        report: What it recorded when it ran.
+        decided: What it decided when it ran.
 
     Returns:
         The results in the order of their requirements in the item's markers. What was to be
@@ -190,13 +194,9 @@ def item_results(
         before anything else, as in the record.
     """
     claimed = {requirement.id: requirement for requirement in marked_requirements(context, item)}
-    results = _decided_results(context, item, report, claimed)
-    answered = {verdict.requirement.id for verdict in results}
-    if report is not None:
-        # A search decides its requirements without a verdict.
-        answered |= {
-            outcome.requirement for search in report.searches for outcome in search.outcomes
-        }
+    results = _decided_results(context, item, decided.results, claimed)
+    # A search decides its requirements without a verdict.
+    answered = {result.requirement.id for result in results} | decided.searched
     target = target_of(item)
     for name, requirement in claimed.items():
         if name not in answered:
@@ -247,37 +247,28 @@ def episode_of(item: pytest.Item) -> JudgedEpisode | None:
 def _decided_results(
     context: SessionContext,
     item: pytest.Item,
-    report: ItemReport | None,
+    results: Iterable[ItemResult],
     claimed: Mapping[str, Requirement],
 ) -> list[ItemResult]:
-    if report is None:
-        return []
-    known = {requirement.id: requirement for requirement in report.requirements}
-    known.update(claimed)
-    results = [
-        ItemResult(
-            known[verdict.requirement],
-            _case_of_result(context, item, verdict.case),
-            verdict=verdict,
+    """Complete results by case and episode, and sort them: campaigns first, as in the markers."""
+    episode, order = episode_of(item), list(claimed)
+    completed = []
+    for result in results:
+        name = result.requirement.id
+        about = result.verdict or result.judgement
+        completed.append(
+            replace(
+                result,
+                requirement=claimed.get(name, result.requirement),
+                case=None if about is None else _case_of_result(context, item, about.case),
+                episode=None if result.verdict else episode,
+            )
         )
-        for verdict in report.verdicts
-    ]
-    episode = episode_of(item)
-    results += [
-        ItemResult(
-            known[outcome.judged.requirement],
-            _case_of_result(context, item, outcome.case),
-            outcome=outcome,
-            episode=episode,
-        )
-        for outcome in map(_reported_outcome, report.outcomes)
-    ]
-    order = list(claimed)
-    last = len(order)
     return sorted(
-        results,
+        completed,
         key=lambda result: (
-            order.index(result.requirement.id) if result.requirement.id in claimed else last
+            order.index(result.requirement.id) if result.requirement.id in claimed else len(order),
+            result.verdict is None,
         ),
     )
 
@@ -323,7 +314,7 @@ def outcome_of_test(
     *,
     error: BaseException | None,
     failed: str,
-) -> EpisodeOutcome:
+) -> tuple[EpisodeVerdict, Judgement]:
     """Judge a test on an episode: by its outcome, and by the requirement's own check.
 
     Args:
@@ -337,9 +328,10 @@ def outcome_of_test(
     from pytest_dura.plugin.observed_episode import observations_of
     from pytest_dura.requirements.episode_verdicts import (
         EARLY_ENDS,
+        CheckVerdict,
         EpisodeVerdict,
     )
-    from pytest_dura.requirements.judgements import Assertion
+    from pytest_dura.requirements.judgements import Assertion, Judgement, RunJudgement
     from pytest_dura.requirements.runs import Run
 
     status, detail = status_of_test(episode, error)
@@ -377,9 +369,17 @@ def outcome_of_test(
         false=() if failed else tuple(observations_of(episode).false),
         failed=failed,
     )
-    case, planned = target.case.id, target.planned
-    return EpisodeOutcome(
-        own, assertion, case, planned, requirement.at_most, requirement.confidence
+    run = RunJudgement(episode.digest, episode.spec.run, verdict=CheckVerdict.of(own))
+    return own, Judgement(
+        "test",
+        requirement.id,
+        target.case.id,
+        own.component,
+        target.planned,
+        at_most=requirement.at_most,
+        confidence=requirement.confidence,
+        runs=(run,),
+        assertion=assertion,
     )
 
 

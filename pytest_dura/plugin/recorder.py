@@ -5,9 +5,8 @@ It also keeps the traces of the item's episodes.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -18,6 +17,8 @@ from pytest_dura.plugin.items import RECORDED_AS
 from pytest_dura.plugin.markers import marked_requirements
 from pytest_dura.plugin.messages import failure_text, printed
 from pytest_dura.plugin.outcomes import (
+    Decided,
+    ItemResult,
     UsedEpisodes,
     check_passed,
     episode_of,
@@ -44,21 +45,19 @@ if TYPE_CHECKING:
     )
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.case_model import CasePlan
-    from pytest_dura.evidence.episodes import ItemReport
+    from pytest_dura.evidence.lines import Line, RemarkKind
     from pytest_dura.execution.store import EpisodeKey
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
     from pytest_dura.plugin.language_models import LanguageModels
-    from pytest_dura.plugin.outcomes import EpisodeOutcome
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
-    from pytest_dura.requirements.judgements import Judgement
     from pytest_dura.requirements.model import Requirement
 
 
-def case_record(
+def case_plan(
     case: Case, component: str, planned: int, runs_override: int | None, off: list[str]
-) -> dict[str, Any]:
+) -> CasePlan:
     """Return a case as the evidence holds it.
 
     Args:
@@ -68,7 +67,10 @@ def case_record(
         runs_override: What replaced the number that its scenario plans, if something did.
         off: Roles that are switched off.
     """
-    return {
+    from pytest_dura.evidence.case_model import CasePlan
+    from pytest_dura.evidence.entry import plain_data
+
+    data = {
         "order": case.scenario.order,
         "id": case.id,
         "scenario": case.scenario.name,
@@ -85,12 +87,6 @@ def case_record(
         "runs_override": runs_override,
         **({} if case.scenario.seed is None else {"seed": case.scenario.seed}),
     }
-
-
-def _case_plan(data: dict[str, Any]) -> CasePlan:
-    from pytest_dura.evidence.case_model import CasePlan
-    from pytest_dura.evidence.entry import plain_data
-
     return CasePlan.model_validate(plain_data(data))
 
 
@@ -99,30 +95,12 @@ def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in spread.items() if value is not None}
 
 
-def _test_judgement(outcome: EpisodeOutcome, episode: JudgedEpisode) -> Judgement:
-    """Return the outcome of a test on one episode as a line of the evidence."""
-    from pytest_dura.requirements.episode_verdicts import CheckVerdict
-    from pytest_dura.requirements.judgements import Judgement, RunJudgement
-
-    judged = outcome.judged
-    run = RunJudgement(episode.digest, episode.spec.run, verdict=CheckVerdict.of(judged))
-    return Judgement(
-        "test",
-        judged.requirement,
-        outcome.case,
-        judged.component,
-        outcome.planned,
-        at_most=outcome.at_most,
-        confidence=outcome.confidence,
-        runs=(run,),
-        assertion=outcome.assertion,
-    )
-
-
 REPORT_ATTRIBUTE = "dura"
-"""Attribute of a test report: a list of :class:`ItemReport` as JSON. pytest and xdist carry such
-attributes along, and unlike ``user_properties`` they do not end up in JUnit files, where kilobytes
-per test have no place."""
+"""Attribute of a test report: a list of packed lines. pytest and xdist carry such attributes along,
+and unlike ``user_properties`` they do not end up in JUnit files, where kilobytes per test have no
+place."""
+MOST_PENDING = 64
+"""Lines that are held as they are, before they are packed."""
 _ATTEMPT = pytest.StashKey[int]()
 _HAS_FAILED = pytest.StashKey[bool]()
 """Whether an attempt at the item has failed."""
@@ -137,7 +115,7 @@ class ItemRecorder:
         shared: What could not be shared, and what searches took over.
         formulas: Where two engines for formulas differ.
         executor: Who simulates.
-        take: Takes a part of the report of an item that holds a great many episodes.
+        take: Takes packed lines of an item that uses a great many episodes.
     """
 
     def __init__(
@@ -153,13 +131,21 @@ class ItemRecorder:
         self.context = context
         self._models, self._shared, self._executor, self._take = models, shared, executor, take
         self._formulas = formulas
-        self._pending: ItemReport | None = None
-        self._held: list[tuple[str, str, str | None]] = []
-        """What no report has carried yet: node id, phase and the item's report as JSON."""
+        self._item: pytest.Item | None = None
+        self._pending: list[Line] = []
+        """Lines of the current item, which may hold secrets."""
+        self._packed: list[str] | None = None
+        """Earlier lines of it, apart from those that were taken; ``None`` if it used nothing."""
+        self._held: list[tuple[str, str, list[str] | None]] = []
+        """What no report has carried yet: node id, phase and packed lines."""
+        self._sent: set[Any] = set()
+        """What this process has reported, and does not report again."""
+        self._decisions = Decided()
         self._recorded: set[tuple[EpisodeKey, bool]] = set()
         self._used: dict[str, UsedEpisodes] = {}
         self._decided: set[tuple[str, str]] = set()
-        self._components: dict[tuple[str, bytes, bool], dict[str, Any]] = {}
+        self._components: set[tuple[str, bytes, bool]] = set()
+        self._cases: dict[tuple[str, str], CasePlan] = {}
         self._own_hazards_reported = False
         self._last_episode: JudgedEpisode | None = None
         self._body_passed = False
@@ -182,6 +168,7 @@ class ItemRecorder:
     def episode_used(self, event: EpisodeUsed) -> None:
         """Record an episode."""
         from pytest_dura.evidence.episodes import episode_record
+        from pytest_dura.evidence.lines import EpisodeLine
 
         case, episode, planned = event.case, event.episode, event.planned
         self._used.setdefault(case.id, UsedEpisodes(case)).add(episode)
@@ -197,10 +184,8 @@ class ItemRecorder:
             record = episode_record(
                 episode, planned=planned > 0, origin=origin, requirements=requirements
             )
-            self._report.episodes.append(record)
-            known = self._report.measures
-            known += [each for each in episode.described_measures if each not in known]
-            self._flush_if_full()
+            self._add_once(episode.described_measures)
+            self.add([EpisodeLine(record)])
         self._last_episode = episode
 
     def searched_used(self, event: SearchedEpisodeUsed) -> None:
@@ -222,8 +207,8 @@ class ItemRecorder:
                     self.traces.keep_twins(used.case, episode, self.context.runner.fetch)
         if verdict.pairs is not None:
             self._used.pop(verdict.pairs.case, None)
-        self._report.verdicts.append(verdict)
-        self._report.judgements.append(event.judgement)
+        self._decisions.results.append(ItemResult(requirement, verdict=verdict))
+        self.add([event.judgement])
         self._decided.add((verdict.requirement, verdict.case))
         self._requirement_used(requirement)
         self._planned(verdict.case, verdict.component, verdict.planned)
@@ -242,6 +227,7 @@ class ItemRecorder:
             name = outcome.requirement
             known = library.get(name) or self.context.marked.get(name)
             self._requirement_used(known or Requirement(name, check=outcome.check))
+            self._decisions.searched.add(name)
             self._decided.add((name, case.id))
         known_search = RecordedSearch(
             **vars(search),
@@ -249,45 +235,59 @@ class ItemRecorder:
             simulator=spec.simulator.path,
             roles={name: role.path for name, role in spec.roles.items()},
         )
-        self._report.searches.append(known_search)
+        self.add([known_search])
 
     def monitors_measured(self, event: MonitorsMeasured) -> None:
         """Record how good a case's monitors are."""
-        self._report.monitors += event.qualities
+        self.add(event.qualities)
 
     def faults_traced(self, event: FaultsTraced) -> None:
         """Record the causal chain of each fault of an episode."""
-        from pytest_dura.core.codec import encode
+        from pytest_dura.evidence.lines import FaultTrace
 
         episode = event.episode
-        about = {"case": event.case.id, "component": episode.spec.component, "episode": episode.id}
-        self._report.chains += [{**about, **encode(chain)} for chain in event.chains]
-        self._flush_if_full()
+        component = episode.spec.component
+        self.add(FaultTrace(component, episode.id, fault) for fault in event.chains)
 
-    def case_repeated(self, repeat: Mapping[str, Any]) -> None:
-        """Record the repetition of an episode of a case."""
-        from pytest_dura.evidence.episodes import RepeatReport
+    def remark(self, kind: RemarkKind, text: str) -> None:
+        """Record a sentence on the session; see :class:`Remark`."""
+        from pytest_dura.evidence.lines import Remark
 
-        self._report.repeats.append(RepeatReport.model_validate(dict(repeat)))
+        self.add([Remark(kind, text)])
 
-    def add_problem(self, problem: str) -> None:
-        """Record what fails the gate, such as the error of a hook that the item may catch."""
-        if problem not in self._report.problems:
-            self._report.problems.append(problem)
+    def add(self, lines: Iterable[Line]) -> None:
+        """Record lines, and pack what was recorded once there is a great deal of it.
 
-    def add_objection(self, objection: str) -> None:
-        """Record that a test decides nothing, which fails the gate."""
-        if objection not in self._report.objections:
-            self._report.objections.append(objection)
+        Args:
+            lines: Lines of the current item; none if it used what this process has reported.
+        """
+        item, self._packed = self._item, self._packed or []
+        for line in lines:
+            from pytest_dura.evidence.lines import asked_by
 
-    def _flush_if_full(self) -> None:
-        """Split off part of a report that holds a great many episodes."""
-        if self._report.full:
-            part = self._report.split(self.context.redact)
-            if self.context.is_worker:
-                self._report.parts.append(part)
-            else:
-                self._take(part)
+            about = ("",) if item is None else (
+                item.nodeid, item.stash.get(RECORDED_AS, ""), item.stash.get(_ATTEMPT, 1)
+            )  # fmt: skip
+            self._pending.append(asked_by(line, *about))
+        if len(self._pending) >= MOST_PENDING:
+            self._pack()
+            if not self.context.is_worker:
+                for text in self._packed:
+                    self._take(text)
+                self._packed.clear()
+
+    def _add_once(self, lines: Iterable[Line]) -> None:
+        """Record lines that this process has not reported yet."""
+        new = [line for line in lines if line not in self._sent]
+        self._sent.update(new)
+        self.add(new)
+
+    def _pack(self) -> None:
+        if self._pending and self._packed is not None:
+            from pytest_dura.evidence.lines import pack_lines
+
+            self._packed.append(pack_lines(self._pending, self.context.redact))
+            self._pending.clear()
 
     def outcome_of(self, error: DuraError) -> BaseException:
         """Turn one of our own errors into a failure or a skip with its message."""
@@ -311,8 +311,8 @@ class ItemRecorder:
 
     def attach(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
-    ) -> ItemReport | None:
-        """Let the report carry what the item recorded; returns that, if there is anything."""
+    ) -> Decided:
+        """Let the report carry what the item recorded; returns what it decided."""
         if report.failed:
             item.stash[_HAS_FAILED] = True
         if call.when == "teardown":
@@ -323,32 +323,22 @@ class ItemRecorder:
             self._call_reported(item, call, report)
         traces, problems = self.traces.take()
         problems += self._formulas.take_differences()
-        if traces or problems:
-            self._report.traces += traces
-            self._report.problems += problems
-        notes, searched = self._shared.take_problems(), self._shared.take_searched()
-        if notes or searched:
-            self._report.notes += notes
-            self._report.searched += searched
-        models = self._models.take()
-        if models:
-            self._report.models += models
+        for problem in problems:
+            self.remark("problem", problem)
+        for note in self._shared.take_problems():
+            self.remark("note", note)
+        lines: list[Line] = [*traces, *self._shared.take_searched(), *self._models.take()]
+        if lines:
+            self.add(lines)
         return self._hold(item, report.when or "")
 
-    def _hold(self, item: pytest.Item, when: str) -> ItemReport | None:
-        """Hold what the item has recorded until a report is passed on, and return it."""
-        item_report, self._pending = self._pending, None
-        if item_report is None:
-            self._held.append((item.nodeid, when, None))
-            return None
-        item_report.item = item.nodeid
-        item_report.recorded_as = item.stash.get(RECORDED_AS, "")
-        item_report.attempt = item.stash.get(_ATTEMPT, 1)
-        item_report = item_report.without_secrets(self.context.redact)
-        lines = replace(item_report, verdicts=[], outcomes=[])
-        text = json.dumps(lines.to_json(), allow_nan=False) if lines else None
-        self._held.append((item.nodeid, when, text))
-        return item_report
+    def _hold(self, item: pytest.Item, when: str) -> Decided:
+        """Hold what the item has recorded until a report is passed on; returns its decisions."""
+        self._pack()
+        self._held.append((item.nodeid, when, self._packed))
+        decisions = self._decisions.without_secrets(self.context.redact)
+        self._packed, self._decisions = None, Decided()
+        return decisions
 
     def passed_on(self, report: pytest.TestReport) -> None:
         """Let a report carry what was recorded until it was made, as it is passed on.
@@ -360,9 +350,9 @@ class ItemRecorder:
         if (report.nodeid, report.when) in made:
             end = made.index((report.nodeid, report.when)) + 1
             carried, self._held = self._held[:end], self._held[end:]
-            texts = [text for _, _, text in carried if text is not None]
-            if texts:
-                setattr(report, REPORT_ATTRIBUTE, texts)
+            recorded = [packed for *_, packed in carried if packed is not None]
+            if recorded:
+                setattr(report, REPORT_ATTRIBUTE, list(chain.from_iterable(recorded)))
         elif self.context.is_worker:  # a plugin passes it on for the second time
             vars(report).pop(REPORT_ATTRIBUTE, None)
 
@@ -373,7 +363,7 @@ class ItemRecorder:
             # A plugin may begin the next attempt without a report on the one before.
             self._hold(item, "")
             self._forget_item()
-        item.stash[_ATTEMPT] = number
+        self._item, item.stash[_ATTEMPT] = item, number
 
     def attempt_ends(self, item: pytest.Item, error: BaseException | None) -> None:
         """Record the outcome of an attempt at an item, whether or not it is reported.
@@ -387,7 +377,7 @@ class ItemRecorder:
         if marked_target(item, ["episode"]) is not None:
             self._test_outcome(item, excinfo)
         if error is None and item.stash.get(_HAS_FAILED, False):
-            self._report.retried = True
+            self.remark("retried", item.nodeid)
 
     def _call_reported(
         self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport
@@ -399,7 +389,7 @@ class ItemRecorder:
                 report.sections.append(("dura", printed(f"{episode.id}, replay: {command}")))
         # A test that skips itself, or is expected to fail, came to no verdict either.
         if report.skipped and without_verdict(self.context, item, self._decided):
-            self._report.objections.append(f"{item.nodeid} ended without a verdict")
+            self.remark("objection", f"{item.nodeid} ended without a verdict")
 
     def _forget_item(self) -> None:
         self._used.clear()
@@ -422,28 +412,25 @@ class ItemRecorder:
         if status == "violated" and not detail.startswith("undecided: "):
             self.traces.violated(self._last_episode)
 
-    @property
-    def _report(self) -> ItemReport:
-        if self._pending is None:
-            from pytest_dura.evidence.episodes import ItemReport
-
-            self._pending = ItemReport("")
-        return self._pending
-
     def _case_used(self, case: Case, generator: RoleSpec, planned: int) -> None:
-        report, component = self._report, self._component_used(generator)
-        if not any((entry.id, entry.component) == (case.id, component) for entry in report.cases):
-            off = case.roles_off(self.context.runner.roles)
-            runs = self.context.options.runs
-            report.cases.append(_case_plan(case_record(case, component, planned, runs, off)))
+        component = self._component_used(generator)
+        if (case.id, component) not in self._cases:
+            plan = self._plan(case, component, planned)
+            self._cases[case.id, component] = plan
+            self.add([plan])
             known = self.context.library().requirements
             for name in case.requirements:
                 self._requirement_used(known[name])
         self._planned(case.id, component, planned)
 
+    def _plan(self, case: Case, component: str, planned: int) -> CasePlan:
+        runs, off = self.context.options.runs, case.roles_off(self.context.runner.roles)
+        return case_plan(case, component, planned, runs, off)
+
     def _component_used(self, generator: RoleSpec) -> str:
         """Describe a component under test; returns its name."""
         from pytest_dura.core.episode import canonical
+        from pytest_dura.evidence.lines import UsedComponent
         from pytest_dura.library.roles import LocalRole
         from pytest_dura.provenance import describe_component
 
@@ -456,26 +443,21 @@ class ItemRecorder:
                 file = root / generator.path.rpartition(":")[0]
             description = describe_component(generator.path, factory, generator.params, file, root)
             sources = description.pop("sources")
-            if description["digest"] is not None:
-                # The sources are many: only the first report of each process has them.
-                self._report.sources[description["digest"]] = sources
             named = {"name": component, **description, "opaque": generator.opaque}
-            self._components[key] = named
-        if self._components[key] not in self._report.components:
-            self._report.components.append(self._components[key])
+            self.add([UsedComponent(named, sources)])
+            self._components.add(key)
+        self.add([])
         return component
 
     def _planned(self, case: str, component: str, planned: int) -> None:
-        self._report.cases = [
-            entry.replace(planned=max(entry.planned, planned))
-            if (entry.id, entry.component) == (case, component)
-            else entry
-            for entry in self._report.cases
-        ]
+        known = self._cases.get((case, component))
+        if known is not None and known.planned < planned:
+            self._cases[case, component] = known.replace(planned=planned)
+            self.add([self._cases[case, component]])
 
     def _requirement_used(self, requirement: Requirement) -> None:
-        if requirement not in self._report.requirements:
-            self._report.requirements.append(requirement)
+        if requirement not in self._sent:
+            self._add_once([requirement])
             self._hazards_named(requirement.mitigates)
 
     def _hazards_named(self, names: Sequence[str]) -> None:
@@ -483,10 +465,7 @@ class ItemRecorder:
         library = self.context.library()
         own = () if self._own_hazards_reported else library.own_hazards
         self._own_hazards_reported = True
-        for name in sorted({*names, *own}):
-            hazard = library.hazards[name]
-            if hazard not in self._report.hazards:
-                self._report.hazards.append(hazard)
+        self._add_once(library.hazards[name] for name in sorted({*names, *own}))
 
     def _add_claims(self, item: pytest.Item) -> None:
         """Record what a test is to decide: if it ends before it does, that is undecided."""
@@ -496,30 +475,25 @@ class ItemRecorder:
         campaign = given_to(item, "campaign")
         from pytest_dura.evidence.conclusions.verdicts import UNKNOWN_COMPONENT, test_function
         from pytest_dura.evidence.gather import claim
+        from pytest_dura.evidence.lines import ClaimedCase
 
         component = getattr(campaign, "component", None) or UNKNOWN_COMPONENT
-        override = self.context.options.runs
-        off = target.case.roles_off(self.context.runner.roles)
-        case = _case_plan(case_record(target.case, component, target.planned, override, off))
-        for requirement in marked_requirements(self.context, item):
+        case = self._plan(target.case, component, target.planned)
+        requirements = marked_requirements(self.context, item)
+        if requirements:
+            self.add([ClaimedCase.model_validate(case.to_json())])
+        for requirement in requirements:
             self._requirement_used(requirement)
             decides = test_function(item.nodeid) if run is not None else item.nodeid
             if run is None:
                 decides = item.stash.get(RECORDED_AS, "") or decides
-            self._report.judgements.append(claim(decides, requirement.id, case))
-            if case not in self._report.claimed:
-                self._report.claimed.append(case)
+            self.add([claim(decides, requirement.id, case)])
 
     def _test_outcome(
         self, item: pytest.Item, excinfo: pytest.ExceptionInfo[BaseException] | None
     ) -> None:
         """Record the outcome of a test on one episode for the requirements in its markers."""
-        from pytest_dura.core.codec import encode
-
-        target, episode = (
-            marked_target(item, ["episode"]),
-            given_to(item, "episode"),
-        )
+        target, episode = marked_target(item, ["episode"]), given_to(item, "episode")
         if target is None or episode is None:
             return
         self._planned(target.case.id, episode.spec.component, target.planned)
@@ -528,10 +502,11 @@ class ItemRecorder:
         for requirement in marked_requirements(self.context, item):
             self._requirement_used(requirement)
             of_case = self.context.runner.requirements_of(target.case)
-            outcome = outcome_of_test(
+            judged, judgement = outcome_of_test(
                 requirement, of_case, target, episode, error=error, failed=failed
             )
-            if outcome.judged.verdict == "violated":
+            if judged.verdict == "violated":
                 self.traces.violated(episode)
-            self._report.outcomes.append(encode(outcome))
-            self._report.judgements.append(_test_judgement(outcome, episode))
+            result = ItemResult(requirement, judged=judged, judgement=judgement)
+            self._decisions.results.append(result)
+            self.add([judgement])

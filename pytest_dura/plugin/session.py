@@ -25,7 +25,7 @@ from pytest_dura.plugin.items import Selection, ShardHooks
 from pytest_dura.plugin.language_models import LanguageModels
 from pytest_dura.plugin.messages import usage_errors
 from pytest_dura.plugin.options import Options, possible_items
-from pytest_dura.plugin.outcomes import ItemJudged, item_results
+from pytest_dura.plugin.outcomes import Decided, ItemJudged, item_results
 from pytest_dura.plugin.property_tests import PropertyTests
 from pytest_dura.plugin.recorder import ItemRecorder
 from pytest_dura.plugin.roles import SessionRoles
@@ -33,7 +33,6 @@ from pytest_dura.plugin.roles import SessionRoles
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream
     from pytest_dura.campaign.runner import Runner
-    from pytest_dura.evidence.episodes import ItemReport
     from pytest_dura.plugin.progress import ProgressHooks, WorkerFile
 
 
@@ -310,20 +309,18 @@ class DuraSession(SessionContext):
         if self.progress is not None:
             events.subscribe(Progress, self.progress.update)
         item_reports.subscribe(self, events)
-        EventHook(self.config, self.recorder.add_problem).subscribe(events)
+        EventHook(self.config, partial(self.recorder.remark, "problem")).subscribe(events)
         return events
 
-    def judge_item(
-        self, item: pytest.Item, report: pytest.TestReport, recorded: ItemReport | None
-    ) -> None:
+    def judge_item(self, item: pytest.Item, report: pytest.TestReport, decided: Decided) -> None:
         """Emit the results of an item that uses the runner.
 
         Args:
             item: The item.
             report: Its report, which is not passed on yet.
-            recorded: What it recorded.
+            decided: What it decided.
         """
-        results = item_results(self, item, recorded)
+        results = item_results(self, item, decided)
         self.events.emit(ItemJudged(item, report, results))
 
     def make_plan(self) -> None:

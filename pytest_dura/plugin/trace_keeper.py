@@ -11,6 +11,7 @@ from pytest_dura.core.errors import describe_error
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EpisodeUsed
     from pytest_dura.core.episode import Episode
+    from pytest_dura.evidence.lines import KeptTrace
     from pytest_dura.library.cases import Case
 
 Reason = Literal["twin", "all", "sample", "missing", "violation"]
@@ -53,8 +54,8 @@ class TraceKeeper:
         self._wanted: set[tuple[str, str, int]] = set()
         self._twins = 0
         self._problem_reported = False
-        self.traces: list[dict[str, Any]] = []
-        """``{id, component, digest, trace}`` of what was written and not yet taken."""
+        self.traces: list[KeptTrace] = []
+        """What was written and not yet taken."""
         self.problems: list[str] = []
         """Why a trace could not be written; only the first reason."""
 
@@ -106,7 +107,7 @@ class TraceKeeper:
         if self._twins < MAX_TWINS and episode.validity != "missing":
             self._twins += self._keep(episode, "twin")
 
-    def take(self) -> tuple[list[dict[str, Any]], list[str]]:
+    def take(self) -> tuple[list[KeptTrace], list[str]]:
         """Return the traces and problems since the last call."""
         taken = self.traces, self.problems
         self.traces, self.problems = [], []
@@ -129,8 +130,10 @@ class TraceKeeper:
         written = self._write(episode, about) if earlier is None else earlier[1]
         self._kept[key] = reason, written
         if written is not None:
-            named = {name: about[name] for name in ("id", "component", "digest")}
-            self.traces.append({**named, "trace": {**written, "kept_for": reason}})
+            from pytest_dura.evidence.lines import KeptTrace
+
+            trace = {**written, "kept_for": reason}
+            self.traces.append(KeptTrace(about["id"], about["component"], about["digest"], trace))
         return earlier is None and written is not None
 
     def _write(self, episode: Episode, about: dict[str, Any]) -> dict[str, Any] | None:

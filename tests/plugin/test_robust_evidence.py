@@ -15,7 +15,7 @@ from outputs import output
 
 from pytest_dura.evidence import DirectoryLock, open_record
 from pytest_dura.evidence.bundle import rendered_files
-from pytest_dura.evidence.episodes import EPISODES_PER_PART
+from pytest_dura.plugin.recorder import MOST_PENDING
 
 WAIT = 60.0
 """Seconds that a session may take to get going on a busy machine."""
@@ -245,7 +245,7 @@ def test_a_record_or_a_folder_that_is_a_link_is_refused(project, name):
 
 @pytest.mark.parametrize("arguments", [["-p", "no:xdist"], ["-n", "1"]], ids=["plain", "n1"])
 def test_all_of_a_great_many_episodes_of_one_item_arrive(project, arguments):
-    scenario(project, runs=EPISODES_PER_PART * 2 + 3, requirements="[GAP-1]")
+    scenario(project, runs=MOST_PENDING * 2 + 3, requirements="[GAP-1]")
     project.run("corridor/it", *arguments)
     record = project.evidence()
     assert [one.spec.run for one in record.episodes] == list(range(131))

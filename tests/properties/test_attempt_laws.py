@@ -10,14 +10,15 @@ from typing import Literal
 
 import pytest
 from entries import make
+from item_lines import report
 from session_records import HEADER
 
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence import RecordBuilder
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.evidence.lines import Line
 from pytest_dura.requirements.episode_verdicts import CheckVerdict
 from pytest_dura.requirements.judgements import Assertion, Judgement, RunJudgement
 
@@ -57,27 +58,26 @@ def asked(kind: str, word: Word) -> Judgement:
     return replace(judgement, kind="test", check="", assertion=assertion)
 
 
-def reports(kind: str, tried: Sequence[Word], item: str) -> Iterator[ItemReport]:
+def reports(kind: str, tried: Sequence[Word], item: str) -> Iterator[list[Line]]:
     """What the attempts at an item report, in their order."""
     for number, word in enumerate(tried, 1):
-        about = {
-            "item": item,
-            "recorded_as": ITEMS[0],
-            "attempt": number,
-            "retried": number > 1 and word == "satisfied",
-            "cases": [CASE],
-            "episodes": [copy.deepcopy(EPISODE)],
-            "judgements": [encode(asked(kind, word))],
-        }
-        yield ItemReport.from_json(about)
+        yield report(
+            item,
+            ITEMS[0],
+            number,
+            retried=number > 1 and word == "satisfied",
+            cases=[CASE],
+            episodes=[copy.deepcopy(EPISODE)],
+            judgements=[encode(asked(kind, word))],
+        )
 
 
 def recorded(kind: str, tries: Sequence[tuple[str, Sequence[Word]]]) -> ItemVerdict:
     """The one verdict of a session in which the items were tried in this order."""
     builder = RecordBuilder(HEADER)
     for item, tried in tries:
-        for report in reports(kind, tried, item):
-            builder.add(report)
+        for lines in reports(kind, tried, item):
+            builder.add(lines)
         if tried[-1] != "satisfied":
             builder.fail(item)
     (verdict,) = builder.record("complete").head.verdicts

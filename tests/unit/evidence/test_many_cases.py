@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from conclusions import concluded
 from entries import make
+from item_lines import expected
 from session_records import HEADER, session_record
 
 from pytest_dura.core.codec import encode
@@ -74,7 +75,7 @@ def gathered(number: int) -> RecordBuilder:
     made = RecordBuilder(HEADER)
     for one in range(number):
         name = f"t.py::test_{one}" if one % 4 == 0 else f"a/b+f{one}::R"
-        made.expect(name, requirement(), case(one, UNKNOWN_COMPONENT))
+        made.add(expected(name, requirement(), case(one, UNKNOWN_COMPONENT)))
         if one % 2:
             made.waive(f"{name}[x]", "xfail", "known")
     return made

@@ -4,15 +4,16 @@ import copy
 
 from conclusions import concluded
 from entries import make
+from item_lines import expected, report
 from session_records import HEADER
 
 from pytest_dura.core.codec import decode, encode
 from pytest_dura.evidence import UNKNOWN_COMPONENT, CaseMetrics, Cases, RecordBuilder
 from pytest_dura.evidence.case_model import CaseEntry, CasePlan
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.evidence.episodes import ItemReport
 from pytest_dura.evidence.gather import claim
 from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.evidence.lines import KeptTrace
 from pytest_dura.evidence.session_model import ComponentEntry
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
@@ -75,10 +76,6 @@ def campaign(count=1, **changes):
 def own_check(*words, **changes):
     """A question with a check of the item's own, of which each run comes to one of these words."""
     return judgement("campaign", [looked_up(*told) for told in enumerate(words)], **changes)
-
-
-def report(item="a/b::R", **parts):
-    return ItemReport.from_json({"item": item, **parts})
 
 
 def looked_at(word, run=0, planned=2):
@@ -165,7 +162,7 @@ def test_of_several_attempts_a_violation_counts_and_all_are_kept():
 
 def test_an_expected_item_that_never_reports_is_undecided():
     made = record()
-    made.expect("a/b::R", REQUIREMENT, case(planned=3))
+    made.add(expected("a/b::R", REQUIREMENT, case(planned=3)))
     told = evidence(made)
     (found,) = told["verdicts"]
     assert (found["verdict"], found["planned"], found["run"]) == ("undecided", 3, 0)
@@ -175,10 +172,10 @@ def test_an_expected_item_that_never_reports_is_undecided():
 
 def test_an_expected_item_takes_the_components_name_when_it_is_known():
     made = record()
-    made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN_COMPONENT))
+    made.add(expected("a/b::R", REQUIREMENT, case(component=UNKNOWN_COMPONENT)))
     assert evidence(made, "running")["verdicts"][0]["component"] == UNKNOWN_COMPONENT
     made = record()
-    made.expect("a/b::R", REQUIREMENT, case(component=UNKNOWN_COMPONENT))
+    made.add(expected("a/b::R", REQUIREMENT, case(component=UNKNOWN_COMPONENT)))
     made.add(report("other", components=[make(ComponentEntry, name="C").to_json()]))
     assert evidence(made)["verdicts"][0]["component"] == "C"
 
@@ -268,7 +265,7 @@ def test_what_a_test_was_to_decide_and_did_not_is_undecided():
 
 def test_an_item_that_never_ran_does_not_deny_that_episodes_of_its_case_did():
     made = record()
-    made.expect("a/b::R", REQUIREMENT, case())
+    made.add(expected("a/b::R", REQUIREMENT, case()))
     (before,) = evidence(made)["verdicts"]
     assert "only 0 of" in before["reason"]
     made.add(report(cases=[case()], episodes=[episode(0)]))
@@ -396,7 +393,7 @@ def missing(made):
 
 def test_planned_runs_that_never_reported_are_listed():
     made = record()
-    made.expect("a/b::R", REQUIREMENT, case(planned=150))
+    made.add(expected("a/b::R", REQUIREMENT, case(planned=150)))
     assert missing(made) == (list(range(100)), 150)
     by_hand = episode(2) | {"planned": False}
     made.add(report("t.py::f", cases=[case()], episodes=[episode(1), by_hand]))
@@ -431,7 +428,7 @@ def test_traces_are_attached_to_their_episodes():
     made = record()
     made.add(report(cases=[case()], episodes=[episode(0), episode(1, digest="e")]))
     trace = {"file": "episodes/x.mcap", "sha256": "0" * 64, "bytes": 1, "kept_for": "all"}
-    made.add_traces([{"id": "a/b#1", "component": "C", "digest": "e" * 64, "trace": trace}])
+    made.add([KeptTrace("a/b#1", "C", "e" * 64, trace)])
     assert [one.get("trace") for one in evidence(made)["episodes"]] == [None, trace]
 
 

@@ -6,9 +6,10 @@ import json
 
 import pytest
 from entries import make
+from item_lines import report
 from searches import ITEM, entry, falsification, told
 from session_records import HEADER, session_data, verdict
-from test_record import case, report
+from test_record import case
 
 from pytest_dura.core.codec import decode, encode
 from pytest_dura.evidence import (

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 import pytest
 from entries import make
 
 from pytest_dura import ConfigurationError
-from pytest_dura.core.codec import encode
 from pytest_dura.core.metrics import FaultRecord
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.episodes import EpisodeSpool
+from pytest_dura.evidence.lines import FaultTrace, KeptTrace
 
 DIGEST = "d" * 64
 TRACE = make(TraceEntry, file="episodes/x.mcap").to_json()
 
 
-UNTRACED = encode(FaultRecord("f", "lidar").traced())
+TOLERATED = FaultRecord("f", "lidar").traced(outcome="tolerated")
 
 
 def episode(run=0, case="a/b", component="C", seed=None, faults=(), **changes):
@@ -56,10 +57,9 @@ def test_the_first_of_equal_inputs_stays_and_planned_holds_once_it_was_true():
 
 def test_chains_are_told_of_planned_episodes_whichever_comes_first():
     spool = EpisodeSpool()
-    told = {**UNTRACED, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
-    spool.add_chain({**told, "id": "f"})
-    spool.add_chain({**told, "id": "f", "outcome": "violated"})
-    spool.add_chain({**told, "id": "f", "component": "D"})
+    spool.add_chain(FaultTrace("C", "a/b#0", TOLERATED))
+    spool.add_chain(FaultTrace("C", "a/b#0", replace(TOLERATED, outcome="violated")))
+    spool.add_chain(FaultTrace("D", "a/b#0", TOLERATED))
     spool.add(episode(faults=("f", "g"), digest="d" * 64))
     spool.add(episode(faults=("f",), digest="e" * 64, seed=7, planned=False))
     planned, by_hand = spool
@@ -69,8 +69,7 @@ def test_chains_are_told_of_planned_episodes_whichever_comes_first():
 
 def test_a_trace_belongs_to_one_digest_and_may_be_told_before_the_episode():
     spool = EpisodeSpool()
-    told = {"id": "a/b#0", "component": "C", "digest": DIGEST, "trace": TRACE}
-    spool.add_trace(told)
+    spool.add_trace(KeptTrace("a/b#0", "C", DIGEST, TRACE))
     spool.add(episode(digest="d" * 64))
     spool.add(episode(digest="e" * 64, seed=7))
     assert [one.trace for one in spool] == [TraceEntry(**TRACE), None]
@@ -83,7 +82,7 @@ def test_of_what_workers_tell_of_a_trace_the_violation_stays_whoever_tells_it_fi
         spool.add(episode(digest="d" * 64))
         for reason in order:
             trace = TRACE | {"kept_for": reason}
-            spool.add_trace({"id": "a/b#0", "component": "C", "digest": DIGEST, "trace": trace})
+            spool.add_trace(KeptTrace("a/b#0", "C", DIGEST, trace))
         assert [one.trace.kept_for for one in spool] == ["violation"]
 
 
@@ -104,11 +103,10 @@ def test_what_is_added_after_a_reading_is_in_the_next():
     spool = EpisodeSpool()
     spool.add(episode(faults=("f",)))
     assert [(each.trace, each.faults[0].outcome) for each in spool] == [(None, None)]
-    spool.add_trace({"id": "a/b#0", "component": "C", "digest": DIGEST, "trace": TRACE})
+    spool.add_trace(KeptTrace("a/b#0", "C", DIGEST, TRACE))
     assert [each.trace for each in spool] == [TraceEntry(**TRACE)]
-    chain = {**UNTRACED, "outcome": "tolerated", "component": "C", "episode": "a/b#0"}
     reading = iter(spool)
-    spool.add_chain({**chain, "id": "f"})
+    spool.add_chain(FaultTrace("C", "a/b#0", TOLERATED))
     list(reading)
     assert [each.faults[0].outcome for each in spool] == ["tolerated"]
 
