@@ -14,11 +14,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from pydantic import ValidationError
-
+from pytest_dura.core.codec import decode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.files import temporary_prefix
-from pytest_dura.core.mismatches import Mismatch
+from pytest_dura.core.mismatches import Mismatch, MismatchError
 from pytest_dura.core.registry import Registry
 from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -291,17 +290,17 @@ def open_record(
         data = _read_record(file, key)
         try:
             return SessionRecord.of(data, file.parent)
-        except ValidationError:
+        except MismatchError:
             raise DamagedRecordError(file, check_record(data)) from None
 
     def episodes() -> Iterator[EpisodeEntry]:
-        return map(EpisodeEntry.model_validate, streamed.episodes())
+        return (decode(EpisodeEntry, each) for each in streamed.episodes())
 
     try:
-        head = RecordHead.model_validate(streamed.head)
+        head = decode(RecordHead, streamed.head)
         for _ in episodes():
             pass
-    except ValidationError:
+    except MismatchError:
         raise DamagedRecordError(file, check_parts(streamed.head, streamed.episodes())) from None
     return SessionRecord(head, file.parent, episodes)
 

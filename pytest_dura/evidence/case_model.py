@@ -4,20 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
-
+from pytest_dura.core.codec import Amount, Count, Limit, Number, Positive, Sha256, Share
 from pytest_dura.core.fault import Fault
-from pytest_dura.evidence.entry import (
-    Absent,
-    Amount,
-    Coded,
-    Count,
-    Entry,
-    Number,
-    Positive,
-    Sha256,
-    Share,
-)
+from pytest_dura.evidence.entry import Absent, Entry
 
 
 class RangeEntry(Entry):
@@ -34,19 +23,11 @@ class RangeEntry(Entry):
 class ChoicesEntry(Entry):
     """Values, each as likely as the others."""
 
-    choice: Annotated[list[Any], Field(min_length=1)]
+    choice: Annotated[list[Any], Limit(min_items=1)]
     """The values."""
 
 
-def _form_of_variation(value: Any) -> str:
-    chosen = isinstance(value, dict) and "choice" in value
-    return "choice" if chosen or isinstance(value, ChoicesEntry) else "range"
-
-
-Variation = Annotated[
-    Annotated[RangeEntry, Tag("range")] | Annotated[ChoicesEntry, Tag("choice")],
-    Discriminator(_form_of_variation),
-]
+Variation = RangeEntry | ChoicesEntry
 
 
 class ShareEntry(Entry):
@@ -218,15 +199,7 @@ class Percentiles(Entry):
     """Greatest, in s."""
 
 
-def _form_of_measure(value: Any) -> str:
-    has_numbers = isinstance(value, dict) and not {"mean", "sd"}.isdisjoint(value)
-    return "numbers" if has_numbers or isinstance(value, MeasuredNumbers) else "share"
-
-
-Measured = Annotated[
-    Annotated[ShareEntry, Tag("share")] | Annotated[MeasuredNumbers, Tag("numbers")],
-    Discriminator(_form_of_measure),
-]
+Measured = ShareEntry | MeasuredNumbers
 
 
 class CaseMetricsEntry(Entry):
@@ -333,7 +306,7 @@ class CasePlan(Entry):
     own, then `~` and a role that is switched off."""
     scenario: str
     """Name of the scenario."""
-    faults: list[Coded[Fault]]
+    faults: list[Fault]
     """The planned faults, before what varies is drawn."""
     component: str
     """Name of the component under test."""
@@ -445,7 +418,7 @@ class PairEntry(Entry):
     """Draws of both: seeds of valid planned episodes."""
     met: Count
     """Cells with any draw."""
-    counts: Annotated[list[Annotated[list[Count], Field(min_length=1)]], Field(min_length=1)]
+    counts: Annotated[list[Annotated[list[Count], Limit(min_items=1)]], Limit(min_items=1)]
     """Draws by cell: a row for each part of the first parameter, in it a number for each part of
     the second. Parts are fifths of a range, or single choices."""
     covered: Share

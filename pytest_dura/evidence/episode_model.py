@@ -4,28 +4,19 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
-
+from pytest_dura.core.codec import Amount, Count, Limit, Number, Positive, Sha256
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.loop_signals import Switching
 from pytest_dura.core.metrics import EpisodeMetrics, TracedFault
 from pytest_dura.core.state import Event
-from pytest_dura.evidence.entry import (
-    Amount,
-    Coded,
-    Count,
-    Entry,
-    Number,
-    Positive,
-    Sha256,
-)
+from pytest_dura.evidence.entry import Entry
 from pytest_dura.requirements.episode_verdicts import CheckVerdict
 
 
 class TraceEntry(Entry):
     """The file of an episode's trace."""
 
-    file: Annotated[str, Field(pattern=r"^episodes/[^/\\]+\.mcap$")]
+    file: Annotated[str, Limit(pattern=r"^episodes/[^/\\]+\.mcap$")]
     """Its path in the bundle."""
     sha256: Sha256
     """SHA-256 of the file."""
@@ -58,7 +49,7 @@ class OutcomeEntry(Entry):
     """Stretches in which recovery acted."""
     alerts: Count
     """Alerts."""
-    switching: Coded[Switching]
+    switching: Switching
     """Who was in control."""
 
 
@@ -107,16 +98,16 @@ class EpisodeEntry(Entry):
     """Its trace in the bundle; null where none was kept."""
     outcome: OutcomeEntry
     """The figures of the case table."""
-    metrics: Coded[EpisodeMetrics]
+    metrics: EpisodeMetrics
     """What the loop measured."""
-    faults: list[Coded[TracedFault]]
+    faults: list[TracedFault]
     """What came of each planned fault."""
-    verdicts: dict[str, Coded[CheckVerdict]]
+    verdicts: dict[str, CheckVerdict]
     """What the requirements that its case declares say of it, by id; none on a requirement without
     a check, and on one whose check cannot be judged on it."""
-    events: list[Coded[Event]]
+    events: list[Event]
     """In the order in which they happened."""
     timings: EpisodeTimings
     """Where the time went."""
-    spec: Coded[EpisodeSpec]
+    spec: EpisodeSpec
     """All that determines it."""

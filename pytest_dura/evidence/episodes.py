@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pytest_dura.core.codec import encode, fields_as_data
+from pytest_dura.core.codec import decode, encode, fields_as_data
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.loop_signals import switching
@@ -232,7 +232,7 @@ class EpisodeSpool:
                     episode["trace"] = _unpacked(trace)
                 traced = bool(planned and episode["faults"])
                 chains = self._chains_of(*key) if traced else {}
-                yield EpisodeEntry.model_validate(with_chains(episode, chains))
+                yield decode(EpisodeEntry, with_chains(episode, chains))
 
     def _chains_of(self, component: bytes, name: bytes) -> dict[str, JsonObject]:
         """How far the faults of the planned episode of this name got, by fault id."""

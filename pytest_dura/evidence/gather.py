@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -65,7 +65,9 @@ def _components_json(components: Iterable[UsedComponent]) -> JsonObject:
     """Convert to the first one by name, with all ``others`` and the ``sources`` of all."""
     ordered = sorted(components, key=lambda each: (each.description["name"], _described(each)))
     known = [each.description for each in ordered]
-    first: JsonObject = dict(known[0]) if known else {"name": None, "version": None}
+    first: JsonObject = (
+        dict(known[0]) if known else dict.fromkeys(("name", "distribution", "version", "digest"))
+    )
     if len(known) > 1:
         first["others"] = known[1:]
     sources = {each.description["digest"]: each.sources for each in ordered if each.sources}
@@ -89,6 +91,8 @@ def _models_json(models: Iterable[UsedModel]) -> list[JsonObject]:
         counts = {name: sum(each.get(name, 0) for each in reports.values()) for name in _COUNTS}
         maps = {name: _summed(each.get(name, {}) for each in reports.values())
                 for name in (*_TOKENS, "unavailable")}  # fmt: skip
+        for name in _TOKENS:
+            maps[name] = {"prompt": 0, "completion": 0, "uncounted": 0, **maps[name]}
         summed.append({**reports[min(reports)], **counts, **maps, "cassette": None})
     return summed
 
@@ -145,7 +149,7 @@ kinds equal lines are one."""
 
 
 SCHEMA_VERSION = "4"
-_REPEAT_KEYS = set(RepeatEntry.model_fields)
+_REPEAT_KEYS = {each.name for each in fields(RepeatEntry)}
 _UNCONCLUDED: JsonObject = {
     "overall": [],
     "effectiveness": [],
@@ -310,7 +314,7 @@ class RecordBuilder:
         repeats = {(each.case, each.component): each for each in self._all(RepeatedCase)}
         failed = {"failed_items": sorted(self._failed)} if self._failed else {}
         hazards = sorted(self._all(Hazard), key=attrgetter("id"))
-        return RecordHead.model_validate(
+        return RecordHead.from_data(
             {
                 **_UNCONCLUDED,
                 **self.header,

@@ -14,12 +14,12 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from pytest_dura.core.codec import decode
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.core.metrics import TracedFault
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.conclusions.verdicts import test_function
-from pytest_dura.evidence.entry import Entry, JsonObject, plain_data
+from pytest_dura.evidence.entry import JsonObject
 from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
@@ -136,17 +136,11 @@ def unpack_lines(text: str) -> list[Line]:
 
 def _plain(lines: Iterable[Line], redact: Callable[[Any], Any]) -> list[Any]:
     known = list(lines)
-    data = [plain_data(line) for line in known]
-    return [[type(line).__name__ for line in known], redact(data)]
+    return [[type(line).__name__ for line in known], redact(list(map(encode, known)))]
 
 
 def _read(plain: Sequence[Sequence[Any]]) -> list[Line]:
-    lines: list[Line] = []
-    for name, data in zip(*plain, strict=True):
-        kind = _KINDS[name]
-        is_model = issubclass(kind, Entry)
-        lines.append(kind.model_validate(data) if is_model else decode(kind, data))
-    return lines
+    return [decode(_KINDS[name], data) for name, data in zip(*plain, strict=True)]
 
 
 def asked_by(line: Line, item: str, recorded_as: str = "", attempt: int = 1) -> Line:

@@ -42,14 +42,14 @@ def _read_looks(file: Path) -> list[LookEntry]:
 
 def _looks_of(head: Mapping[str, Any]) -> Iterator[LookEntry]:
     """Yield the looks of a recorded session, those that it knows of first."""
-    yield from map(LookEntry.model_validate, head.get("looks", ()))
+    yield from map(LookEntry.from_data, head.get("looks", ()))
     first = head["component_under_test"]
     components = (first, *(first.get("others") or ()))
     identities = {component["name"]: _identity(component) for component in components}
     counts = ("requirement", "case", "component", "check", "planned", "episodes", "violations")
     for verdict in head["verdicts"]:
         if verdict["bound"]["at_most"] is not None and verdict["run"]:
-            yield LookEntry.model_validate(
+            yield LookEntry.from_data(
                 {key: head[key] for key in ("created", "base_seed")}
                 | {key: verdict[key] for key in counts}
                 | {"identity": identities.get(verdict["component"], "")}

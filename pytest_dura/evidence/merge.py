@@ -132,8 +132,8 @@ def _lines_of(head: RecordHead, components: Iterable[Component], process: str) -
             yield UsedComponent(about, sources.get(component.digest or "", {}))
     for case in head.cases:
         plan = case.to_json(include=PLANNED_KEYS)
-        yield CasePlan.model_validate(plan)
-        yield ClaimedCase.model_validate(plan)
+        yield CasePlan.from_data(plan)
+        yield ClaimedCase.from_data(plan)
         if case.repeat is not None:
             repeat = case.repeat.to_json()
             yield RepeatedCase(**repeat, case=case.id, component=case.component)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 from pytest_dura.core import codec
+from pytest_dura.core.codec import Count, Positive
 from pytest_dura.core.display import Shown
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import CaseEntry, CoverageEntry, OverallEntry
-from pytest_dura.evidence.entry import Absent, Coded, Count, Entry, JsonObject, Positive
+from pytest_dura.evidence.entry import Absent, Entry, JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import Gate
 from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
@@ -101,7 +102,7 @@ class Totals(Entry):
     """Verdicts that a waiver excuses."""
 
 
-COUNTED = tuple(name for name in Totals.model_fields if name != "gate")
+COUNTED = tuple(each.name for each in fields(Totals) if each.name != "gate")
 """Names of the counts."""
 
 
@@ -155,29 +156,29 @@ class RecordHead(Entry):
     """Price of a million tokens of language models; absent where nobody stated one."""
     models: list[LanguageModelEntry]
     """The language models that components asked; empty if none did."""
-    measures: list[Coded[MeasureInfo]]
+    measures: list[MeasureInfo]
     """The figures that simulators declare for their episodes, in the order of tables."""
-    hazards: Absent[list[Coded[Hazard]]] = None
+    hazards: Absent[list[Hazard]] = None
     """Sorted by id: those of the user's files, and of the built-in ones those that a requirement of
     the session mitigates. Absent where there are none."""
-    requirements: list[Coded[Requirement]]
+    requirements: list[Requirement]
     """Sorted by id."""
     cases: list[CaseEntry]
     """Sorted by id and component."""
-    judgements: list[Coded[Judgement]]
+    judgements: list[Judgement]
     """What items asked, from which the verdicts follow; sorted by item, requirement and case."""
     failed_items: Absent[list[str]] = None
     """Node ids of the test items that failed in the end, sorted; absent where none did."""
-    waivers: dict[str, Coded[Waiver]]
+    waivers: dict[str, Waiver]
     """What excuses failures, by the node id of the item."""
-    doubts: list[Coded[Doubt]]
+    doubts: list[Doubt]
     """Cases whose episodes cannot be trusted."""
-    verdicts: list[Coded[ItemVerdict]]
+    verdicts: list[ItemVerdict]
     """Sorted by case and requirement."""
-    searches: list[Coded[RecordedSearch]]
+    searches: list[RecordedSearch]
     """What searches for violations came to (`campaign.falsify`). None of it is part of a verdict or
     of a rate."""
-    monitors: list[Coded[MonitorQuality]]
+    monitors: list[MonitorQuality]
     """Quality of the monitors."""
     overall: list[OverallEntry]
     """What the planned episodes of all cases come to, one entry for each component; cases in which
@@ -185,20 +186,20 @@ class RecordHead(Entry):
     effectiveness: list[EffectivenessEntry]
     """What the runs show of recovery and monitors by themselves, also that they cannot show it; no
     verdict."""
-    baseline: Coded[ComparedBaseline] | None
+    baseline: ComparedBaseline | None
     """What the session was compared with; null without."""
     looks: Absent[list[LookEntry]] = None
     """Earlier verdicts on rates, of the evidence that this session replaced and of the baseline: a
     bound holds with its confidence for one look. Absent where there are none."""
     finished: str | None
     """When it ended, in ISO 8601; null as long as it runs."""
-    gate: Coded[Gate]
+    gate: Gate
     """Whether the session passed. It fails closed."""
     inputs: list[InputEntry]
     """The files that the session was run from."""
     coverage: CoverageEntry
     """What was tried of what there is."""
-    conclusions: dict[str, Coded[ConcludedTable]]
+    conclusions: dict[str, ConcludedTable]
     """Further tables, of this package or of others, by name."""
     timings: SessionTimings
     """Where the session's time went."""
@@ -270,11 +271,11 @@ class SessionRecord(Shown):
         """Make a record of plain data that is in memory as a whole.
 
         Raises:
-            ValidationError: If it does not agree with the models.
+            MismatchError: If it does not agree with the entries.
         """
         head = {key: value for key, value in record.items() if key != "episodes"}
-        whole = WholeRecord.model_validate({**head, "episodes": record.get("episodes")})
-        return cls(RecordHead.model_validate(head), directory, whole.episodes.__iter__)
+        whole = codec.decode(WholeRecord, dict(record))
+        return cls(codec.decode(RecordHead, head), directory, whole.episodes.__iter__)
 
     def changed(self, **changes: Any) -> SessionRecord:
         """Copy with other values of top-level keys, as plain data or entries."""

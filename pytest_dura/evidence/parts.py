@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path, PurePosixPath
@@ -29,7 +29,7 @@ from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.verify import verify_bundle
 from pytest_dura.provenance import describe_tool
 
-PLANNED_KEYS = set(CasePlan.model_fields)
+PLANNED_KEYS = {each.name for each in fields(CasePlan)}
 """Keys of a case that are known before it is run."""
 KEYS_OF_ALL_COMPONENTS = {"others", "sources"}
 """Keys of the first component about all of them."""
@@ -77,7 +77,7 @@ class Part:
         own |= {"gate": head.gate.result, "exit_code": head.gate.exit_code, "record": self.sha256}
         own |= head.timings.to_json(include={"wall_seconds", "evidence_seconds"})
         own["units"] = None if shard is None else len(shard.holds)
-        return [MergedShard.model_validate(own)]
+        return [MergedShard.from_data(own)]
 
     @property
     def names(self) -> frozenset[str]:
@@ -244,7 +244,7 @@ def _unlike(
 
 
 def _check_version(part: Part) -> None:
-    ours, theirs = ToolEntry.model_validate(describe_tool()), part.head.tool
+    ours, theirs = ToolEntry.from_data(describe_tool()), part.head.tool
     if theirs != ours:
         other_code = theirs.version == ours.version
         what = "other code of pytest-dura of the same version" if other_code else "another version"

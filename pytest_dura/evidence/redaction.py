@@ -22,7 +22,6 @@ from typing import Any
 from urllib.parse import quote, quote_plus, unquote, urlsplit
 
 from pytest_dura.core.codec import encode
-from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.text import html
 
 _SHORTEST_SECRET = 8
@@ -510,8 +509,6 @@ def _texts(value: Any) -> Iterator[str]:
         elif kind is dict:
             pending.extend(element)
             pending.extend(element.values())
-        elif isinstance(element, Entry):
-            pending.append(element.to_json())
         elif is_dataclass(element):
             pending.append(encode(element))
         elif isinstance(element, Mapping):

@@ -8,33 +8,25 @@ from __future__ import annotations
 
 import ast
 import json
-import math
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
 from functools import cache
 from inspect import cleandoc, getsource
-from itertools import islice, pairwise
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from pydantic import ValidationError
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
-from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
-
-from pytest_dura.core.codec import defaults_of, fields_of, shape_of
+from pytest_dura.core.codec import decode, defaults_of, fields_of, shape_of
 from pytest_dura.core.mismatches import (
     MAX_MISMATCHES,
     Mismatch,
     MismatchError,
-    key_list,
     kind_of,
-    pointer,
-    shown,
 )
-from pytest_dura.evidence.entry import CODED, Entry, JsonObject
+from pytest_dura.evidence.entry import Entry, JsonObject
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.model import WholeRecord
 
@@ -74,7 +66,7 @@ def check_record(record: Any) -> list[Mismatch]:
         return [Mismatch("/", kind_of(record), "object")]
     episodes = record.get("episodes")
     if not isinstance(episodes, list):
-        return list(islice(_mismatches(WholeRecord, record, record_schema(), ""), MAX_MISMATCHES))
+        return _mismatches(WholeRecord, dict(record))
     head = {key: value for key, value in record.items() if key != "episodes"}
     return check_parts(head, episodes)
 
@@ -86,149 +78,35 @@ def check_parts(head: Mapping[str, Any], episodes: Iterable[Any]) -> list[Mismat
         head: Every top-level key but ``episodes``.
         episodes: The episodes, as plain data.
     """
-    return list(islice(_mismatches_of_parts(head, episodes), MAX_MISMATCHES))
-
-
-def _mismatches_of_parts(head: Mapping[str, Any], episodes: Iterable[Any]) -> Iterator[Mismatch]:
-    yield from _mismatches(WholeRecord, {**head, "episodes": []}, record_schema(), "")
-    schema = record_schema()["$defs"]["episode"]
+    mismatches = _mismatches(WholeRecord, {**head, "episodes": []})
     for number, episode in enumerate(episodes):
-        yield from _mismatches(EpisodeEntry, episode, schema, f"/episodes/{number}")
-
-
-_WRONG_KEYS = {"missing": "missing key", "extra_forbidden": "unknown key"}
-
-
-def _mismatches(
-    model: type[Entry], data: Any, schema: JsonObject, prefix: str
-) -> Iterable[Mismatch]:
-    try:
-        model.model_validate(data)
-    except ValidationError as error:
-        problems: dict[Mismatch, list[str]] = {}
-        for entry in error.errors(include_url=False, include_input=False):
-            wrong_key = _WRONG_KEYS.get(entry["type"])
-            location = entry["loc"][:-1] if wrong_key else entry["loc"]
-            path, node, value = _place(location, schema, data)
-            refused = entry.get("ctx", {}).get("error")
-            if isinstance(refused, MismatchError):  # by the codec, from the place on
-                for mismatch in refused.mismatches:
-                    place = f"{_below(prefix, path)}{mismatch.pointer}".rstrip("/")
-                    problems.setdefault(mismatch._replace(pointer=place), [])
-                continue
-            what = (wrong_key,) if wrong_key else _why(node, value) or (entry["msg"],)
-            keys = problems.setdefault(Mismatch(_below(prefix, path), *what), [])
-            keys += [str(entry["loc"][-1])] if wrong_key else []
-        return [
-            mismatch._replace(found=f"{mismatch.found} {key_list(keys)}".rstrip())
-            for mismatch, keys in problems.items()
+        if len(mismatches) >= MAX_MISMATCHES:
+            break
+        mismatches += [
+            each._replace(pointer=f"/episodes/{number}{each.pointer}".rstrip("/"))
+            for each in _mismatches(EpisodeEntry, episode)
         ]
-    return ()
+    return mismatches[:MAX_MISMATCHES]
 
 
-def _below(prefix: str, path: Sequence[str | int]) -> str:
-    return prefix + (pointer(path) if path else "") or "/"
-
-
-def _place(
-    location: Iterable[str | int], node: JsonObject, value: Any
-) -> tuple[list[str | int], JsonObject, Any]:
-    """Follow the location of an error through the data and the schema."""
-    path: list[str | int] = []
-    for part in location:
-        node = _chosen(node, value)
-        if isinstance(value, dict) and part in value:
-            node = node.get("properties", {}).get(part, node.get("additionalProperties", {}))
-        elif isinstance(value, list) and isinstance(part, int):
-            node = node.get("items", {})
-        else:
-            continue  # the name of an alternative
-        path.append(part)
-        value, node = value[part], node if isinstance(node, dict) else {}
-    return path, _chosen(node, value), value
-
-
-def _chosen(node: JsonObject, value: Any) -> JsonObject:
-    """Resolve a reference, and select the alternative that was probably meant."""
-    if "$ref" in node:
-        return _chosen(record_schema()["$defs"][node["$ref"].rpartition("/")[2]], value)
-    if "anyOf" not in node:
-        return node
-    kinds = [_chosen(alternative, value) for alternative in node["anyOf"]]
-    keys = set(value) if isinstance(value, dict) else set()
-    best = max(kinds, key=lambda kind: len(keys.intersection(kind.get("properties", ()))))
-    names = [name for kind in kinds for name in _listed(kind.get("type", []))]
-    return best if keys.intersection(best.get("properties", ())) else {**best, "type": names}
-
-
-_LIMITS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
-    "enum": ("", lambda value, expected: value in expected),
-    "const": ("", lambda value, expected: value == expected),
-    "pattern": ("a text like ", lambda value, expected: bool(re.search(expected, value))),
-    "minimum": ("at least ", lambda value, expected: value >= expected),
-    "maximum": ("at most ", lambda value, expected: value <= expected),
-    "exclusiveMinimum": ("above ", lambda value, expected: value > expected),
-    "exclusiveMaximum": ("below ", lambda value, expected: value < expected),
-    "minItems": ("entries, at least ", lambda value, expected: len(value) >= expected),
-}
-
-
-def _why(node: JsonObject, value: Any) -> tuple[str, str] | None:
-    """Describe a value and what the schema expects instead; ``None`` if it accepts the value."""
-    types = _listed(node.get("type", []))
-    if types and not any(_is_of(value, name) for name in types):
-        return kind_of(value), " or ".join(dict.fromkeys(types))
-    for keyword, (words, accepts) in _LIMITS.items():
-        if keyword in node and value is not None and not accepts(value, node[keyword]):
-            expected = " or ".join(map(shown, _listed(node[keyword])))
-            return shown(value), f"{words}{expected}"
-    return None
-
-
-def _listed(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else [value]
-
-
-def _is_of(value: Any, name: str) -> bool:
-    if name == "number" and isinstance(value, float):
-        return math.isfinite(value)
-    return kind_of(value) in {"boolean": ("true", "false"), "number": ("integer",)}.get(
-        name, (name,)
-    )
-
-
-class _Generator(GenerateJsonSchema):
-    """Writes a nullable type as a list of types, and no defaults, which stand for absent keys."""
-
-    def nullable_schema(self, schema: NullableSchema) -> JsonSchemaValue:
-        inner = self.generate_inner(schema["schema"])
-        if "type" not in inner:
-            return {"anyOf": [inner, {"type": "null"}]}
-        choices = {"enum": [*inner["enum"], None]} if "enum" in inner else {}
-        return {**inner, "type": [*_listed(inner["type"]), "null"], **choices}
-
-    def default_schema(self, schema: WithDefaultSchema) -> JsonSchemaValue:
-        return self.generate_inner(schema["schema"])
+def _mismatches(kind: type[Entry], data: Any) -> list[Mismatch]:
+    try:
+        decode(kind, data)
+    except MismatchError as error:
+        return list(error.mismatches)
+    return []
 
 
 def generate_schema() -> JsonObject:
-    """Generate the JSON Schema of the record from its models."""
-    made = WholeRecord.model_json_schema(schema_generator=_Generator)
-    models = {model.__name__: model for model in _subclasses(Entry)}
-    coded = _class_definitions(_coded_classes(made))
-    definitions = {
-        _definition_name(name): _described(definition, models[name])
-        for name, definition in made.pop("$defs").items()
-    }
-    twice = coded.keys() & definitions.keys()
-    if twice:
-        raise TypeError(f"two classes of the record have one name: {', '.join(sorted(twice))}")
+    """Generate the JSON Schema of the record from its entries."""
+    definitions = _class_definitions([WholeRecord])
+    whole = definitions.pop(_definition_name(WholeRecord.__name__))
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "urn:pytest-dura:evidence:1",
         "title": "Evidence record of pytest-dura",
-        **_described(made, WholeRecord),
-        "$defs": dict(sorted({**definitions, **coded}.items())),
+        **whole,
+        "$defs": dict(sorted(definitions.items())),
     }
 
 
@@ -239,18 +117,14 @@ def json_schema(type_: Any) -> JsonObject:
 
 
 def recorded_classes() -> tuple[type, ...]:
-    """List the dataclasses of the record, those inside others apart."""
-    made = WholeRecord.model_json_schema(schema_generator=_Generator)
-    return tuple(dict.fromkeys(_coded_classes(made)))
-
-
-def _coded_classes(part: Any) -> Iterator[type]:
-    """Yield the dataclasses that stand in the schema of the models."""
-    if isinstance(part, dict) and CODED in part:
-        yield part[CODED]
-    elif isinstance(part, (dict, list)):
-        for each in part.values() if isinstance(part, dict) else part:
-            yield from _coded_classes(each)
+    """List the dataclasses of the record, which is itself none of them."""
+    known: dict[type, None] = {}
+    pending: list[type] = [WholeRecord]
+    while pending:
+        inner = [each for shape in fields_of(pending.pop()).values() for each in shape.classes]
+        pending += [each for each in inner if each not in known]
+        known.update(dict.fromkeys(inner))
+    return tuple(known)
 
 
 def _class_definitions(classes: Iterable[type]) -> dict[str, JsonObject]:
@@ -295,30 +169,8 @@ def _plain(text: str) -> str:
     return re.sub(r":\w+:`[~.]*([^`]*)`", r"`\1`", " ".join(text.split())).replace("``", "`")
 
 
-def _subclasses(model: type[Entry]) -> Iterator[type[Entry]]:
-    for subclass in model.__subclasses__():
-        yield subclass
-        yield from _subclasses(subclass)
-
-
 def _definition_name(model: str) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", "_", model.removesuffix("Entry")).lower()
-
-
-def _described(definition: JsonObject, model: type[Entry]) -> JsonObject:
-    """Put the docstrings of a model and its fields into its schema."""
-    docstrings = {
-        name: text
-        for each in reversed(model.__mro__)
-        if issubclass(each, Entry)
-        for name, text in _field_docstrings(sys.modules[each.__module__]).get(each.__name__, ())
-    }
-    properties = {
-        name: {"description": docstrings[name], **_tidy(part)}
-        for name, part in definition.pop("properties").items()
-    }
-    text = " ".join((model.__doc__ or "").split())
-    return {"description": text, "type": "object", "properties": properties, **_tidy(definition)}
 
 
 @cache
@@ -340,22 +192,14 @@ def _field_docstrings(module: ModuleType) -> dict[str, list[tuple[str, str]]]:
 
 
 def _tidy(part: Any) -> Any:
-    """Remove what pydantic adds: titles, and descriptions that stand elsewhere."""
+    """Name the definitions to which a schema refers as the published one does."""
     if isinstance(part, list):
         return [_tidy(each) for each in part]
     if not isinstance(part, dict):
         return part
-    if CODED in part:
-        return _tidy(shape_of(part[CODED]).schema)
-    tidy = {
-        "anyOf" if key == "oneOf" else key: _tidy(value)
-        for key, value in part.items()
-        if key not in ("title", "description", "discriminator")
-    }
+    tidy = {key: _tidy(value) for key, value in part.items()}
     if isinstance(part.get("$ref"), str):
         tidy["$ref"] = "#/$defs/" + _definition_name(part["$ref"].rpartition("/")[2])
-    for pattern, value in tidy.pop("patternProperties", {}).items():
-        tidy |= {"propertyNames": {"pattern": pattern}, "additionalProperties": value}
     return tidy
 
 

@@ -4,18 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
-
-from pytest_dura.evidence.entry import (
-    Absent,
-    Amount,
-    Coded,
-    Count,
-    Entry,
-    JsonObject,
-    Positive,
-    Sha256,
-)
+from pytest_dura.core.codec import Amount, Count, Limit, Positive, Sha256
+from pytest_dura.evidence.entry import Absent, Entry, JsonObject
 from pytest_dura.evidence.shard_units import ShardUnit
 
 
@@ -50,7 +40,7 @@ class HypothesisProfile(Entry):
 class GitState(Entry):
     """State of the project's repository; null outside of one."""
 
-    commit: Annotated[str, Field(pattern=r"^[0-9a-f]{40,64}$")] | None
+    commit: Annotated[str, Limit(pattern=r"^[0-9a-f]{40,64}$")] | None
     """Commit."""
     dirty: bool | None
     """Whether files differ from it, the evidence apart."""
@@ -178,7 +168,7 @@ class ResumeEntry(Entry):
     resumed: bool
     """Whether the session went on with an interrupted one (`--dura-resume`). Of merged shards
     whether any did."""
-    session: Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")] | None
+    session: Annotated[str, Limit(pattern=r"^[0-9a-f]{32}$")] | None
     """Id of this session; null for merged shards."""
     sources: SourcesEntry | None
     """What all of its episodes rest on, as `--dura-resume` compares it; null where those are too
@@ -204,7 +194,7 @@ class ShardEntry(Entry):
     """SHA-256 over all units of the whole session; null until they are known."""
     units: Count | None
     """Units of the whole session; null until they are known."""
-    holds: list[Coded[ShardUnit]]
+    holds: list[ShardUnit]
     """The units of this shard, sorted."""
 
 
@@ -327,11 +317,11 @@ class ComponentUnderTest(Entry):
     """Import path `package.module:Name`, or `file.py:Name` for what a conftest.py defines."""
     params: Absent[JsonObject] = None
     """The parameters that it is made with, the user's own."""
-    distribution: str | None = None
+    distribution: str | None
     """The installed distribution that it belongs to."""
     version: str | None
     """Version of that distribution."""
-    digest: Sha256 | None = None
+    digest: Sha256 | None
     """SHA-256 over the names and contents of all Python files of its top-level package, or of the
     defining file where that package has more than 1000. Null for what has no source."""
     file_count: Absent[Count] = None
@@ -361,11 +351,11 @@ class CassetteEntry(Entry):
 class TokensEntry(Entry):
     """Tokens of requests to a language model, as its server counted them."""
 
-    prompt: Count = 0
+    prompt: Count
     """Of the requests."""
-    completion: Count = 0
+    completion: Count
     """Of the answers."""
-    uncounted: Count = 0
+    uncounted: Count
     """Answers for which the server counted nothing."""
 
 
@@ -401,17 +391,17 @@ class LanguageModelEntry(Entry):
     """SHA-256 of the prompts' templates; null for a component without."""
     asked: Count
     """Requests to the server, without those that were repeated."""
-    repeated: Count = 0
+    repeated: Count
     """Calls by which requests were repeated, since the server was not available."""
-    unavailable: dict[str, Count] = Field(default_factory=dict)
+    unavailable: dict[str, Count]
     """Calls that ended as `unavailable`, by cause: `HTTP 429` and the like, `connection`, or
     `request` for one that could not be made. Those that were repeated, and answers from the
     cassette, are among them."""
-    asked_tokens: TokensEntry = Field(default_factory=TokensEntry)
+    asked_tokens: TokensEntry
     """Tokens of the requests to the server, those that were repeated included."""
     reused: Count
     """Answers from the cassette."""
-    reused_tokens: TokensEntry = Field(default_factory=TokensEntry)
+    reused_tokens: TokensEntry
     """Tokens that those took when they were recorded."""
     injected: Count
     """Requests that an injected fault kept from the server."""

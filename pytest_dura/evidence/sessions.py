@@ -33,7 +33,7 @@ def resume_json(
     """
     counts = None
     if header["resumed"]:
-        origins = origin_counts(map(OriginEntry.model_validate, searched))
+        origins = origin_counts(map(OriginEntry.from_data, searched))
         counts = {"simulations": len(searched), **origins._asdict()}
     return {"searched": counts, **header, "problems": sorted(set(notes))}
 

@@ -24,10 +24,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, StringConstraints, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
 from pytest_dura.core.errors import ConfigurationError, describe_error
-from pytest_dura.evidence.entry import Entry
 from pytest_dura.evidence.files import (
     MANIFEST_FILE,
     REVIEW_FILE,
@@ -65,8 +64,10 @@ _MAX_BYTES = 16 << 20
 _Text = Annotated[str, StringConstraints(min_length=1, max_length=2000, strip_whitespace=True)]
 
 
-class Review(Entry):
+class Review(BaseModel):
     """Review of a session's evidence by a person, as in ``review.yaml``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     who: Annotated[_Text, Field(description="Name and role of the reviewer.")]
     when: Annotated[
@@ -272,7 +273,7 @@ def write_review(directory: Path, review: Review, key: Path, ended: str) -> None
         "subject": [_subject(directory)],
         "predicateType": _REVIEW,
         "predicate": {
-            **review.to_json(),
+            **review.model_dump(),
             _EVIDENCE_KEY: None if evidence is None else evidence.data,
         },
     }

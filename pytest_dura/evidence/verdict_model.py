@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pytest_dura.evidence.entry import (
-    Count,
-    Entry,
-)
+from pytest_dura.core.codec import Count
+from pytest_dura.evidence.entry import Entry
 
 
 class EffectivenessEntry(Entry):

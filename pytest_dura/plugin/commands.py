@@ -295,7 +295,7 @@ def _write_reduced(
     (original,) = [case for case in record.head.cases if (case.id, case.component) == key]
     faults = [fault.plain() for fault in episode.spec.faults]
     case = original.replace(id=episode.spec.case, planned=1, faults=faults)
-    entry = EpisodeEntry.model_validate(episode_record(episode, planned=True))
+    entry = EpisodeEntry.from_data(episode_record(episode, planned=True))
     head = record.head.replace(
         cases=[case],
         measures=episode.described_measures,

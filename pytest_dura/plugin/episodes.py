@@ -731,7 +731,7 @@ class Repeats:
             if repeated is not None:
                 about = {"case": case, "component": component, "episode": due.task.spec.id}
                 about |= {"digest": due.digest, "declared": due.declared}
-                yield RepeatedCase.model_validate({**about, **repeated})
+                yield RepeatedCase.from_data({**about, **repeated})
         self._due.clear()
 
     def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:

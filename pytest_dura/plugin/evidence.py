@@ -145,7 +145,7 @@ def _expected_lines(
                 )
             off = case.roles_off(overrides)
             plan = case_plan(case, components[key], runs, context.options.runs, off)
-            expected.append(ClaimedCase.model_validate(plan.to_json()))
+            expected.append(ClaimedCase.from_data(plan.to_json()))
             expected += [claim(f"{case.id}::{name}", name, plan) for name in names]
             used.update(names)
     requirements = [library.requirements[name] for name in sorted(used)]

@@ -244,7 +244,7 @@ def _brief_run(episode: Episode) -> BriefRun:
     from pytest_dura.evidence.episodes import episode_record
     from pytest_dura.reports.incidents import BriefRun
 
-    entry = EpisodeEntry.model_validate(episode_record(episode, planned=True))
+    entry = EpisodeEntry.from_data(episode_record(episode, planned=True))
     return BriefRun.of(entry, episode.described_measures)
 
 

@@ -87,7 +87,7 @@ def case_plan(
         "runs_override": runs_override,
         **({} if case.scenario.seed is None else {"seed": case.scenario.seed}),
     }
-    return CasePlan.model_validate(plain_data(data))
+    return CasePlan.from_data(plain_data(data))
 
 
 def _without_none(spread: dict[str, Any]) -> dict[str, Any]:
@@ -481,7 +481,7 @@ class ItemRecorder:
         case = self._plan(target.case, component, target.planned)
         requirements = marked_requirements(self.context, item)
         if requirements:
-            self.add([ClaimedCase.model_validate(case.to_json())])
+            self.add([ClaimedCase.from_data(case.to_json())])
         for requirement in requirements:
             self._requirement_used(requirement)
             decides = test_function(item.nodeid) if run is not None else item.nodeid

@@ -149,9 +149,10 @@ class _Targets:
         for component in components_under_test(record):
             known.setdefault(component.name, component)
         for verdict in record.head.verdicts:
-            known.setdefault(
-                verdict.component, ComponentUnderTest(name=verdict.component, version=None)
+            unknown = ComponentUnderTest(
+                name=verdict.component, distribution=None, version=None, digest=None
             )
+            known.setdefault(verdict.component, unknown)
         refs = {component: f"target/{number}" for number, component in enumerate(known)}
         return cls(
             [_component_entry(known[component], ref) for component, ref in refs.items()], refs

@@ -137,9 +137,7 @@ def _campaign(record: SessionRecord, names: list[str]) -> JsonObject:
     plan = {
         "base_seed": record.head.base_seed,
         "requirements": record.head.requirements,
-        "cases": [
-            case.model_dump(include=_PLANNED, exclude_unset=True) for case in record.head.cases
-        ],
+        "cases": [case.to_json(include=_PLANNED) for case in record.head.cases],
     }
     canonical = json.dumps(plain_data(plan), sort_keys=True, separators=(",", ":"))
     counts = record.head.totals.to_json()

@@ -41,7 +41,7 @@ class Outcome:
     def evidence(self, folder="dura-evidence"):
         """The record, read and checked by the models alone."""
         text = (self.path / folder / "evidence.json").read_text()
-        return WholeRecord.model_validate(json.loads(text))
+        return WholeRecord.from_data(json.loads(text))
 
     def verdict(self, requirement, case="corridor/it"):
         (verdict,) = [

@@ -8,7 +8,6 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from pytest_dura.core.codec import decode, encode
-from pytest_dura.evidence.entry import Entry
 
 _E = TypeVar("_E")
 _PATTERNS = {
@@ -28,32 +27,22 @@ def make(model: type[_E], /, **values: Any) -> _E:
 
     Mappings that stand for entries may state a part of their keys as well.
     """
-    if is_dataclass(model):
-        hints = get_type_hints(model, include_extras=True)
-        made = {
-            field.name: _whole(hints[field.name], [], values[field.name])
-            if field.name in values
-            else _neutral(hints[field.name], [])
-            for field in fields(model)
-            if field.name in values
-            or (field.default is MISSING and field.default_factory is MISSING)
-        }
-        return decode(model, encode(model(**{**values, **made})))
+    hints = get_type_hints(model, include_extras=True)
     made = {
-        name: _whole(field.annotation, field.metadata, values[name])
-        if name in values
-        else _neutral(field.annotation, field.metadata)
-        for name, field in model.model_fields.items()
-        if name in values or field.is_required()
+        field.name: _whole(hints[field.name], [], values[field.name])
+        if field.name in values
+        else _neutral(hints[field.name], [])
+        for field in fields(model)
+        if field.name in values or (field.default is MISSING and field.default_factory is MISSING)
     }
-    return model.model_validate(values | made)
+    return decode(model, encode(model(**{**values, **made})))
 
 
 def _whole(kind: Any, metadata: list[Any], value: Any) -> Any:
     """Complete mappings that stand for entries."""
     origin, arguments = get_origin(kind), get_args(kind)
     whole = value
-    if isinstance(value, Entry) or is_dataclass(value) or value is None:
+    if is_dataclass(value) or value is None:
         whole = value
     elif origin is Annotated:
         whole = _whole(arguments[0], list(arguments[1:]), value)
@@ -70,13 +59,13 @@ def _whole(kind: Any, metadata: list[Any], value: Any) -> Any:
 
 
 def _is_model(kind: Any) -> bool:
-    return isinstance(kind, type) and (issubclass(kind, Entry) or is_dataclass(kind))
+    return isinstance(kind, type) and is_dataclass(kind)
 
 
 def _keys_of(kind: Any, value: Any) -> int:
     """How many keys of a value an alternative knows."""
     kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
-    names = getattr(kind, "model_fields", getattr(kind, "__dataclass_fields__", ()))
+    names = getattr(kind, "__dataclass_fields__", ())
     return len(set(names) & set(value) if type(value) is dict else ())
 
 
@@ -100,7 +89,7 @@ def _marked(mark: Any) -> Any:
     """A value that a mark of a type accepts, if it has limits."""
     if getattr(mark, "pattern", None):
         return _PATTERNS[mark.pattern]
-    if getattr(mark, "min_length", None):
-        return "a" * mark.min_length
+    if getattr(mark, "min_items", None):
+        return [None] * mark.min_items
     above = getattr(mark, "gt", None)
     return getattr(mark, "ge", None) if above is None else above + 0.5

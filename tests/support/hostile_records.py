@@ -3,11 +3,10 @@
 from pathlib import Path
 
 from hypothesis import strategies as st
-from pydantic import ValidationError
 from searches import entry
 from session_records import REQUIREMENTS, hazard, session_record, totals, verdict
 
-from pytest_dura.core.codec import encode
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.mismatches import MismatchError
 from pytest_dura.evidence import SessionRecord
 from pytest_dura.evidence.model import WholeRecord
@@ -92,24 +91,14 @@ def spoilt_record(record, spoil, directory):
     return SessionRecord.of(after, directory)
 
 
-def _locations(problem):
-    """Places of an error of pydantic, which is one for all mismatches that the codec finds."""
-    refused = problem.get("ctx", {}).get("error")
-    if not isinstance(refused, MismatchError):
-        return [problem["loc"]]
-    pointers = (mismatch.pointer.split("/")[1:] for mismatch in refused.mismatches)
-    return [
-        (*problem["loc"], *(int(key) if key.isdigit() else key for key in path))
-        for path in pointers
-    ]
-
-
 def _restore(told, before):
     """Put back the texts that cannot be any other: hashes, and words of which there are few."""
     try:
-        WholeRecord.model_validate(told)
-    except ValidationError as error:
-        for location in (each for problem in error.errors() for each in _locations(problem)):
+        decode(WholeRecord, told, 10**6)
+    except MismatchError as error:
+        for mismatch in error.mismatches:
+            keys = mismatch.pointer.split("/")[1:]
+            location = [int(key) if key.isdigit() else key for key in keys]
             here, there, last = told, before, None
             for key in location:
                 if isinstance(here, (dict, list)) and (isinstance(key, int) or key in here):

@@ -23,8 +23,8 @@ from pytest_dura.requirements.model import Requirement
 
 _READERS = {
     "components": lambda data: UsedComponent(data, {}),
-    "cases": CasePlan.model_validate,
-    "claimed": ClaimedCase.model_validate,
+    "cases": CasePlan.from_data,
+    "claimed": ClaimedCase.from_data,
     "requirements": lambda data: decode(Requirement, data),
     "episodes": EpisodeLine,
     "judgements": lambda data: decode(Judgement, data),
@@ -48,5 +48,5 @@ def report(
 
 def expected(item: str, requirement: dict[str, Any], case: dict[str, Any]) -> Iterator[Line]:
     """What is known of an item before it runs."""
-    plan, known = ClaimedCase.model_validate(case), decode(Requirement, requirement)
+    plan, known = ClaimedCase.from_data(case), decode(Requirement, requirement)
     yield from (plan, known, claim(item, known.id, plan))

@@ -93,9 +93,7 @@ def _session(record: SessionRecord) -> Element:
         f"{counts.undecided} undecided; {counts.waived} of them waived.",
         url="evidence.json#/gate",
         alias="context:session",
-        layers=counts.model_dump(
-            include={"gate", "cases", "episodes", "valid", "invalid", "missing"}
-        ),
+        layers=counts.to_json(include={"gate", "cases", "episodes", "valid", "invalid", "missing"}),
     )
 
 

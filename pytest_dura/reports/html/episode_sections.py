@@ -249,7 +249,7 @@ def _parameter_bars(parameter: ParameterEntry) -> Data:
         height = round(BIN_HEIGHT * count / highest, 1)
         bars.append({"x": place * BIN_WIDTH, "y": BIN_HEIGHT - height, "height": height})
     return {
-        **dict(parameter),
+        **vars(parameter),
         "counts": counts,
         "bars": bars,
         "width": BIN_WIDTH * len(bars),

@@ -33,7 +33,9 @@ def test_a_baseline_is_a_file_or_the_directory_that_holds_it(tmp_path, given):
         SessionRecord.of(record(verdict(3), verdict(3, requirement="N")), tmp_path)
     )
     assert (compared.tests, compared.correction) == (1, "Holm")
-    assert compared.component == {"name": "C", "version": None, "digest": "d" * 64}
+    assert compared.component == {
+        "name": "C", "distribution": None, "version": None, "digest": "d" * 64
+    }  # fmt: skip
     statuses = [comparison.status for comparison in compared.comparisons]
     assert statuses == ["new", "no evidence of a change"]
     assert baseline.compared() == session

@@ -64,7 +64,7 @@ def passing(number: int, changes: Mapping[int, Any] | None = None) -> SessionRec
             "component": own["component"], "verdict": judged["verdict"], "applies": "scenario",
         }  # fmt: skip
         head["coverage"]["cells"].append(cell)
-    return replace(found, head=RecordHead.model_validate(head))
+    return replace(found, head=RecordHead.from_data(head))
 
 
 def has_rows(html: str, place: int) -> set[bool]:

@@ -32,7 +32,7 @@ def run(name, seed, world=None, **changes):
 
 
 def computed(cases, episodes):
-    return CoverageEntry.model_validate(concluded(Coverage, episodes, cases=cases)["coverage"])
+    return CoverageEntry.from_data(concluded(Coverage, episodes, cases=cases)["coverage"])
 
 
 def test_a_pair_is_counted_in_fifths_of_both_ranges():

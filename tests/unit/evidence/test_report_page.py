@@ -388,7 +388,7 @@ def many_episodes(count):
     digests = {"digest": "f" * 64, "trajectory": "f" * 64}
     for one in plain:
         one["outcome"] |= told
-    typed = EpisodeEntry.model_validate
+    typed = EpisodeEntry.from_data
     plain = [typed(one) for one in plain]
 
     def read():
@@ -444,7 +444,7 @@ def test_a_matrix_has_the_fewer_headings_in_its_columns():
 SURE = {
     "check": "gap > 0", "run": 2, "pairs": None, "open": [], "invalid": 0, "missing": 0, "saved": 0,
 }  # fmt: skip
-RUN = contents.BriefEpisode.of(EpisodeEntry.model_validate(episode("case", 1)))
+RUN = contents.BriefEpisode.of(EpisodeEntry.from_data(episode("case", 1)))
 
 
 @pytest.mark.parametrize(
