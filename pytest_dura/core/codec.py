@@ -725,6 +725,12 @@ def _union(*alternatives: Any) -> Shape:
         if len(fitting := [shape for shape in shapes if each in shape.accepts]) == 1
     }
 
+    objects = [(_keys(shape), shape.fast) for shape in shapes if "$ref" in shape.schema]
+    if len(objects) > 1 and len(objects) == sum(dict in shape.accepts for shape in shapes):
+        alone[dict] = lambda data: max(
+            objects, key=lambda each: (len(each[0] & data.keys()), -len(each[0]))
+        )[1](data)
+
     def fast(data: Any) -> Any:
         quick = alone.get(type(data))
         if quick is None:
