@@ -41,6 +41,11 @@ class HazardEntry(Entry):
     """Which conditions of a scene, or which attacks, may bring it about."""
     source: str = ""
     """Which analysis it comes from."""
+    acceptance_criterion: str = ""
+    """Which residual risk you accept, in words."""
+    at_most: float | None = Field(default=None, gt=0, lt=1)
+    """Greatest rate of runs that you accept to violate a requirement on it, in each case: what the
+    bounds of the verdicts are held against."""
 
     def hazard(self) -> Hazard:
         """Make the hazard."""

@@ -19,7 +19,7 @@ from .failure_modes import (
     percent_text,
 )
 from .gsn.argument import generated_argument
-from .gsn.element import root_ids, rule_problems
+from .gsn.element import root_ids
 from .html.player import pack_data, player_assets, player_data, player_page
 from .html.twins import Twin
 from .scene import frame_svg
@@ -56,7 +56,6 @@ __all__ = [
     "player_data",
     "player_page",
     "root_ids",
-    "rule_problems",
     "shard_text",
     "shown_in",
     "signal_plot",

@@ -11,11 +11,15 @@ from pytest_dura.evidence.hazards import (
     HazardStatus,
     hazard_evidence,
 )
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import counted, name
-from pytest_dura.reports.columns import Column, name_cell, prose_cell
+from pytest_dura.reports.columns import Cell, Column, name_cell, prose_cell
+from pytest_dura.reports.verdicts import part_text
 from pytest_dura.requirements.hazards import SEVERITIES, Hazard
 
+NO_ASIL = "no ASIL follows without classes of exposure and controllability"
+"""What a severity alone does not say, in the terms of ISO 26262-3."""
 _MOST_NAMES = 8
 _WITHOUT = {
     "no requirement": "no requirement of the session names",
@@ -27,14 +31,67 @@ _WITHOUT = {
 def condition_lines(hazard: Hazard) -> Iterator[tuple[str, str]]:
     """Yield label and text of what is stated of a hazard beside its own text."""
     yield "Loss", hazard.loss
-    yield "Severity, as declared", hazard.severity or "none"
+    severity = f"{hazard.severity}; {NO_ASIL}" if hazard.severity else "none"
+    yield "Severity, as declared", severity
     for label, text in (
         ("Operating condition", hazard.operating_condition),
         ("Triggering condition", hazard.triggering_condition),
         ("Source", hazard.source),
+        ("Acceptance criterion, as declared", criterion_text(hazard)),
     ):
         if text:
             yield label, text
+
+
+def criterion_text(hazard: Hazard) -> str:
+    """The residual risk that the hazard's author accepts; empty where none is declared."""
+    rate = ""
+    if hazard.at_most is not None:
+        rate = (
+            f"in each case at most {part_text(hazard.at_most)} of the runs violate a requirement "
+            "on it"
+        )
+    return "; ".join(part for part in (hazard.acceptance_criterion.rstrip("."), rate) if part)
+
+
+def weakest_verdict(evidence: HazardEvidence) -> ItemVerdict | None:
+    """The supported verdict on a hazard that shows the least; ``None`` where none supports it."""
+    supported = [verdict for verdict in evidence.verdicts if verdict.verdict == "supported"]
+    return max(supported, key=_shown_rate, default=None)
+
+
+def _shown_rate(verdict: ItemVerdict) -> float:
+    return 1.0 if verdict.bound.upper is None else verdict.bound.upper
+
+
+def bound_sentence(evidence: HazardEvidence) -> str:
+    """Say to which extent the mitigation of a hazard was tested: its weakest bound."""
+    weakest = weakest_verdict(evidence)
+    if weakest is None:
+        return "No verdict supports it, so that there is no bound."
+    place = f"{name(weakest.requirement)} in {name(weakest.case)}, n = {weakest.episodes}"
+    if weakest.bound.upper is None:
+        return f"No bound on the rate of violations follows for {place}."
+    return (
+        f"The weakest bound of its supported verdicts: at most {part_text(weakest.bound.upper)} "
+        f"of such runs violate {place}, {part_text(weakest.bound.confidence)} confidence."
+    )
+
+
+def short_bound(evidence: HazardEvidence) -> str:
+    """The weakest bound of a hazard's supported verdicts in a few characters."""
+    weakest = weakest_verdict(evidence)
+    if weakest is None or weakest.bound.upper is None:
+        return "none"
+    return f"≤ {part_text(weakest.bound.upper)} ({part_text(weakest.bound.confidence)} conf.)"
+
+
+def criterion_met(evidence: HazardEvidence) -> bool:
+    """Whether every verdict on a hazard shows the rate that its author accepts."""
+    accepted, weakest = evidence.hazard.at_most, weakest_verdict(evidence)
+    if accepted is None or weakest is None or evidence.status != "supported":
+        return False
+    return weakest.bound.upper is not None and weakest.bound.upper <= accepted
 
 
 def status_sentence(evidence: HazardEvidence) -> str:
@@ -98,6 +155,14 @@ def _with_severity(hazard: Hazard) -> str:
     return f"{name(hazard.id)} ({hazard.severity})" if hazard.severity else name(hazard.id)
 
 
+def _accepted_cell(evidence: HazardEvidence) -> Cell | str:
+    text = criterion_text(evidence.hazard)
+    if not text:
+        return "none declared"
+    shown = "shown" if criterion_met(evidence) else "not shown"
+    return prose_cell(f"{text} ({shown})")
+
+
 HAZARD_COLUMNS: Sequence[Column[HazardEvidence]] = (
     Column("hazard", lambda row: name_cell(row.hazard.id)),
     Column("severity", lambda row: row.hazard.severity),
@@ -107,6 +172,8 @@ HAZARD_COLUMNS: Sequence[Column[HazardEvidence]] = (
         lambda row: prose_cell(", ".join(each.id for each in row.requirements) or "none"),
     ),
     Column("evidence", lambda row: row.status),
+    Column("weakest bound", short_bound),
+    Column("accepted", _accepted_cell),
 )
 """Columns of the table of hazards."""
 

@@ -153,13 +153,22 @@ def _bound_text(requirement: Requirement) -> str:
     )
 
 
-def verdict_proposition(verdict: ItemVerdict, where: str) -> str:
-    """The proposition that a verdict decides, on a case."""
-    bound = verdict.bound.at_most
-    how = "holds in every valid episode of" if bound is None else "keeps its bound in"
-    if verdict.without_effect:
-        how = "is violated in no episode, valid or not, of"
-    return f"{name(verdict.requirement)} {how} {where}."
+def verdict_proposition(verdict: ItemVerdict) -> str:
+    """The proposition that a verdict decides on its runs, with bound and confidence.
+
+    What is supported states what was shown; what is not states what was asked for.
+    """
+    runs = "pairs of such runs" if verdict.pairs is not None else "such runs"
+    bound = verdict.bound
+    rate = bound.upper if verdict.verdict == "supported" else bound.at_most
+    if rate is not None:
+        sure = part_text(bound.confidence)
+        return f"Violated in at most {part_text(rate)} of {runs}, with {sure} confidence."
+    if verdict.verdict == "supported":
+        count = f"{verdict.violations or 'none'} of the {verdict.episodes} {runs}"
+        return f"Violated in {count}; no bound on their rate{no_rate_reason(verdict)}."
+    valid = ", valid or not" if verdict.without_effect else ""
+    return f"Violated in none of {runs}{valid}."
 
 
 def evidence_text(verdict: ItemVerdict) -> str:
@@ -174,13 +183,6 @@ def evidence_text(verdict: ItemVerdict) -> str:
     if verdict.margin is not None:
         parts.append(f"least margin {verdict.margin:.4g}")
     return "; ".join(parts) + "."
-
-
-def short_evidence_text(verdict: ItemVerdict) -> list[str]:
-    """Counts and bound in three lines of a few characters, for a circle of the picture."""
-    upper = verdict.bound.upper
-    bound = "no bound" if upper is None else f"≤ {part_text(upper)}"
-    return [f"n = {verdict.episodes}", f"{verdict.violations} violated", bound]
 
 
 def _upper_text(verdict: ItemVerdict) -> str:
@@ -213,7 +215,8 @@ def challenge_brief(verdict: ItemVerdict) -> tuple[str, str]:
     """The violations against a verdict's proposition, in two lines of a few characters."""
     if verdict.without_effect and not verdict.violations:
         return f"{verdict.without_effect} violate it", "without effect"
-    return f"{verdict.violations} of {verdict.episodes}", "violate it"
+    how = {"violated": "violate it", "supported": "as allowed", "undecided": "so far"}
+    return f"{verdict.violations} of {verdict.episodes}", how[verdict.verdict]
 
 
 def challenge_text(verdict: ItemVerdict, where: str, listed: int) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from pytest_dura.core.codec import Share
+
 Severity = Literal["S0", "S1", "S2", "S3"]
 SEVERITIES: tuple[str, ...] = get_args(Severity)
 
@@ -24,6 +26,9 @@ class Hazard:
         operating_condition: Under which conditions of operation it leads to the loss.
         triggering_condition: Which conditions of a scene, or attacks, may bring it about.
         source: Which analysis it comes from.
+        acceptance_criterion: Which residual risk its author accepts, in words.
+        at_most: Greatest rate of runs that its author accepts to violate a requirement on it, in
+            each case; ``None`` where none is declared.
     """
 
     id: str
@@ -33,3 +38,5 @@ class Hazard:
     operating_condition: str = ""
     triggering_condition: str = ""
     source: str = ""
+    acceptance_criterion: str = ""
+    at_most: Share | None = None

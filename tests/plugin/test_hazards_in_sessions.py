@@ -20,6 +20,8 @@ hazards:
     operating_condition: At full speed.
     triggering_condition: The gap reads too great.
     source: STPA
+    acceptance_criterion: The mayor's risk
+    at_most: 0.001
   - {id: H-2, text: The ego stands., loss: "L-2: time", severity: S0}
   - {id: H-3, text: Nobody thought of it., loss: "L-1: the wall", severity: S3}
 """
@@ -68,10 +70,15 @@ def test_a_session_answers_for_each_hazard_of_the_user(project, mode):
     assert sentence in page
     matrix = page[page.index('<table id="hazard-matrix"') :].partition("</table>")[0]
     assert re.findall(r'<span class="id">(H-\d)</span>', matrix) == ["H-3", "H-1", "H-2"]
-    assert matrix.count("corridor/free") == 3
+    assert matrix.count(">corridor/free</a>") == 3
+    assert "Severity, as declared: S2; no ASIL follows" in matrix
+    assert "each case at most 0.1 % of the runs violate a requirement on it" in matrix
     argument = yaml.safe_load((folder / "assurance-case.gsn.yaml").read_text())
     aliases = {node.get("alias"): node for node in argument.values()}
-    assert aliases["hazard:H-3"]["undeveloped"]
+    assert "hazard:H-3" not in aliases
+    assert "no requirement of the session names H-3." in aliases["not-shown:hazards"]["text"]
+    assert "The mayor's risk" in aliases["accepted:H-1"]["text"]
+    assert aliases["accepted:H-1"]["undeveloped"]
     assert aliases["hazard:H-2"]["supportedBy"] == ["G-GO-1"]
     needs = json.loads((folder / "needs.json").read_text())["versions"]["1.0"]["needs"]
     assert needs["REQUIREMENT-GO-1"]["links"] == ["HAZARD-H-1", "HAZARD-H-2"]

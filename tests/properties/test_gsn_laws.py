@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from gsn_rules import rule_problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from printed import blocks_of
@@ -11,7 +12,7 @@ from session_records import REQUIREMENTS, episode, session_record, verdict
 from stated_counts import dead_references, elements_of, stated_counts
 
 from pytest_dura.core.codec import encode
-from pytest_dura.reports import root_ids, rule_problems
+from pytest_dura.reports import root_ids
 from pytest_dura.reports.gsn import svg_file, yaml_file
 
 HOSTILE = st.sampled_from(
@@ -106,7 +107,7 @@ def test_the_picture_is_sound_and_states_the_records_counts(record):
     assert stated_counts(svg_file, text) == record.head.totals.to_json()
     assert {one.tag.rpartition("}")[2] for one in root.iter()} <= {
         "svg", "title", "desc", "style", "defs", "marker", "path", "g", "text", "rect", "circle",
-        "ellipse", "polygon", "polyline",
+        "ellipse", "polygon", "polyline", "view",
     }  # fmt: skip
     assert not re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\ud800-\udfff]", text)
     assert text.encode()

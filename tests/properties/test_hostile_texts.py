@@ -21,6 +21,7 @@ import yaml
 from cyclonedx.schema import SchemaVersion
 from cyclonedx.validation.json import JsonStrictValidator
 from google.protobuf import json_format
+from gsn_rules import rule_problems
 from hostile_bundles import MEGABYTE, SORTS, Spoiler, real_session, session, spoilers
 from hypothesis import given, settings
 from in_toto_attestation.predicates.test_result.v0 import test_result_pb2
@@ -39,7 +40,6 @@ from pytest_dura.evidence import (
 )
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.terminal import summary
-from pytest_dura.reports import rule_problems
 from pytest_dura.reports.causes import causes_of
 
 # What a terminal, an editor or a reader might act on instead of showing it.

@@ -111,6 +111,7 @@ def hazard(id_, severity=None, **changes):
     return {
         "id": id_, "text": f"State {id_}.", "loss": "L-1: health", "severity": severity,
         "operating_condition": "In rain.", "triggering_condition": "", "source": "STPA",
+        "acceptance_criterion": "", "at_most": None,
         **changes,
     }  # fmt: skip
 

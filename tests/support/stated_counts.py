@@ -10,8 +10,7 @@ from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 import yaml
-
-from pytest_dura.reports import rule_problems
+from gsn_rules import rule_problems
 
 STATUSES = ("supported", "violated", "undecided")
 EPISODES = ("episodes", "valid", "invalid", "missing")

@@ -7,19 +7,19 @@ the waiver's reason stays beside the verdict. What was not decided or not tested
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import groupby
 
-from pytest_dura.evidence.hazards import hazard_evidence
-from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.text import name, one_line
+from pytest_dura.evidence.hazards import HazardEvidence, hazard_evidence
+from pytest_dura.evidence.model import SessionRecord, components_under_test
+from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.gsn.element import Argument, Element, derived_id
 from pytest_dura.reports.gsn.hazards import hazard_elements
+from pytest_dura.reports.gsn.monitors import monitor_elements
 from pytest_dura.reports.gsn.requirements import RequirementElements, requirement_elements
 from pytest_dura.reports.gsn.verdicts import (
     EpisodeFacts,
-    monitor_text,
     scenario_text,
     verdict_elements,
 )
@@ -31,7 +31,7 @@ from pytest_dura.reports.wording import (
     review_text,
     shard_text,
 )
-from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.model import KINDS
 
 REVIEW_ID, SESSION_ID = "CReview", "CSession"
 _REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
@@ -43,11 +43,12 @@ def _argument_contexts(record: SessionRecord, facts: EpisodeFacts) -> list[Eleme
     return [
         _review(record),
         _session(record),
-        _component(record, facts),
+        _component(record),
+        _recovery(facts),
         _domain(record),
         _versions(record),
         _seeds(record, facts),
-        *_assumptions(facts),
+        *_assumptions(),
     ]
 
 
@@ -57,7 +58,7 @@ def _scenario_contexts(record: SessionRecord) -> Iterator[Element]:
     ranges = {key: list(group) for key, group in groupby(rows, lambda row: row.scenario)}
     for scenario in sorted({case.scenario for case in record.head.cases} | set(ranges)):
         yield Element(
-            derived_id("C", "scenario", scenario),
+            derived_id("C", scenario, what="scenario"),
             scenario_text(scenario, ranges.get(scenario, [])),
             url="evidence.json#/coverage/parameters",
             alias=f"scenario:{name(scenario)}",
@@ -81,9 +82,9 @@ def _review(record: SessionRecord) -> Element:
 
 def _session(record: SessionRecord) -> Element:
     counts = record.head.totals
-    reasons = [one_line(reason, MAX_TEXT) for reason in record.head.gate.reasons]
-    more = f" and {len(reasons) - 3} more" if len(reasons) > 3 else ""
-    why = f" ({'; '.join(reasons[:3])}{more})" if reasons else ""
+    reasons = record.head.gate.reasons
+    more = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
+    why = f" ({one_line(reasons[0], MAX_TEXT)}{more})" if reasons else ""
     return Element(
         SESSION_ID,
         f"{_case_names(record)} {name(record.head.status)}, gate {counts.gate}{why}. "
@@ -103,7 +104,7 @@ def _case_names(record: SessionRecord) -> str:
     return f"{shard_text(record).capitalize()} of a session," if shard_text(record) else whole
 
 
-def _component(record: SessionRecord, facts: EpisodeFacts) -> Element:
+def _component(record: SessionRecord) -> Element:
     under_test = record.head.component_under_test
     version, digest = under_test.version, under_test.digest
     parts = [
@@ -114,27 +115,37 @@ def _component(record: SessionRecord, facts: EpisodeFacts) -> Element:
     ]
     if under_test.opaque:
         parts.append("an instance whose state the record does not hold")
-    policies = names_text(sorted(facts.policies)) or "unknown"
     declared = sorted({case.repeat.declared for case in record.head.cases if case.repeat} - {""})
     draws = f" The runs count as draws: {one_line('; '.join(declared), MAX_TEXT)}."
     return Element(
         "CComponent",
-        f"{', '.join(parts)}. Recovery policy: {policies}.{draws if declared else ''}",
+        f"{', '.join(parts)}.{draws if declared else ''}",
         url="evidence.json#/component_under_test",
         alias="context:component",
     )
 
 
+def _recovery(facts: EpisodeFacts) -> Element:
+    planners = names_text(sorted(facts.recoveries)) or "none"
+    return Element(
+        "CRecovery",
+        f"Recovery policy: {names_text(sorted(facts.policies)) or 'unknown'}. Recovery planner: "
+        f"{planners}. The verdicts are on the component with this recovery; recovery acted in "
+        f"{facts.recovered} of {counted(facts.judged, 'judged run')}.",
+        url="evidence.json#/cases",
+        alias="context:recovery",
+    )
+
+
 def _domain(record: SessionRecord) -> Element:
     cells, left_out = record.head.coverage.cells, record.head.coverage.left_out
-    untested = left_out + sum(cell.verdict is None for cell in cells)
+    tested, count = sum(cell.verdict is not None for cell in cells), len(cells) + left_out
     scenarios = sorted({case.scenario for case in record.head.cases})
     faults = sorted({fault.id for case in record.head.cases for fault in case.faults})
     return Element(
         "CDomain",
-        f"Operational domain as tested: {len(cells) + left_out} cells of requirement, scenario and "
-        f"faults, {untested} of them untested. Scenarios: {names_text(scenarios) or 'none'}. "
-        f"Faults: {names_text(faults) or 'none'}.",
+        f"Scenarios: {names_text(scenarios) or 'none'}. Faults: {names_text(faults) or 'none'}. "
+        f"Tested are {tested} of {count} cells of requirement, scenario and faults.",
         url="evidence.json#/coverage",
         alias="context:domain",
     )
@@ -142,15 +153,13 @@ def _domain(record: SessionRecord) -> Element:
 
 def _versions(record: SessionRecord) -> Element:
     environment, tool = record.head.environment, record.head.tool
-    git = environment.git
-    dirty = " with changes that are not committed" if git.dirty else ""
-    packages = [f"{key} {value}" for key, value in sorted(environment.packages.items())]
+    dirty = " with changes that are not committed" if environment.git.dirty else ""
     return Element(
         "CVersions",
         f"{name(tool.name)} {name(tool.version)}, Python {name(environment.python)}, "
-        f"{name(environment.platform)}, commit {name(git.commit or 'unknown')}"
-        f"{dirty}. Packages: {names_text(packages, 12) or 'unknown'}. "
-        f"{len(record.head.inputs)} input files with their digests.",
+        f"{name(environment.platform)}, commit {name(environment.git.commit or 'unknown')}"
+        f"{dirty}. {counted(len(environment.packages), 'package')} with their versions, "
+        f"{counted(len(record.head.inputs), 'input file')} with their digests.",
         url="evidence.json#/environment",
         alias="context:versions",
     )
@@ -168,14 +177,11 @@ def _seeds(record: SessionRecord, facts: EpisodeFacts) -> Element:
     )
 
 
-def _assumptions(facts: EpisodeFacts) -> Iterator[Element]:
-    simulators = names_text(sorted(facts.simulators)) or "unknown"
+def _assumptions() -> Iterator[Element]:
     for subject, text in {
-        "Simulator": f"The simulator ({simulators}) is faithful enough for these requirements. "
-        "Nothing in this session shows it.",
-        "Sampling": "The episodes of a case are independent, identically distributed draws: each "
-        "seed gives its own streams, and parameters are drawn from the variation ranges. The "
-        "bounds hold for these distributions, not for those of the road.",
+        "Sampling": "The runs of a case are independent draws from the ranges of its scenario, "
+        "each with random streams of its own. The bounds hold for these distributions, not for "
+        "those of the road.",
         "Faults": "The fault models stand for the faults and attacks of the field, in kind and in "
         "size. How often those occur is no part of the argument.",
         "Sensors": "The simulated sensors without faults report what real ones would, as far as "
@@ -184,52 +190,63 @@ def _assumptions(facts: EpisodeFacts) -> Iterator[Element]:
         yield Element(f"A{subject}", text, alias=f"assumption:{subject.lower()}")
 
 
-_MONITORS_ID = "GMonitors"
+BASIS_ID = "SBasis"
 
 
-def _monitor_elements(rows: Sequence[MonitorQuality]) -> Iterator[Element]:
-    """A goal that the quality is known, and for each monitor and target what was measured.
-
-    The goal is on what is known and not on how good it is: low figures are evidence as well.
-    """
-    if not rows:
-        return
-    groups: dict[tuple[str, str, str], list[MonitorQuality]] = {}
-    for row in rows:
-        groups.setdefault((row.component, row.monitor, row.target), []).append(row)
-    measured = [_quality(key, own) for key, own in groups.items()]
+def _basis_elements(
+    record: SessionRecord, facts: EpisodeFacts, hazards: list[HazardEvidence]
+) -> Iterator[Element]:
+    """The strategy over what the verdicts rest on, whose goals no session can develop."""
+    goals = [*_open_goals(record, facts, hazards)]
     yield Element(
-        _MONITORS_ID,
-        "The quality of the runtime monitors is known from violations that they could have "
-        "missed, where recovery did not act. The verdicts do not rest on the monitors.",
-        supported_by=tuple(element.id for element in measured),
-        url="evidence.json#/monitors",
-        alias="monitors",
+        BASIS_ID,
+        "Argument over what the verdicts rest on and this session does not show.",
+        supported_by=tuple(goal.id for goal in goals),
+        alias="strategy:basis",
     )
-    yield from measured
+    yield from goals
 
 
-def _quality(key: tuple[str, str, str], rows: list[MonitorQuality]) -> Element:
-    _, monitor, target = key
-    known = any(row.true_positives or row.false_negatives for row in rows)
-    text = monitor_text(monitor, target, rows)
-    return Element(
-        derived_id("Sn" if known else "G", "monitor", monitor, target, apart=key[:1]),
-        text if known else f"The quality of {text}",
-        undeveloped=not known,
-        url="evidence.json#/monitors",
-        alias=f"monitor:{name(monitor)}:{name(target)}",
-        brief=(name(monitor), name(target)),
-    )
+def _open_goals(
+    record: SessionRecord, facts: EpisodeFacts, hazards: list[HazardEvidence]
+) -> Iterator[Element]:
+    tool, git = record.head.tool, record.head.environment.git
+    simulators = names_text(sorted(facts.simulators)) or "unknown"
+    texts = {
+        "Simulator": f"The simulator ({simulators}) represents the system and its surroundings "
+        "well enough for these requirements. Not shown: the session has no run of the real system.",
+        "Tool": f"{name(tool.name)} {name(tool.version)} and the simulator are qualified as "
+        "software tools for this use. Not shown: classification and qualification (ISO 26262-8) "
+        "are up to their user.",
+    }
+    if hazards:
+        unnamed = [evidence.hazard.id for evidence in hazards if not evidence.requirements]
+        more = f", and no requirement of the session names {names_text(unnamed)}" if unnamed else ""
+        texts["Hazards"] = (
+            "The hazards of this argument are all that have to be considered, and the "
+            "requirements that name a hazard suffice to mitigate it. Not shown: no run shows "
+            f"either{more}."
+        )
+    if git.commit is None or git.dirty:
+        why = "no commit is recorded" if git.commit is None else "it had uncommitted changes"
+        texts["Commit"] = (
+            f"The code that was run can be obtained again by its commit. Not shown: {why}."
+        )
+    unidentified = [
+        str(component.name)
+        for component in components_under_test(record)
+        if component.digest is None or component.opaque
+    ]
+    if unidentified:
+        texts["Component"] = (
+            f"The component under test is identified by its content. Not shown: "
+            f"{names_text(unidentified)} has no digest of all that it consists of."
+        )
+    for subject, text in texts.items():
+        yield Element(f"G{subject}", text, undeveloped=True, alias=f"not-shown:{subject.lower()}")
 
 
 TOP_ID, KINDS_ID, INCOMPLETE_ID = "GTop", "SKinds", "GIncomplete"
-_KIND_IDS = {
-    "safety": "GSafety",
-    "security": "GSecurity",
-    "performance": "GPerformance",
-    "recovery": "GRecovery",
-}
 
 
 def generated_argument(record: SessionRecord) -> Argument:
@@ -251,26 +268,32 @@ def generated_argument(record: SessionRecord) -> Argument:
     requirements = list(requirement_elements(record, verdicts))
     around = _argument_contexts(record, facts)
     domain = list(_scenario_contexts(record))
+    contexts = tuple(element.id for element in domain)
     hazards = hazard_evidence(record)
+    named = {place: evidence for place, evidence in enumerate(hazards) if evidence.requirements}
+    what = _requirements_text(requirements)
     leg = [
         *(
-            hazard_elements(hazards, requirements, domain)
-            if hazards
-            else _kinds_strategy(requirements, domain)
+            hazard_elements(named, requirements, what, contexts)
+            if named
+            else _kinds_strategy(requirements, what, contexts)
         )
     ]
+    monitors = list(monitor_elements(record.head.monitors))
+    basis = list(_basis_elements(record, facts, hazards))
     below = [
         *leg,
         *(element for requirement in requirements for element in requirement.elements),
         *(element for judged in verdicts for element in judged.elements),
-        *_monitor_elements(record.head.monitors),
+        *monitors,
+        *basis,
         *domain,
         *around,
     ]
     names = components or [str(record.head.component_under_test.name)]
-    support = (leg[0].id, *([_MONITORS_ID] if record.head.monitors else ()))
+    support = (leg[0].id, *(element.id for element in monitors[:1]), basis[0].id)
     surrounding = tuple(element.id for element in around)
-    top = _top_goal(names, sorted(facts.policies), requirements, shard_text(record))
+    top = _top_goal(names, sorted(facts.policies), what, shard_text(record))
     if is_incomplete(record):
         head = _incomplete_argument(record, top, support, surrounding)
     else:
@@ -279,18 +302,28 @@ def generated_argument(record: SessionRecord) -> Argument:
     return {element.id: element for element in [*head, *below]}
 
 
-def _top_goal(
-    names: list[str], policies: list[str], requirements: list[RequirementElements], shard: str
-) -> Element:
-    kinds = [
-        kind for kind in _KIND_IDS if any(requirement.kind == kind for requirement in requirements)
-    ]
+def _requirements_text(requirements: list[RequirementElements]) -> str:
+    """The requirements by their kinds: ``safety, security and recovery requirements``."""
+    kinds = [name(kind) for kind in _by_kind(requirements)]
+    if not kinds:
+        return "requirements"
+    return f"{' and '.join(filter(None, (', '.join(kinds[:-1]), kinds[-1])))} requirements"
+
+
+def _by_kind(requirements: list[RequirementElements]) -> dict[str, list[RequirementElements]]:
+    """Requirements by those kinds that are among them, in the order of kinds."""
+    groups: dict[str, list[RequirementElements]] = {kind: [] for kind in KINDS}
+    for requirement in requirements:
+        groups.setdefault(requirement.kind, []).append(requirement)
+    return {kind: group for kind, group in groups.items() if group}
+
+
+def _top_goal(names: list[str], policies: list[str], what: str, shard: str) -> Element:
     policy = f"recovery policy {names_text(policies)}" if policies else "its recovery policy"
     return Element(
         TOP_ID,
-        f"Within the tested cells of the operational domain{f' in {shard} alone' if shard else ''} "
-        f"{names_text(names)} with {policy} "
-        f"meets its {names_text(kinds) or 'dependability'} requirements.",
+        f"In the scenarios and under the faults that were tested{f' in {shard} alone' if shard else ''}, "  # noqa: E501
+        f"{names_text(names)} with {policy} meets its {what}.",
         alias="top",
     )
 
@@ -312,10 +345,12 @@ def _contested_top(
     yield replace(top, supported_by=support, in_context_of=surrounding, defeated=refuted)
     if against:
         names = names_text([element.name for element in against])
+        verb = "is" if len(against) == 1 else "are"
+        found = " or by what a search found" if searched else ""
         yield Element(
             "CGTop",
-            f"{len(against)} of {len(requirements)} requirements are violated in a tested cell"
-            f"{' or by what a search found' if searched else ''}: {names}."
+            f"{len(against)} of {counted(len(requirements), 'requirement')} {verb} violated in a "
+            f"tested case{found}: {names}."
             f"{' Waivers accept all of these violations.' if accepted else ''}",
             supported_by=tuple(element.challenge for element in against),
             challenges=TOP_ID,
@@ -343,34 +378,23 @@ def _incomplete_argument(
 
 
 def _kinds_strategy(
-    requirements: list[RequirementElements], domain: list[Element]
+    requirements: list[RequirementElements], what: str, contexts: tuple[str, ...]
 ) -> Iterator[Element]:
-    present = {
-        kind: [requirement for requirement in requirements if requirement.kind == kind]
-        for kind in [
-            *_KIND_IDS,
-            *sorted({requirement.kind for requirement in requirements} - set(_KIND_IDS)),
-        ]
-    }
-    absent = [kind for kind, group in present.items() if not group]
-    goals = [_kind_goal(kind, group) for kind, group in present.items() if group]
-    nothing = f" No requirement of the session is on {names_text(absent)}." if absent else ""
+    goals = [
+        Element(
+            f"G{kind.capitalize()}" if kind in KINDS else derived_id("G", kind, what="kind"),
+            f"Each {name(kind)} requirement is met in each tested case.",
+            supported_by=tuple(requirement.goal for requirement in group),
+            alias=f"kind:{kind}",
+        )
+        for kind, group in _by_kind(requirements).items()
+    ]
     yield Element(
         KINDS_ID,
-        "Argue over each kind of requirement, each requirement, and each scenario and fault."
-        f"{nothing}",
+        f"Argument over the {what}, kind by kind.",
         supported_by=tuple(goal.id for goal in goals),
-        in_context_of=tuple(element.id for element in domain),
+        in_context_of=contexts,
         undeveloped=not goals,
         alias="strategy:kinds",
     )
     yield from goals
-
-
-def _kind_goal(kind: str, elements: Iterable[RequirementElements]) -> Element:
-    return Element(
-        _KIND_IDS.get(kind) or derived_id("G", "kind", kind),
-        f"Each {kind} requirement is met in each tested cell.",
-        supported_by=tuple(element.goal for element in elements),
-        alias=f"kind:{kind}",
-    )

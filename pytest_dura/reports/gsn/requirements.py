@@ -6,6 +6,7 @@ one that bounds a rate is challenged by it, since no rate follows from where a s
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -31,6 +32,7 @@ from pytest_dura.requirements.searches import SearchOutcome
 _MAX_SEARCH_ELEMENTS = 5
 """Counterexamples of a requirement that are elements; the record has all."""
 _MAX_SEARCH_TEXT = 300
+_MAX_REASON = 800
 
 
 @dataclass(frozen=True)
@@ -89,12 +91,12 @@ def _counter_solution(
         text += f" Waived ({name(search.waiver.kind)}), reason: {reason}."
     apart = (str(number), str(place))
     return Element(
-        derived_id("CSn", "search", outcome.requirement, search.case, apart=apart),
+        derived_id("CSn", outcome.requirement, search.case, *apart, what="search"),
         text,
         url=f"evidence.json#/searches/{number}/outcomes/{place}",
         alias=f"found:{name(outcome.requirement)}@{case} ({number}.{place})",
         layers=layers,
-        brief=("search", name(outcome_status(search, outcome))),
+        brief=("search", *name(outcome_status(search, outcome)).split()),
     )
 
 
@@ -114,11 +116,10 @@ def _search_contexts(
     )
     return (
         Element(
-            derived_id("C", "search", requirement.id),
+            derived_id("C", requirement.id, what="search"),
             f"Searched without a find: {'; '.join(headlines)}{more}. {NOTHING_SUPPORTED}",
             url="evidence.json#/searches",
             alias=f"searched:{name(requirement.id)}",
-            brief=("searched,", "nothing found"),
         ),
     )
 
@@ -170,7 +171,8 @@ def _elements_of_requirement(
     searches: SearchElements,
 ) -> RequirementElements:
     requirement_id = requirement.id
-    untested = [_untested_goal(i, cell) for i, cell in cells]
+    times = Counter(cell.case for _, cell in cells)
+    untested = [_untested_goal(i, cell, alone=times[cell.case] == 1) for i, cell in cells]
     goals = [element.goal for element in own] + [element.id for element in untested]
     violated = [element for element in own if element.verdict.verdict == "violated"]
     accepted = searches.accepted and not any(element.refuted for element in violated)
@@ -221,7 +223,7 @@ def _elements_of_requirement(
 
 
 def _justification(requirement: Requirement, index: int) -> list[Element]:
-    reason = one_line(requirement.reason, MAX_TEXT)
+    reason = one_line(requirement.reason, _MAX_REASON)
     if not reason:
         return []
     return [
@@ -236,20 +238,21 @@ def _justification(requirement: Requirement, index: int) -> list[Element]:
 
 def _strategy_text(own: list[VerdictElements], untested: list[Element]) -> str:
     rest = f", {counted(len(untested), 'untested cell')}" if untested else ""
-    return f"Argue over scenarios and faults: {counted(len(own), 'judged case')}{rest}."
+    return f"Argument over scenarios and faults: {counted(len(own), 'judged case')}{rest}."
 
 
-def _untested_goal(index: int, cell: CellEntry) -> Element:
+def _untested_goal(index: int, cell: CellEntry, *, alone: bool) -> Element:
     faults = f"under {name(cell.faults)}" if cell.faults else "without faults"
-    apart = (cell.case, str(index))
     return Element(
-        derived_id("G", cell.requirement, cell.scenario, cell.faults, "untested", apart=apart),
+        derived_id(
+            "G", cell.requirement, cell.case, what="untested", apart=() if alone else (str(index),)
+        ),
         f"{name(cell.requirement)} holds in {name(cell.scenario)} {faults}. "
         "Untested: no episode of this session says anything of it.",
         undeveloped=True,
         url=f"evidence.json#/coverage/cells/{index}",
         alias=f"untested:{name(cell.requirement)}@{name(cell.case)}",
-        brief=(f"{name(cell.scenario)} {faults}", "untested"),
+        brief=("Untested.",),
     )
 
 
@@ -261,10 +264,10 @@ def _counter_goal(
     *,
     accepted: bool,
 ) -> list[Element]:
-    how = f" in {len(violated)} of {len(own)} judged cases" if own else ""
+    how = f" in {len(violated)} of {counted(len(own), 'judged case')}" if own else ""
     if searches.against:
         count = searches.violations
-        how += f"{' and' if own else ''} by what {count} search{'' if count == 1 else 'es'} found"
+        how += f"{' and' if own else ''} by what {counted(count, 'search', 'searches')} found"
     waived = " Waivers accept all of these violations." if accepted else ""
     return [
         Element(

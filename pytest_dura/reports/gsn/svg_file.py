@@ -1,23 +1,29 @@
-"""``assurance-case.svg``: the argument as a picture that stands alone."""
+"""``assurance-case.svg``: the argument as a picture that stands alone, page below page."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.reports.gsn.argument import REVIEW_ID, SESSION_ID, generated_argument
 from pytest_dura.reports.gsn.drawing import (
-    MARGIN,
     MARKERS,
     STYLE,
-    WIDTH,
     DrawnArgument,
     Edge,
     Shape,
     drawn_argument,
+)
+from pytest_dura.reports.gsn.pages import (
+    BETWEEN,
+    HEIGHT,
+    MARGIN,
+    WIDTH,
+    Pages,
     layout_argument,
-    wrap_text,
+    page_top,
 )
 from pytest_dura.reports.svg import Svg, document, joined, tag
 from pytest_dura.reports.wording import is_incomplete, review_text
@@ -25,7 +31,9 @@ from pytest_dura.reports.wording import is_incomplete, review_text
 FILE = "assurance-case.svg"
 
 _STATED = ("cases", "episodes", "valid", "invalid", "missing")
-_KINDS = ("Goal", "Strategy", "Solution", "Context", "Assumption", "CounterGoal")
+_KINDS = (
+    "Goal", "Strategy", "Solution", "Context", "Assumption", "Justification", "CounterGoal",
+)  # fmt: skip
 
 
 def render(record: SessionRecord) -> str:
@@ -34,22 +42,21 @@ def render(record: SessionRecord) -> str:
     session = argument[SESSION_ID]
     view = drawn_argument(argument)
     view.counts[SESSION_ID] = Counter({key: session.layers[key] for key in ("gate", *_STATED)})
+    root = next(iter(argument))
     head, y = _picture_head(record, view)
-    picture = layout_argument(view, next(iter(argument)), y)
-    height = picture.height + MARGIN
-    edges = joined([edge.svg() for edge in picture.edges], "\n")
-    text = argument[next(iter(argument))].text
+    pages = layout_argument(view, root, y)
+    height = page_top(len(pages.titles)) - BETWEEN
     return (
         document(
             round(WIDTH),
             round(height),
             tag("title", f"Assurance case, {review_text(record)}", id="gsn-title"),
-            tag("desc", f"{text} {session.text}", id="gsn-text"),
+            tag("desc", f"{argument[root].text} {session.text}", id="gsn-text"),
             joined([tag("style", STYLE), tag("defs", MARKERS)]),
-            tag("path", fill="#fff", d=f"M0 0H{WIDTH:.0f}V{height:.0f}H0z"),
+            *_sheets(record, pages),
             *head,
-            tag("g", edges),
-            *(shape.svg() for shape in picture.shapes),
+            tag("g", joined([edge.svg() for edge in pages.edges], "\n")),
+            *(shape.svg() for shape in pages.shapes),
             role="img",
             aria_labelledby="gsn-title gsn-text",
         )
@@ -57,51 +64,69 @@ def render(record: SessionRecord) -> str:
     )
 
 
+def _sheets(record: SessionRecord, pages: Pages) -> Iterator[Svg]:
+    """Each page by its outline and title, and a view: ``assurance-case.svg#page-2`` shows it."""
+    for number, roots in enumerate(pages.titles, 1):
+        top = page_top(number - 1)
+        yield tag("view", id=f"page-{number}", viewBox=f"0 {top:.0f} {WIDTH:.0f} {HEIGHT:.0f}")
+        yield tag("rect", class_="page", x=0.5, y=top + 0.5, width=WIDTH - 1, height=HEIGHT - 1)
+        head = ", ".join(roots)
+        if number == 1:
+            head = f"Assurance case (GSN): {one_line(review_text(record), 120)}"
+        yield tag("text", head, class_="left head", x=round(MARGIN), y=round(top + MARGIN + 6))
+        of = f"page {number} of {len(pages.titles)}"
+        yield tag("text", of, class_="right", x=round(WIDTH - MARGIN), y=round(top + MARGIN + 4))
+
+
 def _picture_head(record: SessionRecord, view: DrawnArgument) -> tuple[list[Svg], float]:
-    """Title, warning, place for the reviewer and legend; and where they end."""
-    lines = [("head", f"Assurance case (GSN): {one_line(review_text(record), 120)}")]
+    """Warning, place for the reviewer and legend of the first page; and where they end."""
+    lines = []
     if is_incomplete(record):
         lines.append(("warning", "INCOMPLETE SESSION: not all was run, so no claim is made here."))
     lines += [("", sentence) for sentence in view.folded]
-    if REVIEW_ID in view.argument:
-        layers = view.argument[REVIEW_ID].layers
-        blank = "." * 32
-        review = [f"{key}: {layers[key] or blank}" for key in layers]
-        lines.append(("", "   ".join(review)))
-    lines.append(
-        ("", f"{name(record.head.created)}. Evidence and every element: assurance-case.gsn.yaml")
+    layers = view.argument[REVIEW_ID].layers
+    review = "   ".join(f"{key}: {layers[key] or '.' * 32}" for key in layers)
+    files = (
+        "Verdicts, episodes and tables are in evidence.json; each element by itself and all "
+        "counterexamples are in assurance-case.gsn.yaml."
     )
-    y = MARGIN + 6
+    lines += [("", f"{name(record.head.created)}. {review}"), ("", files)]
+    y = MARGIN + 28
     texts = []
     for kind, line in lines:
         place = {"x": round(MARGIN), "y": round(y)}
         texts.append(tag("text", line, class_=f"left {kind}", **place))
-        y += 20
-    return [*texts, *_legend(y + 4)], y + 84
+        y += 19
+    return [*texts, *_legend(y - 4)], y + 66
 
 
 def _legend(y: float) -> list[Svg]:
     """Every kind of element and relation of the notation with its name, outside of the counts."""
     parts = []
     x = MARGIN
-    for kind in _KINDS:
-        round_ = kind == "Solution"
-        lines = wrap_text(kind, 200, 1)
-        shape = Shape(kind, kind, lines, 60.0 if round_ else 104.0, x=x, y=y)
+    for text in (*_KINDS, "Undeveloped", "Defeated"):
+        kind = text if text in _KINDS else "Goal"
+        shape = Shape(
+            text,
+            kind,
+            [text.replace("Counter", "Counter ")],
+            60.0 if kind == "Solution" else 108.0,
+            undeveloped=text == "Undeveloped",
+            defeated=text == "Defeated",
+            x=x,
+            y=y,
+        )
         parts.append(shape.svg(legend=True))
         x += shape.width + 16
-    undeveloped = Shape("undeveloped", "Goal", ["Undeveloped"], 104.0, undeveloped=True, x=x, y=y)
-    defeated = Shape("defeated", "Goal", ["Defeated"], 90.0, defeated=True, x=x + 120, y=y)
-    parts += [shape.svg(legend=True) for shape in (undeveloped, defeated)]
-    x += 226
-    names = {
+    relations = {
         "supportedBy": "supported by",
         "inContextOf": "in context of",
         "challenges": "challenges",
+        "defeats": "challenges, and defeats",
     }
-    for i, (relation, label) in enumerate(names.items()):
-        height = y + 4 + i * 18
-        parts.append(Edge(relation, ((x, height), (x + 50, height))).svg())
-        place = {"x": round(x + 58), "y": round(height + 4)}
+    for i, (relation, label) in enumerate(relations.items()):
+        left, height = x + 150 * (i // 2), y + 12 + i % 2 * 20
+        parts.append(Edge(relation, ((left, height), (left + 42, height))).svg())
+        place = {"x": round(left + 50), "y": round(height + 4)}
         parts.append(tag("text", label, class_="left", **place))
     return parts

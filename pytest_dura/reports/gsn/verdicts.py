@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from pytest_dura.evidence.case_model import ParameterEntry
+from pytest_dura.evidence.case_model import CaseEntry, ParameterEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry, TraceEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
 from pytest_dura.evidence.model import SessionRecord
@@ -19,22 +19,14 @@ from pytest_dura.reports.contents import folded_cases, requirement_anchor, verdi
 from pytest_dura.reports.gsn.element import Element, derived_id
 from pytest_dura.reports.verdicts import (
     as_sentence,
-    challenge_brief,
     challenge_text,
     evidence_text,
     part_text,
-    short_evidence_text,
     verdict_proposition,
     waiver_text,
 )
 from pytest_dura.reports.wording import evidence_option, model_options, names_text, replay_command
 from pytest_dura.requirements.campaign_verdicts import Counterexample, violation_text
-from pytest_dura.requirements.monitoring.quality import MonitorQuality
-
-
-def _place_text(case: str, component: str, *, several: bool) -> str:
-    """The case, and the component where the session has several."""
-    return f"{name(case)} [{name(component)}]" if several else name(case)
 
 
 def scenario_text(scenario: str, parameters: list[ParameterEntry]) -> str:
@@ -54,27 +46,6 @@ def _range_text(parameter: ParameterEntry) -> str:
     return f"one of {choices}; {drawn} drawn, {covered} of the choices reached"
 
 
-def monitor_text(monitor: str, target: str, rows: list[MonitorQuality]) -> str:
-    """The quality of a monitor over all cases in which recovery did not act."""
-    hits, misses = (
-        sum(row.true_positives for row in rows),
-        sum(row.false_negatives for row in rows),
-    )
-    alarms, quiet = (
-        sum(row.false_positives for row in rows),
-        sum(row.true_negatives for row in rows),
-    )
-    raised = (
-        f"flagged {hits} of {hits + misses} episodes with a violation"
-        if hits + misses
-        else "met no violation that it could have missed"
-    )
-    return (
-        f"{name(monitor)} for {name(target)}: {raised}, and {alarms} of {alarms + quiet} without "
-        f"one, in {len(rows)} cases."
-    )
-
-
 def _figure_text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, int | float) else name(str(value))
 
@@ -90,6 +61,9 @@ class EpisodeFacts:
 
     Args:
         policies: Recovery policies of the cases on which there is a verdict.
+        recoveries: Import paths of their recovery planners.
+        judged: How many runs they have.
+        recovered: In how many of these recovery acted.
         simulators: Import paths of the simulators.
         seeds: How many episodes have a seed, and the least and the greatest one.
         counterexamples: Seed and trace of the episodes that the argument shows, by id and
@@ -97,6 +71,9 @@ class EpisodeFacts:
     """
 
     policies: set[str] = field(default_factory=set)
+    recoveries: set[str] = field(default_factory=set)
+    judged: int = 0
+    recovered: int = 0
     simulators: set[str] = field(default_factory=set)
     seeds: tuple[int, int, int] | None = None
     counterexamples: dict[tuple[str, str], tuple[int, TraceEntry | None]] = field(
@@ -122,8 +99,14 @@ class EpisodeFacts:
 
     def _take(self, episode: EpisodeEntry, *, judged: bool) -> None:
         spec, seed = episode.spec, episode.seed
-        if judged and len(self.policies) < _MOST_NAMES:
-            self.policies.add(spec.policy)
+        if judged:
+            self.judged += 1
+            self.recovered += episode.metrics.recoveries > 0
+            planner = spec.roles.get("recovery_planner")
+            if len(self.policies) < _MOST_NAMES:
+                self.policies.add(spec.policy)
+            if planner is not None and len(self.recoveries) < _MOST_NAMES:
+                self.recoveries.add(planner.path)
         if len(self.simulators) < _MOST_NAMES:
             self.simulators.add(spec.simulator.path)
         count, least, greatest = self.seeds or (0, seed, seed)
@@ -161,53 +144,83 @@ def verdict_elements(
     record: SessionRecord, facts: EpisodeFacts, *, several: bool
 ) -> Iterator[VerdictElements]:
     """Each verdict of the record with its elements; ``several``: components are told apart."""
-    seen: Counter[tuple[str, ...]] = Counter()
     folded = folded_cases(record)
-    for index, verdict in enumerate(record.head.verdicts):
-        # Its item tells apart two tests of one requirement and case; two of one item have no
-        # other difference than their order.
-        apart: tuple[str, ...] = (verdict.component, verdict.item)
-        key = (verdict.requirement, verdict.case, *apart)
-        seen[key] += 1
-        if seen[key] > 1:
-            apart = (*apart, str(seen[key]))
-        shown = (verdict.case, verdict.component) not in folded
-        yield _VerdictBuilder(record, facts, index, verdict, apart, several, shown).build()
+    texts = {requirement.id: requirement.text for requirement in record.head.requirements}
+    places = {(case.id, case.component): _place_text(case) for case in record.head.cases}
+    keys = [(verdict.requirement, verdict.case) for verdict in record.head.verdicts]
+    times, seen = Counter(keys), Counter[tuple[str, ...]]()
+    for index, (key, verdict) in enumerate(zip(keys, record.head.verdicts, strict=True)):
+        apart: tuple[str, ...] = ()
+        if times[key] > 1 or several:
+            # Two tests of one requirement and case differ by their items; two verdicts of one
+            # item have no other difference than their order.
+            apart = (verdict.component, verdict.item)
+            seen[key + apart] += 1
+            if seen[key + apart] > 1:
+                apart = (*apart, str(seen[key + apart]))
+        case = (verdict.case, verdict.component)
+        where = places.get(case) or name(verdict.case)
+        yield _VerdictBuilder(
+            record,
+            facts,
+            index,
+            verdict,
+            apart,
+            where=f"{where} [{name(verdict.component)}]" if several else where,
+            label=name(verdict.case) + (f" [{name(verdict.component)}]" if several else ""),
+            about=as_sentence(texts[verdict.requirement]),
+            shown=case not in folded,
+        ).build()
+
+
+def _place_text(case: CaseEntry) -> str:
+    """The case by its scenario and its faults, in words."""
+    faults = names_text([fault.id for fault in case.faults])
+    return f"{name(case.scenario)} {f'under {faults}' if faults else 'without faults'}"
 
 
 @dataclass(frozen=True)
 class _VerdictBuilder:
-    """Makes the elements of one verdict."""
+    """Makes the elements of one verdict.
+
+    Args:
+        record: Of the session.
+        facts: Of its episodes.
+        index: Place of the verdict in the record.
+        verdict: The verdict.
+        apart: What tells it from others on its requirement and case.
+        where: Scenario and faults.
+        label: The case's id, with the component where there are several.
+        about: Text of the requirement.
+        shown: Whether the report has a row for it.
+    """
 
     record: SessionRecord
     facts: EpisodeFacts
     index: int
     verdict: ItemVerdict
     apart: tuple[str, ...]
-    several: bool
+    where: str
+    label: str
+    about: str
     shown: bool
-    """Whether the report has a row for it."""
 
     @property
     def url(self) -> str:
         return f"evidence.json#/verdicts/{self.index}"
 
     @property
-    def where(self) -> str:
-        return _place_text(self.verdict.case, self.verdict.component, several=self.several)
-
-    @property
     def requirement(self) -> str:
         return name(self.verdict.requirement)
 
-    def identifier(self, prefix: str, *more: str) -> str:
+    def identifier(self, prefix: str, *more: str, what: str = "") -> str:
         """The id of the verdict's element of a kind."""
         parts = (self.verdict.requirement, self.verdict.case, *more)
-        return derived_id(prefix, *parts, apart=self.apart)
+        return derived_id(prefix, *parts, what=what, apart=self.apart)
 
     def alias(self, what: str) -> str:
         twin = f" ({self.apart[2]})" if len(self.apart) > 2 else ""
-        return f"{what}:{self.requirement}@{self.where}{twin}"
+        return f"{what}:{self.requirement}@{self.label}{twin}"
 
     def layers(self) -> dict[str, Any]:
         requirement = self.verdict.requirement
@@ -235,10 +248,15 @@ class _VerdictBuilder:
 
     def _goal(self, support: list[str], waivers: list[str]) -> Element:
         verdict = self.verdict.verdict
-        why = f" Undecided: {as_sentence(self.verdict.reason)}" if verdict == "undecided" else ""
+        claim = verdict_proposition(self.verdict)
+        why = f"Undecided: {as_sentence(self.verdict.reason)}" if verdict == "undecided" else ""
         return Element(
             self.identifier("G"),
-            verdict_proposition(self.verdict, self.where) + why,
+            " ".join(
+                part
+                for part in (f"{self.requirement} in {self.where}:", self.about, claim, why)
+                if part
+            ),
             supported_by=tuple(support),
             in_context_of=tuple(waivers),
             undeveloped=verdict == "undecided",
@@ -246,39 +264,39 @@ class _VerdictBuilder:
             url=self.url,
             alias=self.alias("verdict"),
             layers=self.layers(),
-            brief=(self.where, verdict + (", waived" if waivers else "")),
+            brief=(claim, why) if why else (claim,),
         )
 
     def _solution(self) -> Element:
+        counts = f"n = {self.verdict.episodes}", f"{self.verdict.violations} violated"
         return Element(
             self.identifier("Sn"),
-            evidence_text(self.verdict),
+            f"Verdict {self.index} in evidence.json: {evidence_text(self.verdict)}",
             url=self.url,
             alias=self.alias("evidence"),
             layers=self.layers(),
-            brief=tuple(short_evidence_text(self.verdict)),
+            brief=(f"verdict {self.index}", *counts),
         )
 
     def _waiver(self, waiver: Waiver) -> Element:
         return Element(
-            self.identifier("J", "waiver"),
+            self.identifier("J", what="waiver"),
             waiver_text(waiver, self.verdict.verdict),
             url=f"{self.url}/waiver",
             alias=self.alias("waiver"),
-            brief=("waived",),
         )
 
     def _challenge(self) -> Iterator[Element]:
         """A counter goal, and the counterexamples or else the verdict's entry to support it."""
+        status = {"verdict": self.verdict.verdict}
         counterexamples = _shown_counterexamples(self.verdict)
         evidence = [
             self._counterexample(i, counterexample)
             for i, counterexample in enumerate(counterexamples)
         ]
         if not evidence:
-            text = evidence_text(self.verdict)
-            short = tuple(short_evidence_text(self.verdict))
-            evidence = [Element(self.identifier("CSn"), text, url=self.url, brief=short)]
+            solution = self._solution()
+            evidence = [replace(solution, id=self.identifier("CSn"), alias="", layers=status)]
         yield Element(
             self.identifier("CG"),
             challenge_text(self.verdict, self.where, len(counterexamples)),
@@ -286,7 +304,7 @@ class _VerdictBuilder:
             challenges=self.identifier("G"),
             url=self.url,
             alias=self.alias("challenge"),
-            brief=challenge_brief(self.verdict),
+            layers=status,
         )
         yield from evidence
 
@@ -296,24 +314,25 @@ class _VerdictBuilder:
             counterexample.time, counterexample.margin, valid=counterexample.valid
         )
         brief = violation_text(counterexample.time, None).strip()
-        key = episode, self.verdict.component
-        seed, trace = self.facts.counterexamples.get(key, (None, None))
-        evidence = evidence_option(self.record.head.command)
-        models = {
-            key: name(model_option)
-            for key, model_option in model_options(self.record.head.command).items()
-        }
-        command = replay_command(
-            name(episode), None if evidence is None else name(evidence), models
+        seed, trace = self.facts.counterexamples.get(
+            (episode, self.verdict.component), (None, None)
         )
-        layers = {"replay": command}
+        command = self.record.head.command
+        evidence = evidence_option(command)
+        models = {key: name(option) for key, option in model_options(command).items()}
+        layers = {
+            "replay": replay_command(
+                name(episode), None if evidence is None else name(evidence), models
+            ),
+            "verdict": self.verdict.verdict,
+        }
         if trace is not None:
             layers["trace"] = name(trace.file)
         return Element(
             self.identifier("CSn", str(index)),
-            f"Episode {name(episode)} violates it{when}"
+            f"Episode {name(episode)} in evidence.json violates it{when}"
             + ("." if seed is None else f", seed {seed}."),
             url=f"{self.url}/counterexamples/{index}",
             layers=layers,
-            brief=("run " + name(episode).rpartition("#")[2][:10], brief),
+            brief=("run " + name(episode).rpartition("#")[2][:9], brief),
         )

@@ -19,7 +19,12 @@ from pytest_dura.reports.contents import (
     verdict_anchor,
     verdict_key,
 )
-from pytest_dura.reports.hazards import condition_lines, hazards_by_need, status_sentence
+from pytest_dura.reports.hazards import (
+    bound_sentence,
+    condition_lines,
+    hazards_by_need,
+    status_sentence,
+)
 from pytest_dura.requirements.model import Requirement
 
 _MAX_STEPS = 12
@@ -45,9 +50,9 @@ def _hazard_row(evidence: HazardEvidence, contents: ReportContents, links: Episo
         "text": hazard.text,
         "severity": hazard.severity,
         "status": evidence.status,
-        "sentence": status_sentence(evidence),
+        "sentence": f"{status_sentence(evidence)} {bound_sentence(evidence)}",
         "lacking": not evidence.has_evidence,
-        "stated": [line for line in condition_lines(hazard) if not line[0].startswith("Severity")],
+        "stated": [line for line in condition_lines(hazard) if line[1] != "none"],
         "requirements": [
             _requirement_row(requirement, evidence.verdicts_on(requirement), contents, links)
             for requirement in evidence.requirements

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import pytest
 import yaml
+from gsn_rules import rule_problems
 from session_records import REQUIREMENTS, episode, session_record, verdict
 from stated_counts import dead_references, elements_of, stated_counts
 
 from pytest_dura.core.codec import encode
-from pytest_dura.reports import generated_argument, root_ids, rule_problems
+from pytest_dura.reports import generated_argument, root_ids
 from pytest_dura.reports.gsn import svg_file, yaml_file
 
 WAIVER = {"kind": "xfail", "reason": "known"}
@@ -35,10 +36,12 @@ def test_the_file_is_yaml_that_keeps_the_rules():
 
 def test_the_top_claim_is_bounded_to_what_was_tested_and_reviewed_by_nobody():
     found = elements(session_record())
-    assert found["GTop"]["text"].startswith("Within the tested cells of the operational domain C")
+    assert found["GTop"]["text"].startswith(
+        "In the scenarios and under the faults that were tested, C with recovery policy recover "
+    )
     assert "unreviewed" in found["CReview"]["text"]
     assert [found["CReview"][key] for key in ("reviewer", "reviewDate", "opinion")] == [""] * 3
-    assert {"CReview", "CDomain", "CVersions", "ASimulator"} <= set(found["GTop"]["inContextOf"])
+    assert {"CReview", "CDomain", "CVersions", "ASampling"} <= set(found["GTop"]["inContextOf"])
 
 
 def test_a_violation_defeats_its_goal_its_requirement_and_the_top():
@@ -50,7 +53,8 @@ def test_a_violation_defeats_its_goal_its_requirement_and_the_top():
     assert found[against["challenges"]] == goal
     assert counterexample["replay"] == "pytest --dura-replay='a/clear+ghost#1'"
     assert counterexample["text"] == (
-        "Episode a/clear+ghost#1 violates it at t = 0.90 s, margin -0.5, seed 1001."
+        "Episode a/clear+ghost#1 in evidence.json violates it at t = 0.90 s, margin -0.5, "
+        "seed 1001."
     )
     assert found["G-SAF-1"]["defeated"]
     assert found["GTop"]["defeated"]
@@ -133,15 +137,114 @@ def test_an_incomplete_session_claims_nothing(gate):
     assert stated_counts(yaml_file, yaml_file.render(record)) == record.head.totals.to_json()
 
 
-def test_monitors_are_known_only_from_violations_that_they_could_miss():
-    record = session_record()
-    quiet = replace(record.head.monitors[0], monitor="quiet", true_positives=0)
-    found = elements(session_record(monitors=[*record.head.monitors, quiet]))
-    known = by_alias(found, "monitor:security_assessor:SAF-1")
-    unknown = by_alias(found, "monitor:quiet:SAF-1")
-    assert "flagged 1 of 1 episodes with a violation" in known["text"]
-    assert unknown["undeveloped"]
-    assert "no violation" in unknown["text"]
+def monitor_goal(*rows):
+    """The goal on a monitor of these counts: hits, misses, false alarms, quiet runs."""
+    (listed,) = session_record().head.monitors
+    keys = ("true_positives", "false_negatives", "false_positives", "true_negatives")
+    made = [replace(listed, **dict(zip(keys, row, strict=True))) for row in rows]
+    found = elements(session_record(monitors=made))
+    return by_alias(found, "monitor:security_assessor:SAF-1"), found
+
+
+def test_a_monitor_that_warns_is_supported_with_bound_and_confidence():
+    goal, found = monitor_goal((7, 0, 1, 9), (2, 0, 0, 10))
+    assert goal["text"].endswith("warned of at least 71.69 % of these, with 95 % confidence.")
+    (solution,) = goal["supportedBy"]
+    assert "warned of 9 of 9; alarms in 1 of 20 runs without; 2 cases" in found[solution]["text"]
+    assert "defeated" not in found["GMonitors"]
+
+
+@pytest.mark.parametrize("counts", [(0, 9, 0, 0), (0, 9, 5, 5), (9, 0, 8, 0), (3, 6, 6, 3)])
+def test_a_monitor_that_tells_nothing_defeats_its_goal(counts):
+    """It warned of none, or raises alarms as often where there is nothing to warn of."""
+    goal, found = monitor_goal(counts)
+    assert goal["defeated"]
+    assert found["GMonitors"]["defeated"]
+    assert found["CGMonitors"]["challenges"] == "GMonitors"
+    # No verdict rests on monitors, so that the claim on the component stands as it did.
+    assert found["GTop"].get("defeated") == elements(session_record())["GTop"].get("defeated")
+
+
+@pytest.mark.parametrize(
+    "counts, why",
+    [
+        ((9, 0, 0, 0), "without a run that has nothing to warn of, precision says nothing"),
+        ((0, 0, 3, 6), "nothing happened that it could have missed"),
+        ((1, 0, 0, 1), "these are too few runs"),
+    ],
+)
+def test_what_is_not_known_of_a_monitor_is_undeveloped(counts, why):
+    goal, found = monitor_goal(counts)
+    assert goal["undeveloped"]
+    assert why in goal["text"]
+    assert "defeated" not in found["GMonitors"]
+
+
+def test_the_top_goal_and_its_strategy_speak_of_the_same_requirements():
+    found = elements(session_record())
+    what = "safety, security and performance requirements"
+    assert found["GTop"]["text"].endswith(f"meets its {what}.")
+    assert found["SKinds"]["text"] == f"Argument over the {what}, kind by kind."
+    assert found["SKinds"]["supportedBy"] == ["GSafety", "GSecurity", "GPerformance"]
+
+
+def test_goals_of_verdicts_are_propositions_with_bound_and_confidence():
+    found = elements(session_record())
+    supported, violated, undecided = (
+        by_alias(found, f"verdict:{alias}")["text"]
+        for alias in ("SAF-1@a/clear", "SAF-1@a/clear+ghost", "SEC-1@a/clear+ghost")
+    )
+    about = REQUIREMENTS["SAF-1"].text
+    assert supported == (
+        f"SAF-1 in a/clear without faults: {about} Violated in at most 77.64 % of such runs, with "
+        "95 % confidence."
+    )
+    assert violated == f"SAF-1 in a/clear under ghost: {about} Violated in none of such runs."
+    assert "in at most 40 % of such runs, with 95 % confidence. Undecided: only" in undecided
+
+
+def test_contexts_name_component_recovery_scenarios_and_seeds():
+    found = elements(session_record())
+    assert (
+        "Component under test: C, from m:G, version 1.2, digest 22ee" in found["CComponent"]["text"]
+    )
+    assert "Recovery policy: recover. Recovery planner: " in found["CRecovery"]["text"]
+    assert "recovery acted in 0 of 6 judged runs" in found["CRecovery"]["text"]
+    assert "Scenarios: a/clear. Faults: ghost." in found["CDomain"]["text"]
+    assert "6 episodes with seeds from 1000 to 1003" in found["CSeeds"]["text"]
+    assert "C-scenario:a/clear" in found
+
+
+def test_what_no_session_shows_is_undeveloped():
+    head = session_record().head
+    component = head.component_under_test
+
+    def with_git(commit, *, dirty):
+        git = head.environment.git.replace(commit=commit, dirty=dirty)
+        return head.environment.replace(git=git)
+
+    for changes, more in (
+        ({}, set()),
+        ({"environment": with_git(None, dirty=False)}, {"GCommit"}),
+        ({"environment": with_git("c0" * 20, dirty=True)}, {"GCommit"}),
+        ({"component_under_test": component.replace(opaque=True)}, {"GComponent"}),
+    ):
+        found = elements(session_record(**changes))
+        assert {*found["SBasis"]["supportedBy"]} == {"GSimulator", "GTool"} | more
+        assert all(found[id_]["undeveloped"] for id_ in found["SBasis"]["supportedBy"])
+        assert "SBasis" in found["GTop"]["supportedBy"]
+
+
+def test_ids_are_readable_and_the_same_in_another_session():
+    found = elements(session_record())
+    other = elements(session_record(verdicts=[verdict("SAF-1", "a/clear+ghost", ["satisfied"])]))
+    assert {
+        "G-SAF-1",
+        "G-SAF-1@a/clear+ghost",
+        "Sn-SAF-1@a/clear+ghost",
+    } <= found.keys() & other.keys()
+    assert "G-untested:PERF-1@a/clear+ghost" in found
+    assert not any("=" in id_ for id_ in found)
 
 
 def test_a_session_without_anything_has_an_argument_too():

@@ -11,7 +11,7 @@ from stated_counts import stated_counts
 from pytest_dura.core.codec import encode
 from pytest_dura.reports import svg
 from pytest_dura.reports.gsn import svg_file
-from pytest_dura.reports.gsn.drawing import text_width, wrap_text
+from pytest_dura.reports.gsn.drawing import COLOURS, text_width, wrap_text
 
 SUPPORTED = verdict("SAF-1", "a/clear", ("satisfied",))
 VIOLATED = verdict("SAF-1", "a/clear", ("violated",))
@@ -26,6 +26,12 @@ def shapes(text):
 
 def boxes(text):
     return [tuple(map(float, one["data-box"].split())) for one in shapes(text)]
+
+
+def pages(text):
+    """Left, top, width and height of each page, by its view."""
+    views = ET.fromstring(text).iter(f"{NAMESPACE}view")
+    return [tuple(map(float, view.get("viewBox").split())) for view in views]
 
 
 def overlapping(found):
@@ -56,19 +62,21 @@ def test_no_shape_overlaps_another_and_all_are_inside(size):
     record = large(*size) if size[0] else session_record()
     text = svg_file.render(record)
     found = boxes(text)
-    width, height = map(float, re.search(r'viewBox="0 0 (\d+) (\d+)"', text).groups())
     assert overlapping(found) == []
-    assert all(x >= 0 and x + w <= width and y + h <= height for x, y, w, h in found)
+    sheets = pages(text)
+    for x, y, w, h in found:  # each on one page
+        assert any(left <= x and x + w <= left + width and top <= y and y + h <= top + height
+                   for left, top, width, height in sheets)  # fmt: skip
     assert stated_counts(svg_file, text) == record.head.totals.to_json()
 
 
 def test_a_large_argument_is_folded_and_says_so():
     text = svg_file.render(large(90, 20))
-    assert "1800 verdicts and untested cells are folded by requirement." in text
+    assert "1800 verdicts are folded by requirement." in text
     assert "90 requirements are folded by kind" in text
     assert len(shapes(text)) < 200
     single = [one for one in shapes(text) if one.get("data-violated") == "1"]
-    assert any(one["data-id"].startswith("G-R-0-a-0.") for one in single)  # still to be seen
+    assert any(one["data-id"] == "G-R-0@a/0" for one in single)  # still to be seen
 
 
 def test_the_picture_stands_alone():
@@ -88,7 +96,7 @@ def test_each_kind_of_element_has_its_shape_and_each_relation_its_arrow():
     outlines = {
         "Goal": "rect", "Strategy": "polygon", "Solution": "circle", "Context": "rect",
         "Assumption": "ellipse", "Justification": "ellipse", "CounterGoal": "rect",
-        "CounterSolution": "circle",
+        "CounterSolution": "circle", "Reference": "rect",
     }  # fmt: skip
     seen = set()
     for group in root.iter(f"{NAMESPACE}g"):
@@ -100,9 +108,51 @@ def test_each_kind_of_element_has_its_shape_and_each_relation_its_arrow():
             marks = {one.get("class") for one in outline}
             assert ("diamond" in marks) == ("data-undeveloped" in group.attrib)
             assert ("cross" in marks) == ("data-defeated" in group.attrib)
-    assert seen == set(outlines)
+    assert seen >= set(outlines) - {"Reference"}
     relations = {one.get("class") for one in root.iter(f"{NAMESPACE}polyline")}
-    assert relations == {"supportedBy", "inContextOf", "challenges"}
+    assert relations == {"supportedBy", "inContextOf", "challenges", "defeats"}
+
+
+def test_pages_are_sheets_in_landscape_on_which_letters_can_be_read():
+    for record in (session_record(), large(3, 40)):
+        text = svg_file.render(record)
+        for _, _, width, height in pages(text):
+            assert width / height == pytest.approx(2**0.5, abs=0.01)
+            # 9 points on a sheet of A3, 420 mm wide.
+            assert 12 / width * 420 / 25.4 * 72 > 8.9
+        assert "text{font:12px " in text
+        assert f"page 1 of {len(pages(text))}" in text
+
+
+def test_no_words_of_a_usual_session_are_cut():
+    reason = "Because of what is known about it. " * 20
+    requirements = [{**encode(one), "reason": reason} for one in REQUIREMENTS.values()]
+    text = svg_file.render(session_record(requirements=requirements))
+    words = " ".join(ET.fromstring(text).itertext()).split()
+    drawn = " ".join(each.text or "" for each in ET.fromstring(text).iter(f"{NAMESPACE}text"))
+    assert "…" not in words
+    assert drawn.count("what is known about it.") == 20 * len(requirements)
+
+
+def test_what_is_undecided_is_never_drawn_as_violated():
+    undecided = verdict("SEC-1", "a/clear+ghost", ("violated", "satisfied"), planned=9)
+    assert undecided["verdict"] == "undecided"
+    assert undecided["counterexamples"]
+    allowed = verdict("SEC-1", "a/clear", ("violated", *["satisfied"] * 19))
+    for judged, is_red in ((undecided, False), (allowed, False), (VIOLATED, True)):
+        root = ET.fromstring(svg_file.render(session_record(verdicts=[judged], monitors=[])))
+        outlines = [
+            group.find(f"{NAMESPACE}g")
+            for group in root.iter(f"{NAMESPACE}g")
+            if "data-id" in group.attrib
+        ]
+        assert any(each.get("stroke") == COLOURS["violated"] for each in outlines) == is_red
+        assert any("defeats" in each.get("class") for each in outlines) == is_red
+        relations = {
+            each.get("class") for each in root.findall(f"{NAMESPACE}g/{NAMESPACE}polyline")
+        }
+        assert relations >= {"defeats" if is_red else "challenges"}
+        assert ("defeats" in relations) == is_red
 
 
 def test_lines_keep_their_width_and_what_is_left_out_is_told():

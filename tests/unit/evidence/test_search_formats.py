@@ -7,13 +7,14 @@ import re
 
 import pytest
 import yaml
+from gsn_rules import rule_problems
 from report_pages import Page
 from searches import entry
 from session_records import session_record, verdict
 from stated_counts import elements_of, stated_counts
 
 from pytest_dura.evidence import all_formats, write_record
-from pytest_dura.reports import intoto, outcome_headline, rule_problems, summary
+from pytest_dura.reports import intoto, outcome_headline, summary
 from pytest_dura.reports.gsn import yaml_file
 from pytest_dura.reports.html.page import render
 from pytest_dura.reports.searches import failure_lines, outcome_entries, simulations_text
@@ -163,7 +164,7 @@ def test_a_counterexample_defeats_a_requirement_on_all_episodes():
     assert found["G-SAF-1"]["defeated"]
     assert found["GTop"]["defeated"]
     against = found["CG-SAF-1"]
-    assert against["text"] == "SAF-1 is violated in 0 of 1 judged cases and by what 1 search found."
+    assert against["text"] == "SAF-1 is violated in 0 of 1 judged case and by what 1 search found."
     (solution,) = (found[one] for one in against["supportedBy"])
     assert solution["url"] == "evidence.json#/searches/0/outcomes/0"
     assert solution["text"].startswith("A search of a/clear with C: falsified: SAF-1 violated at")
