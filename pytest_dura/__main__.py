@@ -17,6 +17,7 @@ from pytest_dura.evidence.text import one_line, visible, without_commands
 
 _USAGE_ERROR = 2
 _NOT_RENDERED = 3
+_SIGNING = "--key needs further packages, of 21 MB: pip install 'pytest-dura[signing]'"
 _MAX_LENGTH = 2000
 """Characters of a printed line, which may quote a damaged record."""
 
@@ -35,7 +36,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     init.add_argument("directory", metavar="DIR", type=Path, help="a new or an empty directory")
     verify = commands.add_parser(
-        "verify", help="check that a bundle is whole and agrees with itself"
+        "verify",
+        help="check that a bundle is whole and agrees with itself",
+        epilog=_SIGNING,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     verify.add_argument("directory", metavar="DIR", type=Path, help="the evidence directory")
     verify.add_argument(
@@ -53,8 +57,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="check that this public key (PEM), or another one given so, signed the bundle, and "
         "the review if there is one",
     )
+    export = commands.add_parser(
+        "export", help="add a format to a bundle: CycloneDX, in-toto, sphinx-needs"
+    )
+    export.add_argument(
+        "format",
+        metavar="FORMAT",
+        help="cyclonedx, in-toto, needs, or the short name of another package's format",
+    )
+    export.add_argument("directory", metavar="DIR", type=Path, help="the evidence directory")
+    export.add_argument(
+        "--output", metavar="FILE", type=Path, help="write it there, and leave the bundle as it is"
+    )
     sign = commands.add_parser(
-        "sign", help="sign a bundle, and a review of it, so that others can check who made them"
+        "sign",
+        help="sign a bundle, and a review of it, so that others can check who made them",
+        epilog=_SIGNING,
+        formatter_class=argparse.RawDescriptionHelpFormatter,  # a command is not wrapped
     )
     sign.add_argument("directory", metavar="DIR", type=Path, help="the evidence directory")
     sign.add_argument(
@@ -222,9 +241,25 @@ def _print_any_file_name() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
+def _export(options: argparse.Namespace) -> int:
+    from pytest_dura.evidence.bundle import export_file, exported_file
+
+    name = exported_file(options.format, "FORMAT")
+    written = export_file(options.directory, name, options.output)
+    _print_any_file_name()
+    _print(f"written: {one_line(str(written), _MAX_LENGTH)}")
+    return 0
+
+
 def _sign(options: argparse.Namespace) -> int:
-    from pytest_dura.evidence.bundle import RECORD_FILE, open_record, render_again
-    from pytest_dura.evidence.signing import Review, sign_statement, write_review
+    from pytest_dura.evidence.bundle import RECORD_FILE, add_format, open_record, render_again
+    from pytest_dura.evidence.signing import (
+        STATEMENT_FILE,
+        Review,
+        check_private_key,
+        sign_statement,
+        write_review,
+    )
     from pytest_dura.evidence.verify import verify_bundle
     from pytest_dura.library.documents import read_yaml, validate
     from pytest_dura.reports.wording import review_text
@@ -244,10 +279,13 @@ def _sign(options: argparse.Namespace) -> int:
             else "sign it with that version",
         )
     record = open_record(options.directory / RECORD_FILE)
+    check_private_key(options.key)
     if review is not None:
         ended = record.head.finished or record.head.created
         write_review(options.directory, review, options.key, ended)
         render_again(record)
+    if not (options.directory / STATEMENT_FILE).exists():
+        add_format(record, STATEMENT_FILE)
     key_id = sign_statement(options.directory, options.key)
     _print_any_file_name()
     if review is not None:
@@ -298,6 +336,7 @@ def _verify(options: argparse.Namespace) -> int:
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "init": _init,
     "verify": _verify,
+    "export": _export,
     "sign": _sign,
     "cassette": _use_cassette,
     "merge": _merge,

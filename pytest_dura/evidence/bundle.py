@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from pytest_dura.core.codec import decode
-from pytest_dura.core.errors import ConfigurationError, describe_error
+from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean
 from pytest_dura.core.files import temporary_prefix
 from pytest_dura.core.mismatches import Mismatch, MismatchError
 from pytest_dura.core.registry import Registry
@@ -30,6 +30,7 @@ from pytest_dura.evidence.files import (
     file_entry,
     files_below,
     listed_files,
+    manifest_problems,
     manifest_text,
     stream_record,
     write_file,
@@ -42,7 +43,11 @@ from pytest_dura.evidence.traces import TRACE_FOLDER, is_trace_name
 
 
 class Format(Protocol):
-    """Interface of a report format, which may be a module."""
+    """Interface of a report format, which may be a module.
+
+    With an attribute ``EXPORT``, its short name, it is made on request alone; each bundle has the
+    others.
+    """
 
     def render(self, record: SessionRecord) -> str:
         """Render the file's text, which is a function of the record."""
@@ -65,6 +70,44 @@ _EPISODES_KEY = "episodes"
 def all_formats() -> Iterator[Format]:
     """Import the formats, one at a time."""
     return (FORMATS[name] for name in FORMATS)
+
+
+def short_name(name: str) -> str:
+    """Return the short name of a format that is made on request alone; empty for any other."""
+    try:
+        return str(getattr(FORMATS[name], "EXPORT", ""))
+    except ConfigurationError:  # it cannot be imported, which the bundle that lacks it says
+        return ""
+
+
+def default_files() -> tuple[str, ...]:
+    """Names of the files that each bundle has beside its record and its manifest."""
+    return tuple(name for name in FORMATS if not short_name(name))
+
+
+def exported_file(short: str, key: str) -> str:
+    """Return the name of the file of a format that is made on request.
+
+    Args:
+        short: Its short name, or that of the file.
+        key: What the name was given by, for the message.
+
+    Raises:
+        ConfigurationError: For an unknown name.
+    """
+    names = sorted(FORMATS, key=FORMATS.is_ours)  # a name of ours is no other's
+    files = {short_name(name): name for name in names if short_name(name)}
+    if short in files.values():
+        return short
+    if short not in files:
+        raise ConfigurationError(
+            f"there is no export format {short!r}",
+            key=key,
+            found=short,
+            expected=f"one of {', '.join(files)}",
+            remedy=did_you_mean(short, files),
+        )
+    return files[short]
 
 
 def rendered_files() -> tuple[str, ...]:
@@ -419,11 +462,15 @@ _DELETE = 0x7F
 _VISIBLE = _VisibleCharacters()
 
 
-def write_bundle(record: SessionRecord) -> SessionRecord:
+def write_bundle(record: SessionRecord, exports: Collection[str] = ()) -> SessionRecord:
     """Write the bundle and return the record as it was written.
 
     A format that cannot be rendered does not prevent the others: record and other formats then
     name it, and the gate fails.
+
+    Args:
+        record: Of the session.
+        exports: Names of further files, of formats that are made on request.
 
     Raises:
         ConfigurationError: If the directory cannot be written. The rest of the bundle then says
@@ -431,13 +478,13 @@ def write_bundle(record: SessionRecord) -> SessionRecord:
     """
     before = _file_identity(record.directory / RECORD_FILE)
     try:
-        return _write_all(record)
+        return _write_all(record, [*default_files(), *exports])
     except BaseException as error:  # also on ctrl-C; it is raised again
         _withdraw(record, error, before)
         raise
 
 
-def _write_all(record: SessionRecord) -> SessionRecord:
+def _write_all(record: SessionRecord, formats: Collection[str]) -> SessionRecord:
     entries = (episode.trace for episode in record.episodes() if episode.trace is not None)
     traces = {entry.file: {"sha256": entry.sha256, "bytes": entry.bytes} for entry in entries}
     _clear_traces(record.directory, traces)
@@ -450,12 +497,12 @@ def _write_all(record: SessionRecord) -> SessionRecord:
         written = _with_broken_files(record, broken)
         write_record(written.directory, written)
         before = len(broken)
-        for name in FORMATS:
+        for name in formats:
             if name not in broken:
                 _write_format(name, written, broken)
         if len(broken) == before:
             break
-    names = [RECORD_FILE, *(name for name in FORMATS if name not in broken)]
+    names = [RECORD_FILE, *(name for name in formats if name not in broken)]
     # A trace is listed with the digest that its writer computed, which may reveal a later change.
     files = {name: file_entry(written.directory / name) for name in names} | traces
     write_file(written.directory / MANIFEST_FILE, [manifest_text(files)])
@@ -480,6 +527,64 @@ def render_again(record: SessionRecord) -> None:
             f"it cannot be rendered with the review: {why}", file=str(record.directory / name)
         )
     write_file(record.directory / MANIFEST_FILE, [manifest_text(manifest)])
+
+
+def export_file(directory: Path, name: str, output: Path | None = None) -> Path:
+    """Render a format of a written bundle, into it or to another file.
+
+    Args:
+        directory: The bundle, whose manifest then lists the file.
+        name: Name of the format's file.
+        output: Where it goes otherwise.
+
+    Raises:
+        ConfigurationError: If the bundle differs from its manifest, or is signed, and for what
+            cannot be rendered or written.
+    """
+    problem = next(manifest_problems(directory), None)
+    if problem is not None:
+        raise ConfigurationError(
+            "this bundle differs from its manifest",
+            file=str(directory),
+            found=problem,
+            expected="a bundle as pytest-dura wrote it",
+            remedy="restore it, or run the session again",
+        )
+    if output is None and any((directory / each).exists() for each in SIGNED_FILES):
+        raise ConfigurationError(
+            "this bundle is signed, and a further file would break the signature",
+            file=str(directory),
+            remedy="name another place with --output FILE, or export before it is signed",
+        )
+    record = open_record(directory / RECORD_FILE)
+    if output is None:
+        add_format(record, name)
+        return directory / name
+    write_file(output, [_rendered(record, name)])
+    return output
+
+
+def add_format(record: SessionRecord, name: str) -> None:
+    """Render a format into a written bundle, and list the file in its manifest.
+
+    Raises:
+        ConfigurationError: If it cannot be rendered or written.
+    """
+    file, manifest = record.directory / name, record.directory / MANIFEST_FILE
+    write_file(file, [_rendered(record, name)])
+    files = json.loads(manifest.read_bytes())["files"] | {name: file_entry(file)}
+    write_file(manifest, [manifest_text(files)])
+
+
+def _rendered(record: SessionRecord, name: str) -> str:
+    try:
+        return FORMATS[name].render(record)
+    except ConfigurationError:
+        raise
+    except Exception as error:
+        raise ConfigurationError(
+            f"{name} cannot be rendered: {describe_error(error)}", file=str(record.directory)
+        ) from error
 
 
 def _withdraw(record: SessionRecord, error: BaseException, before: object) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.baseline import Baseline, regression_objections
-from pytest_dura.evidence.bundle import begin_bundle, write_bundle
+from pytest_dura.evidence.bundle import FORMATS, begin_bundle, short_name, write_bundle
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclude import complete, conclude
 from pytest_dura.evidence.conclusions.cases import untraced
@@ -29,6 +29,7 @@ from pytest_dura.evidence.episodes import episode_order, trace_weight
 from pytest_dura.evidence.files import (
     LOCK_FILE,
     DirectoryLock,
+    listed_files,
     read_chunks,
     write_file,
 )
@@ -422,7 +423,10 @@ def _write_merged(
     for episode, part in union_of_episodes(parts):
         if episode.trace is not None:
             _copy(part.record.directory, directory, episode.trace)
-    return write_bundle(_conclude_merged(whole, _merged_gate(parts, whole, against), inputs))
+    listed = {name for part in parts for name in listed_files(part.record.directory)}
+    exports = [name for name in FORMATS if name in listed and short_name(name)]
+    merged = _conclude_merged(whole, _merged_gate(parts, whole, against), inputs)
+    return write_bundle(merged, exports)
 
 
 _model_key = attrgetter("component", "model", "fingerprint", "prompts", "base_url", "mode")

@@ -379,6 +379,15 @@ def _key_bytes(file: Path, expected: str) -> bytes:
         raise _key_error(file, problem, expected) from None
 
 
+def check_private_key(file: Path) -> None:
+    """Refuse a key that cannot sign, before anything is written.
+
+    Raises:
+        ConfigurationError: If the key or the extra ``signing`` cannot be used.
+    """
+    _signer(file)
+
+
 def _signer(file: Path) -> Any:
     _library()
     from cryptography.hazmat.primitives.serialization import load_pem_private_key

@@ -35,6 +35,7 @@ from pytest_dura.evidence.bundle import (
     DamagedRecordError,
     open_record,
     rendered_files,
+    short_name,
 )
 from pytest_dura.evidence.conclude import complete, conclude
 from pytest_dura.evidence.conclusions.tables import unknown_tables
@@ -75,7 +76,7 @@ _MOST_DIFFERENCES = 10
 
 
 def hash_problems(directory: Path, kept: Collection[str]) -> Iterator[str]:
-    """Check the hashes: those of the manifest, and the one of the record in the statement.
+    """Check the hashes: those of the manifest, and the one of the record in a statement on it.
 
     Args:
         directory: The bundle.
@@ -83,7 +84,7 @@ def hash_problems(directory: Path, kept: Collection[str]) -> Iterator[str]:
     """
     yield from manifest_problems(directory, kept)
     statement = directory / _STATEMENT_FILE
-    if statement.is_symlink():
+    if statement.is_symlink() or not statement.exists():
         return
     try:
         subjects = json.loads(statement.read_bytes())["subject"]
@@ -336,8 +337,9 @@ def rendering_problems(record: SessionRecord) -> Iterator[str]:
     """Render the record again, and yield the files that come out different."""
     listed = set(listed_files(record.directory))
     for name in FORMATS:
-        # A bundle that was written elsewhere has no formats of packages that are only here.
-        if FORMATS.is_ours(name) or name in listed:
+        # A bundle that was written elsewhere has no formats of packages that are only here, and
+        # none that is made on request alone unless it lists it.
+        if name in listed or (FORMATS.is_ours(name) and not short_name(name)):
             problem = _rendering_problem(name, record)
             if problem:
                 yield f"{name}: {problem}"

@@ -414,7 +414,7 @@ class SessionEvidence:
 
         try:
             gate, self.final = self._judged(session)
-            self.final = write_bundle(self.final)
+            self.final = write_bundle(self.final, self.context.options.export)
             whole = len(self.final.head.gate.reasons) == len(gate.reasons)
             self._shared.end(self.final, written=whole)
             self.file = self.final.directory / "evidence.json"

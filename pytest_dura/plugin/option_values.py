@@ -72,6 +72,20 @@ def texts(setting: Setting) -> tuple[str, ...]:
     return tuple(setting.value or ())
 
 
+def export_files(setting: Setting) -> tuple[str, ...]:
+    """Return the files of the formats that a bundle is to have besides, each once.
+
+    Raises:
+        ConfigurationError: For an unknown format.
+    """
+    names = texts(setting)
+    if not names:
+        return ()
+    from pytest_dura.evidence.bundle import exported_file
+
+    return tuple(dict.fromkeys(exported_file(name, setting.key) for name in names))
+
+
 def switch(setting: Setting) -> bool:
     """Return whether a switch was given."""
     return bool(setting.given)

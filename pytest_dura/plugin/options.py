@@ -27,6 +27,7 @@ from pytest_dura.plugin.option_values import (
     directories,
     executor_choice,
     executor_limit,
+    export_files,
     fails_if_worse,
     fault_campaigns,
     folder,
@@ -422,6 +423,20 @@ class Options:
         repeated_in=("rerun",),
         same_in_shards=False,
         changes_episodes=True,
+    )
+    export: Option[tuple[str, ...]] = Option(
+        "--dura-export",
+        "a further format of the evidence, which a bundle does not have by itself: cyclonedx, "
+        "in-toto, needs, or one of another package (repeatable); `python -m pytest_dura export` "
+        "makes it of a written bundle",
+        export_files,
+        ini="dura_export",
+        ini_type="args",
+        metavar="FORMAT",
+        repeatable=True,
+        example="cyclonedx",
+        activates=True,
+        same_in_shards=False,
     )
     resume: Option[bool] = Option(
         "--dura-resume",

@@ -338,6 +338,7 @@ def _conformance(
 
 
 FILE = "cyclonedx.json"
+EXPORT = "cyclonedx"
 _SCHEMA = "http://cyclonedx.org/schema/bom-1.6.schema.json"
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, "urn:pytest-dura")
 

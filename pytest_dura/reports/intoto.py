@@ -35,6 +35,7 @@ from pytest_dura.evidence.text import name, visible
 from pytest_dura.reports.wording import NAME_LIMIT, review_text, shard_text, valid_sha256
 
 FILE = "test-result.intoto.json"
+EXPORT = "in-toto"
 _STATEMENT = "https://in-toto.io/Statement/v1"
 _PREDICATE = "https://in-toto.io/attestation/test-result/v0.1"
 _MAX_REASONS = 20

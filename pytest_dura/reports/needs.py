@@ -29,6 +29,7 @@ from pytest_dura.reports.wording import is_incomplete, review_text, shard_text
 from pytest_dura.requirements.model import Requirement
 
 FILE = "needs.json"
+EXPORT = "needs"
 TYPES = ("hazard", "requirement", "testcase", "verdict", "session")
 """Types of needs, which a project that imports the file declares."""
 FIELDS = (

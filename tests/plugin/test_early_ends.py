@@ -250,7 +250,8 @@ def test_every_format_agrees_on_runs_without_effect_of_the_fault(project):
         project, world="{wall: 1.0}", generator="Reckless", faults=IDLE, fault_injector="Idle",
         requirements="[R-1]",
     )  # fmt: skip
-    result = project.run("corridor/it", "-v", "--junit-xml=junit.xml", "--alluredir=allure")
+    outputs = ["--junit-xml=junit.xml", "--alluredir=allure", "--dura-export=cyclonedx"]
+    result = project.run("corridor/it", "-v", *outputs)
     words = "violated, without effect of the fault, in 3 of 3 invalid episodes"
     folder = project.path / "dura-evidence"
     terminal = " ".join(result.stdout.str().split())

@@ -114,6 +114,6 @@ def test_a_trace_that_was_removed_meanwhile_fails_the_session(project):
 def test_a_session_without_verdicts_is_no_pass_to_a_policy(project):
     scenario(project, requirements="[]")
     project.write("test_it.py", "def test_it(orchestrator): orchestrator.run('corridor/it')\n")
-    assert project.run("test_it.py").ret == 0
+    assert project.run("test_it.py", "--dura-export=in-toto").ret == 0
     statement = (project.path / "dura-evidence/test-result.intoto.json").read_text()
     assert json.loads(statement)["predicate"]["result"] == "WARNED"

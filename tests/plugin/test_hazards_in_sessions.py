@@ -48,7 +48,7 @@ def with_hazards(project, hazards=HAZARDS):
 @pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
 def test_a_session_answers_for_each_hazard_of_the_user(project, mode):
     with_hazards(project)
-    result = project.scenarios(*mode)
+    result = project.scenarios(*mode, "--dura-export=needs")
     assert result.ret == 0
     folder = project.path / "dura-evidence"
     record = project.evidence()
@@ -90,7 +90,7 @@ def test_a_session_answers_for_each_hazard_of_the_user(project, mode):
 
 def test_verify_finds_needs_that_are_not_those_of_the_record(project):
     with_hazards(project)
-    project.scenarios()
+    project.scenarios("--dura-export=needs")
     folder = project.path / "dura-evidence"
     file, manifest = folder / "needs.json", folder / "manifest.json"
     file.write_text(file.read_text().replace("no requirement", "supported"))
@@ -162,7 +162,7 @@ def test_a_file_that_cannot_be_used_is_an_error_before_anything_runs(project):
 def test_secrets_in_hazards_are_redacted(project, monkeypatch):
     monkeypatch.setenv("SITE_PASSWORD", "correct-horse-battery")
     with_hazards(project, HAZARDS.replace("At full speed.", "With correct-horse-battery."))
-    project.scenarios()
+    project.scenarios("--dura-export=needs")
     folder = project.path / "dura-evidence"
     assert "correct-horse" not in project.evidence().hazards[0].operating_condition
     for name in ("evidence.json", "needs.json", "report.html", "assurance-case.gsn.yaml"):

@@ -225,6 +225,8 @@ def test_all_shards_come_to_what_the_session_comes_to(made, tmp_path, count):
 
 def test_hazards_of_all_shards_are_those_of_the_whole_and_may_not_differ(made, two, tmp_path):
     merge_bundles(two, tmp_path / "merged")
+    assert not (tmp_path / "merged/needs.json").exists()
+    assert main(["export", "needs", str(tmp_path / "merged")]) == 0
     record = json.loads((tmp_path / "merged/evidence.json").read_text())
     assert [hazard["id"] for hazard in record["hazards"]] == ["H-1", "H-2"]
     listed = {each["id"]: each.get("mitigates") for each in record["requirements"]}

@@ -14,7 +14,7 @@ from corridors import scenario
 from outputs import output
 
 from pytest_dura.evidence import DirectoryLock, open_record
-from pytest_dura.evidence.bundle import rendered_files
+from pytest_dura.evidence.bundle import default_files, rendered_files
 from pytest_dura.plugin.recorder import MOST_PENDING
 
 WAIT = 60.0
@@ -64,7 +64,7 @@ def test_a_killed_session_is_incomplete_and_takes_no_pass_over(project):
     project.run("corridor/it")
     evidence = project.path / "dura-evidence"
     assert project.evidence().gate.result == "passed"
-    assert {*rendered_files()} <= {file.name for file in evidence.iterdir()}
+    assert {*default_files()} <= {file.name for file in evidence.iterdir()}
     process = begun(project)
     process.send_signal(signal.SIGKILL)
     process.communicate(timeout=WAIT)
@@ -220,7 +220,7 @@ def test_links_in_the_directory_are_replaced_and_never_followed(project):
     evidence, outside = project.path / "dura-evidence", project.path / "outside"
     outside.mkdir()
     assert project.run("corridor/it", "--dura-evidence-level=summary").ret == 0
-    for name in rendered_files():
+    for name in ("manifest.json", *default_files()):
         (outside / name).write_text("mine")
         (evidence / name).unlink()
         (evidence / name).symlink_to(outside / name)

@@ -167,7 +167,8 @@ def test_a_shard_of_a_session_without_any_test_ends_as_that_does(project):
 
 
 def test_everything_says_that_a_shard_is_a_part(project):
-    result = project.scenarios("--dura-shard=1/2")
+    exports = ("--dura-export=cyclonedx", "--dura-export=in-toto", "--dura-export=needs")
+    result = project.scenarios("--dura-shard=1/2", *exports)
     text = result.stdout.str()
     assert "dura: shard 1 of 2 of that; the others run elsewhere" in text
     assert "dura: shard 1 of 2 holds 1 of 2 units, 2 items, 3 episodes" in text

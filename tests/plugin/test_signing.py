@@ -192,6 +192,9 @@ def test_a_second_signer_adds_a_signature(bundle, keys, tmp_path):
 
 
 def test_a_signed_review_changes_what_each_report_says(bundle, keys, review, capsys):
+    assert (
+        main(["export", "cyclonedx", str(bundle)]) == main(["export", "in-toto", str(bundle)]) == 0
+    )
     unreviewed = {name: (bundle / name).read_text() for name in FORMATS}
     record = (bundle / "evidence.json").read_bytes()
     assert all("unreviewed" in text for text in unreviewed.values())
@@ -378,6 +381,7 @@ UNSIGNED = "the evidence was not signed before the review"
 )
 def test_every_format_says_whose_key_signed_a_review(bundle, tmp_path, review, capsys, signers):
     producer, reviewer, remark = signers
+    main(["export", "cyclonedx", str(bundle)])
     pairs = {name: key_pair(tmp_path, name) for name in ("maker", "assessor", "stranger")}
     if producer is not None:
         sign(bundle, pairs[producer][0])
@@ -403,6 +407,7 @@ def test_an_accepted_review_of_a_failed_gate_says_what_was_accepted(failing, key
         "All verdicts, and replays of the counterexamples",
         "the gate did not pass (failed), which no review changes",
     )
+    main(["export", "cyclonedx", str(failing)])
     sign(failing, keys[0], "--review", review)
     out = capsys.readouterr().out
     assert all(part in out for part in words)

@@ -52,7 +52,7 @@ def made(tmp_path_factory, forked_workers):
     found = subprocess.run(
         [*forked_workers.command("-m", "pytest"), "-q", "-p", "no:cacheprovider", "test_tight.py",
          "--dura-scenarios", "--dura-select=corridor/*", "--dura-generator=corridor:Reckless",
-         "--junit-xml=junit.xml"],
+         "--junit-xml=junit.xml", "--dura-export=cyclonedx", "--dura-export=in-toto"],
         cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert found.returncode == 1, found.stdout + found.stderr

@@ -38,6 +38,7 @@ from pytest_dura.evidence import (
     verify_bundle,
     write_bundle,
 )
+from pytest_dura.evidence.bundle import FORMATS, default_files
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.terminal import summary
 from pytest_dura.reports.causes import causes_of
@@ -60,7 +61,8 @@ class Bundle:
     def __init__(self, real, root, spoil):
         self.directory = root / "bundle"
         self.directory.mkdir()
-        self.record = write_bundle(session(real, self.directory, spoil))
+        exports = [name for name in FORMATS if name not in default_files()]
+        self.record = write_bundle(session(real, self.directory, spoil), exports)
         self.root, self.real = root, real
 
     def text(self, name):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pytest_dura.core.codec import encode
-from pytest_dura.evidence.bundle import FORMATS, RECORD_FILE
+from pytest_dura.evidence.bundle import FORMATS, RECORD_FILE, default_files
 from pytest_dura.evidence.files import MANIFEST_FILE, REVIEW_FILE
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.reports.causes import Cause
@@ -204,8 +204,6 @@ _PURPOSES: Mapping[str, str] = {
     "summary.md": "the session in Markdown, for the page of a CI job or a pull request",
     "assurance-case.svg": "the argument as a picture in Goal Structuring Notation",
     "assurance-case.gsn.yaml": "the argument as data, for gsn2x and other tools",
-    "cyclonedx.json": "claims and evidence as CycloneDX declarations, for tools that collect them",
-    "test-result.intoto.json": "the result as an in-toto statement, which `sign` signs",
     REVIEW_FILE: "the signed decision of a reviewer",
 }
 
@@ -213,7 +211,7 @@ _PURPOSES: Mapping[str, str] = {
 def files_section(record: SessionRecord, _contents: ReportContents, links: EpisodeLinks) -> Data:
     """Every file of the bundle: what it is for, and of those that the record knows, the size."""
     # Formats of other packages are not on every machine that renders the page again.
-    names = [RECORD_FILE, *(name for name in FORMATS if FORMATS.is_ours(name))]
+    names = [RECORD_FILE, *(name for name in default_files() if FORMATS.is_ours(name))]
     names += [MANIFEST_FILE, *([REVIEW_FILE] if record.review else [])]
     return {
         "files": [(name, _PURPOSES.get(name, "")) for name in names],

@@ -14,7 +14,7 @@ from report_pages import VIOLATING, Page, record_with_trace
 from session_records import episode, session_record, verdict
 from stated_counts import stated_counts
 
-from pytest_dura.evidence.bundle import FORMATS
+from pytest_dura.evidence.bundle import default_files
 from pytest_dura.evidence.case_model import FaultMetricsEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
@@ -582,7 +582,7 @@ def test_a_large_argument_is_cut_off_below_and_says_so(monkeypatch):
 def test_every_file_of_a_bundle_is_linked(tmp_path):
     html = render(record_with_trace(tmp_path))
     links = set(Page(section_html(html, "files")).links)
-    files = {"evidence.json", "manifest.json", *FORMATS}
+    files = {"evidence.json", "manifest.json", *default_files()}
     assert links >= {f"./{file}" for file in [*files, "episodes/one.mcap"]}
     assert "summary.md the session in Markdown" in section(html, "files")
 
