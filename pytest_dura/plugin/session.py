@@ -300,7 +300,7 @@ class DuraSession(SessionContext):
             Progress,
             SearchedEpisodeUsed,
         )
-        from pytest_dura.plugin import item_reports
+        from pytest_dura.plugin import attempt_reports, item_reports
 
         events = EventStream()
         self.recorder.subscribe(events)
@@ -309,6 +309,7 @@ class DuraSession(SessionContext):
         if self.progress is not None:
             events.subscribe(Progress, self.progress.update)
         item_reports.subscribe(self, events)
+        attempt_reports.subscribe(events)
         EventHook(self.config, partial(self.recorder.remark, "problem")).subscribe(events)
         return events
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from collections import Counter
 
 import pytest
@@ -204,6 +205,20 @@ def test_flaky(campaign):
     told = found.of("test_it::test_flaky[corridor/tight]")
     assert told["verdict"] == "violated"
     assert junit_verdicts(found.text) == by_words(project.evidence())
+    first, second = (json.loads(told[f"attempt_{number}"]) for number in (1, 2))
+    assert [each["outcome"] for each in (first, second)] == ["failed", "passed"]
+    assert "OWN-1" in first["message"]
+    assert first["verdicts"] == {"OWN-1": "violated"}
+    assert second["message"] == ""
+    assert first["seconds"] > 0
+    assert "attempt_3" not in told
+
+
+def test_an_item_that_ran_once_has_no_attempts(junit, project):
+    found = junit("--dura-scenarios", "--dura-select=corridor/free")
+    assert not any(
+        name.startswith("attempt_") for pairs in found.tests.values() for name, _ in pairs
+    )
 
 
 def test_hostile_texts_come_out_harmless(junit, project, mode):

@@ -242,11 +242,8 @@ MARKERS = Svg(
 
 _MOST_VERDICTS = 150
 """Verdicts that are drawn one by one."""
-_MOST_REQUIREMENTS = 60
 _SHOWN_VIOLATED = 3
-_SHOWN_REQUIREMENTS = 8
 _MOST_NAMES = 20
-_COUNTED = ("supported", "violated", "undecided", "waived", "requirements")
 
 
 @dataclass(frozen=True)
@@ -273,14 +270,10 @@ def drawn_argument(argument: Argument) -> DrawnArgument:
     for id_, element in argument.items():
         if element.challenges:
             view.against.setdefault(element.challenges, []).append(id_)
-    subjects = Counter(map(subject_of, argument.values()))
-    verdicts, requirements = subjects["verdict"], subjects["requirement"]
+    verdicts = sum(subject_of(element) == "verdict" for element in argument.values())
     _fold_cells(view, verdicts=verdicts > _MOST_VERDICTS)
     if verdicts > _MOST_VERDICTS:
         view.folded.append(f"{verdicts} verdicts are folded by requirement.")
-    if requirements > _MOST_REQUIREMENTS:
-        _fold_requirements(view)
-        view.folded.append(f"{requirements} requirements are folded by kind, violated ones last.")
     return view
 
 
@@ -318,16 +311,6 @@ def _fold_cells(view: DrawnArgument, *, verdicts: bool) -> None:
                 _fold(view, parent.id, status, group)
 
 
-def _fold_requirements(view: DrawnArgument) -> None:
-    for parent in list(view.argument.values()):
-        children = [view.argument[id_] for id_ in parent.supported_by if id_ in view.argument]
-        requirements = [child for child in children if subject_of(child) == "requirement"]
-        requirements.sort(key=lambda element: not element.defeated)
-        rest = requirements[_SHOWN_REQUIREMENTS:]
-        if len(rest) > 1:
-            _fold(view, parent.id, "requirements", rest)
-
-
 def _fold(view: DrawnArgument, parent: str, status: str, elements: list[Element]) -> None:
     """Put one goal in the place of several, with the counts of all that is below them."""
     id_ = f"G/{parent}/{status}"
@@ -340,9 +323,6 @@ def _fold(view: DrawnArgument, parent: str, status: str, elements: list[Element]
     listed = _cells_text(elements)
     if status == "untested":
         text = f"The same in {several} cells that are untested: {listed}."
-    elif status == "requirements":
-        below = ", ".join(f"{counts[key]} {key}" for key in _COUNTED[:3] if counts[key])
-        text = f"{several} requirements, folded here: {below or 'nothing judged'}."
     else:
         text = f"{several} verdicts, each {status} and folded here: {listed}."
     view.argument[id_] = Element(
@@ -355,10 +335,9 @@ def _fold(view: DrawnArgument, parent: str, status: str, elements: list[Element]
     )
     view.counts[id_] = counts
     folded = {element.id for element in elements}
-    for other in list(view.argument.values()):
-        if folded & set(other.supported_by):
-            others = tuple(id_ for id_ in other.supported_by if id_ not in folded)
-            view.argument[other.id] = replace(other, supported_by=(*others, id_))
+    above = view.argument[parent]
+    others = tuple(id_ for id_ in above.supported_by if id_ not in folded)
+    view.argument[parent] = replace(above, supported_by=(*others, id_))
 
 
 def _cells_text(elements: list[Element]) -> str:
