@@ -313,7 +313,7 @@ class _VerdictBuilder:
         when = violation_text(
             counterexample.time, counterexample.margin, valid=counterexample.valid
         )
-        brief = violation_text(counterexample.time, None).strip()
+        brief = violation_text(counterexample.time, None).strip().removeprefix("at ")
         seed, trace = self.facts.counterexamples.get(
             (episode, self.verdict.component), (None, None)
         )
