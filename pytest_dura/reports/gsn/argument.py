@@ -130,8 +130,8 @@ def _recovery(facts: EpisodeFacts) -> Element:
     return Element(
         "CRecovery",
         f"Recovery policy: {names_text(sorted(facts.policies)) or 'unknown'}. Recovery planner: "
-        f"{planners}. The verdicts are on the component with this recovery; recovery acted in "
-        f"{facts.recovered} of {counted(facts.judged, 'judged run')}.",
+        f"{planners}. Recovery acted in {facts.recovered} of "
+        f"{counted(facts.judged, 'judged run')}.",
         url="evidence.json#/cases",
         alias="context:recovery",
     )
@@ -158,8 +158,8 @@ def _versions(record: SessionRecord) -> Element:
         "CVersions",
         f"{name(tool.name)} {name(tool.version)}, Python {name(environment.python)}, "
         f"{name(environment.platform)}, commit {name(environment.git.commit or 'unknown')}"
-        f"{dirty}. {counted(len(environment.packages), 'package')} with their versions, "
-        f"{counted(len(record.head.inputs), 'input file')} with their digests.",
+        f"{dirty}. Versions of {counted(len(environment.packages), 'package')} and digests of "
+        f"{counted(len(record.head.inputs), 'input file')} are recorded.",
         url="evidence.json#/environment",
         alias="context:versions",
     )
@@ -214,7 +214,7 @@ def _open_goals(
     simulators = names_text(sorted(facts.simulators)) or "unknown"
     texts = {
         "Simulator": f"The simulator ({simulators}) represents the system and its surroundings "
-        "well enough for these requirements. Not shown: the session has no run of the real system.",
+        "well enough for these requirements. Not shown: no run was one of the real system.",
         "Tool": f"{name(tool.name)} {name(tool.version)} and the simulator are qualified as "
         "software tools for this use. Not shown: classification and qualification (ISO 26262-8) "
         "are up to their user.",

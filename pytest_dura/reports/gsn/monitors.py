@@ -34,8 +34,8 @@ def monitor_elements(rows: Sequence[MonitorQuality]) -> Iterator[Element]:
     challenges = [element.id for own in below for element in own if element.challenges]
     yield Element(
         MONITORS_ID,
-        "The alarms of each runtime monitor tell runs with what it is to warn of from runs "
-        "without, where recovery does not act. No verdict rests on this goal.",
+        "Alarms of each runtime monitor tell runs with what it is to warn of from runs without, "
+        "where recovery does not act. No verdict rests on this.",
         supported_by=tuple(own[0].id for own in below),
         defeated=bool(challenges),
         url=_URL,

@@ -166,7 +166,7 @@ class _Layout:
             head.edges += block.edges
             ends[column] += block.height + _GAP
         head.height = max(shape.height, *(end - _GAP for end in ends))
-        self._place(head, sections, "supportedBy", sides=max(ends))
+        self._place(head, sections, "supportedBy", ends)
 
     def _is_context(self, id_: str) -> bool:
         return self.view.argument[id_].kind in ("Context", "Assumption", "Justification")
@@ -200,7 +200,7 @@ class _Layout:
         return page_top(self.page) + HEIGHT - MARGIN
 
     def _place(
-        self, head: Block, sections: list[Section], relation: str, sides: float = 0.0
+        self, head: Block, sections: list[Section], relation: str, sides: Sequence[float] = ()
     ) -> None:
         """Put a branch on what is left of the page, or on the next, or on several."""
         while True:
@@ -219,12 +219,13 @@ class _Layout:
             self._draw(head, columns, self._tops(head, sides), relation)
             if sections:
                 self._new_page()
-                head, sides = self._reference(head.shapes[0].id), 0.0
+                head, sides = self._reference(head.shapes[0].id), ()
 
-    def _tops(self, head: Block, sides: float) -> list[float]:
+    def _tops(self, head: Block, sides: Sequence[float]) -> list[float]:
         """Where each column begins: below the root, and below what surrounds it."""
         below = self.bottom + head.shapes[0].height + 2 * _GAP
-        return [below, *[max(self.bottom + sides + _GAP, below)] * (_COLUMNS - 1)]
+        ends = sides or [0.0] * (_COLUMNS - 1)
+        return [below, *(max(self.bottom + end + _GAP, below) for end in ends)]
 
     def _draw(self, head: Block, columns: Columns, tops: list[float], relation: str) -> None:
         """Draw a head, its columns, and the relations between these."""

@@ -209,7 +209,7 @@ def test_contexts_name_component_recovery_scenarios_and_seeds():
         "Component under test: C, from m:G, version 1.2, digest 22ee" in found["CComponent"]["text"]
     )
     assert "Recovery policy: recover. Recovery planner: " in found["CRecovery"]["text"]
-    assert "recovery acted in 0 of 6 judged runs" in found["CRecovery"]["text"]
+    assert "Recovery acted in 0 of 6 judged runs" in found["CRecovery"]["text"]
     assert "Scenarios: a/clear. Faults: ghost." in found["CDomain"]["text"]
     assert "6 episodes with seeds from 1000 to 1003" in found["CSeeds"]["text"]
     assert "C-scenario:a/clear" in found
