@@ -211,14 +211,6 @@ def as_sentence(text: str) -> str:
     return line if not line or line[-1] in ".!?)" else f"{line}."
 
 
-def challenge_brief(verdict: ItemVerdict) -> tuple[str, str]:
-    """The violations against a verdict's proposition, in two lines of a few characters."""
-    if verdict.without_effect and not verdict.violations:
-        return f"{verdict.without_effect} violate it", "without effect"
-    how = {"violated": "violate it", "supported": "as allowed", "undecided": "so far"}
-    return f"{verdict.violations} of {verdict.episodes}", how[verdict.verdict]
-
-
 def challenge_text(verdict: ItemVerdict, where: str, listed: int) -> str:
     """The violations against a verdict's proposition, and how many of them are not listed."""
     how = {

@@ -38,18 +38,21 @@ _REVIEW_KEYS = ("reviewer", "reviewDate", "opinion")
 """Keys that a reviewer fills in, or that come from a signed review."""
 
 
-def _argument_contexts(record: SessionRecord, facts: EpisodeFacts) -> list[Element]:
+def _argument_contexts(record: SessionRecord, facts: EpisodeFacts) -> Iterator[Element]:
     """Contexts and assumptions of the whole argument."""
-    return [
-        _review(record),
-        _session(record),
-        _component(record),
-        _recovery(facts),
-        _domain(record),
-        _versions(record),
-        _seeds(record, facts),
-        *_assumptions(),
-    ]
+    yield _review(record)
+    yield _session(record)
+    for subject, url, text in (
+        ("Component", "component_under_test", _component(record)),
+        ("Recovery", "cases", _recovery(facts)),
+        ("Domain", "coverage", _domain(record)),
+        ("Versions", "environment", _versions(record)),
+        ("Seeds", "base_seed", _seeds(record, facts)),
+    ):
+        alias = f"context:{subject.lower()}"
+        yield Element(f"C{subject}", text, url=f"evidence.json#/{url}", alias=alias)
+    for subject, text in _ASSUMPTIONS.items():
+        yield Element(f"A{subject}", text, alias=f"assumption:{subject.lower()}")
 
 
 def _scenario_contexts(record: SessionRecord) -> Iterator[Element]:
@@ -104,7 +107,7 @@ def _case_names(record: SessionRecord) -> str:
     return f"{shard_text(record).capitalize()} of a session," if shard_text(record) else whole
 
 
-def _component(record: SessionRecord) -> Element:
+def _component(record: SessionRecord) -> str:
     under_test = record.head.component_under_test
     version, digest = under_test.version, under_test.digest
     parts = [
@@ -117,79 +120,58 @@ def _component(record: SessionRecord) -> Element:
         parts.append("an instance whose state the record does not hold")
     declared = sorted({case.repeat.declared for case in record.head.cases if case.repeat} - {""})
     draws = f" The runs count as draws: {one_line('; '.join(declared), MAX_TEXT)}."
-    return Element(
-        "CComponent",
-        f"{', '.join(parts)}.{draws if declared else ''}",
-        url="evidence.json#/component_under_test",
-        alias="context:component",
-    )
+    return f"{', '.join(parts)}.{draws if declared else ''}"
 
 
-def _recovery(facts: EpisodeFacts) -> Element:
+def _recovery(facts: EpisodeFacts) -> str:
     planners = names_text(sorted(facts.recoveries)) or "none"
-    return Element(
-        "CRecovery",
+    return (
         f"Recovery policy: {names_text(sorted(facts.policies)) or 'unknown'}. Recovery planner: "
         f"{planners}. Recovery acted in {facts.recovered} of "
-        f"{counted(facts.judged, 'judged run')}.",
-        url="evidence.json#/cases",
-        alias="context:recovery",
+        f"{counted(facts.judged, 'judged run')}."
     )
 
 
-def _domain(record: SessionRecord) -> Element:
+def _domain(record: SessionRecord) -> str:
     cells, left_out = record.head.coverage.cells, record.head.coverage.left_out
     tested, count = sum(cell.verdict is not None for cell in cells), len(cells) + left_out
     scenarios = sorted({case.scenario for case in record.head.cases})
     faults = sorted({fault.id for case in record.head.cases for fault in case.faults})
-    return Element(
-        "CDomain",
+    return (
         f"Scenarios: {names_text(scenarios) or 'none'}. Faults: {names_text(faults) or 'none'}. "
-        f"Tested are {tested} of {count} cells of requirement, scenario and faults.",
-        url="evidence.json#/coverage",
-        alias="context:domain",
+        f"Tested are {tested} of {count} cells of requirement, scenario and faults."
     )
 
 
-def _versions(record: SessionRecord) -> Element:
+def _versions(record: SessionRecord) -> str:
     environment, tool = record.head.environment, record.head.tool
     dirty = " with changes that are not committed" if environment.git.dirty else ""
-    return Element(
-        "CVersions",
+    return (
         f"{name(tool.name)} {name(tool.version)}, Python {name(environment.python)}, "
         f"{name(environment.platform)}, commit {name(environment.git.commit or 'unknown')}"
         f"{dirty}. Versions of {counted(len(environment.packages), 'package')} and digests of "
-        f"{counted(len(record.head.inputs), 'input file')} are recorded.",
-        url="evidence.json#/environment",
-        alias="context:versions",
+        f"{counted(len(record.head.inputs), 'input file')} are recorded."
     )
 
 
-def _seeds(record: SessionRecord, facts: EpisodeFacts) -> Element:
+def _seeds(record: SessionRecord, facts: EpisodeFacts) -> str:
     count, least, greatest = facts.seeds or (0, 0, 0)
     span = f"{count} episodes with seeds from {least} to {greatest}" if count else "no episode"
-    return Element(
-        "CSeeds",
+    return (
         f"Base seed {record.head.base_seed}: {span}."
-        f" Command: {one_line(record.head.command, MAX_TEXT)}",
-        url="evidence.json#/base_seed",
-        alias="context:seeds",
+        f" Command: {one_line(record.head.command, MAX_TEXT)}"
     )
 
 
-def _assumptions() -> Iterator[Element]:
-    for subject, text in {
-        "Sampling": "The runs of a case are independent draws from the ranges of its scenario, "
-        "each with random streams of its own. The bounds hold for these distributions, not for "
-        "those of the road.",
-        "Faults": "The fault models stand for the faults and attacks of the field, in kind and in "
-        "size. How often those occur is no part of the argument.",
-        "Sensors": "The simulated sensors without faults report what real ones would, as far as "
-        "the requirements depend on it. The verdicts read the ground truth.",
-    }.items():
-        yield Element(f"A{subject}", text, alias=f"assumption:{subject.lower()}")
-
-
+_ASSUMPTIONS = {
+    "Sampling": "The runs of a case are independent draws from the ranges of its scenario, each "
+    "with random streams of its own. The bounds hold for these distributions, not for those of "
+    "the road.",
+    "Faults": "The fault models stand for the faults and attacks of the field, in kind and in "
+    "size. How often those occur is no part of the argument.",
+    "Sensors": "The simulated sensors without faults report what real ones would, as far as the "
+    "requirements depend on it. The verdicts read the ground truth.",
+}
 BASIS_ID = "SBasis"
 
 
@@ -266,7 +248,7 @@ def generated_argument(record: SessionRecord) -> Argument:
     several = len(components) > 1
     verdicts = list(verdict_elements(record, facts, several=several))
     requirements = list(requirement_elements(record, verdicts))
-    around = _argument_contexts(record, facts)
+    around = list(_argument_contexts(record, facts))
     domain = list(_scenario_contexts(record))
     contexts = tuple(element.id for element in domain)
     hazards = hazard_evidence(record)

@@ -142,7 +142,7 @@ class _Layout:
     def _with_mark(self, branch: str, left: float) -> Block:
         """A branch's goal on the first page, with a line for its own page."""
         element = self.view.argument[branch]
-        shape = self._shape(element, _COLUMN - left, _MOST_LINES, brief=True, more=1)
+        shape = self._shape(element, _COLUMN - left, brief=True, more=1)
         shape.counts = {}
         shape.x = left
         return Block([shape], height=shape.height)
@@ -150,7 +150,7 @@ class _Layout:
     def _branch(self, root: str, sections: list[Section]) -> None:
         """A root with what surrounds it right of it, and its sections in columns below."""
         element = self.view.argument[root]
-        shape = self._shape(element, _COLUMN, _MOST_LINES)
+        shape = self._shape(element, _COLUMN)
         head = Block([shape], height=shape.height)
         sides = [*self._challengers(root), *self._contexts(root)]
         blocks = [(self._block(side, circles=True), side) for side in sides]
@@ -313,7 +313,7 @@ class _Layout:
         block, below = self._block(id_), self._below(id_)
         strategy = [child for child in below if self.view.argument[child].kind == "Strategy"]
         if strategy and len(below) == 1:
-            shape = self._shape(self.view.argument[strategy[0]], _COLUMN - _INDENT, _MOST_LINES)
+            shape = self._shape(self.view.argument[strategy[0]], _COLUMN - _INDENT)
             shape.x, shape.y = _INDENT, block.height + _GAP
             first, middle = block.shapes[0], shape.y + shape.body / 2
             block.edges.append(
@@ -349,12 +349,11 @@ class _Layout:
             if self.view.argument[child].kind in ("Solution", "CounterSolution")
         ]
         room = _CIRCLE + 22.0 if circles and solutions else 0.0
-        shape = self._shape(element, _COLUMN - left - room, _MOST_LINES,
-                            brief=bool(left))  # fmt: skip
+        shape = self._shape(element, _COLUMN - left - room, brief=bool(left))
         shape.x = left
         block = Block([shape], height=shape.height)
         if room:
-            circle = self._shape(self.view.argument[solutions[0]], _CIRCLE, 4, brief=True)
+            circle = self._shape(self.view.argument[solutions[0]], _CIRCLE, brief=True)
             if element.challenges:
                 circle.verdict = shape.verdict
             circle.x = _COLUMN - _CIRCLE
@@ -386,10 +385,11 @@ class _Layout:
         block.height += other.height + _GAP
 
     def _shape(
-        self, element: Element, width: float, most: int, *, brief: bool = False, more: int = 0
+        self, element: Element, width: float, *, brief: bool = False, more: int = 0
     ) -> Shape:
         round_ = element.kind in ("Solution", "CounterSolution")
         oval = element.kind in ("Assumption", "Justification")
+        most = 4 if round_ else _MOST_LINES
         room = width * (0.86 if round_ else 0.76 if oval else 1.0) - (0 if round_ or oval else 26)
         texts = element.brief if brief and element.brief else (element.text,)
         lines = [part for text in texts for part in wrap_text(text, room, most)][:most]
