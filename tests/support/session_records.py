@@ -121,6 +121,9 @@ def session_record(directory=Path("nowhere"), **changes):
     return SessionRecord.of(session_data(**changes), directory)
 
 
+NO_TOKENS = {"prompt": 0, "completion": 0, "uncounted": 0}
+
+
 def session_data(**changes):
     """A failed session: 5 episodes of 2 cases, and one verdict of each word, one waived.
 
@@ -163,7 +166,9 @@ def session_data(**changes):
              "mode": "record", "fingerprint": "f" * 64,
              "capabilities": {"structured": "json_schema", "enforced": True, "vision": False,
                               "seed": True},
-             "prompts": "a" * 64, "asked": 30, "reused": 12, "injected": 2, "missed": 0,
+             "prompts": "a" * 64, "asked": 30, "repeated": 0, "unavailable": {},
+             "asked_tokens": NO_TOKENS, "reused": 12, "reused_tokens": NO_TOKENS,
+             "injected": 2, "missed": 0,
              "cassette": {"file": "dura-cassette.sqlite", "sha256": "b" * 64, "exchanges": 42}},
         ],
         "gate": {"result": "failed", "exit_code": 1, "warn_undecided": False, "failed": 2,
