@@ -266,8 +266,8 @@ class Trial:
 
     def _children(self, process: subprocess.Popen[bytes]) -> Iterator[int]:
         try:
-            for child in psutil.Process(process.pid).children():
-                if "campaign.execution.worker" in " ".join(child.cmdline()):
+            for child in psutil.Process(process.pid).children(recursive=True):
+                if "pytest_dura.execution.child" in " ".join(child.cmdline()):
                     yield child.pid
         except psutil.Error:  # it ended in between
             return

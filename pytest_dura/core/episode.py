@@ -258,6 +258,8 @@ class EpisodeSpec:
         return hashlib.sha256(canonical(data)).hexdigest()
 
 
+LOST = "lost"
+"""Termination of an episode whose process a call of the component ended."""
 _DETERMINING = {part.name for part in fields(EpisodeSpec)} - {"timeouts"}
 """Fields of a spec on which the trace depends."""
 
@@ -277,7 +279,8 @@ class Episode(Shown):
         events: In the order in which they happened.
         faults: One record per planned fault.
         termination: ``goal``, ``time``, ``critical``, ``violation``, ``decided``, ``iterations``,
-            ``truncated`` (the plant ended by itself), ``halt`` or ``infrastructure``.
+            ``truncated`` (the plant ended by itself), ``halt``, ``lost`` (a call of the component
+            ended the process, and the trace with it) or ``infrastructure``.
         failure: The message of the infrastructure error, if there was one.
         timeouts: Calls in which the component overran its wall-clock budget: the number of the
             proposal, counted from 0 (the tick, unless the policy refines), or -1 for ``reset``. A
@@ -319,7 +322,8 @@ class Episode(Shown):
         yield "episode", self.id
         yield "component", self.spec.component
         yield "seed", str(self.spec.seed)
-        yield "end", f"{self.termination} after {self.time[-1]:g} s, {self.ticks} ticks"
+        end = self.time[-1] if self.ticks else 0.0
+        yield "end", f"{self.termination} after {end:g} s, {self.ticks} ticks"
         yield "validity", self.validity
         yield "reason", self.failure or self.invalid_reason
         yield "faults", [fault.id for fault in self.faults] or None
@@ -344,6 +348,8 @@ class Episode(Shown):
     @property
     def invalid_reason(self) -> str | None:
         """Text with the planned faults that never manifested; ``None`` without any."""
+        if self.termination == LOST:
+            return None  # what happened to its faults is not known
         missed = [f.id for f in self.faults if f.manifested_at is None and not f.by_chance]
         return f"never manifested: {', '.join(missed)}" if missed else None
 

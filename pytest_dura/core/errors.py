@@ -19,7 +19,8 @@ from typing import Any
 from pytest_dura.core.boundary import CallEnded, let_pass
 
 _name_of: Any = vars(type)["__name__"].__get__
-_traceback_of: Any = vars(BaseException)["__traceback__"].__get__
+traceback_of: Any = vars(BaseException)["__traceback__"].__get__
+"""Returns the traceback of an error, past what its class overrides."""
 
 LONGEST_TEXT = 10_000
 """Characters that are kept of one text of a component, a role or a simulator."""
@@ -196,7 +197,7 @@ def describe_error(error: BaseException) -> str:
     message = cut(read_text(str, error, "(its message cannot be read)"))
     text = f"{type_name(error)}: {message}" if message else type_name(error)
     text = re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x…", text)
-    trace = _traceback_of(error)
+    trace = traceback_of(error)
     while trace is not None and trace.tb_next is not None:
         trace = trace.tb_next
     if trace is None:
@@ -227,7 +228,7 @@ def import_error(
         return ConfigurationError(
             f"{problem}: {describe_error(error)}", found=found, expected=expected, remedy=remedy
         )
-    package, place, trace = module.partition(".")[0], "", _traceback_of(error)
+    package, place, trace = module.partition(".")[0], "", traceback_of(error)
     while trace is not None:
         code = trace.tb_frame.f_code
         if str(trace.tb_frame.f_globals.get("__name__", "")).partition(".")[0] == package:

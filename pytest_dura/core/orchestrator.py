@@ -24,6 +24,7 @@ from pytest_dura.core.boundary import (
     alarms,
     with_pauses,
 )
+from pytest_dura.core.calls import COMPONENT, current_calls
 from pytest_dura.core.collector import rare_collections
 from pytest_dura.core.component import Component, Messages, plain_copy
 from pytest_dura.core.episode import Episode, EpisodeSpec
@@ -153,7 +154,9 @@ class Orchestrator:
         role_timeout: float | None = ROLE_TIMEOUT,
     ) -> Orchestrator:
         """Build the orchestrator that a spec describes, of fresh parts."""
-        simulator = spec.simulator.create()
+        calls = current_calls()
+        with calls.calling("simulator"):
+            simulator = spec.simulator.create()
         if not isinstance(simulator, Simulator):
             raise ConfigurationError(
                 f"{spec.simulator.path} is not a simulator",
@@ -162,7 +165,10 @@ class Orchestrator:
                 expected="a subclass of pytest_dura.Simulator",
                 remedy="derive it from pytest_dura.Simulator",
             )
-        roles = {name: role.create() for name, role in spec.roles.items()}
+        roles = {}
+        for name, role in spec.roles.items():
+            with calls.calling(name):
+                roles[name] = role.create()
         return cls(simulator, roles, judge, metrics, recorded=recorded, role_timeout=role_timeout)
 
     def run(self, spec: EpisodeSpec) -> Episode:
@@ -174,6 +180,8 @@ class Orchestrator:
         self._last_index = spec.termination.last_index(spec.time_step)
         self._injector_ns = 0
         self._timer = CallTimer(self.role_timeout)
+        self._calls = current_calls()
+        self._calls.at(0)
         with (
             Boundary() as self._boundary,
             alarms(self._timer),
@@ -194,7 +202,7 @@ class Orchestrator:
         except CallBlocked as blocked:  # raised between the call's return and the end of its limit
             role = self._timer.overran or "simulator"
             failure, ending = self._failure_of(role, str(blocked)), "infrastructure"
-        with self._timer.calling("simulator"):
+        with self._timer.calling("simulator"), self._calls.calling("simulator"):
             episode = self.log.close(
                 self.simulator, self.state, ending, failure, recorded=self.recorded
             )
@@ -259,7 +267,7 @@ class Orchestrator:
                 context = RoleContext(
                     own_seed, spec.time_step, scenario, time_budget=spec.time_budget
                 )
-                with environment_errors() as errors:
+                with environment_errors() as errors, self._calls.calling(COMPONENT):
                     problem = self._component.reset(context)
                 self._raise_environment_error(errors)
                 if problem is not None:
@@ -279,6 +287,7 @@ class Orchestrator:
     def _update(self, tick: Tick) -> None:
         # The truth of this instant counts, even if perceiving it should fail.
         self.state.ticks.append(tick)
+        self._calls.at(tick.index)
         aliases = self._aliases
         if self.injector is None:
             percept = Percept(tick.channels, aliases=aliases)
@@ -351,8 +360,10 @@ class Orchestrator:
         self.state.proposal = None
         start = perf_counter_ns()
         view = self.state.generator_view(feedback, self._messages.transmit)
+        self._calls.begin(COMPONENT)
         with environment_errors() as errors, with_pauses() as pauses:
             proposal, problem, is_plain = self._component.propose(view)
+        self._calls.end()
         elapsed = perf_counter_ns() - start - int(pauses.seconds * 1e9)
         seconds = None if proposal is None else declared_seconds(proposal.account)
         self.state.generator_seconds = elapsed / 1e9 if seconds is None else seconds
@@ -361,8 +372,12 @@ class Orchestrator:
         if proposal is not None:
             problem = proposal.failure or None
         if proposal is not None and (proposal.action is not None or problem is None):
-            check = accepted_action if is_plain else self._component.check_action
-            action, wrong = self._guard("simulator", check, self.simulator, proposal.action)
+            check, whose = accepted_action, "simulator"
+            if not is_plain:  # the check calls the component's code
+                check, whose = self._component.check_action, COMPONENT
+            action, wrong = self._guard(
+                "simulator", check, self.simulator, proposal.action, whose=whose
+            )
             if wrong is None:
                 self.state.proposal = proposal.with_action(action)
             else:
@@ -454,7 +469,9 @@ class Orchestrator:
         if first and self.injector is not None:
             self._guard("fault_injector", self.injector.manifested, first, tick.time)
 
-    def _guard(self, role: str, call: Callable[..., Any], *args: Any) -> Any:
+    def _guard(
+        self, role: str, call: Callable[..., Any], *args: Any, whose: str | None = None
+    ) -> Any:
         """Call anything but the component; its failure is an infrastructure error.
 
         A misconfiguration that shows before anything has moved is raised as it is, for the user.
@@ -462,6 +479,7 @@ class Orchestrator:
         timer, boundary = self._timer, self._boundary
         timer.calls += 1
         timer.role = role
+        self._calls.begin(whose or role)
         try:
             result = call(*args)
         except CallBlocked as blocked:
@@ -474,6 +492,7 @@ class Orchestrator:
             raise self._failure_of(role, cause) from error
         finally:
             timer.role = None
+            self._calls.end()
         if boundary.pending:
             misuse = boundary.take_misuse()
             if misuse is not None:

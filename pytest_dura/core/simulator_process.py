@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from pytest_dura.core.calls import current_calls
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.simulator import Simulator
 
@@ -89,7 +90,8 @@ def open_class(simulator: type[Simulator]) -> None:
         if here in _opened:
             return
         try:
-            simulator.open_process()
+            with current_calls().calling("simulator"):
+                simulator.open_process()
         except ConfigurationError:
             raise
         except Exception as error:

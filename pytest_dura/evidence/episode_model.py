@@ -84,7 +84,8 @@ class EpisodeEntry(Entry):
     """Which planned fault never manifested."""
     termination: str
     """What ended it: `goal`, `time`, `critical`, `violation`, `decided`, `iterations`, `truncated`
-    (the plant ended by itself), `halt` or `infrastructure`."""
+    (the plant ended by itself), `halt`, `lost` (a call of the component ended the process, and the
+    trace with it) or `infrastructure`."""
     failure: str | None
     """Message of the infrastructure error."""
     digest: Sha256

@@ -279,7 +279,7 @@ def _trace_episode(trace: Trace, episode: EpisodeEntry) -> JudgedEpisode:
             time=trace.time,
             signals=dict(trace.signals),
             decisions=dict(trace.decisions),
-            events=(),
+            events=tuple(episode.events),
             faults=tuple(episode.faults),
             termination=episode.termination,
             metrics=DependabilityMetrics(tallies=dict(episode.metrics.tallies)),

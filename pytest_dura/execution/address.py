@@ -19,15 +19,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from pytest_dura.core.calls import current_calls
 from pytest_dura.core.codec import encode
 from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.execution.codec import pack
+from pytest_dura.execution.replies import attach, begin
 from pytest_dura.execution.sources import LoadedModules, differences, module_file
+from pytest_dura.execution.surroundings import applied
 from pytest_dura.execution.task import EpisodeTask, is_named
-from pytest_dura.execution.warning_filters import filtered
-from pytest_dura.execution.worker import begin
 from pytest_dura.library.roles import LocalRole
 from pytest_dura.provenance import describe_arithmetic, describe_packages, tool_code
 
@@ -182,7 +183,7 @@ def machine_json() -> bytes:
     return json.dumps(describe_machine()).encode()
 
 
-def preload(paths: Sequence[str]) -> bytes:
+def preload(paths: Sequence[str]) -> None:
     """Import what episodes will need in the process in which this is called.
 
     Args:
@@ -190,13 +191,14 @@ def preload(paths: Sequence[str]) -> bytes:
             the first episode that needs it says so.
     """
     describe_machine()
-    _import(paths)
-    return b""
+    _import(zip(paths, paths, strict=True))
+    _LOADED.digests()
 
 
-def _import(paths: Iterable[str]) -> None:
-    for path in paths:
-        with suppress(Exception):  # importing runs the code of users
+def _import(paths: Iterable[tuple[str, str]]) -> None:
+    """Import parts, each a call of whom it is of."""
+    for name, path in paths:
+        with suppress(Exception), current_calls().calling(name):  # it runs the code of users
             RoleSpec(path).resolve()
 
 
@@ -217,7 +219,7 @@ def conditions_of(modules: LoadedModules) -> dict[str, Any]:
 def simulate(
     task: str,
     conditions: Mapping[str, Any] | None = None,
-    filters: Sequence[Sequence[Any]] | None = None,
+    surroundings: Mapping[str, Any] | None = None,
     *,
     seconds: float | None = None,  # noqa: ARG001 - the parent process reads it
 ) -> bytes:
@@ -227,8 +229,8 @@ def simulate(
         task: JSON of :meth:`EpisodeTask.to_json`.
         conditions: Of :func:`conditions_of`, and ``where`` this is in words, if it is not a
             process of the same session.
-        filters: The warning filters that apply while it runs, see
-            :func:`pytest_dura.execution.warning_filters.warning_filters`.
+        surroundings: What applies while it runs, see
+            :func:`pytest_dura.execution.surroundings.surroundings`.
         seconds: The limit that the process is held to, once all has been imported.
 
     Returns:
@@ -238,12 +240,13 @@ def simulate(
         ConfigurationError: If a part cannot be built here, or is not the same here.
     """
     here = EpisodeTask.from_json(json.loads(task))
-    _import(part.path for part in here.parts.values())
+    _import((name, part.path) for name, part in here.parts.items())
     if conditions is not None:
         _check_conditions(**conditions)
     begin()
     calls = _model_call_count()
-    with filtered(filters):
+    with applied(surroundings) as seen:
+        attach(seen)
         episode = here.run()
     if _model_call_count() != calls:
         raise ConfigurationError(

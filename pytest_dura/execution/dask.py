@@ -11,7 +11,7 @@ import threading
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, InvalidStateError
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
@@ -25,9 +25,9 @@ from pytest_dura.execution.address import (
     refuse_differences,
     simulate,
 )
+from pytest_dura.execution.children import ChildSettings, ProcessPool
 from pytest_dura.execution.executors import KEY, ExecutorKind
-from pytest_dura.execution.processes import ProcessEnvironment, ProcessPool
-from pytest_dura.execution.worker import CallFailedError, ProcessLostError, reply_of, result_of
+from pytest_dura.execution.replies import CallFailedError, ProcessLostError, reply_of, result_of
 from pytest_dura.provenance import is_installed
 
 _LOGGERS = ("distributed", "tornado", "asyncio")
@@ -64,7 +64,7 @@ def _reply_with_machine(client: Mapping[str, Any]) -> bytes:
 
     Args:
         client: The session: ``token``, the ``path`` and ``folder`` where it finds components, and
-            the ``places`` that code may come from.
+            the ``places`` that code may come from, and the ``memory`` that a process may take.
     """
     return reply_of(lambda: _pool(client).submit(machine_json).result())
 
@@ -73,7 +73,7 @@ def _reply_with_episode(
     client: Mapping[str, Any],
     task: str,
     conditions: Mapping[str, Any],
-    filters: Sequence[Sequence[Any]],
+    surroundings: Mapping[str, Any],
     seconds: float,
 ) -> bytes:
     """Simulate an episode on a Dask worker, as a reply.
@@ -82,14 +82,14 @@ def _reply_with_episode(
         client: See :func:`_reply_with_machine`.
         task: See :func:`pytest_dura.execution.address.simulate`.
         conditions: See the same, but for ``where``.
-        filters: See the same.
+        surroundings: See the same.
         seconds: Limit of the episode.
     """
     from distributed import get_worker
 
     here = {**conditions, "where": f"the Dask worker {get_worker().address}"}
     call = _pool(client).submit
-    return reply_of(lambda: call(simulate, task, here, filters, seconds=seconds).result())
+    return reply_of(lambda: call(simulate, task, here, surroundings, seconds=seconds).result())
 
 
 def _end_session(token: str) -> None:
@@ -107,17 +107,17 @@ def _pool(client: Mapping[str, Any]) -> ProcessPool:
     token = client["token"]
     with _LOCK:
         if token not in _POOLS:
-            _POOLS[token] = ProcessPool(get_worker().state.nthreads, _process_environment(client))
+            _POOLS[token] = ProcessPool(get_worker().state.nthreads, _settings(client))
         return _POOLS[token]
 
 
-def _process_environment(client: Mapping[str, Any]) -> ProcessEnvironment:
+def _settings(client: Mapping[str, Any]) -> ChildSettings:
     """That of the worker, after those folders of the client's project that are here as well."""
-    own = ProcessEnvironment.here()
+    own = ChildSettings.here()
     shared = [entry for entry in client["path"] if Path(entry).exists()]
     folder = client["folder"] if Path(client["folder"]).is_dir() else own.folder
     path = list(dict.fromkeys([*shared, *own.path]))
-    return ProcessEnvironment(path, folder, client["places"])
+    return ChildSettings(path, folder, client["places"], client["memory"])
 
 
 _LAST_PORT = 65535
@@ -324,21 +324,23 @@ class DaskExecutor(Executor):
 
     Args:
         address: Address of the scheduler, such as ``tcp://localhost:8786``.
+        memory: Bytes that a process that simulates may take beside what it begins with.
 
     Raises:
         ConfigurationError: If there is no scheduler or no worker, or one that differs from this
             process.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, memory: int | None = None) -> None:
         self.address = address
-        here = ProcessEnvironment.here()
+        here = ChildSettings.here()
         shared = [entry for entry in here.path if not is_installed(Path(entry))]
         self._session = {
             "token": uuid.uuid4().hex,
             "path": shared,
             "folder": here.folder,
             "places": here.places,
+            "memory": memory,
         }
         self._tasks: dict[Future[Any], Any] = {}
         self._lock, self._resolving = threading.Lock(), threading.Lock()
@@ -518,4 +520,4 @@ class DaskCluster(ExecutorKind):
         Raises:
             ConfigurationError: If the cluster cannot be used.
         """
-        return DaskExecutor(self.address)
+        return DaskExecutor(self.address, self.memory)

@@ -17,8 +17,8 @@ from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.registry import Registry
 from pytest_dura.execution.address import conditions_of, simulate
 from pytest_dura.execution.sources import LoadedModules
+from pytest_dura.execution.surroundings import surroundings
 from pytest_dura.execution.task import EpisodeTask, is_same_elsewhere, reason_not_portable
-from pytest_dura.execution.warning_filters import warning_filters
 from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
@@ -52,6 +52,8 @@ class ExecutorKind(ABC):
     """How it is written, for messages."""
     local_processes: int | None = None
     """How many processes of this machine simulate, if any do."""
+    memory: int | None = None
+    """Bytes that a process may take beside what it begins with; ``None`` for any number."""
     where = "elsewhere"
     """Where episodes are simulated, for the header: after "episodes are simulated"."""
 
@@ -260,7 +262,7 @@ class Execution:
             simulate,
             json.dumps(replace(task, checks=self._checks_to_send(task)).to_json()),
             conditions_of(self.modules),
-            warning_filters(),
+            surroundings(),
             seconds=time_limit_of(task.spec, self.seconds),
         )
 

@@ -20,6 +20,7 @@ from pytest_dura.execution.address import Address, address_of, reason_unaddresse
 from pytest_dura.execution.cache import MAX_ATTEMPTS, CacheEntry, Claim, EpisodeCache
 from pytest_dura.execution.codec import SERIES, pack, unpack
 from pytest_dura.execution.executors import IN_FLIGHT, MAX_SECONDS, Execution, time_limit_of
+from pytest_dura.execution.replies import CallFailedError, ProcessLostError
 from pytest_dura.execution.sources import (
     EpisodeFiles,
     LoadedModules,
@@ -29,8 +30,7 @@ from pytest_dura.execution.sources import (
     differences,
     shortened,
 )
-from pytest_dura.execution.task import EpisodeTask, missing_episode
-from pytest_dura.execution.worker import CallFailedError, ProcessLostError
+from pytest_dura.execution.task import EpisodeTask, lost_episode
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 from pytest_dura.requirements.second_engine import SecondEngine
 
@@ -413,9 +413,9 @@ class EpisodeStore:
         future = self._repetitions.pop(key_of(task), None) or self._submit_repetition(task)
         self._begin_certain()
         try:
-            result = future.result()
+            result = _shown_result(future)
         except ProcessLostError as error:
-            result = missing_episode(task.spec, str(error))
+            result = lost_episode(task.spec, error)
         except (CallFailedError, ConfigurationError) as error:
             if not self._retreats(error):
                 raise
@@ -628,9 +628,9 @@ class EpisodeStore:
     def _land(self, flight: _Flight) -> tuple[JudgedEpisode, bool]:
         """Wait for an episode; returns it, and whether it is in the cache."""
         try:
-            result = flight.future.result()
+            result = _shown_result(flight.future)
         except ProcessLostError as error:
-            result = missing_episode(flight.task.spec, str(error))
+            result = lost_episode(flight.task.spec, error)
         except CallFailedError:
             self.lost = True
             raise
@@ -671,6 +671,16 @@ class EpisodeStore:
             self.problems.append(text)
 
 
+def _shown_result(future: Future[Any]) -> Any:
+    """The result of an episode, after what it printed elsewhere was shown here."""
+    try:
+        return future.result()
+    finally:
+        captured = vars(future).get("captured")
+        if captured is not None:
+            captured.show()
+
+
 def _repetition(task: EpisodeTask) -> EpisodeTask:
     return replace(task.repeated(), recorded=False)
 
@@ -687,7 +697,7 @@ def _packed(flight: _Flight) -> bytes | None:
     """The bytes for the cache; ``None`` if the episode cannot be simulated at all."""
     error = flight.future.exception()
     if isinstance(error, ProcessLostError):
-        return pack(missing_episode(flight.task.spec, str(error)))
+        return pack(lost_episode(flight.task.spec, error))
     if error is not None:
         return None
     result: JudgedEpisode | bytes = flight.future.result()

@@ -13,14 +13,16 @@ from typing import Any
 import numpy as np
 
 from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary
+from pytest_dura.core.calls import current_calls
 from pytest_dura.core.codec import decode, encode
-from pytest_dura.core.episode import Episode, EpisodeSpec
+from pytest_dura.core.episode import LOST, Episode, EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.orchestrator import Orchestrator
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator_process import simulating
 from pytest_dura.core.state import NOTHING, Event
+from pytest_dura.execution.replies import ProcessLostError
 from pytest_dura.library.roles import LocalRole, local_object
 from pytest_dura.library.scenario import simulator_class
 from pytest_dura.requirements.checks import RequirementJudge, load_function
@@ -152,7 +154,7 @@ class EpisodeTask:
         )
         episode = JudgedEpisode.of(simulated)
         for check in self.checks:
-            with suppress(ConfigurationError):
+            with suppress(ConfigurationError), current_calls().calling(f"check {check}"):
                 judge_by_check(check, episode)
         return episode
 
@@ -290,6 +292,25 @@ class UpcomingTasks:
             yield from self._tasks[step]
 
 
+def lost_episode(spec: EpisodeSpec, error: ProcessLostError) -> JudgedEpisode:
+    """Make the episode of a process that ended in the middle: all that is known of it.
+
+    It is open for every requirement where the component was being called, and missing otherwise.
+
+    Args:
+        spec: What it was run from.
+        error: How the process ended.
+    """
+    death = error.death
+    if death is None or not death.is_of_component:
+        return missing_episode(spec, str(error))
+    detail = f"its process {death.how}"
+    event = Event(
+        death.tick, death.tick * spec.time_step, "component_failure", spec.component, detail
+    )
+    return _without_ticks(spec, event, LOST)
+
+
 def missing_episode(spec: EpisodeSpec, cause: str) -> JudgedEpisode:
     """Make an episode without a single tick, whose validity is missing.
 
@@ -297,7 +318,13 @@ def missing_episode(spec: EpisodeSpec, cause: str) -> JudgedEpisode:
         spec: What it would have been run from.
         cause: Why it was not run.
     """
-    failure = f"infrastructure: {cause}"
+    event = Event(0, 0.0, "infrastructure", "process", cause)
+    return _without_ticks(spec, event, "infrastructure", f"infrastructure: {cause}")
+
+
+def _without_ticks(
+    spec: EpisodeSpec, event: Event, termination: str, failure: str | None = None
+) -> JudgedEpisode:
     faults = tuple(map(FaultRecord.of, spec.faults))
     episode = Episode(
         spec=spec,
@@ -310,9 +337,9 @@ def missing_episode(spec: EpisodeSpec, cause: str) -> JudgedEpisode:
             "executed": np.zeros(0, "<U1"),
             "attempts": np.zeros(0, np.int16),
         },
-        events=(Event(0, 0.0, "infrastructure", "process", cause),),
+        events=(event,),
         faults=faults,
-        termination="infrastructure",
+        termination=termination,
         metrics=DependabilityMetrics(faults={fault.id: fault for fault in faults}),
         failure=failure,
     )

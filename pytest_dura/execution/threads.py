@@ -19,7 +19,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 from pytest_dura.core.boundary import CallEnded, giving_up_by
 from pytest_dura.execution.executors import IN_FLIGHT, cancel_queued
-from pytest_dura.execution.worker import CallFailedError, ProcessLostError
+from pytest_dura.execution.replies import CallFailedError, ProcessLostError
 
 T = TypeVar("T")
 P = ParamSpec("P")

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.lines import RepeatedCase, SearchedRun
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.execution.cache import EpisodeCache
+    from pytest_dura.execution.children import ProcessPool
     from pytest_dura.execution.executors import Execution, ExecutorChoice
-    from pytest_dura.execution.processes import ProcessPool
     from pytest_dura.execution.sources import SourceRules, Sources
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
@@ -159,7 +159,7 @@ class SessionExecutor:
         if choice is None or choice.processes is None:
             return
         from pytest_dura.execution.address import preload
-        from pytest_dura.execution.processes import ProcessPool
+        from pytest_dura.execution.children import ProcessPool
 
         cases = [planned.case for planned in context.plan]
         roles = [role for case in cases for role in case.roles({}).values()]

@@ -343,7 +343,8 @@ def llm_retries(setting: Setting) -> int:
     return number
 
 
-_TIMEOUT_OPTION = "--dura-episode-timeout"
+_TIMEOUT_OPTION, _MEMORY_OPTION = "--dura-episode-timeout", "--dura-episode-memory"
+_SIZES = {"MB": 10**6, "GB": 10**9}
 
 
 AUTO: Final = "auto"
@@ -353,16 +354,37 @@ AUTO: Final = "auto"
 def executor_limit(setting: Setting) -> float:
     """Read the limit of an episode in another process, which needs one."""
     limit = seconds(setting)
+    _check_elsewhere(setting, "is held by ending the process that simulates")
+    return limit
+
+
+def memory_limit(setting: Setting) -> int:
+    """Read how many bytes an episode may take in another process, which needs one."""
+    text = str(setting.value)
+    number, unit = text[:-2], _SIZES.get(text[-2:].upper())
+    if not number.isdigit() or int(number) == 0 or unit is None:
+        raise _unusable(
+            f"{setting.key} takes a size",
+            key=setting.key,
+            found=text,
+            expected="a whole number above 0 with MB or GB",
+            remedy=f"for example {setting.key}=2GB",
+        )
+    _check_elsewhere(setting, "is a limit of the process that simulates")
+    return int(number) * unit
+
+
+def _check_elsewhere(setting: Setting, limit: str) -> None:
+    """Refuse a limit of a process where episodes are simulated by pytest's own."""
     if setting.other("--dura-executor") in (None, AUTO, "in-process"):
         raise _unusable(
-            f"{setting.key} is held by ending the process that simulates, and that is pytest's own",
+            f"{setting.key} {limit}, and that is pytest's own",
             key=setting.key,
-            found=f"{limit:g} without another executor",
+            found=f"{setting.value} without another executor",
             expected="--dura-executor=processes, or a Dask cluster",
             remedy=f"add --dura-executor=processes, or leave out {setting.key}; each call into a"
             " role has --dura-role-timeout",
         )
-    return limit
 
 
 def executor_choice(setting: Setting) -> ExecutorChoice | Literal["auto"] | None:
@@ -385,6 +407,9 @@ def executor_choice(setting: Setting) -> ExecutorChoice | Literal["auto"] | None
     if timeout is not None:
         limit = Setting(_TIMEOUT_OPTION, timeout, None, setting.config)
         choice = replace(choice, seconds=seconds(limit))
+    memory = setting.other(_MEMORY_OPTION)
+    if memory is not None and choice.kind is not None:
+        choice.kind.memory = memory_limit(Setting(_MEMORY_OPTION, memory, None, setting.config))
     if choice.processes is not None and setting.other("numprocesses"):
         raise _unusable(
             "the workers of pytest-xdist would each start processes of their own",

@@ -35,6 +35,7 @@ from pytest_dura.plugin.option_values import (
     llm_limits,
     llm_price,
     llm_retries,
+    memory_limit,
     off_switch,
     second_engine,
     seconds,
@@ -374,7 +375,17 @@ class Options:
         executor_limit,
         metavar="SECONDS",
         example="600",
-        details="The episode is missing then.",
+        details="The run is open then where the component was being called, and missing where"
+        " another role or the simulator was.",
+    )
+    episode_memory: Option[int | None] = Option(
+        "--dura-episode-memory",
+        "memory that a process (--dura-executor) may take beside what it begins with, on systems "
+        "that have such a limit",
+        memory_limit,
+        metavar="SIZE",
+        example="2GB",
+        details="What asks for more gets a `MemoryError`, or ends its process.",
     )
     shard: Option[Shard | None] = Option(
         "--dura-shard",

@@ -46,6 +46,7 @@ _ENDS = {
     "halt": "was halted",
     "violation": "ended at a violation",
     "decided": "ended once its requirements were decided",
+    "lost": "ended its process by a call of the component",
     "infrastructure": "was ended by an infrastructure error",
 }
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.codec import Number
 from pytest_dura.core.display import Shown, short_repr
-from pytest_dura.core.episode import Episode
+from pytest_dura.core.episode import LOST, Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_signals
 from pytest_dura.core.loop_signals import PROPOSAL_PREFIX as ACCOUNTS
@@ -94,6 +94,7 @@ EARLY_ENDS = {
     "halt": "the episode was halted",
     "violation": "the episode ended at a violation of something else",
     "decided": "the episode ended once the requirements of its case were decided",
+    LOST: "a call of the component ended the process",
 }
 """Ends that come before the time limit or the goal, and that the component may have caused."""
 _ENDINGS: dict[str, Ending] = {
@@ -298,7 +299,7 @@ def _judged(check: Check, episode: Episode) -> tuple[EpisodeStatus, CheckResult]
 def _by_formula(formula: Formula, episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
     evaluation, gap = evaluate_episode(formula, episode)
     if evaluation is None:
-        return "missing", CheckResult(False, detail=episode.failure or "the episode has no samples")
+        return _without_trace(episode)
     margin = evaluation.margin if math.isfinite(evaluation.margin) else None
 
     def result(detail: str, *, holds: bool = False) -> CheckResult:
@@ -327,8 +328,7 @@ def _by_function(
     An episode that ended critical, or was halted, is complete: nothing follows it.
     """
     if episode.failure is not None or episode.ticks == 0:
-        detail = episode.failure or "the episode has no samples"
-        return "missing", CheckResult(False, detail=detail)
+        return _without_trace(episode)
     try:
         with Boundary() as boundary:
             result = check_result(function(JudgedEpisode.of(episode)))
@@ -349,6 +349,15 @@ def _by_function(
     if uncounted is not None:
         return uncounted[0], CheckResult(False, result.margin, None, uncounted[1])
     return "satisfied", result
+
+
+def _without_trace(episode: Episode) -> tuple[EpisodeStatus, CheckResult]:
+    """Status of an episode whose trace says nothing: open where the component ended its process."""
+    if episode.termination != LOST:
+        return "missing", CheckResult(False, detail=episode.failure or "the episode has no samples")
+    death = episode.events[-1]
+    detail = f"{EARLY_ENDS[LOST]} at tick {death.tick}: {death.detail}"
+    return "open", CheckResult(False, detail=detail)
 
 
 def _uncounted(episode: Episode) -> tuple[EpisodeStatus, str] | None:
@@ -378,7 +387,7 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
     missing = [name for name in formula.signals if name not in known]
     if missing and missing == _signals_without_account(formula, known) and episode.ticks:
         return _without_account(formula, missing, episode)
-    if missing and (episode.signals or episode.failure is None):
+    if missing and (episode.signals or (episode.failure is None and episode.ticks)):
         remedy = _WHOLE if episode.termination == "decided" else None
         raise unknown_signal(missing[0], known, str(formula), None, remedy)
     if missing or episode.ticks == 0:

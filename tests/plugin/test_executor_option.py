@@ -101,8 +101,9 @@ def test_a_component_that_no_alarm_interrupts_is_ended_with_its_process(project)
     )
     assert time.monotonic() - began < 60.0
     assert result.ret == 1
-    ends = {one.case: one.failure for one in project.evidence().episodes}
-    assert ends["corridor/it"].startswith("infrastructure: its process was ended, since it took")
+    (lost, *_) = (one for one in project.evidence().episodes if one.case == "corridor/it")
+    assert (lost.validity, lost.termination, lost.events[0].tick) == ("valid", "lost", 1)
+    assert lost.events[0].detail.startswith("its process was ended, since it took longer than")
     assert project.verdict("GAP-1", "corridor/it").verdict == "undecided"
     assert project.verdict("GAP-1", "corridor/well").verdict == "supported"
     assert project.evidence().gate.result == "failed"

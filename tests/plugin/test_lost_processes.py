@@ -16,16 +16,23 @@ from pytest_dura.execution import MAX_STARTS
 COUNTED = """
 import os, signal, time
 from pathlib import Path
-from corridor import Careful
+from corridor import Careful, Watch
 
-class Counted(Careful):
+class Counts:
     def reset(self, context):
+        super().reset(context)
         with Path("log").open("a") as log:
             log.write(f"{context.seed}\\n")
         seeds, kills = Path("log").read_text().split(), Path("kills")
         seed, times = kills.read_text().split() if kills.exists() else ("", 0)
         if seed == str(context.seed) and seeds.count(seed) <= int(times):
             os.kill(os.getpid(), signal.SIGKILL)
+
+class Counted(Counts, Careful):
+    pass
+
+class Watches(Counts, Watch):
+    pass
 """
 CLOSES = """
 import os
@@ -51,11 +58,11 @@ def digests(project):
     return sorted((one.id, one.digest) for one in project.evidence().episodes)
 
 
-@pytest.fixture
-def counted(project):
-    """A case whose component notes each simulation, what it comes to, and its third seed."""
+@pytest.fixture(params=[{"generator": "counted:Counted"}], ids=[""])
+def counted(project, request):
+    """A case, a role of which notes each simulation, what it comes to, and its third seed."""
     project.write("counted.py", COUNTED)
-    scenario(project, runs=5, generator="counted:Counted", requirements="[GAP-1]")
+    scenario(project, runs=5, requirements="[GAP-1]", **request.param)
     assert project.run("corridor/it").ret == 0
     third = simulations(project)[2]
     (project.path / "log").unlink()
@@ -142,16 +149,28 @@ def test_a_session_that_could_start_no_process_goes_on(counted, monkeypatch):
     check_whole(project, whole, result, 5)
 
 
+@pytest.mark.parametrize("counted", [{"monitor": "counted:Watches"}], indirect=True, ids=[""])
 def test_an_episode_that_is_missing_is_had_by_resuming(counted):
     project, whole, third = counted
     project.write("kills", f"{third} 2")
     result = project.run("corridor/it", "--dura-executor=processes:1")
     assert result.ret == 1
     assert "1 of 5 episodes are missing" in project.verdict("GAP-1").reason
-    assert "it ended 2 processes that simulated it" in output(result)
+    assert "was ended by SIGKILL in a call of the safety_monitor at tick 0" in output(result)
     result = project.run("corridor/it", "--dura-executor=processes:1", "--dura-resume")
     assert "dura: resuming: 5 episodes of the session of 20" in output(result)
     check_whole(project, whole, result, 7, repeats=2)
+
+
+def test_a_run_that_the_component_ended_counts_and_there_is_nothing_to_resume(counted):
+    project, _, third = counted
+    project.write("kills", f"{third} 9")
+    result = project.run("corridor/it", "--dura-executor=processes:1")
+    assert result.ret == 1
+    assert project.verdict("GAP-1").verdict == "undecided"
+    assert simulations(project).count(third) == 2, "a signal may have come from outside"
+    result = project.run("corridor/it", "--dura-resume")
+    assert "there is nothing to resume" in output(result)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")

@@ -16,6 +16,7 @@ BESIDE = {
     "cassette": ["--dura-llm=replay"],
     "fail_worse": ["--dura-baseline=dura-evidence"],
     "episode_timeout": ["--dura-executor=processes"],
+    "episode_memory": ["--dura-executor=processes"],
 }
 """What an option does not go without."""
 SELECT = "--dura-select=intersection/ghost-obstacle"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import subprocess
@@ -12,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from pytest_dura import ConfigurationError, RoleSpec
-from pytest_dura.execution import processes, worker
+from pytest_dura.core.calls import current_calls
+from pytest_dura.execution import child, children, replies
 
 HELD: list[bytearray] = []
 
@@ -34,7 +36,7 @@ class KilledStarts:
             f"os.write(starts, b'.'); os.fstat(starts).st_size <= {times} "
             "and os.kill(os.getpid(), signal.SIGKILL); "
         )
-        monkeypatch.setattr(processes, "_START", deed + processes._START)
+        monkeypatch.setattr(children, "_START", deed + children._START)
 
     @property
     def count(self) -> int:
@@ -59,9 +61,34 @@ def fatal(code: int) -> bytes:
     os._exit(code)
 
 
+def dies_in(role: str) -> bytes:
+    """End this process in C, while a role is called; empty for none."""
+    current_calls().at(7)
+    if role:
+        current_calls().begin(role)
+    ctypes.CDLL(None)._exit(0)
+    return b""
+
+
+def closes_all() -> bytes:
+    """Close the files of this process, as a component."""
+    with current_calls().calling("generator"):
+        os.closerange(3, 256)
+    return b""
+
+
+def prints(text: str, *, dies: bool = False) -> bytes:
+    """Print to both streams."""
+    sys.stdout.write(f"{text}\n")
+    sys.stderr.write(f"{text} to the error stream\n")
+    if dies:
+        ctypes.CDLL(None)._exit(0)
+    return b""
+
+
 def endless(folder: str = "", *, seconds: float | None = None) -> bytes:
     """Never come back; a process that it starts holds on to everything as well."""
-    worker.begin()
+    replies.begin()
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     if folder:
         Path(folder, f"{os.getpid()} {child.pid}").touch()
@@ -71,7 +98,7 @@ def endless(folder: str = "", *, seconds: float | None = None) -> bytes:
 
 def outlived(folder: str, *, seconds: float | None = None) -> bytes:
     """End this process, and leave a copy of it behind that no signal to its group reaches."""
-    worker.begin()
+    replies.begin()
     if os.fork() == 0:
         os.setsid()
         Path(folder, str(os.getpid())).touch()
@@ -84,14 +111,14 @@ def outlived(folder: str, *, seconds: float | None = None) -> bytes:
 
 def limited(text: str, *, seconds: float | None = None) -> bytes:
     """Take a limit, and come back at once."""
-    worker.begin()
+    replies.begin()
     return str(len(text)).encode()
 
 
 def prepared(takes: float, *, seconds: float | None = None) -> bytes:
     """Take so long before the limit begins."""
     time.sleep(takes)
-    worker.begin()
+    replies.begin()
     return number()
 
 
@@ -109,7 +136,7 @@ def broken() -> bytes:
 
 def leaky(megabytes: int, most: int) -> bytes:
     """Hold on to memory, in a process that may grow by so many bytes."""
-    worker.MAX_MEMORY_GROWTH = most
+    child.MAX_MEMORY_GROWTH = most
     HELD.append(bytearray(b"x") * (megabytes * 2**20))
     return number()
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import psutil
 from thermostat import Thermostat
 
 from pytest_dura import EpisodeSpec, JudgedEpisode, RoleSpec, Tick
@@ -36,7 +37,7 @@ class ShakyRoom(Thermostat):
             case "ends":
                 os.kill(os.getpid(), signal.SIGKILL)
             case "ends its worker":  # as a machine does that has no memory left
-                os.kill(os.getppid(), signal.SIGKILL)
+                os.kill(psutil.Process(os.getppid()).ppid(), signal.SIGKILL)
                 time.sleep(60.0)
             case "blocks":
                 while True:

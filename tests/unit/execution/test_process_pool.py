@@ -22,9 +22,9 @@ from pytest_dura.execution import (
     CallFailedError,
     ProcessLostError,
     ProcessPool,
-    processes,
+    children,
 )
-from pytest_dura.execution.processes import ProcessEnvironment
+from pytest_dura.execution.children import ChildSettings
 
 SUPPORT = str(Path(pool_calls.__file__).parent)
 
@@ -62,22 +62,99 @@ def test_a_process_killed_in_the_middle_loses_nothing(pool, tmp_path):
     assert len(list(tmp_path.iterdir())) == len(names) + 1  # what was under way, once more
 
 
-def test_a_call_that_ends_its_process_twice_is_given_up_and_no_other_is(pool, tmp_path):
+def test_a_call_that_ends_its_process_is_given_up_and_no_other_is(pool, tmp_path):
     guilty = pool.submit(pool_calls.fatal, 7)
     others = [pool.submit(pool_calls.noted, str(tmp_path), f"{n}", 0.05) for n in range(6)]
-    with pytest.raises(ProcessLostError, match=r"ended 2 processes .* exit code 7"):
+    with pytest.raises(ProcessLostError, match=r"ended with exit code 7$"):
         guilty.result()
     assert [one.result() for one in others] == [b"%d" % n for n in range(6)]
     assert len(list(tmp_path.iterdir())) == len(others)
 
 
-def test_a_signal_is_named(pool, tmp_path):
-    futures = [pool.submit(pool_calls.endless, str(tmp_path))]
-    for count in (1, 2):
+@pytest.mark.parametrize("name, times", [("SIGSEGV", 1), ("SIGKILL", 2)])
+def test_a_signal_is_named_and_one_from_outside_is_forgiven_once(pool, tmp_path, name, times):
+    future = pool.submit(pool_calls.endless, str(tmp_path))
+    for count in range(1, times + 1):
         until(lambda so_many=count: len(list(tmp_path.iterdir())) == so_many)
-        os.kill(pool.pids[0], signal.SIGSEGV)
-    with pytest.raises(ProcessLostError, match="SIGSEGV"):
-        futures[0].result(timeout=20.0)
+        os.kill(pool.pids[0], getattr(signal, name))
+    with pytest.raises(ProcessLostError, match=name):
+        future.result(timeout=20.0)
+
+
+def test_a_template_that_is_killed_takes_no_call_along(pool, tmp_path):
+    futures = [pool.submit(pool_calls.noted, str(tmp_path), f"{n}", 0.5) for n in range(4)]
+    until(lambda: len(list(tmp_path.iterdir())) == 2)
+    before = pool.pids
+    os.kill(psutil.Process(before[0]).ppid(), signal.SIGKILL)
+    assert [each.result(timeout=20.0) for each in futures] == [b"0", b"1", b"2", b"3"]
+    until(lambda: not any(map(is_there, before)))
+
+
+def test_a_death_is_of_whose_call_was_under_way(pool):
+    def death(name):
+        with pytest.raises(ProcessLostError) as lost:
+            pool.submit(pool_calls.dies_in, name).result(timeout=20.0)
+        return lost.value.death
+
+    for name in ("generator", "safety_monitor"):
+        assert (death(name).role, death(name).tick) == (name, 7)
+        assert str(death(name)) == (
+            f"its process ended with exit code 0 in a call of the {name} at tick 7"
+        )
+    assert death("generator").is_of_component
+    assert not death("safety_monitor").is_of_component
+    assert death("").role == ""
+
+
+def test_a_child_that_closed_its_connection_dies_in_the_call_that_did(pool):
+    with pytest.raises(ProcessLostError, match="exit code 70 in a call of the generator"):
+        pool.submit(pool_calls.closes_all).result(timeout=20.0)
+
+
+def test_what_a_call_prints_and_logs_comes_with_its_result_also_of_a_child_that_died(pool):
+    future = pool.submit(pool_calls.prints, "one")
+    assert future.result(timeout=20.0) == b""
+    captured = future.captured
+    assert (captured.stdout, captured.stderr) == ("one\n", "one to the error stream\n")
+    future = pool.submit(pool_calls.prints, "two", dies=True)
+    with pytest.raises(ProcessLostError):
+        future.result(timeout=20.0)
+    assert future.captured.stdout == "two\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit is Linux's")
+def test_a_child_takes_no_more_memory_than_it_may():
+    limited = ProcessPool(1, memory=200 * 2**20)
+    try:
+        with pytest.raises(CallFailedError, match="MemoryError"):
+            limited.submit(pool_calls.leaky, 300, 2**40).result(timeout=20.0)
+        assert limited.submit(pool_calls.leaky, 10, 2**40).result(timeout=20.0)
+    finally:
+        limited.shutdown(wait=False)
+
+
+@pytest.mark.parametrize("how", ["spawn", "threads"])
+def test_children_are_started_anew_where_none_can_be_forked(how, monkeypatch, tmp_path):
+    pool = ProcessPool(1)
+    if how == "spawn":
+        pool._forks = False
+    else:
+        (tmp_path / "with_a_thread.py").write_text(
+            "import threading, time\n"
+            "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"
+        )
+        monkeypatch.syspath_prepend(str(tmp_path))
+        pool.preload = ["with_a_thread:Planner"]
+    try:
+        pid = int(pool.submit(pool_calls.number).result(timeout=20.0))
+        assert psutil.Process(pid).ppid() == os.getpid()
+        with pytest.raises(ProcessLostError, match=r"exit code 0 in a call of the generator"):
+            pool.submit(pool_calls.dies_in, "generator").result(timeout=20.0)
+        future = pool.submit(pool_calls.prints, "one")
+        assert future.result(timeout=20.0) == b""
+        assert future.captured.stdout == "one\n"
+    finally:
+        pool.shutdown(wait=False)
 
 
 def test_a_process_killed_while_it_starts_is_started_again(pool, monkeypatch, tmp_path):
@@ -95,19 +172,19 @@ def test_starts_are_bounded_and_no_call_is_blamed_for_them(pool, monkeypatch, tm
 
 
 def test_a_process_that_is_starting_does_not_delay_the_end(pool, monkeypatch):
-    begun, real = [], processes.WorkerProcess.wait_until_ready
+    begun, real = [], children.Child.wait_until_ready
 
     def stopped(started):
-        os.kill(started.pid, signal.SIGSTOP)
-        begun.append(started.pid)
+        os.kill(started._template.process.pid, signal.SIGSTOP)
+        begun.append(started)
         real(started)
 
-    monkeypatch.setattr(processes.WorkerProcess, "wait_until_ready", stopped)
+    monkeypatch.setattr(children.Child, "wait_until_ready", stopped)
     future = pool.submit(pool_calls.number)
     until(lambda: begun)
     began = time.monotonic()
     pool.shutdown(wait=False, cancel_futures=True)
-    assert time.monotonic() - began < processes.SECONDS_TO_START / 10
+    assert time.monotonic() - began < children.SECONDS_TO_START / 10
     with pytest.raises(CallFailedError):
         future.result(timeout=0)
 
@@ -117,10 +194,10 @@ def test_a_process_that_another_one_keeps_the_pipe_of_is_not_waited_for(
     pool, tmp_path, monkeypatch
 ):
     """A copy of the process in a session of its own has the pipe as well, and is never killed."""
-    monkeypatch.setattr(processes, "_POLL_SECONDS", 0.1)
+    monkeypatch.setattr(children, "_POLL_SECONDS", 0.1)
     future = pool.submit(pool_calls.outlived, str(tmp_path), seconds=60.0)
     try:
-        with pytest.raises(ProcessLostError, match="ended 2 processes"):
+        with pytest.raises(ProcessLostError, match="exit code 3"):
             future.result(timeout=30.0)
     finally:
         for noted in tmp_path.iterdir():
@@ -130,7 +207,7 @@ def test_a_process_that_another_one_keeps_the_pipe_of_is_not_waited_for(
 def test_a_process_that_reads_nothing_is_ended(pool, monkeypatch):
     assert pool.submit(pool_calls.number).result(timeout=20.0)
     os.kill(pool.pids[0], signal.SIGSTOP)
-    monkeypatch.setattr(processes, "SECONDS_TO_START", 0.5)
+    monkeypatch.setattr(children, "SECONDS_TO_START", 0.5)
     much = "x" * 2**20  # more than the pipe takes
     with pytest.raises(ProcessLostError, match=r"its imports took longer than 0\.5 s"):
         pool.submit(pool_calls.limited, much, seconds=60.0).result(timeout=20.0)
@@ -138,7 +215,7 @@ def test_a_process_that_reads_nothing_is_ended(pool, monkeypatch):
 
 def test_the_limit_of_a_call_begins_after_its_imports(pool, monkeypatch):
     first = pool.submit(pool_calls.prepared, 1.0, seconds=0.5).result(timeout=20.0)
-    monkeypatch.setattr(processes, "SECONDS_TO_START", 0.5)
+    monkeypatch.setattr(children, "SECONDS_TO_START", 0.5)
     with pytest.raises(ProcessLostError, match=r"its imports took longer than 0\.5 s"):
         pool.submit(pool_calls.prepared, 60.0, seconds=90.0).result(timeout=20.0)
     assert int(first) not in pool.pids
@@ -160,7 +237,9 @@ def test_errors_come_back_as_they_were(pool):
         pool.submit(pool_calls.refused, [1, 2]).result()
     assert str(there.value) == str(here.value)
     assert (there.value.line, there.value.remedy) == (3, "d")
-    with pytest.raises(CallFailedError, match="ZeroDivisionError: of the role's own"):
+    with pytest.raises(
+        CallFailedError, match=r"ZeroDivisionError: of the role's own (?s:.*)raise Zero"
+    ):
         pool.submit(pool_calls.broken).result()
     with pytest.raises(TypeError, match="JSON"):
         pool.submit(pool_calls.refused, {1}).result()
@@ -184,7 +263,7 @@ def test_a_process_finds_what_this_one_finds(pool, tmp_path, monkeypatch):
 
     assert pool.submit(of_the_project.answer).result() == b"42"
     path, folder, optimize = json.loads(pool.submit(pool_calls.surroundings).result())
-    assert path == ProcessEnvironment.here().path
+    assert path == ChildSettings.here().path
     assert (folder, optimize) == (str(tmp_path), sys.flags.optimize)
 
 
@@ -230,7 +309,7 @@ def test_no_more_processes_are_started_than_there_are_calls(pool):
 
 
 def test_a_process_that_cannot_start_says_why():
-    pool = ProcessPool(1, ProcessEnvironment([], str(Path.cwd())))
+    pool = ProcessPool(1, ChildSettings([], str(Path.cwd())))
     with pytest.raises(CallFailedError, match=r"did not start: (?s:.*)No module named"):
         pool.submit(pool_calls.number).result()
     pool.shutdown()
@@ -240,7 +319,7 @@ PARENT = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
 import pool_calls
-from pytest_dura.execution.processes import ProcessPool
+from pytest_dura.execution.children import ProcessPool
 ProcessPool(1).submit(pool_calls.endless, sys.argv[2])
 time.sleep(600)
 """

@@ -1,0 +1,152 @@
+"""Replies: what a call in another process came to, as plain data, errors included."""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from pytest_dura.core.calls import COMPONENT
+from pytest_dura.core.errors import (
+    ConfigurationError,
+    DuraError,
+    describe_error,
+    shorten,
+    traceback_of,
+)
+
+_RESULT, _CONFIGURATION, _LOST, _FAILED = b"r", b"c", b"l", b"f"
+_OWN_FRAMES = 2
+"""Lines of a traceback that are of the process that calls."""
+_FIELDS = ("problem", "file", "line", "key", "found", "expected", "remedy")
+"""Attributes of a ConfigurationError."""
+
+
+@dataclass(frozen=True)
+class Death:
+    """End of a process in the middle of a call.
+
+    Args:
+        how: Exit code, signal or limit, in words.
+        role: Name of the role that was being called; empty where none was.
+        tick: At which tick.
+    """
+
+    how: str
+    role: str = ""
+    tick: int = 0
+
+    @property
+    def is_of_component(self) -> bool:
+        """Whether the component under test was being called."""
+        return self.role == COMPONENT
+
+    def __str__(self) -> str:
+        where = f" in a call of the {self.role} at tick {self.tick}" if self.role else ""
+        return f"its process {self.how}{where}"
+
+
+class ProcessLostError(DuraError):
+    """Error for an episode whose process ended in the middle.
+
+    Args:
+        message: What happened.
+        death: Whose call was under way, where that is known.
+    """
+
+    def __init__(self, message: str, death: Death | None = None) -> None:
+        self.death = death
+        super().__init__(message)
+
+
+class CallFailedError(DuraError):
+    """Error for a call in another process that raised anything unexpected there."""
+
+
+class _Shown:
+    """Stand-in for a value of another process, with the same ``repr``."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __repr__(self) -> str:
+        return self._text
+
+
+def reply_of(function: Callable[..., bytes], *args: Any, **kwargs: Any) -> bytes:
+    """Call a function, and return its result, or what it raised, as a reply."""
+    try:
+        return _RESULT + function(*args, **kwargs)
+    except BaseException as error:  # whatever user code raises is raised where the call came from
+        return _reply_of_error(error)
+
+
+def _reply_of_error(error: BaseException) -> bytes:
+    if isinstance(error, ConfigurationError):
+        fields = {name: getattr(error, name) for name in _FIELDS}
+        if error.found is not None:
+            fields["found"] = shorten(error.found)
+        return _CONFIGURATION + json.dumps(fields).encode()
+    if isinstance(error, ProcessLostError):
+        death = None if error.death is None else asdict(error.death)
+        return _LOST + json.dumps([str(error), death]).encode()
+    if isinstance(error, CallFailedError):  # of a process behind that one
+        return _FAILED + str(error).encode()
+    trace = "".join(traceback.format_tb(traceback_of(error))[_OWN_FRAMES:])
+    return _FAILED + f"{describe_error(error)}\n{trace}".encode(errors="replace")
+
+
+def result_of(reply: bytes) -> bytes:
+    """Take the result of a call out of its reply.
+
+    Raises:
+        ConfigurationError: As it was raised there; its ``found`` only looks like the value there.
+        ProcessLostError: If the episode ended the process that it was given to.
+        CallFailedError: For anything else that was raised there, with the traceback of there.
+    """
+    kind, body = reply[:1], reply[1:]
+    if kind == _RESULT:
+        return body
+    if kind == _CONFIGURATION:
+        data = json.loads(body)
+        if data["found"] is not None:
+            data["found"] = _Shown(data["found"])
+        raise ConfigurationError(**data)
+    if kind == _LOST:
+        message, death = json.loads(body)
+        raise ProcessLostError(message, None if death is None else Death(**death))
+    raise CallFailedError(f"a process that simulates failed: {body.decode(errors='replace')}")
+
+
+_BEGUN: list[Callable[[], None]] = []
+"""How this process lets its parent know that the limit of a call begins, if there is one."""
+
+
+def begin() -> None:
+    """Let the limit of the call that this process carries out begin: its imports are over.
+
+    Called by each function with a limit, which has the time of a start until then.
+    """
+    for tell in _BEGUN:
+        tell()
+
+
+def tell_begun(tell: Callable[[], None]) -> None:
+    """Set how the parent of this process learns that the limit of a call begins."""
+    _BEGUN[:] = [tell]
+
+
+_attached: list[dict[str, Any]] = []
+"""What goes back beside the reply of the call that this process carries out."""
+
+
+def attach(seen: dict[str, Any]) -> None:
+    """Let this go back beside the reply, as it is at the end of the call: plain data."""
+    _attached[:] = [seen]
+
+
+def take_attached() -> dict[str, Any]:
+    """Return what goes back beside the reply, once."""
+    return _attached.pop() if _attached else {}

@@ -1,0 +1,145 @@
+"""Processes that end in the middle of an episode: whose death it was, and what it comes to."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from corridors import scenario
+from outputs import output
+
+from pytest_dura.evidence import verify_bundle
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="deeds and limits are Linux's")
+PARTS = """
+import ctypes, os, random, threading, time
+from corridor import Careful, Corridor, Watch
+
+C = ctypes.CDLL(None)
+LOCK = ctypes.create_string_buffer(64)
+kept = []
+
+def touched(count):
+    kept.append(bytearray(b"x") * count)
+
+DEEDS = {
+    "exits": lambda: C._exit(0),
+    "crashes": lambda: ctypes.string_at(0),
+    "aborts": lambda: C.abort(),
+    "closes": lambda: os.closerange(0, 256),
+    "waits": lambda: (C.pthread_mutex_lock(LOCK), C.pthread_mutex_lock(LOCK)),  # past any signal
+    "kills": lambda: os.kill(os.getpid(), 9),
+    "allocates": lambda: touched(10 * 2**30),
+    "allocates in C": lambda: C.memset(C.mmap(0, ctypes.c_size_t(10 << 30), 3, 34, -1, 0), 1, 1),
+    "forks": lambda: C.fork() or C._exit(0),
+    "starts threads": lambda: [threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
+                               for _ in range(3)],
+    "changes the folder": lambda: os.chdir("/"),
+    "patches": lambda: (setattr(time, "time", None), setattr(random, "random", None)),
+}
+
+class Deed:
+    deed = ""
+    def do(self, index):
+        if index == 2:
+            DEEDS[self.deed]()
+
+class Component(Deed, Careful):
+    def propose(self, view):
+        self.do(view.index)
+        return super().propose(view)
+
+class Monitor(Deed, Watch):
+    def run(self, view):
+        self.do(view.index)
+        return super().run(view)
+
+class Plant(Deed, Corridor):
+    steps = 0
+    def step(self, action):
+        self.do(self.steps)
+        self.steps += 1
+        return super().step(action)
+
+for base in (Component, Monitor, Plant):
+    for deed in DEEDS:
+        name = base.__name__ + deed.title().replace(" ", "")
+        globals()[name] = type(name, (base,), {"deed": deed, "__module__": __name__})
+"""
+ENDS = {
+    "exits": "ended with exit code 0",
+    "crashes": "was ended by SIGSEGV",
+    "aborts": "was ended by SIGABRT",
+    "closes": "ended with exit code 70",
+    "kills": "was ended by SIGKILL",
+    "waits": "was ended, since it took longer than 1.6 s",
+}
+LIMITS = ["--dura-episode-timeout=1", "--dura-time-budget=0.1", "--dura-episode-memory=500MB"]
+PROCESSES = ["--dura-executor=processes:2", *LIMITS]
+
+
+def name(kind, deed):
+    return f"deadly:{kind}{deed.title().replace(' ', '')}"
+
+
+def run(project, role, kind, deeds, *arguments):
+    """Run a case for each deed, each beside one of the same component that does nothing."""
+    project.write("deadly.py", PARTS)
+    for deed in deeds:
+        part = {role: name(kind, deed)}
+        scenario(project, f"d-{deed.replace(' ', '-')}", runs=1, requirements="[GAP-1]", **part)
+    scenario(project, "d-well", runs=3, requirements="[GAP-1]")
+    result = project.scenarios(*arguments, select="corridor/d-*")
+    assert "INTERNALERROR" not in output(result)
+    assert project.verdict("GAP-1", "corridor/d-well").verdict == "supported"
+    episodes = {each.case.removeprefix("corridor/d-"): each for each in project.evidence().episodes}
+    return result, episodes
+
+
+def test_a_component_that_ends_its_process_is_named_and_its_run_is_open(project):
+    result, episodes = run(project, "generator", "Component", ENDS, *PROCESSES)
+    assert result.ret == 1
+    result.assert_outcomes(passed=1, failed=len(ENDS))
+    for deed, how in ENDS.items():
+        episode, verdict = episodes[deed], project.verdict("GAP-1", f"corridor/d-{deed}")
+        assert (episode.validity, episode.termination) == ("valid", "lost")
+        (event,) = episode.events
+        assert (event.kind, event.tick) == ("component_failure", 2)
+        assert event.subject == f"Component{deed.title()}"
+        assert event.detail == f"its process {how}"
+        assert verdict.verdict == "undecided"
+        assert f"at tick 2: its process {how}" in output(result)
+    assert project.evidence().gate.result == "failed"
+    assert verify_bundle(project.path / "dura-evidence").problems == []
+
+
+@pytest.mark.parametrize(
+    "role, kind, named",
+    [("monitor", "Monitor", "safety_monitor"), ("simulator", "Plant", "simulator")],
+)
+def test_a_role_or_simulator_that_ends_its_process_is_named_and_its_run_missing(
+    project, role, kind, named
+):
+    result, episodes = run(project, role, kind, ENDS, *PROCESSES)
+    assert result.ret == 1
+    for deed, how in ENDS.items():
+        where = f"in a call of the {named} at tick 2"
+        assert episodes[deed].failure == f"infrastructure: its process {how} {where}"
+        assert project.verdict("GAP-1", f"corridor/d-{deed}").verdict == "undecided"
+    assert project.evidence().gate.result == "failed"
+
+
+def test_a_component_that_wants_more_memory_than_it_may_take_fails(project):
+    result, episodes = run(project, "generator", "Component", ["allocates"], *PROCESSES)
+    (event, *_) = [each for each in episodes["allocates"].events if "failure" in each.kind]
+    assert (event.tick, event.detail[:18]) == (2, "raised MemoryError")
+    assert result.ret == 0, "it fell back at one tick"
+
+
+LASTING = ["starts threads", "changes the folder", "patches"]
+
+
+def test_what_a_component_leaves_in_its_process_reaches_no_other_episode(project):
+    _, episodes = run(project, "generator", "Component", LASTING, *PROCESSES)
+    for deed in LASTING:
+        assert episodes[deed.replace(" ", "-")].validity == "valid"
