@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import logging
 import platform
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,9 +26,9 @@ from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.execution.codec import pack
-from pytest_dura.execution.replies import attach, begin
+from pytest_dura.execution.replies import attach, begin, give_way
 from pytest_dura.execution.sources import LoadedModules, differences, module_file
-from pytest_dura.execution.surroundings import applied
+from pytest_dura.execution.surroundings import StateOfProcess, applied
 from pytest_dura.execution.task import EpisodeTask, is_named
 from pytest_dura.library.roles import LocalRole
 from pytest_dura.provenance import describe_arithmetic, describe_packages, tool_code
@@ -245,9 +246,17 @@ def simulate(
         _check_conditions(**conditions)
     begin()
     calls = _model_call_count()
+    before = StateOfProcess()
     with applied(surroundings) as seen:
         attach(seen)
         episode = here.run()
+        left_behind = before.restore()
+        if left_behind:
+            give_way(left_behind)
+            logging.getLogger("pytest_dura").warning(
+                "%s left behind in its process %s; the next episode gets another process",
+                here.spec.component, ", ".join(left_behind),
+            )  # fmt: skip
     if _model_call_count() != calls:
         raise ConfigurationError(
             "a component asks a language model, and its parameters do not say which",

@@ -24,7 +24,7 @@ from typing import Any, NoReturn, cast
 
 from pytest_dura.core.boundary import end_process
 from pytest_dura.core.calls import SIZE, Calls, use_calls
-from pytest_dura.execution.replies import reply_of, take_attached, tell_begun
+from pytest_dura.execution.replies import gives_way, reply_of, take_attached, tell_begun
 
 FORKS = sys.platform != "darwin" and hasattr(os, "fork")
 """Whether children are forked. System libraries of macOS do not bear it."""
@@ -196,7 +196,8 @@ def _serve(
             head, reply = _reply_to(json.loads((receive or connection.recv_bytes)()))
             used = _memory()
             first = used if first is None else first
-            stays = count < _MAX_CALLS and used - first <= MAX_MEMORY_GROWTH
+            has_room = count < _MAX_CALLS and used - first <= MAX_MEMORY_GROWTH
+            stays = has_room and not gives_way()
             if not stays:
                 _close_simulators()
             connection.send_bytes(b"".join((STAYS if stays else RETIRES, head, b"\n", reply)))

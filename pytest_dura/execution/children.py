@@ -124,6 +124,18 @@ def _open_file() -> IO[bytes]:
     return file
 
 
+def _take(file: IO[bytes], begin: int = 0) -> str:
+    """Take what was written behind this place, the end of it."""
+    size = file.seek(0, os.SEEK_END)
+    if size <= begin:
+        return ""
+    file.seek(max(begin, size - _MOST_OUTPUT))
+    text = file.read().decode(errors="replace")
+    with suppress(OSError):  # of a mapped file, on some systems
+        file.truncate(begin)
+    return text
+
+
 def _inherited(connection: Any) -> int:
     """The descriptor of a connection, as a process is started with it."""
     if sys.platform != "win32":
@@ -141,11 +153,11 @@ class Template:
     """
 
     def __init__(self, settings: ChildSettings) -> None:
-        self.printed = _open_file()
+        self._output, self._printed, self._lock = _open_file(), "", threading.Lock()
         self._control, theirs = socket.socketpair()
         with theirs:
             self.process = _start(
-                settings, theirs.fileno(), subprocess.DEVNULL, self.printed, forks=True
+                settings, theirs.fileno(), subprocess.DEVNULL, self._output, forks=True
             )
 
     def fork(self, descriptors: Sequence[int]) -> None:
@@ -157,6 +169,13 @@ class Template:
     def has_ended(self) -> bool:
         """Whether it forks no more children."""
         return self.process.poll() is not None
+
+    def printed(self) -> str:
+        """What it printed to its error stream, also after its end."""
+        with self._lock:
+            if not self._output.closed:
+                self._printed += _take(self._output)
+            return self._printed
 
     def how_it_ended(self) -> str:
         """How it ended, in words."""
@@ -170,7 +189,9 @@ class Template:
         self.process.kill()
         with suppress(subprocess.TimeoutExpired):  # the kernel does not let go of it
             self.process.wait(_SECONDS_TO_END)
-        self.printed.close()
+        self.printed()
+        with self._lock:
+            self._output.close()
 
 
 class ChildEndedError(Exception):
@@ -250,7 +271,8 @@ class Child:
             ready, how = False, f"it {ended.death.how.removeprefix(_WITH_TEMPLATE)}"
         if ready:
             return
-        printed = self.take_output(start=True)
+        printed = "" if self._template is None else self._template.printed()
+        printed = (_take(self._files[1]) + printed).strip()
         self.end()
         raise CallFailedError(f"a process that simulates did not start: {printed or how}")
 
@@ -289,7 +311,7 @@ class Child:
     def captured(self, seen: Mapping[str, Any] | None = None) -> Captured:
         """What the last call printed, which is taken, with what else was seen of it."""
         out, errors = self._files
-        return Captured(self._take(out, SIZE), self._take(errors, 0), seen or {})
+        return Captured(_take(out, SIZE), _take(errors), seen or {})
 
     def kill(self) -> None:
         """End it and what it started. Its call raises in the thread that waits for the reply."""
@@ -314,23 +336,6 @@ class Child:
         self._shared.close()
         for file in self._files:
             file.close()
-
-    def take_output(self, *, start: bool = False) -> str:
-        """What it printed to its error stream, or its template did while it starts."""
-        text = self._take(self._files[1], 0)
-        if start and self._template is not None and self._template.has_ended:
-            text += self._take(self._template.printed, 0)
-        return text.strip()
-
-    def _take(self, file: IO[bytes], begin: int) -> str:
-        size = file.seek(0, os.SEEK_END)
-        if size <= begin:
-            return ""
-        file.seek(max(begin, size - _MOST_OUTPUT))
-        text = file.read().decode(errors="replace")
-        with suppress(OSError):  # of a mapped file, on some systems
-            file.truncate(begin)
-        return text
 
     @contextmanager
     def _limited(self, seconds: float | None, what: str) -> Iterator[_Limit]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -136,6 +136,20 @@ def begin() -> None:
 def tell_begun(tell: Callable[[], None]) -> None:
     """Set how the parent of this process learns that the limit of a call begins."""
     _BEGUN[:] = [tell]
+
+
+_left_behind: list[str] = []
+"""What the calls of this process have left behind in it, so that it gives way to another one."""
+
+
+def give_way(left_behind: Sequence[str]) -> None:
+    """Let this process carry out no further call, for what the present one has left behind."""
+    _left_behind.extend(left_behind)
+
+
+def gives_way() -> bool:
+    """Whether this process carries out no further call."""
+    return bool(_left_behind)
 
 
 _attached: list[dict[str, Any]] = []

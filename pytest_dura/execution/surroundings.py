@@ -10,13 +10,17 @@ from __future__ import annotations
 import base64
 import importlib
 import logging
+import random
 import re
 import sys
+import threading
+import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import reduce
+from pathlib import Path
 from typing import Any
 
 _ABSENT = frozenset({"pytest", "_pytest"})
@@ -38,6 +42,29 @@ def surroundings() -> dict[str, Any]:
         "levels": {"": logging.root.level} | {name: each for name, each in levels.items() if each},
         "coverage": _coverage_options(),
     }
+
+
+class StateOfProcess:
+    """What a component may change in a process so that later episodes are other ones."""
+
+    def __init__(self) -> None:
+        self._folder, self._threads = Path.cwd(), threading.active_count()
+        self._functions = {module: dict(vars(module)) for module in (random, time)}
+
+    def restore(self) -> list[str]:
+        """Restore functions that were replaced since; returns in words all that has changed."""
+        changed = []
+        if Path.cwd() != self._folder:
+            changed.append("another working directory")
+        if (more := threading.active_count() - self._threads) > 0:
+            changed.append("a thread" if more == 1 else f"{more} threads")
+        for module, before in self._functions.items():
+            now = vars(module)
+            for name in sorted(before.keys() | now.keys()):
+                if before.get(name) is not now.get(name):
+                    changed.append(f"another {module.__name__}.{name}")
+                    now[name] = before.get(name)
+        return changed
 
 
 def warning_filters() -> list[list[Any]]:

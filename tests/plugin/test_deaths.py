@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import sys
+import time
 
+import psutil
 import pytest
 from corridors import scenario
 from outputs import output
@@ -12,7 +17,7 @@ from pytest_dura.evidence import verify_bundle
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="deeds and limits are Linux's")
 PARTS = """
-import ctypes, os, random, threading, time
+import ctypes, os
 from corridor import Careful, Corridor, Watch
 
 C = ctypes.CDLL(None)
@@ -32,10 +37,6 @@ DEEDS = {
     "allocates": lambda: touched(10 * 2**30),
     "allocates in C": lambda: C.memset(C.mmap(0, ctypes.c_size_t(10 << 30), 3, 34, -1, 0), 1, 1),
     "forks": lambda: C.fork() or C._exit(0),
-    "starts threads": lambda: [threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
-                               for _ in range(3)],
-    "changes the folder": lambda: os.chdir("/"),
-    "patches": lambda: (setattr(time, "time", None), setattr(random, "random", None)),
 }
 
 class Deed:
@@ -136,10 +137,61 @@ def test_a_component_that_wants_more_memory_than_it_may_take_fails(project):
     assert result.ret == 0, "it fell back at one tick"
 
 
-LASTING = ["starts threads", "changes the folder", "patches"]
+LASTING = """
+import os, random, threading, time
+from corridor import Careful
+
+class Lasting(Careful):
+    def reset(self, context):
+        super().reset(context)
+        assert os.getcwd() != "/" and threading.active_count() == 1
+        assert random.random is not time.time is not None
+        os.chdir("/")
+        threading.Thread(target=time.sleep, args=(600,), daemon=True).start()
+        random.random = time.time = None
+"""
 
 
-def test_what_a_component_leaves_in_its_process_reaches_no_other_episode(project):
-    _, episodes = run(project, "generator", "Component", LASTING, *PROCESSES)
-    for deed in LASTING:
-        assert episodes[deed.replace(" ", "-")].validity == "valid"
+def test_what_a_component_leaves_in_its_process_is_named_and_reaches_no_other_episode(project):
+    project.write("lasting.py", LASTING)
+    scenario(project, generator="lasting:Lasting", runs=3, requirements="[GAP-1]")
+    result = project.run("corridor/it", "--dura-executor=processes:1", "-rP")
+    episodes = project.evidence().episodes
+    assert not [each for each in episodes for event in each.events if "failure" in event.kind]
+    left = "another working directory, a thread, another random.random, another time.time"
+    assert f"Lasting left behind in its process {left}" in output(result)
+
+
+@pytest.mark.parametrize("arguments", [[], ["-x"]], ids=" ".join)
+def test_the_end_of_a_session_ends_its_processes_whatever_they_wait_for(project, arguments):
+    """By Ctrl-C while a component waits in C, or after a failure with more under way."""
+    project.write("deadly.py", PARTS)
+    for number in range(3):
+        scenario(project, f"e-{number}", generator=name("Component", "waits"), runs=1)
+    limit = "--dura-episode-timeout=1" if arguments else "--dura-episode-timeout=600"
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--dura-scenarios"]
+    kept = {key: text for key, text in os.environ.items() if "PYTEST" not in key}
+    session = subprocess.Popen(
+        [*command, "--dura-select=corridor/e-*", "--dura-executor=processes:2", limit, *arguments],
+        cwd=project.path, env=kept, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )  # fmt: skip
+    try:
+        processes = started(session)
+        if not arguments:
+            time.sleep(1.0)
+            session.send_signal(signal.SIGINT)
+        printed = session.communicate(timeout=30)[0].decode()
+    finally:
+        session.kill()
+    assert session.returncode == (1 if arguments else 2), printed
+    assert not psutil.wait_procs(processes, timeout=3.0)[1]
+
+
+def started(session):
+    """The template of a session and two children."""
+    while True:
+        processes = psutil.Process(session.pid).children(recursive=True)
+        if len(processes) > 2:
+            return processes
+        assert session.poll() is None
+        time.sleep(0.01)
