@@ -464,6 +464,11 @@ class ProcessPool(Executor):
         self._closed = self._killing = False
 
     @property
+    def is_used(self) -> bool:
+        """Whether it was given a call."""
+        return self._settings is not None
+
+    @property
     def pids(self) -> list[int]:
         """The numbers of the children that there are now."""
         with self._lock:

@@ -176,19 +176,6 @@ class InProcess(ExecutorKind):
         return InProcessExecutor()
 
 
-@dataclass
-class Retreat:
-    """Retreat of an execution into this process, where its executor fails.
-
-    Args:
-        reason: Why; ``None`` as long as the executor simulates.
-        was_needless: Whether the executor has not been given an episode.
-    """
-
-    reason: str | None = None
-    was_needless: bool = True
-
-
 @dataclass(frozen=True)
 class Execution:
     """Executor of episodes.
@@ -204,8 +191,6 @@ class Execution:
     name: str = "in-process"
     executor: Executor = field(default_factory=InProcessExecutor)
     seconds: float = MAX_SECONDS
-    retreat: Retreat | None = None
-    """What lets this process take over from an executor that no user named."""
     here: Counter[tuple[str, str]] = field(default_factory=Counter, compare=False)
     threads: Executor | None = None
     """Takes the episodes whose component asks a language model, if there is such an executor."""
@@ -235,8 +220,7 @@ class Execution:
     @property
     def inside(self) -> bool:
         """Whether this process simulates, apart from its threads one episode at a time."""
-        gave_way = self.retreat is not None and self.retreat.reason is not None
-        return gave_way or isinstance(self.executor, InProcessExecutor)
+        return isinstance(self.executor, InProcessExecutor)
 
     def _executor_of(self, task: EpisodeTask) -> Executor | None:
         """Who simulates an episode; ``None`` for this thread."""
@@ -256,8 +240,6 @@ class Execution:
         executor = self._executor_of(task)
         if executor is None or executor is self.threads:
             return (executor or InProcessExecutor()).submit(self.run_here, task)
-        if self.retreat is not None:
-            self.retreat.was_needless = False
         return executor.submit(
             simulate,
             json.dumps(replace(task, checks=self._checks_to_send(task)).to_json()),

@@ -416,10 +416,6 @@ class EpisodeStore:
             result = _shown_result(future)
         except ProcessLostError as error:
             result = lost_episode(task.spec, error)
-        except (CallFailedError, ConfigurationError) as error:
-            if not self._retreats(error):
-                raise
-            result = self.execution.submit(task).result()
         return unpack(result, task.spec) if isinstance(result, bytes) else result
 
     def holds(self, task: EpisodeTask) -> bool:
@@ -466,12 +462,7 @@ class EpisodeStore:
             if flight is not None:
                 self._begin_ahead(ahead)
                 self._begin_certain()
-                try:
-                    return self._land(flight)
-                except (CallFailedError, ConfigurationError) as error:
-                    if not self._retreats(error):
-                        raise
-                    continue
+                return self._land(flight)
             # Another process has claimed it.
             if not self._begin_ahead(ahead, most=1):
                 time.sleep(wait)
@@ -546,16 +537,6 @@ class EpisodeStore:
                 room -= 1
             if flight is not None:
                 flight.is_certain = True
-
-    def _retreats(self, error: DuraError) -> bool:
-        """Whether this process simulates from now on, since an executor that nobody named fails."""
-        retreat = self.execution.retreat
-        if retreat is None or retreat.reason is not None:
-            return False
-        retreat.reason = str(error).partition("\n")[0]
-        self._give_up()
-        self.lost = False
-        return True
 
     def _give_up(self) -> None:
         """Give up all episodes that were begun ahead."""

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from pytest_dura.evidence.text import counted
 from pytest_dura.plugin.items import ScenarioItem
-from pytest_dura.plugin.roles import conftest_files
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,18 +22,6 @@ episodes of ten seconds in traffic take."""
 _EPISODES_PER_PROCESS = 20
 _MOST_PROCESSES = 8
 """pytest's own process judges about so many episodes in the time in which each simulates one."""
-
-
-def expected_executor(context: SessionContext) -> AutomaticChoice | None:
-    """Choose who will simulate before anything is collected, where that is known by then.
-
-    A file of tests or a ``conftest.py`` may change the import path, the roles, and what is run.
-    """
-    arguments = context.config.args_source is context.config.ArgsSource.ARGS
-    others = set(context.config.args) - set(context.own_arguments) if arguments else set()
-    if not context.plan or others or conftest_files(context.config):
-        return None
-    return choose_executor(context, context.plan)
 
 
 def choose_for_items(context: SessionContext, items: Sequence[pytest.Item]) -> AutomaticChoice:

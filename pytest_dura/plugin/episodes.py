@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pytest_dura.campaign.events import EpisodeUsed
+    from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.lines import RepeatedCase, SearchedRun
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.execution.cache import EpisodeCache
-    from pytest_dura.execution.children import ProcessPool
     from pytest_dura.execution.executors import Execution, ExecutorChoice
     from pytest_dura.execution.sources import SourceRules, Sources
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
-    from pytest_dura.plugin.context import SessionContext
+    from pytest_dura.plugin.context import Planned, SessionContext
     from pytest_dura.plugin.language_models import LanguageModels
     from pytest_dura.requirements.second_engine import SecondEngine
 
@@ -76,13 +76,10 @@ class SessionExecutor:
         self._chosen: str | None = None
         """Why this executor simulates, where no option names it, once it is known."""
         self._is_notable = False
-        self._begun: ProcessPool | None = None
-        """Processes that were started before it was known whether they are needed."""
         self._threads = threads
         self._is_worker, self._collect_only = is_worker, collect_only
         self._execution: Execution | ConfigurationError | None = None
         self._simulated_here: Counter[tuple[str, str]] = Counter()
-        self._warnings: list[str] = []
 
     def execution(self) -> Execution:
         """Return what simulates, made at the first call.
@@ -91,17 +88,11 @@ class SessionExecutor:
             ConfigurationError: If it cannot be used; the same one at every call.
         """
         if self._execution is None:
-            from pytest_dura.execution.executors import Execution, Retreat
+            from pytest_dura.execution.executors import Execution
 
             try:
                 chosen = self._choice
-                begun, self._begun = self._begun, None
-                if begun is not None and chosen is not None:
-                    self._execution = Execution(chosen.name, begun, chosen.seconds)
-                else:
-                    self._execution = Execution() if chosen is None else chosen.execution()
-                if self._automatic:
-                    self._execution = replace(self._execution, retreat=Retreat())
+                self._execution = Execution() if chosen is None else chosen.execution()
                 if not self._alone:
                     self._execution = replace(self._execution, alone=False)
                 if self._threads > 1:
@@ -142,50 +133,25 @@ class SessionExecutor:
 
             self._choice = ExecutorChoice.parse(f"processes:{choice.processes}")
             self._execution = None
-        if self._choice is None or self._choice.processes != self._begun_processes:
-            self._end_begun()
 
-    def begin_early(self, context: SessionContext) -> None:
-        """Let processes import what they need while this one collects, if it will choose them.
+    def start(self, plan: Sequence[Planned], chosen: Mapping[str, RoleSpec | None]) -> None:
+        """Start the executor once all is collected: processes find what is found by then.
 
         Args:
-            context: The session's context, with its plan.
-        """
-        if not (self._automatic and context.plan) or self._is_worker or self._collect_only:
-            return
-        from pytest_dura.plugin.automatic_executor import expected_executor
-
-        choice = expected_executor(context)
-        if choice is None or choice.processes is None:
-            return
-        from pytest_dura.execution.address import preload
-        from pytest_dura.execution.children import ProcessPool
-
-        cases = [planned.case for planned in context.plan]
-        roles = [role for case in cases for role in case.roles({}).values()]
-        simulators = [case.scenario.simulator_spec() for case in cases]
-        paths = sorted({each.path for each in [*roles, *simulators] if each is not None})
-        pool = self._begun = ProcessPool(choice.processes)
-        for _ in range(choice.processes):
-            pool.submit(preload, paths)
-
-    @property
-    def _begun_processes(self) -> int | None:
-        return None if self._begun is None else self._begun.width
-
-    def _end_begun(self) -> None:
-        begun, self._begun = self._begun, None
-        if begun is not None:
-            begun.shutdown(wait=False, cancel_futures=True)
-
-    def start(self) -> None:
-        """Start the executor once all is collected: processes inherit what is imported by then.
+            plan: The cases that scenario items look at.
+            chosen: Roles that options choose, by name.
 
         Raises:
             ConfigurationError: If it cannot be used.
         """
-        if self._choice is not None and not (self._is_worker or self._collect_only):
-            self.execution()
+        if self._choice is None or self._is_worker or self._collect_only:
+            return
+        executor = self.execution().executor
+        if hasattr(executor, "preload"):
+            cases = [planned.case for planned in plan]
+            roles = [role for case in cases for role in case.roles(chosen).values()]
+            parts = [*roles, *(case.scenario.simulator_spec() for case in cases)]
+            executor.preload = sorted({part.path for part in parts if part is not None})
 
     @property
     def is_lost(self) -> bool:
@@ -198,29 +164,18 @@ class SessionExecutor:
 
     def close(self) -> None:
         """Cancel what is under way, and end the processes that simulate."""
-        self._end_begun()
         execution, self._execution = self._execution, None
         if execution is not None and not isinstance(execution, ConfigurationError):
             self._simulated_here += execution.here
             execution.close()
-            self._note_retreat(execution)
+            self._note_needless(execution)
 
-    def _note_retreat(self, execution: Execution) -> None:
-        """Note that this process simulated though processes had been chosen, and why."""
-        if not self._automatic or self._choice is None:
-            return
-        if execution.retreat is not None and execution.retreat.reason is not None:
-            self._chosen = f"auto: processes failed: {execution.retreat.reason}"
-            self._warnings.append(
-                "warning: episodes were simulated in pytest's own process, since another one "
-                f"failed: {execution.retreat.reason}"
-            )
-        elif execution.here and execution.retreat is not None and execution.retreat.was_needless:
+    def _note_needless(self, execution: Execution) -> None:
+        """Note that this process simulated all, though processes had been chosen, and why."""
+        is_needless = not getattr(execution.executor, "is_used", True)
+        if self._automatic and self._choice is not None and is_needless and execution.here:
             _, reason = execution.here.most_common(1)[0][0]
-            self._chosen = f"auto: {reason}"
-        else:
-            return
-        self._choice = None
+            self._chosen, self._choice = f"auto: {reason}", None
 
     def to_json(self) -> dict[str, Any]:
         """The record's key ``execution``."""
@@ -258,7 +213,7 @@ class SessionExecutor:
 
     def notes(self) -> list[str]:
         """Lines on episodes that were simulated here although an executor was chosen."""
-        return self._warnings + [
+        return [
             f"{counted(number, 'episode')} of {component} simulated in pytest's own process: {why}"
             for (component, why), number in sorted(self._counts().items())
         ]

@@ -206,7 +206,6 @@ class DuraSession(SessionContext):
             self.roles.check()
             self.make_plan()
             self.models.resolve_parameters()
-            self.executor.begin_early(self)
             self.evidence.given.read()
             self.formulas.check()
             if self.active:
@@ -227,7 +226,7 @@ class DuraSession(SessionContext):
             self.executor.choose(self, items)
             self.shared.executor_chosen()
             self.evidence.start()
-            self.executor.start()
+            self.executor.start(self.plan, self.roles.chosen())
 
     def take_arguments(self) -> None:
         """Leave to pytest the arguments that name files, and none if scenarios run alone."""

@@ -204,36 +204,14 @@ def test_test_functions_that_ask_for_episodes_keep_the_session_in_this_process(p
     assert chosen(project)[2].startswith("auto: test functions ask for episodes")
 
 
-BROKEN = """
-import os
-from corridor import Careful as Planner
-if os.getpid() != {pid}:
-    raise ImportError("not in this process")
-"""
-
-
-def test_a_component_that_other_processes_cannot_import_is_simulated_here(project):
-    project.write("elsewhere.py", BROKEN.format(pid=os.getpid()))
-    result = project.scenarios(LONG, "--dura-generator=elsewhere:Planner")
-    result.stdout.fnmatch_lines(["warning: episodes were simulated in pytest's own process, *"])
-    assert result.ret == 0
-    assert chosen(project)[0] == "in-process"
-    assert chosen(project)[2].startswith("auto: processes failed: ")
-    plain = record(project)
-    project.scenarios(LONG, "--dura-generator=elsewhere:Planner", "--dura-executor=in-process")
-    assert record(project) == plain
-
-
-def test_processes_that_do_not_start_fail_only_where_they_are_named(project, monkeypatch):
+@pytest.mark.parametrize("executor", ["auto", "processes"])
+def test_processes_that_do_not_start_fail_the_session(project, monkeypatch, executor):
     from pytest_dura.execution import CallFailedError
 
     def fail(*_):
         raise CallFailedError("no process can be started: no memory")
 
     monkeypatch.setattr(ProcessPool, "_start", fail)
-    result = project.scenarios(LONG)
-    result.stdout.fnmatch_lines(["warning: *no process can be started: no memory"])
-    assert (result.ret, chosen(project)[0]) == (0, "in-process")
-    result = project.scenarios(LONG, "--dura-executor=processes")
+    result = project.scenarios(LONG, f"--dura-executor={executor}")
     result.stdout.fnmatch_lines(["*no process can be started: no memory*"])
     assert result.ret == 1
