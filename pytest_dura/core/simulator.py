@@ -198,6 +198,10 @@ class Simulator(ABC):
     a time, from building to closing; many processes simulate as many at a time. Of ``one``, such as
     a test rig, one process simulates: pytest's own."""
 
+    imports: ClassVar[tuple[str, ...]] = ()
+    """Modules that its first episode imports; the process from which others are forked imports them
+    before, once for all."""
+
     deterministic: ClassVar[bool] = True
     """Whether equal scenarios, seeds and actions give equal ticks to the last bit. If not, a replay
     and the repetition within a session compare signals within :attr:`tolerances`."""

@@ -553,6 +553,8 @@ class JunctionSimulator(Simulator):
 class HighwaySimulator(JunctionSimulator):
     """The junction on highway-env: its lanes and its drivers, with right of way added to them."""
 
+    imports = ("pytest_dura.driving.traffic",)
+
     def snapshot(self) -> object:
         """A deep copy of road, vehicles and bookkeeping; the road network is shared."""
         return copy.deepcopy(vars(self), _shared(self._road))

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -200,7 +201,8 @@ def _import(paths: Iterable[tuple[str, str]]) -> None:
     """Import parts, each a call of whom it is of."""
     for name, path in paths:
         with suppress(Exception), current_calls().calling(name):  # it runs the code of users
-            RoleSpec(path).resolve()
+            for module in getattr(RoleSpec(path).resolve(), "imports", ()):
+                import_module(module)
 
 
 _LOADED = LoadedModules()

@@ -49,7 +49,10 @@ class StateOfProcess:
 
     def __init__(self) -> None:
         self._folder, self._threads = Path.cwd(), threading.active_count()
-        self._functions = {module: dict(vars(module)) for module in (random, time)}
+        self._functions = {
+            module: {name: each for name, each in vars(module).items() if callable(each)}
+            for module in (random, time)
+        }
 
     def restore(self) -> list[str]:
         """Restore functions that were replaced since; returns in words all that has changed."""
@@ -59,11 +62,10 @@ class StateOfProcess:
         if (more := threading.active_count() - self._threads) > 0:
             changed.append("a thread" if more == 1 else f"{more} threads")
         for module, before in self._functions.items():
-            now = vars(module)
-            for name in sorted(before.keys() | now.keys()):
-                if before.get(name) is not now.get(name):
+            for name, function in before.items():
+                if vars(module).get(name) is not function:
                     changed.append(f"another {module.__name__}.{name}")
-                    now[name] = before.get(name)
+                    setattr(module, name, function)
         return changed
 
 

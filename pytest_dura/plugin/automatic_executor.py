@@ -86,8 +86,7 @@ def _obstacle(context: SessionContext, *, others: bool) -> str | None:
     option = config.option
     obstacles = {
         "--pdb or --trace is on": option.usepdb or getattr(option, "trace", False),
-        "-s shows what components print": option.capture == "no",
-        "a debugger, profiler or coverage measurement is on": _is_traced(),
+        "a debugger or profiler is on": _is_traced(),
         "a cassette of a language model is of this process": context.options.llm != "live",
         "test functions ask for episodes, and may change what is simulated": others,
     }
@@ -95,7 +94,13 @@ def _obstacle(context: SessionContext, *, others: bool) -> str | None:
 
 
 def _is_traced() -> bool:
-    """Whether something looks at what this process executes, and would miss what others do."""
+    """Whether something looks at what this process executes, and would miss what others do.
+
+    A measurement of coverage does not: it goes with each episode.
+    """
+    coverage = sys.modules.get("coverage")
+    if coverage is not None and coverage.Coverage.current() is not None:
+        return False
     if sys.gettrace() is not None or sys.getprofile() is not None:
         return True
     tools = getattr(sys, "monitoring", None)  # from Python 3.12 on

@@ -69,7 +69,6 @@ def test_named_items_are_simulated_by_processes_too(project):
 @pytest.mark.parametrize(
     "argument, reason",
     [
-        ("-s", "-s shows what components print"),
         ("--pdb", "--pdb or --trace is on"),
         ("--dura-llm=record", "a cassette of a language model is of this process"),
     ],
@@ -162,7 +161,7 @@ def test_what_is_traced_stays_in_this_process(project):
         project.scenarios(LONG)
     finally:
         sys.settrace(before)
-    assert chosen(project)[2].startswith("auto: a debugger, profiler or coverage")
+    assert chosen(project)[2].startswith("auto: a debugger or profiler is on")
 
 
 def test_a_short_session_stays_in_this_process_and_says_why_if_asked(project):

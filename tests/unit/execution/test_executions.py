@@ -11,6 +11,7 @@ from concurrent.futures import Executor, Future
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
 import pytest
 from shaky import begun, shaky
 from thermostat import Controller
@@ -96,6 +97,26 @@ def test_episodes_are_those_of_this_process(store):
         assert there.termination == here.termination
         assert steady(there) == steady(here)
     assert not store.execution.here
+
+
+def test_what_episodes_import_is_imported_once_for_all_processes_that_simulate_several(tmp_path):
+    runner = Runner(lambda: load_library([]))
+    case = runner.case("intersection/nominal")
+    pool = ProcessPool(1)
+    pool.preload = [case.scenario.simulator_spec().path]
+    try:
+        store, seconds = EpisodeStore(execution=Execution("processes", pool)), []
+        for run in range(3):
+            before = psutil.Process(pool.pids[0]).cpu_times().user if pool.pids else 0.0
+            store.get(runner.task(case, run))
+            (pid,) = pool.pids
+            seconds.append(psutil.Process(pid).cpu_times().user - before)
+        template = psutil.Process(pid).parent()
+        assert seconds[0] < template.cpu_times().user / 2
+        assert store.get(runner.task(case, 9)).failure is None
+        assert pool.pids == [pid], "an episode that leaves nothing behind keeps its process"
+    finally:
+        pool.shutdown(wait=False)
 
 
 def test_an_episode_that_ends_its_process_is_missing_and_the_others_are_there(bench):
