@@ -153,11 +153,11 @@ class Template:
     """
 
     def __init__(self, settings: ChildSettings) -> None:
-        self._output, self._printed, self._lock = _open_file(), "", threading.Lock()
+        self.output = _open_file()
         self._control, theirs = socket.socketpair()
         with theirs:
             self.process = _start(
-                settings, theirs.fileno(), subprocess.DEVNULL, self._output, forks=True
+                settings, theirs.fileno(), subprocess.DEVNULL, self.output, forks=True
             )
 
     def fork(self, descriptors: Sequence[int]) -> None:
@@ -169,13 +169,6 @@ class Template:
     def has_ended(self) -> bool:
         """Whether it forks no more children."""
         return self.process.poll() is not None
-
-    def printed(self) -> str:
-        """What it printed to its error stream, also after its end."""
-        with self._lock:
-            if not self._output.closed:
-                self._printed += _take(self._output)
-            return self._printed
 
     def how_it_ended(self) -> str:
         """How it ended, in words."""
@@ -189,9 +182,6 @@ class Template:
         self.process.kill()
         with suppress(subprocess.TimeoutExpired):  # the kernel does not let go of it
             self.process.wait(_SECONDS_TO_END)
-        self.printed()
-        with self._lock:
-            self._output.close()
 
 
 class ChildEndedError(Exception):
@@ -271,7 +261,7 @@ class Child:
             ready, how = False, f"it {ended.death.how.removeprefix(_WITH_TEMPLATE)}"
         if ready:
             return
-        printed = "" if self._template is None else self._template.printed()
+        printed = "" if self._template is None else _take(self._template.output)
         printed = (_take(self._files[1]) + printed).strip()
         self.end()
         raise CallFailedError(f"a process that simulates did not start: {printed or how}")
@@ -404,7 +394,9 @@ class Child:
         how = self._ended_by
         if limit.overrun.is_set():
             how = f"was ended, since {limit.what} took longer than {limit.seconds:g} s"
-        death = Death(how, *read_call(self._shared[:]))
+        # A template takes all its children along, of which at most one has ended it.
+        whose = ("", 0) if how.startswith(_WITH_TEMPLATE) else read_call(self._shared[:])
+        death = Death(how, *whose)
         return ChildEndedError(death, self._signal, overran=limit.overrun.is_set())
 
 
@@ -458,7 +450,8 @@ class ProcessPool(Executor):
         self._lock = threading.Lock()
         self._threads: list[threading.Thread] = []
         self._children: dict[threading.Thread, Child] = {}
-        self._template: Template | None = None
+        self._templates: list[Template] = []
+        """The last one forks, unless it has ended."""
         self._forks = FORKS
         self._unfinished = 0
         self._closed = self._killing = False
@@ -517,8 +510,9 @@ class ProcessPool(Executor):
                     child.kill()
         for thread in threads:
             thread.join()  # what has been killed ends at once
-        if self._template is not None:
-            self._template.end()
+        for template in self._templates:
+            template.end()
+            template.output.close()
 
     def _serve(self) -> None:
         """Hand calls to a child, one after the other, in a thread of the pool."""
@@ -610,13 +604,15 @@ class ProcessPool(Executor):
             if self._killing:
                 raise CallFailedError(_SESSION_ENDED)
             assert self._settings is not None
-            if self._forks and (self._template is None or self._template.has_ended):
-                if self._template is not None:
-                    self._template.end()
-                    self._settings = replace(self._settings, preload=())  # it may have ended it
-                self._template = Template(self._settings)
-            template = self._template if self._forks else None
-        child = Child(self._settings, template)
+            if self._forks and all(template.has_ended for template in self._templates[-1:]):
+                if self._templates:  # what it imported may have ended it
+                    self._settings = replace(self._settings, preload=())
+                self._templates.append(Template(self._settings))
+            template = self._templates[-1] if self._forks else None
+        try:
+            child = Child(self._settings, template)
+        except OSError as error:  # there is no room for its files
+            raise CallFailedError(f"no process can be started: {error}") from None
         with self._lock:
             self._children[threading.current_thread()] = child
             if self._killing:

@@ -36,7 +36,7 @@ DEEDS = {
     "kills": lambda: os.kill(os.getpid(), 9),
     "allocates": lambda: touched(10 * 2**30),
     "allocates in C": lambda: C.memset(C.mmap(0, ctypes.c_size_t(10 << 30), 3, 34, -1, 0), 1, 1),
-    "forks": lambda: C.fork() or C._exit(0),
+    "forks": lambda: C.fork(),
 }
 
 class Deed:
@@ -135,6 +135,12 @@ def test_a_component_that_wants_more_memory_than_it_may_take_fails(project):
     (event, *_) = [each for each in episodes["allocates"].events if "failure" in each.kind]
     assert (event.tick, event.detail[:18]) == (2, "raised MemoryError")
     assert result.ret == 0, "it fell back at one tick"
+
+
+def test_a_copy_of_its_process_that_a_component_makes_in_c_goes_no_further(project):
+    result, episodes = run(project, "generator", "Component", ["forks"], *PROCESSES)
+    assert result.ret == 0
+    assert (episodes["forks"].validity, episodes["forks"].termination) == ("valid", "time")
 
 
 LASTING = """
