@@ -246,7 +246,9 @@ class Trial:
 
             if until(appeared, process):
                 time.sleep(delay)
-                self._end(seen[which - 1])
+                # The template forks once to see whether it can, and that copy is gone at once.
+                there = list(self._children(process)) or seen
+                self._end(there[min(which, len(there)) - 1])
             return f"start {which} + {delay * 1000:.0f} ms"
         episode, delay = self.draw.randint(1, RUNS - 1), self.draw.uniform(0.0, 0.04)
         worker = self.draw.randrange(2)

@@ -10,7 +10,7 @@ import time
 
 import psutil
 import pytest
-from corridors import scenario
+from corridors import IDLE, scenario
 from outputs import output
 
 from pytest_dura.evidence import verify_bundle
@@ -62,6 +62,15 @@ class Plant(Deed, Corridor):
         self.steps += 1
         return super().step(action)
 
+class Leaves(Careful):
+    def __del__(self):
+        C._exit(0)
+
+class EndsAll(Careful):
+    def propose(self, view):
+        os.kill(os.getppid(), 9)
+        C.pause()
+
 for base in (Component, Monitor, Plant):
     for deed in DEEDS:
         name = base.__name__ + deed.title().replace(" ", "")
@@ -112,6 +121,32 @@ def test_a_component_that_ends_its_process_is_named_and_its_run_is_open(project)
         assert f"at tick 2: its process {how}" in output(result)
     assert project.evidence().gate.result == "failed"
     assert verify_bundle(project.path / "dura-evidence").problems == []
+
+
+@pytest.mark.parametrize(
+    "kind, how",
+    [
+        ("Leaves", "ended with exit code 0"),
+        ("EndsAll", "ended with its template, which was ended by SIGKILL"),
+    ],
+)
+def test_a_death_that_may_be_of_others_is_blamed_on_no_role(project, kind, how):
+    """Of what a component leaves behind, and of the process from which all are forked."""
+    project.write("deadly.py", PARTS)
+    scenario(project, generator=f"deadly:{kind}", runs=1, requirements="[GAP-1]")
+    result = project.run("corridor/it", "--dura-executor=processes:1")
+    (episode,) = project.evidence().episodes
+    assert (episode.failure, result.ret) == (f"infrastructure: its process {how}", 1)
+
+
+def test_a_component_that_ends_its_process_under_a_fault_is_judged_too(project):
+    """Whether the fault had an effect by then is not known."""
+    project.write("deadly.py", PARTS)
+    parts = {"generator": name("Component", "exits"), "fault_injector": "Idle"}
+    scenario(project, runs=1, requirements="[GAP-1]", faults=IDLE, **parts)
+    result = project.run("corridor/it", "--dura-executor=processes:1")
+    (episode,) = project.evidence().episodes
+    assert (episode.validity, episode.termination, result.ret) == ("valid", "lost", 1)
 
 
 @pytest.mark.parametrize(

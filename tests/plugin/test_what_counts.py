@@ -19,6 +19,11 @@ RULES = {
         "test_failing_components.py::test_a_component_that_fails_is_judged",
         "test_failing_components.py::test_a_component_that_hangs_is_judged_in_a_worker_too",
     ],
+    "the process ends in the middle of a call": [
+        "test_deaths.py::test_a_component_that_ends_its_process_is_named_and_its_run_is_open",
+        "test_deaths.py::test_a_role_or_simulator_that_ends_its_process_is_named_and_its_run_missing",
+        "test_deaths.py::test_what_a_component_leaves_in_its_process_is_named_and_reaches_no_other_episode",
+    ],
     "any other role, or the simulator, raises or yields NaN": [
         "test_what_counts.py::test_another_role_or_the_simulator_fails_and_the_episode_is_missing",
         "test_what_counts.py::test_a_missing_episode_is_not_replaced_and_undoes_the_others",

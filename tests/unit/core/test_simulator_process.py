@@ -15,7 +15,7 @@ from thermostat import Controller, Thermostat
 from pytest_dura import ConfigurationError, EpisodeSpec, RoleSpec, Tick
 from pytest_dura.core.simulator import Simulator, beyond_tolerance
 from pytest_dura.core.simulator_process import close_classes, open_class, simulating
-from pytest_dura.execution import run_episode, worker
+from pytest_dura.execution import child, run_episode
 
 
 class Server(Thermostat):
@@ -125,7 +125,7 @@ def test_a_class_that_cannot_be_closed_is_named_and_the_others_are_closed():
 
 def test_a_process_that_simulates_for_others_closes_before_it_gives_way():
     open_class(Server)
-    worker._close_simulators()
+    child._close_simulators()
     assert Server.calls == {"open": 1, "close": 1}
 
 

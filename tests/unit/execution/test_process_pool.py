@@ -90,13 +90,6 @@ def test_a_template_that_is_killed_takes_no_call_along(pool, tmp_path):
     until(lambda: not any(map(is_there, before)))
 
 
-def test_no_call_is_blamed_for_the_end_of_a_template(pool):
-    future = pool.submit(pool_calls.ends_template, "generator")
-    with pytest.raises(ProcessLostError, match="ended with its template, which was ended by SIG"):
-        future.result(timeout=20.0)
-    assert future.exception().death.role == ""
-
-
 def test_a_death_is_of_whose_call_was_under_way(pool):
     def death(name):
         with pytest.raises(ProcessLostError) as lost:
