@@ -12,16 +12,41 @@ from contextlib import contextmanager
 from typing import Any
 
 _TICK = struct.Struct("<i")
-_NAME = slice(_TICK.size, 64)
-SIZE = _NAME.stop
-"""Bytes that are shared."""
+AT = _TICK.size
+"""Place of the byte that says who is being called: a number of :class:`Calls`, 0 for no role."""
+_TABLE = AT + 1
+SIZE = 2048
+"""Bytes that are shared: the tick, who is being called, and a table of names, one a line."""
 COMPONENT = "generator"
 """Name of the role that wraps the component under test."""
-_IDLE = bytes(SIZE - _TICK.size)
+_MANY = 255
+"""Number of all names for which there is no other one, and which the parent does not learn."""
+
+
+class _Numbers(dict[str, int]):
+    """Numbers of names; a new name gets the next one, and is written into the table."""
+
+    def __init__(self, shared: Any) -> None:
+        super().__init__()
+        self._shared = shared
+
+    def __missing__(self, name: str) -> int:
+        number = len(self) + 1
+        lines = "\n".join([" ".join(each.split()) for each in (*self, name)])
+        table = lines.encode(errors="replace")
+        if number >= _MANY or len(table) > SIZE - _TABLE:
+            return _MANY
+        self[name] = number
+        self._shared[_TABLE : _TABLE + len(table)] = table
+        return number
 
 
 class Calls:
     """The call under way in a process.
+
+    The loop, of whose time two method calls for each call would be a twentieth, writes
+    ``shared[AT] = numbers[name]`` before a call, and afterwards calls ``check``, if there is one,
+    and writes ``shared[AT] = 0``.
 
     Args:
         shared: Bytes that the parent reads, or any others.
@@ -29,36 +54,25 @@ class Calls:
     """
 
     def __init__(self, shared: Any = None, check: Callable[[], None] | None = None) -> None:
-        self._shared = bytearray(SIZE) if shared is None else shared
-        self._check = check
-        self._names: dict[str, bytes] = {}
+        self.shared = bytearray(SIZE) if shared is None else shared
+        self.check = check
+        self.numbers = _Numbers(self.shared)
+        _ = self.numbers[COMPONENT]  # which is to be known, whatever else is called
 
     def at(self, tick: int) -> None:
         """Write the tick that begins."""
-        _TICK.pack_into(self._shared, 0, tick)
-
-    def begin(self, name: str) -> None:
-        """Write whose call begins."""
-        written = self._names.get(name)
-        if written is None:
-            encoded = name.encode()[: len(_IDLE)]
-            written = self._names[name] = encoded.ljust(len(_IDLE), b"\0")
-        self._shared[_NAME] = written
-
-    def end(self) -> None:
-        """Write that the call is over."""
-        if self._check is not None:
-            self._check()
-        self._shared[_NAME] = _IDLE
+        _TICK.pack_into(self.shared, 0, tick)
 
     @contextmanager
     def calling(self, name: str) -> Iterator[None]:
         """Context of one call."""
-        self.begin(name)
+        self.shared[AT] = self.numbers[name]
         try:
             yield
         finally:
-            self.end()
+            if self.check is not None:
+                self.check()
+            self.shared[AT] = 0
 
 
 _calls = Calls()
@@ -79,5 +93,7 @@ def use_calls(calls: Calls) -> Calls:
 
 def read_call(shared: bytes) -> tuple[str, int]:
     """Read whose call was under way, empty for none, and the tick."""
-    name = shared[_NAME].rstrip(b"\0").decode(errors="replace")
+    names = shared[_TABLE:].rstrip(b"\0").decode(errors="replace").split("\n")
+    number = shared[AT]
+    name = names[number - 1] if 0 < number <= len(names) else ""
     return name, _TICK.unpack_from(shared)[0]

@@ -24,7 +24,7 @@ from pytest_dura.core.boundary import (
     alarms,
     with_pauses,
 )
-from pytest_dura.core.calls import COMPONENT, current_calls
+from pytest_dura.core.calls import AT, COMPONENT, current_calls
 from pytest_dura.core.collector import rare_collections
 from pytest_dura.core.component import Component, Messages, plain_copy
 from pytest_dura.core.episode import Episode, EpisodeSpec
@@ -360,10 +360,13 @@ class Orchestrator:
         self.state.proposal = None
         start = perf_counter_ns()
         view = self.state.generator_view(feedback, self._messages.transmit)
-        self._calls.begin(COMPONENT)
+        calls = self._calls
+        calls.shared[AT] = calls.numbers[COMPONENT]
         with environment_errors() as errors, with_pauses() as pauses:
             proposal, problem, is_plain = self._component.propose(view)
-        self._calls.end()
+        if calls.check is not None:
+            calls.check()
+        calls.shared[AT] = 0
         elapsed = perf_counter_ns() - start - int(pauses.seconds * 1e9)
         seconds = None if proposal is None else declared_seconds(proposal.account)
         self.state.generator_seconds = elapsed / 1e9 if seconds is None else seconds
@@ -476,10 +479,10 @@ class Orchestrator:
 
         A misconfiguration that shows before anything has moved is raised as it is, for the user.
         """
-        timer, boundary = self._timer, self._boundary
+        timer, boundary, calls = self._timer, self._boundary, self._calls
         timer.calls += 1
         timer.role = role
-        self._calls.begin(whose or role)
+        calls.shared[AT] = calls.numbers[whose or role]
         try:
             result = call(*args)
         except CallBlocked as blocked:
@@ -492,7 +495,9 @@ class Orchestrator:
             raise self._failure_of(role, cause) from error
         finally:
             timer.role = None
-            self._calls.end()
+            if calls.check is not None:
+                calls.check()
+            calls.shared[AT] = 0
         if boundary.pending:
             misuse = boundary.take_misuse()
             if misuse is not None:

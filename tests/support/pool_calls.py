@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -64,9 +65,8 @@ def fatal(code: int) -> bytes:
 def dies_in(role: str) -> bytes:
     """End this process in C, while a role is called; empty for none."""
     current_calls().at(7)
-    if role:
-        current_calls().begin(role)
-    ctypes.CDLL(None)._exit(0)
+    with current_calls().calling(role) if role else nullcontext():
+        ctypes.CDLL(None)._exit(0)
     return b""
 
 
