@@ -1,8 +1,8 @@
 from .address import address_of, describe_machine
 from .cache import CLAIM, EPISODE, EpisodeCache
-from .children import MAX_STARTS, ProcessPool
 from .codec import pack
 from .executors import IN_FLIGHT, Execution, ExecutorChoice
+from .processes import MAX_STARTS, ProcessPool
 from .replies import CallFailedError, ProcessLostError
 from .sources import SourceRules, Sources
 from .store import EpisodeStore

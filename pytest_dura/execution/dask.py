@@ -25,8 +25,9 @@ from pytest_dura.execution.address import (
     refuse_differences,
     simulate,
 )
-from pytest_dura.execution.children import ChildSettings, ProcessPool
+from pytest_dura.execution.children import ChildSettings
 from pytest_dura.execution.executors import KEY, ExecutorKind
+from pytest_dura.execution.processes import ProcessPool
 from pytest_dura.execution.replies import CallFailedError, ProcessLostError, reply_of, result_of
 from pytest_dura.provenance import is_installed
 

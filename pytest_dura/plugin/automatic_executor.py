@@ -63,7 +63,7 @@ def choose_executor(
     """
     if context.is_worker or getattr(context.config.option, "numprocesses", None):
         return AutomaticChoice(None, "auto: pytest-xdist's workers simulate", is_notable=False)
-    from pytest_dura.execution.children import usable_cores
+    from pytest_dura.execution.processes import usable_cores
 
     runs = context.options.runs
     episodes = sum(runs or planned.case.scenario.planned for planned in plan)

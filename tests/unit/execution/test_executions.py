@@ -27,8 +27,8 @@ from pytest_dura.execution import (
     ProcessPool,
 )
 from pytest_dura.execution.address import address_of, conditions_of, simulate
-from pytest_dura.execution.children import usable_cores
 from pytest_dura.execution.executors import time_limit_of
+from pytest_dura.execution.processes import usable_cores
 from pytest_dura.execution.task import reason_not_portable
 from pytest_dura.library import LocalRole, load_library
 from pytest_dura.requirements import Requirement

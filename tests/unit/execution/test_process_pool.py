@@ -320,7 +320,7 @@ PARENT = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
 import pool_calls
-from pytest_dura.execution.children import ProcessPool
+from pytest_dura.execution.processes import ProcessPool
 ProcessPool(1).submit(pool_calls.endless, sys.argv[2])
 time.sleep(600)
 """
