@@ -43,9 +43,13 @@ _INTERRUPTING = {
 }
 """Signals whose handlers raise exceptions, of pytest, a plugin or a user, and whether they end the
 session: then no call goes on after one of them."""
+_DEBUGGERS = ("bdb", "_pytest.debugging")
+"""Modules that raise what ends a session when a user quits a debugger."""
 _STARTS_PROGRAMS = ("multiprocessing", "subprocess", "concurrent")
 """Packages that copy the process for a program of its own: such a copy never returns here."""
 
+traceback_of: Any = vars(BaseException)["__traceback__"].__get__
+"""Returns the traceback of an error, past what its class overrides."""
 _end: Callable[[int], NoReturn] = os._exit
 
 
@@ -114,6 +118,8 @@ class Boundary:
             raise error
         if isinstance(error, KeyboardInterrupt) and not self._interruptible:
             raise error
+        if _is_of_debugger(error):
+            raise error
 
     def raise_signalled(self) -> None:
         """Raise the exception of a signal handler that a call has caught."""
@@ -160,6 +166,16 @@ class Boundary:
             else:
                 self._passing = error
             raise
+
+
+def _is_of_debugger(error: BaseException) -> bool:
+    """Whether a user left a debugger, in the called code, by quitting."""
+    trace = traceback_of(error)
+    while trace is not None:
+        if trace.tb_frame.f_globals.get("__name__") in _DEBUGGERS:
+            return True
+        trace = trace.tb_next
+    return False
 
 
 _CURRENT: ContextVar[Boundary | None] = ContextVar("dura_boundary", default=None)

@@ -16,11 +16,9 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-from pytest_dura.core.boundary import CallEnded, let_pass
+from pytest_dura.core.boundary import CallEnded, let_pass, traceback_of
 
 _name_of: Any = vars(type)["__name__"].__get__
-traceback_of: Any = vars(BaseException)["__traceback__"].__get__
-"""Returns the traceback of an error, past what its class overrides."""
 
 LONGEST_TEXT = 10_000
 """Characters that are kept of one text of a component, a role or a simulator."""

@@ -12,6 +12,7 @@ import json
 import logging
 import platform
 import sys
+from bdb import BdbQuit
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -251,7 +252,15 @@ def simulate(
     before = StateOfProcess()
     with applied(surroundings) as seen:
         attach(seen)
-        episode = here.run()
+        try:
+            episode = here.run()
+        except BdbQuit:  # of a prompt that nobody can answer
+            raise ConfigurationError(
+                "a debugger was opened in another process, which has no terminal",
+                key="--dura-executor",
+                found=here.spec.component,
+                remedy="use --dura-executor=in-process to debug it, or --pdb",
+            ) from None
         left_behind = before.restore()
         if left_behind:
             give_way(left_behind)

@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from pytest_dura.core.boundary import traceback_of
 from pytest_dura.core.calls import COMPONENT
 from pytest_dura.core.errors import (
     ConfigurationError,
     DuraError,
     describe_error,
     shorten,
-    traceback_of,
 )
 
 _RESULT, _CONFIGURATION, _LOST, _FAILED = b"r", b"c", b"l", b"f"

@@ -107,3 +107,32 @@ def test_coverage_counts_what_other_processes_execute(project):
         assert not list(project.path.glob(".coverage.*")), "nothing is left to combine"
     assert counted["processes:2"] == counted["in-process"]
     assert len(counted["in-process"][0]) == 9
+
+
+STOPS = """
+from corridor import Careful
+
+class Stops(Careful):
+    def propose(self, view):
+        breakpoint()
+        return super().propose(view)
+"""
+
+
+def test_a_debugger_in_another_process_is_refused_with_the_remedy(project):
+    project.write("stops.py", STOPS)
+    scenario(project, generator="stops:Stops", runs=2, requirements="[GAP-1]")
+    result = project.run("corridor/it", PROCESSES)
+    assert result.ret == 1
+    assert "use --dura-executor=in-process to debug it, or --pdb" in output(result)
+
+
+@pytest.mark.parametrize("how", [["--dura-executor=in-process"], ["--pdb"]], ids=" ".join)
+def test_to_quit_a_debugger_in_a_component_ends_the_session(project, how):
+    project.write("stops.py", STOPS)
+    scenario(project, generator="stops:Stops", runs=2, requirements="[GAP-1]")
+    command = project.workers.command("-m", "pytest", "-p", "no:cacheprovider", "corridor/it", *how)
+    result = project.pytester.run(*command, stdin=b"c\nq\n")
+    assert result.ret == 2, output(result)
+    assert output(result).count("(Pdb)") == 2, "the one that was left, and the one that was quit"
+    assert project.evidence().status == "interrupted"
