@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import difflib
 import re
+import sysconfig
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import lru_cache
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 from pytest_dura.core.boundary import CallEnded, let_pass, traceback_of
@@ -188,22 +191,44 @@ class ConformanceError(DuraError):
 def describe_error(error: BaseException) -> str:
     """Type, message and place of an error, without what changes from process to process.
 
-    Memory addresses are blanked and the place is a file's name without its folder, because the
-    text goes into the episode's digest. Errors raised by the loop itself have no place. The error's
-    class may override anything, ``__str__`` included.
+    The place is the innermost frame of the user's own files, or else the innermost one: what a
+    library raises is called somewhere. Memory addresses are blanked and the place is a file's name
+    without its folder, because the text goes into the episode's digest. Errors raised by the loop
+    itself have no place. The error's class may override anything, ``__str__`` included.
     """
     message = cut(read_text(str, error, "(its message cannot be read)"))
     text = f"{type_name(error)}: {message}" if message else type_name(error)
     text = re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x…", text)
     trace = traceback_of(error)
-    while trace is not None and trace.tb_next is not None:
+    place: tuple[CodeType, int] | None = None
+    while trace is not None:
+        code = trace.tb_frame.f_code
+        if trace.tb_next is None and Path(code.co_filename).parent == Path(__file__).parent:
+            return text
+        own = _is_own_file(code.co_filename)
+        if own or place is None or not _is_own_file(place[0].co_filename):
+            place = code, trace.tb_lineno
         trace = trace.tb_next
-    if trace is None:
+    if place is None:
         return text
-    file = Path(trace.tb_frame.f_code.co_filename)
-    if file.parent == Path(__file__).parent:
-        return text
-    return f"{text} ({file.name}:{trace.tb_lineno})"
+    code, line = place
+    function = "" if code.co_name == "<module>" else f" in {code.co_name}"
+    return f"{text} ({Path(code.co_filename).name}:{line}{function})"
+
+
+_LIBRARIES = ("stdlib", "platstdlib", "purelib", "platlib")
+
+
+@lru_cache(maxsize=1024)
+def _is_own_file(file: str) -> bool:
+    """Whether a file is a user's: of no package that is installed, this one and Python included."""
+    if file.startswith("<"):
+        return False
+    path = Path(file).resolve()
+    paths = sysconfig.get_paths()
+    known = [Path(__file__).parents[1], *(Path(paths[key]) for key in _LIBRARIES)]
+    installed = {"site-packages", "dist-packages"}.intersection(path.parts)
+    return not installed and not any(path.is_relative_to(each.resolve()) for each in known)
 
 
 def import_error(

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+
+import pytest
+
 from pytest_dura import ConfigurationError, InfrastructureError
 from pytest_dura.core import ConformanceError, describe_error, shorten
 
@@ -43,6 +47,17 @@ def test_a_conformance_error_counts_and_numbers_its_breaches() -> None:
 def test_an_error_is_described_without_memory_addresses() -> None:
     assert describe_error(ValueError(f"bad {object()}")) == "ValueError: bad <object object at 0x…>"
     assert describe_error(KeyError()) == "KeyError"
+
+
+def test_what_a_library_raises_is_placed_where_the_users_own_file_called_it() -> None:
+    def propose() -> object:
+        return json.loads("no plan")
+
+    with pytest.raises(ValueError, match="Expecting value") as caught:
+        propose()
+    line = propose.__code__.co_firstlineno + 1
+    place = f"(test_errors_tell.py:{line} in propose)"
+    assert describe_error(caught.value).endswith(f": line 1 column 1 (char 0) {place}")
 
 
 def test_long_values_are_shortened_to_one_line() -> None:
