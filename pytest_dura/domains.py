@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.loop_signals import TRUTH
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.registry import Registry
 from pytest_dura.core.role_spec import RoleSpec
@@ -52,10 +53,6 @@ class Signal:
 
     def __post_init__(self) -> None:
         _check_quantity("signal", self.name, self.unit)
-
-
-TRUTH = "0 or 1"
-"""Unit of a signal that holds or does not."""
 
 
 @dataclass(frozen=True)
@@ -191,6 +188,17 @@ class Domain:
     def simulator(self) -> str:
         """Import path of the simulator of the domain's own name."""
         return SIMULATORS.path(self.name)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of all signals that it declares, by their names in formulas."""
+        declared = {"": self.signals, "percept.": self.percept_signals,
+                    "proposal.": self.proposal_signals}  # fmt: skip
+        return {
+            prefix + signal.name: signal.unit
+            for prefix, signals in declared.items()
+            for signal in signals or ()
+        }
 
     @property
     def measures(self) -> Sequence[Measure]:

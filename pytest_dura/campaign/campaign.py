@@ -18,7 +18,7 @@ from pytest_dura.execution.task import EpisodeTask, UpcomingTasks
 from pytest_dura.library.cases import Case
 from pytest_dura.library.requirements import check_formula
 from pytest_dura.requirements.campaign_judge import CampaignJudge, RunSchedule
-from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, explain_verdict, varies
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict, varies
 from pytest_dura.requirements.checks import Check, check_name
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_episode, judge_run
 from pytest_dura.requirements.judgements import CampaignCourse, Judgement, RunJudgement
@@ -32,6 +32,7 @@ from pytest_dura.requirements.model import (
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import Change, Pair, PairCounts, check_comparison, judge_pairs
 from pytest_dura.requirements.runs import Run
+from pytest_dura.requirements.shortfalls import explain_verdict
 
 if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
@@ -402,9 +403,10 @@ class Campaign(Shown):
         assert self.judgement is not None
         self.runner.events.emit(VerdictReached(verdict, requirement, self.judgement))
         if verdict.verdict != "supported":
-            raise RequirementViolated(
-                "\n".join(explain_verdict(verdict, requirement, str(self.failures))), verdict
-            )
+            system = self.case.scenario.system
+            units = {} if system is None else system.units
+            lines = explain_verdict(verdict, requirement, str(self.failures), units)
+            raise RequirementViolated("\n".join(lines), verdict)
         return verdict
 
 

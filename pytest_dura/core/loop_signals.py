@@ -263,6 +263,12 @@ LOOP_SIGNALS = (
 fallback, was carried out; the proposal was unsafe. ``recovering_for`` is the time since recovery
 took over, in s, 0 while it does not act; ``recovered_time`` the time for which it has been in
 control so far, in s, which never falls."""
+TRUTH = "0 or 1"
+"""Unit of a signal that holds or does not."""
+LOOP_UNITS: Mapping[str, str] = dict(
+    zip(LOOP_SIGNALS, (TRUTH, "s", "s", TRUTH, TRUTH), strict=True)
+)
+"""Their units."""
 
 
 def loop_signals(episode: Episode) -> dict[str, NDArray[np.float64]]:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pytest_dura.domains import TRUTH, Action, Domain, Signal
+from pytest_dura.core.loop_signals import TRUTH
+from pytest_dura.domains import Action, Domain, Signal
 from pytest_dura.driving.bodies import GAP_CAP, TTC_CAP
 from pytest_dura.driving.explanations import MEANINGS, SIGNALS
 from pytest_dura.driving.maneuvers import MAX_ACCELERATION, MAX_BRAKING

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -28,6 +29,7 @@ from pytest_dura.evidence.lines import (
     Remark,
     RepeatedCase,
     SearchedRun,
+    SignalUnit,
     UsedComponent,
     UsedModel,
 )
@@ -331,6 +333,7 @@ class RecordBuilder:
                 "component_under_test": _components_json(self._all(UsedComponent)),
                 "models": _models_json(self._all(UsedModel)),
                 "measures": sorted(self._measures().values(), key=attrgetter("place", "name")),
+                **({"units": units} if (units := self._units()) else {}),
                 **({"hazards": hazards} if hazards else {}),
                 "requirements": sorted(self._all(Requirement), key=attrgetter("id")),
                 "cases": [
@@ -352,6 +355,20 @@ class RecordBuilder:
                 "monitors": sorted(self._all(MonitorQuality), key=_about_monitor),
             }
         )
+
+    def _units(self) -> dict[str, str]:
+        """Units of the signals that checks name; one that is declared differently has none."""
+        declared: dict[str, set[str]] = defaultdict(set)
+        for each in self._all(SignalUnit):
+            declared[each.signal].add(each.unit)
+        checks = [each.check for kind in (Requirement, Judgement) for each in self._all(kind)]
+        named = {word for check in checks for word in re.findall(r"[A-Za-z_][\w.]*", check)}
+        return {
+            signal: unit
+            for signal in sorted(named)
+            if len(declared[signal]) == 1
+            for unit in declared[signal]
+        }
 
     def _cases(self) -> dict[tuple[str, str], CasePlan]:
         """The cases by id and component, with those on which something is to be decided.

@@ -90,6 +90,14 @@ class SearchedRun:
     origin: JsonObject
 
 
+@dataclass(frozen=True)
+class SignalUnit:
+    """Unit of a signal, by its name in formulas, as a domain declares it."""
+
+    signal: str
+    unit: str
+
+
 RemarkKind = Literal["problem", "objection", "note", "retried"]
 
 
@@ -108,7 +116,7 @@ class Remark:
 Line = (
     EpisodeLine | FaultTrace | KeptTrace | Judgement | RecordedSearch | MonitorQuality
     | UsedComponent | CasePlan | ClaimedCase | RepeatedCase | MeasureInfo | Hazard | Requirement
-    | UsedModel | SearchedRun | Remark | Doubt
+    | UsedModel | SearchedRun | SignalUnit | Remark | Doubt
 )  # fmt: skip
 _KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in Line.__args__}
 

@@ -40,6 +40,7 @@ from pytest_dura.evidence.lines import (
     Line,
     Remark,
     RepeatedCase,
+    SignalUnit,
     UsedComponent,
     UsedModel,
 )
@@ -140,6 +141,8 @@ def _lines_of(head: RecordHead, components: Iterable[Component], process: str) -
             yield RepeatedCase(**repeat, case=case.id, component=case.component)
     for model in head.models:
         yield UsedModel(process, model.to_json())
+    for signal, unit in (head.units or {}).items():
+        yield SignalUnit(signal, unit)
     for note in head.resume.problems:
         yield Remark("note", note)
     yield from (*head.measures, *(head.hazards or ()), *head.requirements, *head.doubts)

@@ -158,6 +158,9 @@ class RecordHead(Entry):
     """The language models that components asked; empty if none did."""
     measures: list[MeasureInfo]
     """The figures that simulators declare for their episodes, in the order of tables."""
+    units: Absent[dict[str, str]] = None
+    """Units of the signals that checks name, by name, as domains declare them. Absent where none is
+    known; one that two domains declare differently is not among them."""
     hazards: Absent[list[Hazard]] = None
     """Sorted by id: those of the user's files, and of the built-in ones those that a requirement of
     the session mitigates. Absent where there are none."""

@@ -21,11 +21,10 @@ from typing import TYPE_CHECKING, Any, Literal
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.evidence.text import counted
 from pytest_dura.plugin.context import LIVE_MODEL, draws_reason
-from pytest_dura.plugin.messages import safe_lines
 from pytest_dura.plugin.outcomes import target_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, MutableMapping, Sequence
+    from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 
     import numpy as np
     import pytest
@@ -721,14 +720,3 @@ def _case_id_of(item: pytest.Item) -> str:
     """Id of the case that an item looks at; empty where it chooses its episodes itself."""
     target = target_of(item)
     return "" if target is None else str(target.case.id)
-
-
-def show_repeats(terminal: Any, record: SessionRecord, objections: Collection[str]) -> None:
-    """Show which cases are not repeatable, unless it is an objection, and whose runs are draws."""
-    from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
-
-    cases = record.head.cases
-    for line in (*not_repeatable_lines(cases), *draws_lines(cases)):
-        if line not in objections:
-            for part in safe_lines(line):
-                terminal.line(part, yellow=True)

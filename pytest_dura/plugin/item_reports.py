@@ -221,7 +221,7 @@ def event_sentence(context: SessionContext, result: ItemResult) -> str:
     shown = judged or (examples[0] if examples else None)
     if episode is None or shown is None:
         return ""
-    from pytest_dura.reports.incidents import what_happened
+    from pytest_dura.reports.incidents import amount_text, what_happened
 
     brief = _brief_run(episode)
     paired = result.requirement.paired
@@ -231,9 +231,14 @@ def event_sentence(context: SessionContext, result: ItemResult) -> str:
         last=shown.time,
         compares_faults=paired is not None and paired.without == FAULTS,
     )
-    sentence = what_happened(
-        brief, event, result.requirement.id, time=shown.time, margin=shown.margin
-    )
+    system = None if result.case is None else result.case.scenario.system
+    units = {} if system is None else system.units
+    check = (result.verdict.check if result.verdict else "") or result.requirement.check
+    amount = amount_text(
+        result.requirement, check, shown.margin, shown.time,
+        units=units, measures=episode.described_measures,
+    )  # fmt: skip
+    sentence = what_happened(brief, event, result.requirement.id, time=shown.time, amount=amount)
     redacted: str = context.redact(sentence)
     return redacted
 

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.context import replay_command, rerun_command
+from pytest_dura.plugin.context import rerun_command
 from pytest_dura.plugin.markers import decides_nothing, marked_requirements
 from pytest_dura.plugin.options import option_rows
-from pytest_dura.plugin.outcomes import ItemResult, marked_target, target_of
+from pytest_dura.plugin.outcomes import marked_target, target_of
 
 if TYPE_CHECKING:
     import pluggy
@@ -130,8 +130,7 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator: Runner) -> None:
     """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.events import VerdictReached
-    from pytest_dura.plugin.item_reports import event_sentence
-    from pytest_dura.requirements.campaign_verdicts import explain_verdict
+    from pytest_dura.requirements.shortfalls import explain_verdict
 
     context, planned = request.node.context, request.node.planned
     requirement = context.library().requirements[request.node.name]
@@ -147,14 +146,13 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
         raise pytest.fail.Exception(str(error), pytrace=False) from None
     if verdict.verdict == "supported":
         return
-    lines = explain_verdict(verdict, requirement, str(campaign.failures))
-    if verdict.counterexamples:
-        item_result = ItemResult(requirement, planned.case, verdict=verdict)
-        sentence = event_sentence(context, item_result)
-        lines += [f"event:    {sentence}"] if sentence else []
-        lines.append("replay:   " + replay_command(context, verdict.counterexamples[0].episode))
-    lines.append("rerun:    " + rerun_command(context, f"{planned.case.id}::{requirement.id}"))
-    message = "\n".join(lines)
+    # What happened, why, and what to do stands once, in the card of the cause.
+    system = planned.case.scenario.system
+    units = {} if system is None else system.units
+    lines = explain_verdict(verdict, requirement, str(campaign.failures), units)[:2]
+    rerun = rerun_command(context, f"{planned.case.id}::{requirement.id}")
+    lines[-1] += " (why: see its card)"
+    message = "\n".join([*lines, f"rerun:    {rerun}"])
     if verdict.too_few and context.options.warn_undecided:
         pytest.skip(message)
     pytest.fail(message, pytrace=False)

@@ -221,6 +221,7 @@ class ItemRecorder:
         case, search = event.case, event.search
         spec = self.context.runner.task(case).spec
         self._component_used(spec.roles["generator"])
+        self._units_used(case)
         self._models.used(spec)
         library = self.context.library().requirements
         for outcome in search.outcomes:
@@ -418,10 +419,19 @@ class ItemRecorder:
             plan = self._plan(case, component, planned)
             self._cases[case.id, component] = plan
             self.add([plan])
+            self._units_used(case)
             known = self.context.library().requirements
             for name in case.requirements:
                 self._requirement_used(known[name])
         self._planned(case.id, component, planned)
+
+    def _units_used(self, case: Case) -> None:
+        """Note the units of the signals that a case's domain declares."""
+        from pytest_dura.evidence.lines import SignalUnit
+
+        if case.scenario.system is not None:
+            units = case.scenario.system.units.items()
+            self._add_once([SignalUnit(signal, unit) for signal, unit in units])
 
     def _plan(self, case: Case, component: str, planned: int) -> CasePlan:
         runs, off = self.context.options.runs, case.roles_off(self.context.runner.roles)

@@ -2,36 +2,40 @@
 
 Verdicts that are not supported are many where one thing went wrong: a collision violates four
 requirements in a dozen episodes. Violations of one episode are one cause; episodes of a case in
-which the same event stands before the same violation share it, and so do runs of one seed.
-Undecided verdicts are put together by their reason. Report, summary, terminal, Allure and JUnit
-begin with the causes, the worst first.
+which the same event stands before the same violation share it, and so do runs of one seed, and all
+in which the component failed by itself in the same way. Undecided verdicts are put together by
+their reason; those that an event of a violation's episode leaves undecided belong to that cause.
+Report, summary and terminal begin with the causes, the worst first.
 
 Texts are bounded and printable; each format still has to escape them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
+from pytest_dura.evidence.baseline import regression_objections
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.incidents import (
     KINDS,
+    OWN_FAILURE,
     EpisodeKey,
     Episodes,
     Incident,
     TwinOutcome,
     Violation,
+    amount_text,
     event_clause,
     headline,
     twin_outcomes,
+    what_happened,
 )
 from pytest_dura.reports.next_steps import next_step
 from pytest_dura.reports.undecided import Obstacle, obstacle_of
-from pytest_dura.reports.verdicts import as_sentence
 from pytest_dura.reports.wording import (
     evidence_option,
     is_incomplete,
@@ -39,10 +43,27 @@ from pytest_dura.reports.wording import (
     names_text,
     replay_command,
 )
-from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.model import Requirement
 
 _STATUSES = ("violated", "incomplete", "undecided")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A requirement that a cause explains, and by how much it is missed.
+
+    Args:
+        requirement: The requirement.
+        verdict: The worst of its verdicts that the cause explains.
+        check: What judged it.
+        amount: By how much it was missed in the worst episode, in units, and when; empty where
+            neither is known.
+    """
+
+    requirement: Requirement
+    verdict: ItemVerdict
+    check: str
+    amount: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,8 +73,9 @@ class Cause:
     Args:
         status: ``violated``, ``undecided`` or ``incomplete``.
         kind: The gravest kind of its requirements; empty without any.
-        headline: One sentence of what happened.
-        requirements: The gravest first.
+        headline: One sentence of what happened, and by how much the worst requirement was missed.
+        happened: The same without the requirement, for what states each of them.
+        findings: Its requirements, the gravest first.
         case: Id of the case; empty for a session that is incomplete.
         component: Name of the component under test.
         episode: The worst counterexample, or else a run that spoils the verdict.
@@ -70,7 +92,8 @@ class Cause:
     status: str
     kind: str
     headline: str
-    requirements: tuple[Requirement, ...]
+    happened: str
+    findings: tuple[Finding, ...]
     case: str
     component: str
     episode: str | None
@@ -82,6 +105,11 @@ class Cause:
     replay: str
     next_step: str
     verdicts: tuple[ItemVerdict, ...]
+
+    @property
+    def requirements(self) -> tuple[Requirement, ...]:
+        """Its requirements, the gravest first."""
+        return tuple(finding.requirement for finding in self.findings)
 
     @property
     def waived(self) -> bool:
@@ -111,19 +139,17 @@ def causes_of(record: SessionRecord) -> list[Cause]:
     Args:
         record: Of a session.
     """
-    requirements = {each.id: each for each in record.head.requirements}
     causes = [*_incomplete(record)]
     failures = [each for each in record.head.verdicts if each.verdict != "supported"]
     if failures:
-        episodes = Episodes.read(record, failures)
-        causes += _violated(record, episodes, requirements)
-        causes += _undecided(record, episodes, requirements)
+        causes += _Causes(record, Episodes.read(record, failures)).all()
     return sorted(causes, key=_badness)
 
 
 def card_heading(cause: Cause) -> str:
     """Heading of a cause's card: its status, kind, case and component, and what excuses it."""
-    parts = [f"{cause.status}: {cause.kind or 'the session'}"]
+    status = "worse" if cause.status == "incomplete" and cause.case else cause.status
+    parts = [f"{status}: {cause.kind or 'the session'}"]
     if cause.case:
         rest = len(cause.cases) - 1
         more = f" and {counted(rest, 'more case', 'more cases')}" if rest > 0 else ""
@@ -134,66 +160,200 @@ def card_heading(cause: Cause) -> str:
     return " ".join(parts)
 
 
-def card_entries(cause: Cause) -> Iterator[tuple[str, str]]:
-    """Labels and texts of a cause's card, below its heading and its headline, for every format."""
-    if cause.requirements:
-        first, *rest = cause.requirements
-        also = f" Also {names_text([each.id for each in rest])}." if rest else ""
-        yield "required", f"{name(first.id)}: {as_sentence(first.text)}{also}"
-    assertion = cause.verdicts[0].assertion if cause.verdicts else None
-    failed = assertion.failed if assertion is not None else ()
-    for failure in failed[:1]:
-        yield "failed", one_line(f"{failure.message}, in {failure.episode}")
-    # Where the check held, what failed is an assertion of the test.
-    judged = not failed or (assertion is not None and assertion.by_check)
-    if judged and cause.check and cause.check != cause.verdicts[0].requirement:
-        yield "check", one_line(cause.check)
-    if cause.episode is not None:
-        when = ""
-        if cause.status == "violated":
-            when = violation_text(cause.time, cause.margin, valid=cause.valid)
-        runs = [f"#{each.rpartition('#')[2]}" for each in cause.more]
-        more = f"; also {names_text(runs)}" if runs else ""
-        yield "episode", f"{name(cause.episode)}{when}{more}"
-    for twin in cause.twins:
-        yield "twin", twin.sentence
-    if cause.replay:
-        yield "replay", cause.replay
-    yield "next", cause.next_step
-
-
 def _badness(cause: Cause) -> tuple[bool, int, int, int]:
     kind = KINDS.index(cause.kind) if cause.kind else 0
     return cause.waived, _STATUSES.index(cause.status), kind, -len(cause.requirements)
 
 
-def _violated(
-    record: SessionRecord, episodes: Episodes, requirements: Mapping[str, Requirement]
-) -> Iterator[Cause]:
-    """Causes of violated verdicts."""
-    incidents: dict[EpisodeKey, Incident] = {}
-    without_episode: list[ItemVerdict] = []
-    for verdict in record.head.verdicts:
-        if verdict.verdict != "violated":
-            continue
-        if not verdict.counterexamples:
-            without_episode.append(verdict)
-        for counterexample in verdict.counterexamples:
-            key = counterexample.episode, verdict.component
-            incident = incidents.setdefault(key, Incident(*key, episodes.get(*key)))
-            violation = Violation(requirements[verdict.requirement], verdict, counterexample)
-            incident.violations.append(violation)
-    for group in _clusters(incidents.values()):
-        yield _violated_cause(record, episodes, group)
-    for verdict in without_episode:
-        yield _cause(
-            record,
-            "violated",
-            one_line(f"{name(verdict.requirement)}: {verdict.reason}."),
-            [verdict],
-            requirements,
-            next_step="Look at the test that judges it: no episode of the record shows it.",
+class _Causes:
+    """Makes the causes of a record's verdicts.
+
+    Args:
+        record: Of a session.
+        episodes: Those that the verdicts name.
+    """
+
+    def __init__(self, record: SessionRecord, episodes: Episodes) -> None:
+        self._record, self._episodes = record, episodes
+        self._requirements = {each.id: each for each in record.head.requirements}
+        self._command = record.head.command
+
+    def all(self) -> list[Cause]:
+        """Causes of violated verdicts, and then of the undecided ones that they do not explain."""
+        groups = _clusters(self._incidents().values())
+        causes = [self._of_incidents(group) for group in groups]
+        places: dict[tuple[str, str], int] = {}
+        for place, group in enumerate(groups):
+            for incident in group:
+                places.setdefault((incident.component, incident.episode), place)
+                places.setdefault((incident.component, incident.signature), place)
+        for verdict in self._record.head.verdicts:
+            if verdict.verdict == "violated" and not verdict.counterexamples:
+                reason = one_line(f"{name(verdict.requirement)}: {verdict.reason}.")
+                step = "Look at the test that judges it: no episode of the record shows it."
+                causes.append(self._of_verdicts("violated", reason, [verdict], step))
+        for obstacle, verdicts in self._obstacles():
+            key = verdicts[0].component, obstacle.cause or obstacle.episode or ""
+            if (obstacle.cause or obstacle.shows_event) and key in places:
+                place = places[key]
+                causes[place] = self._joined(causes[place], verdicts)
+            else:
+                causes.append(self._of_obstacle(obstacle, verdicts))
+        return causes
+
+    def _incidents(self) -> dict[EpisodeKey, Incident]:
+        incidents: dict[EpisodeKey, Incident] = {}
+        for verdict in self._record.head.verdicts:
+            for counterexample in verdict.counterexamples if verdict.verdict == "violated" else ():
+                key = counterexample.episode, verdict.component
+                incident = incidents.setdefault(key, Incident(*key, self._episodes.get(*key)))
+                requirement = self._requirements[verdict.requirement]
+                incident.violations.append(Violation(requirement, verdict, counterexample))
+        return incidents
+
+    def _obstacles(self) -> Iterator[tuple[Obstacle, list[ItemVerdict]]]:
+        """Undecided verdicts by the reason that they share; the first of a group speaks for it."""
+        groups: dict[tuple[str, str], tuple[Obstacle, list[ItemVerdict]]] = {}
+        undecided = [each for each in self._record.head.verdicts if each.verdict == "undecided"]
+        for verdict in sorted(undecided, key=lambda each: -each.violations / max(1, each.episodes)):
+            failures = self._episodes.raised[verdict.case, verdict.component]
+            obstacle = obstacle_of(verdict, self._requirements[verdict.requirement], failures)
+            groups.setdefault((verdict.component, obstacle.key), (obstacle, []))[1].append(verdict)
+        yield from groups.values()
+
+    def _of_incidents(self, group: Sequence[Incident]) -> Cause:
+        """The cause of a group of incidents, the worst of them first."""
+        incident = group[0]
+        worst, brief = incident.worst, incident.brief
+        violations = sorted(
+            (each for member in group for each in member.violations),
+            key=lambda violation: violation.badness[:2],
         )
+        verdicts = {
+            (each.verdict.requirement, each.verdict.case): each.verdict for each in violations
+        }
+        findings = {each.requirement.id: self._violated(each) for each in reversed(violations)}
+        findings = {each.requirement.id: findings[each.requirement.id] for each in violations}
+        # The amount of a requirement's first violation is that of the worst episode.
+        findings |= {each.requirement.id: self._violated(each) for each in incident.violations}
+        twins = tuple(twin_outcomes(self._episodes, incident))
+        time = worst.counterexample.time
+        happened = "No record of the episode is held."
+        if brief is not None:
+            happened = what_happened(brief, incident.event, time=time)
+        often = self._how_often(incident)
+        return Cause(
+            status="violated",
+            kind=worst.requirement.kind,
+            headline=_with_count(headline(incident, findings[worst.requirement.id].amount), often),
+            happened=_with_count(happened, often),
+            findings=tuple(findings.values()),
+            case=worst.verdict.case,
+            component=incident.component,
+            episode=incident.episode,
+            more=tuple(member.episode for member in group[1:]),
+            time=time,
+            margin=worst.counterexample.margin,
+            check=worst.verdict.check or worst.requirement.check,
+            twins=twins,
+            replay=self._replay(incident.episode),
+            next_step=next_step(incident, twins),
+            verdicts=tuple(verdicts.values()),
+        )
+
+    def _how_often(self, incident: Incident) -> str:
+        """That the component failed by itself in each run of the case; else empty."""
+        event = incident.event
+        failures = self._episodes.raised.get((incident.worst.verdict.case, incident.component))
+        if event is None or event.kind != OWN_FAILURE or failures is None:
+            return ""
+        return f"in {failures.failed} of {counted(failures.runs, 'run')}"
+
+    def _violated(self, violation: Violation) -> Finding:
+        verdict, example = violation.verdict, violation.counterexample
+        requirement, head = violation.requirement, self._record.head
+        check = verdict.check or requirement.check
+        judged = replace(requirement, paired=verdict.paired or requirement.paired)
+        units = head.units or {}
+        amount = amount_text(
+            judged, check, example.margin, example.time, units=units, measures=head.measures
+        )
+        return Finding(requirement, verdict, check, amount)
+
+    def _joined(self, cause: Cause, verdicts: Sequence[ItemVerdict]) -> Cause:
+        """A cause with verdicts that it leaves undecided."""
+        known = {finding.requirement.id for finding in cause.findings}
+        added = {
+            each.requirement: self._finding(each)
+            for each in verdicts
+            if each.requirement not in known
+        }
+        return replace(
+            cause,
+            findings=(*cause.findings, *added.values()),
+            verdicts=(*cause.verdicts, *verdicts),
+        )
+
+    def _finding(self, verdict: ItemVerdict) -> Finding:
+        requirement = self._requirements[verdict.requirement]
+        return Finding(requirement, verdict, verdict.check or requirement.check)
+
+    def _of_obstacle(self, obstacle: Obstacle, verdicts: Sequence[ItemVerdict]) -> Cause:
+        """The cause of undecided verdicts that no violation explains."""
+        text = obstacle.headline
+        brief = self._episodes.get(obstacle.episode or "", verdicts[0].component)
+        if brief is not None and brief.grave is not None and obstacle.shows_event:
+            text += f": {event_clause(brief.grave, brief)}"
+        elif len(verdicts) > 1 and not obstacle.cause:
+            names = names_text(list(dict.fromkeys(each.requirement for each in verdicts)))
+            text += f" (the worst of {len(verdicts)} verdicts: {names})"
+        step, episode = obstacle.next_step, obstacle.episode
+        return self._of_verdicts("undecided", f"{text}.", verdicts, step, episode)
+
+    def _of_verdicts(
+        self,
+        status: str,
+        headline: str,
+        verdicts: Sequence[ItemVerdict],
+        next_step: str,
+        episode: str | None = None,
+    ) -> Cause:
+        """A cause that rests on verdicts and no event."""
+        ordered = sorted(
+            verdicts,
+            key=lambda each: (
+                each.waiver is not None,
+                KINDS.index(self._requirements[each.requirement].kind),
+            ),
+        )
+        findings = {each.requirement: self._finding(each) for each in reversed(ordered)}
+        first = self._finding(ordered[0])
+        return Cause(
+            status=status,
+            kind=first.requirement.kind,
+            headline=headline,
+            happened=headline,
+            findings=tuple(dict.fromkeys(findings[each.requirement] for each in ordered)),
+            case=first.verdict.case,
+            component=first.verdict.component,
+            episode=episode,
+            more=(),
+            time=None,
+            margin=first.verdict.margin,
+            check=first.check,
+            twins=(),
+            replay="" if episode is None else self._replay(episode),
+            next_step=next_step,
+            verdicts=tuple(ordered),
+        )
+
+    def _replay(self, episode: str) -> str:
+        options = evidence_option(self._command), model_options(self._command)
+        return replay_command(episode, *options)
+
+
+def _with_count(sentence: str, count: str) -> str:
+    return f"{sentence.removesuffix('.')}, {count}." if count else sentence
 
 
 def _clusters(incidents: Iterable[Incident]) -> list[list[Incident]]:
@@ -201,11 +361,14 @@ def _clusters(incidents: Iterable[Incident]) -> list[list[Incident]]:
     groups: list[list[Incident]] = []
     by_explained: dict[tuple[str, str, str, str], list[Incident]] = {}
     by_seed: dict[tuple[str, int, str], list[Incident]] = {}
+    own_failures: dict[tuple[str, str], list[Incident]] = {}
     for incident in sorted(incidents, key=lambda incident: incident.rank):
         component, signature = incident.component, incident.signature
         group = None
         if incident.brief is not None:
             group = by_seed.get((component, incident.brief.seed, signature))
+        if incident.event is not None and incident.event.kind == OWN_FAILURE:
+            group = own_failures.get((component, signature))
         if group is None:
             # One that violates no more than a worse one with the same event has its cause.
             candidates = [
@@ -227,112 +390,12 @@ def _clusters(incidents: Iterable[Incident]) -> list[list[Incident]]:
             group = []
             groups.append(group)
         group.append(incident)
+        own_failures.setdefault((component, signature), group)
         for key in incident.verdict_keys:
             by_explained.setdefault((component, signature, *key), group)
         if incident.brief is not None:
             by_seed.setdefault((component, incident.brief.seed, signature), group)
     return groups
-
-
-def _violated_cause(record: SessionRecord, episodes: Episodes, group: Sequence[Incident]) -> Cause:
-    """The cause of a group of incidents, the worst of them first."""
-    incident = group[0]
-    worst = incident.worst
-    violations = sorted(
-        (each for member in group for each in member.violations),
-        key=lambda violation: violation.badness[:2],
-    )
-    verdicts = {(each.verdict.requirement, each.verdict.case): each.verdict for each in violations}
-    twins = tuple(twin_outcomes(episodes, incident))
-    command = record.head.command
-    return Cause(
-        status="violated",
-        kind=worst.requirement.kind,
-        headline=headline(incident),
-        requirements=tuple({each.requirement.id: each.requirement for each in violations}.values()),
-        case=worst.verdict.case,
-        component=incident.component,
-        episode=incident.episode,
-        more=tuple(member.episode for member in group[1:]),
-        time=worst.counterexample.time,
-        margin=worst.counterexample.margin,
-        check=worst.verdict.check or worst.requirement.check,
-        twins=twins,
-        replay=replay_command(incident.episode, evidence_option(command), model_options(command)),
-        next_step=next_step(incident, twins),
-        verdicts=tuple(verdicts.values()),
-    )
-
-
-def _undecided(
-    record: SessionRecord, episodes: Episodes, requirements: Mapping[str, Requirement]
-) -> Iterator[Cause]:
-    """Causes of undecided verdicts, one for each reason."""
-    groups: dict[tuple[str, str], tuple[Obstacle, list[ItemVerdict]]] = {}
-    undecided = [each for each in record.head.verdicts if each.verdict == "undecided"]
-    # The first of a group speaks for it.
-    for verdict in sorted(undecided, key=lambda each: -each.violations / max(1, each.episodes)):
-        obstacle = obstacle_of(verdict, requirements[verdict.requirement])
-        key = verdict.component, obstacle.key
-        groups.setdefault(key, (obstacle, []))[1].append(verdict)
-    for obstacle, verdicts in groups.values():
-        text = obstacle.headline
-        brief = episodes.get(obstacle.episode or "", verdicts[0].component)
-        if brief is not None and brief.grave is not None and obstacle.shows_event:
-            text += f": {event_clause(brief.grave, brief)}"
-        elif len(verdicts) > 1:
-            names = names_text(list(dict.fromkeys(each.requirement for each in verdicts)))
-            text += f" (the worst of {len(verdicts)} verdicts: {names})"
-        yield _cause(
-            record,
-            "undecided",
-            f"{text}.",
-            verdicts,
-            requirements,
-            next_step=obstacle.next_step,
-            episode=obstacle.episode,
-        )
-
-
-def _cause(
-    record: SessionRecord,
-    status: str,
-    headline: str,
-    verdicts: Sequence[ItemVerdict],
-    requirements: Mapping[str, Requirement],
-    *,
-    next_step: str,
-    episode: str | None = None,
-) -> Cause:
-    """A cause that rests on verdicts and no event."""
-    ordered = sorted(
-        verdicts,
-        key=lambda each: (
-            each.waiver is not None,
-            KINDS.index(requirements[each.requirement].kind),
-        ),
-    )
-    first, command = ordered[0], record.head.command
-    options = evidence_option(command), model_options(command)
-    return Cause(
-        status=status,
-        kind=requirements[first.requirement].kind,
-        headline=headline,
-        requirements=tuple(
-            {each.requirement: requirements[each.requirement] for each in ordered}.values()
-        ),
-        case=first.case,
-        component=first.component,
-        episode=episode,
-        more=(),
-        time=None,
-        margin=first.margin,
-        check=first.check or requirements[first.requirement].check,
-        twins=(),
-        replay="" if episode is None else replay_command(episode, *options),
-        next_step=next_step,
-        verdicts=tuple(ordered),
-    )
 
 
 def _incomplete(record: SessionRecord) -> Iterator[Cause]:
@@ -348,8 +411,40 @@ def _incomplete(record: SessionRecord) -> Iterator[Cause]:
             f"The session {how} after {run} of {planned} planned episodes.",
             "Run it again with --dura-resume: the episodes that it has simulated are taken over.",
         )
+    losses = _losses(record)
     for objection in other_objections(head):
-        yield _session_cause(f"{one_line(objection)}.", _objection_step(objection))
+        yield losses.get(objection) or _session_cause(
+            f"{one_line(objection)}.", _objection_step(objection)
+        )
+
+
+def _losses(record: SessionRecord) -> dict[str, Cause]:
+    """Causes of what got worse than in the baseline, by the objection that it makes."""
+    baseline = record.head.baseline
+    if baseline is None:
+        return {}
+    kinds = {each.id: each.kind for each in record.head.requirements}
+    worse = [each for each in baseline.comparisons if each.status == "worse"]
+    causes = {}
+    for each, objection in zip(worse, regression_objections(baseline), strict=False):
+        now = f"{each.violations} of {counted(each.episodes or 0, 'run')}"
+        then = f"{each.baseline_violations} of {each.baseline_episodes} of the baseline"
+        p_value = each.p_worse if each.p_worse_holm is None else each.p_worse_holm
+        headline = (
+            f"{name(each.requirement)} is violated in {now}, and in {then}: p = {p_value or 0:.2g} "
+            f"by the exact test of {each.test}, corrected for "
+            f"{counted(baseline.tests, 'comparison')}."
+        )
+        step = (
+            f"Compare a run that violates it now with that of its seed in {name(baseline.path)}"
+            "; where the loss is meant, make this session the baseline."
+        )
+        cause = _session_cause(headline, step)
+        causes[objection] = replace(
+            cause, kind=kinds.get(each.requirement, "safety"), case=each.case,
+            component=each.component or "",
+        )  # fmt: skip
+    return causes
 
 
 def _objection_step(objection: str) -> str:
@@ -363,5 +458,7 @@ def _objection_step(objection: str) -> str:
 
 def _session_cause(headline: str, next_step: str) -> Cause:
     return Cause(
-        "incomplete", "", headline, (), "", "", None, (), None, None, "", (), "", next_step, ()
-    )
+        status="incomplete", kind="", headline=headline, happened=headline, findings=(), case="",
+        component="", episode=None, more=(), time=None, margin=None, check="", twins=(), replay="",
+        next_step=next_step, verdicts=(),
+    )  # fmt: skip

@@ -129,14 +129,13 @@ def shown_in(columns: Sequence[Column[Row]], place: Shown, group: str = "") -> l
     ]
 
 
-def legend(columns: Sequence[Column[Row]]) -> str:
-    """What the terminal's columns mean: ``TP: true positives; FP: false positives``."""
-    meanings = {
-        column.label.removesuffix(" %").removesuffix(" s"): column.meaning
+def legend_entries(columns: Sequence[Column[Row]]) -> list[str]:
+    """What the terminal's columns mean: ``TP: true positives``, ``FP: false positives``."""
+    return [
+        f"{column.label.removesuffix(' %').removesuffix(' s')}: {column.meaning}"
         for column in columns
         if column.meaning
-    }
-    return "; ".join(f"{label}: {meaning}" for label, meaning in meanings.items())
+    ]
 
 
 # Figures in words.

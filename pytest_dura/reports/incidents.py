@@ -6,8 +6,9 @@ sentence needs.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from pytest_dura.core.measures import MeasureInfo
@@ -18,10 +19,11 @@ from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line
-from pytest_dura.reports.wording import event_text, names_text
+from pytest_dura.reports.wording import names_text
 from pytest_dura.requirements.campaign_verdicts import Counterexample
 from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.pairs import PairTable
+from pytest_dura.requirements.shortfalls import pair_shortfall, shortfall
 
 KINDS = ("safety", "security", "recovery", "performance")
 """Kinds of requirements, the gravest first."""
@@ -29,7 +31,9 @@ _MAX_DETAIL = 240
 _MOST_NAMED = 3
 """Names in a clause."""
 """Characters of what an event says."""
-_GRAVE_KINDS = frozenset({"critical", "halt", "component_failure"})
+OWN_FAILURE = "component_failure"
+"""Kind of the event that the component itself failed."""
+_GRAVE_KINDS = frozenset({"critical", "halt", OWN_FAILURE})
 """Kinds of events that the loop itself gives and that end a run, or make it worthless."""
 _MANIFESTED = "fault_manifested"
 _TELLING = ("recovery", "unsafe", "security", "alert", _MANIFESTED)
@@ -190,16 +194,52 @@ class _Marks:
 
 
 @dataclass
+class OwnFailures:
+    """How often a component failed by itself in the planned runs of a case.
+
+    Args:
+        runs: Planned runs.
+        failed: Those in which it did.
+        episode: Id of the first one; empty without any.
+        event: Its first failure there.
+    """
+
+    runs: int = 0
+    failed: int = 0
+    episode: str = ""
+    event: Event | None = None
+
+    def add(self, episode: EpisodeEntry) -> bool:
+        """Take in a run; returns whether it is the first one with a failure."""
+        if not episode.planned:
+            return False
+        self.runs += 1
+        event = next((each for each in episode.events if each.kind == OWN_FAILURE), None)
+        self.failed += event is not None
+        if event is None or self.event is not None:
+            return False
+        self.episode, self.event = episode.id, event
+        return True
+
+    @property
+    def everywhere(self) -> bool:
+        """Whether it failed in each run."""
+        return self.failed > 0 and self.failed == self.runs
+
+
+@dataclass
 class Episodes:
     """Those episodes that causes are made of, and their twins.
 
     Args:
         briefs: By id and component.
         twins: Of a case and component, what the twin case lacks, and its id.
+        raised: Of a case and component, how often the component failed by itself.
     """
 
     briefs: dict[EpisodeKey, BriefRun]
     twins: Mapping[tuple[str, str], list[tuple[str, str]]]
+    raised: Mapping[tuple[str, str], OwnFailures]
 
     @classmethod
     def read(cls, record: SessionRecord, failures: Sequence[ItemVerdict]) -> Episodes:
@@ -217,13 +257,15 @@ class Episodes:
                 for _, case in twins.get((verdict.case, verdict.component), ()):
                     wanted.add((f"{case}#{number}", verdict.component))
         briefs: dict[EpisodeKey, BriefRun] = {}
-        if wanted:
-            for episode in record.episodes():
-                key = episode.id, episode.component
-                # A verdict rests on planned episodes; one run by hand may bear the same id.
-                if key in wanted and (episode.planned or key not in briefs):
-                    briefs[key] = BriefRun.of(episode, record.head.measures)
-        return cls(briefs, twins)
+        raised = {(each.case, each.component): OwnFailures() for each in failures}
+        for episode in record.episodes():
+            key = episode.id, episode.component
+            failed = raised.get((episode.case, episode.component))
+            first = failed is not None and failed.add(episode)
+            # A verdict rests on planned episodes; one run by hand may bear the same id.
+            if first or (key in wanted and (episode.planned or key not in briefs)):
+                briefs[key] = BriefRun.of(episode, record.head.measures)
+        return cls(briefs, twins, raised)
 
     def get(self, episode: str, component: str) -> BriefRun | None:
         """The episode; ``None`` where the record does not have it."""
@@ -317,7 +359,10 @@ class Incident:
     @property
     def signature(self) -> str:
         """Kind of what happened; objects and figures in it differ from run to run."""
-        return "" if self.event is None else self.event.kind
+        if self.event is None:
+            return ""
+        own = self.event.kind == OWN_FAILURE
+        return own_failure_key(self.event) if own else self.event.kind
 
     @property
     def verdict_keys(self) -> frozenset[tuple[str, str]]:
@@ -331,49 +376,108 @@ class Incident:
         return self.worst.badness[:2], -len(self.violations), 0.0 if margin is None else margin
 
 
-def headline(incident: Incident) -> str:
-    """One sentence: what happened, after which fault, and where it led."""
+def own_failure_key(event: Event) -> str:
+    """What failures of a component with one cause share: what it raised, and where."""
+    return f"{OWN_FAILURE} {event.detail}"
+
+
+_CLAUSES = ("raised ", "overran ", "returned ", "ended ", "answered ")
+"""What begins a clause of which the component is the subject."""
+_PLACE = re.compile(r"\(([^()\s]+:\d+(?: in [^()\s]+)?)\)$")
+"""Where an exception was raised, at the end of its text."""
+
+
+def own_failure_clause(component: str, detail: str) -> str:
+    """What a component did: ``Planner raised ValueError: no plan (planner.py:12 in propose)``."""
+    return f"{component} {'' if detail.startswith(_CLAUSES) else 'failed: '}{detail}"
+
+
+def own_failure_step(component: str, detail: str) -> str:
+    """What to do about a component that failed by itself."""
+    place = _PLACE.search(detail)
+    where = f", at {name(place[1])}" if place else ""
+    return f"Repair {component} first{where}: until then no verdict is on what it decides."
+
+
+def headline(incident: Incident, amount: str) -> str:
+    """One sentence: what happened, after which fault, and where it led.
+
+    Args:
+        incident: The violations of one episode.
+        amount: By how much the worst requirement is missed, of :func:`amount_text`.
+    """
     requirement, example = incident.worst.requirement.id, incident.worst.counterexample
     if incident.brief is None:
-        violated = _violated_text(requirement, example.time, example.margin)
-        return f"{violated} in an episode that the record does not hold."
+        violated = violated_clause(requirement, amount)
+        return f"{one_line(violated[:1].upper() + violated[1:])}, in an episode without a record."
     return what_happened(
-        incident.brief, incident.event, requirement, time=example.time, margin=example.margin
+        incident.brief, incident.event, requirement, time=example.time, amount=amount
     )
 
 
-def _violated_text(requirement: str, time: float | None, margin: float | None) -> str:
-    by = f" by {-margin:.3g}" if margin is not None and margin < 0 else ""
-    at = "" if time is None else f" at t = {time:.2f} s"
-    return f"{name(requirement)} was violated{by}{at}"
+def amount_text(
+    requirement: Requirement,
+    check: str,
+    margin: float | None,
+    time: float | None,
+    *,
+    units: Mapping[str, str],
+    measures: Sequence[MeasureInfo] = (),
+) -> str:
+    """Say by how much an episode misses a requirement, in units; empty where that is not known.
+
+    Args:
+        requirement: As it was judged.
+        check: What judged it.
+        margin: Of the episode, negative or 0.
+        time: When it was violated first, in s.
+        units: Of signals, by name.
+        measures: Declared ones, which have the units of pairs.
+    """
+    paired = requirement.paired
+    if paired is not None and paired.measure:
+        unit = next((each.unit for each in measures if each.function == paired.measure), "")
+        return one_line(pair_shortfall(paired, margin, unit), _MAX_DETAIL)
+    return one_line(shortfall(check, margin, time, units), _MAX_DETAIL)
+
+
+def violated_clause(requirement: str, amount: str) -> str:
+    """Which requirement was violated, by how much and when."""
+    if not amount or amount.startswith("first "):
+        return f"{name(requirement)} was violated {amount}".rstrip()
+    return f"{name(requirement)}: {amount}"
 
 
 def what_happened(
     brief: BriefRun,
     event: Event | None,
-    requirement: str,
+    requirement: str = "",
     *,
     time: float | None,
-    margin: float | None,
+    amount: str = "",
 ) -> str:
     """One sentence on a violation.
 
     Args:
         brief: The episode.
         event: Of :meth:`BriefRun.event_before`.
-        requirement: Id of the requirement.
+        requirement: Id of the requirement; empty where the sentence stands beside its text.
         time: When it was violated first, in s.
-        margin: By how much, negative, in the unit of its check.
+        amount: By how much, of :func:`amount_text`.
     """
-    violated = _violated_text(requirement, time, margin)
+    violated = violated_clause(requirement, amount) if requirement else ""
     if event is None:
-        parts = [f"{violated}, before any role had objected"]
+        parts = [
+            f"{violated}, before any role had objected" if violated else "no role had objected"
+        ]
     else:
         parts = [event_clause(event, brief)]
     if event is None or event.kind != _MANIFESTED:
         parts[0] += _fault_clause(brief, event.time if event else time)
-    if event is not None and (
-        time is None or abs(event.time - time) > TICK or event is not brief.grave
+    if (
+        violated
+        and event is not None
+        and (time is None or abs(event.time - time) > TICK or event is not brief.grave)
     ):
         parts.append(violated)
     if event is None or event is not brief.grave:
@@ -388,8 +492,10 @@ def event_clause(event: Event, brief: BriefRun) -> str:
     subject, detail = name(event.subject), one_line(event.detail, _MAX_DETAIL)
     what = f"{name(event.kind.replace('_', ' '))}: {subject}"
     colon = f": {detail}" if detail else ""
-    if event is brief.grave and detail:
+    if event is brief.grave and detail and event.kind != OWN_FAILURE:
         what, colon = detail, ""
+    elif event.kind == OWN_FAILURE:
+        what, colon = own_failure_clause(subject, detail), ""
     elif event.kind == "recovery":
         last = [each for each in brief.telling if each.kind == "recovery"][-1:] == [event]
         kept = " for the rest of the run" if last and brief.kept_control else ""
@@ -449,7 +555,7 @@ def twin_outcomes(episodes: Episodes, incident: Incident) -> Iterator[TwinOutcom
     for without, twin in episodes.twins_of(brief, incident.component):
         violates = _twin_violates(brief, without, worst)
         if twin.grave is not None:
-            what = event_text(replace(twin.grave, detail=one_line(twin.grave.detail, _MAX_DETAIL)))
+            what = event_clause(twin.grave, twin)
             ended = "the run ended there" if twin.termination == "critical" else twin.end_text()
             sentence = f"{what}, and {ended}"
         else:

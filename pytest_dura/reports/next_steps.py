@@ -9,11 +9,13 @@ from pytest_dura.core.state import Event
 from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.text import name
 from pytest_dura.reports.incidents import (
+    OWN_FAILURE,
     TICK,
     BriefRun,
     Incident,
     TwinOutcome,
     manifested,
+    own_failure_step,
 )
 from pytest_dura.reports.wording import names_text
 from pytest_dura.requirements.model import FAULTS
@@ -35,8 +37,8 @@ def next_step(incident: Incident, twins: Sequence[TwinOutcome]) -> str:
 def _steps(incident: Incident, brief: BriefRun, twins: Sequence[TwinOutcome]) -> Iterator[str]:
     """Steps that the situation calls for, the most pressing first; at least one."""
     component, time = name(incident.component), incident.worst.counterexample.time
-    if incident.event is not None and incident.event.kind == "component_failure":
-        yield f"The component failed by itself: repair {component} first."
+    if incident.event is not None and incident.event.kind == OWN_FAILURE:
+        yield own_failure_step(component, incident.event.detail)
     yield from _steps_without_fault(incident, brief, twins)
     active = manifested(brief, time)
     if incident.compares_faults and active:

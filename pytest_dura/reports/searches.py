@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from pytest_dura.core.state import NOTHING
 from pytest_dura.evidence.gate import (
     NOTHING_FOUND,
     OBJECTIONABLE_OUTCOMES,
@@ -18,7 +19,7 @@ from pytest_dura.evidence.gate import (
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.text import counted, name, one_line
-from pytest_dura.requirements.campaign_verdicts import violation_text
+from pytest_dura.requirements.checks import is_function_path
 from pytest_dura.requirements.searches import (
     Falsification,
     FoundCounterexample,
@@ -26,6 +27,7 @@ from pytest_dura.requirements.searches import (
     SearcherReport,
     SearchOutcome,
 )
+from pytest_dura.requirements.shortfalls import shortfall
 
 _MOST_NAMES = 8
 """Outcomes that a sentence names."""
@@ -95,28 +97,10 @@ def outcome_headline(search: Falsification, outcome: SearchOutcome, where: str =
     )
 
 
-def outcome_entries(outcome: SearchOutcome, most_changes: int) -> Iterator[tuple[str, str]]:
-    """Labels and texts on the check, and on the counterexample as far as there is one.
-
-    Args:
-        outcome: Of a search.
-        most_changes: Parameters that are named; each is a text of its own, without a label but for
-            the first.
-    """
-    counterexample = outcome.counterexample
-    if outcome.check not in ("", outcome.requirement):
-        yield "check", one_line(outcome.check)
-    if counterexample is None:
-        return
-    yield "worst", counterexample_text(counterexample, outcome.check)
-    if counterexample.shrinking is not None:
-        yield "simpler", shrinking_text(counterexample)
-    yield from _change_entries(counterexample, most_changes, ", in evidence.json")
-
-
-def _change_entries(
+def change_entries(
     counterexample: FoundCounterexample, most: int, rest_is: str = ""
 ) -> Iterator[tuple[str, str]]:
+    """Label and text of each changed parameter; the label is empty but for the first."""
     changes = [f"{path}: {change}" for path, change in parameter_changes(counterexample, most)]
     for number, change in enumerate(changes or ["in nothing: the case violates it as it stands"]):
         yield "" if number else "differs", change
@@ -136,21 +120,20 @@ def kept_text(outcome: SearchOutcome) -> str:
     return one_line((counterexample and counterexample.file) or "")
 
 
-_MOST_CHANGES = 12
-"""Changed parameters that the message of a failing test names."""
+MOST_CHANGES = 12
+"""Changed parameters that a card and the message of a failing test name."""
 _KEPT_FOR = ", which --dura-scenarios runs from now on"
 
 
 def failure_lines(search: Falsification) -> Iterator[str]:
-    """Lines of the message of a test that fails by its search."""
+    """Lines of the message of a test that fails by its search; the cards have the rest."""
     where = f" on {name(search.case)} ({name(search.component)})"
     for outcome in search.outcomes:
         yield outcome_headline(search, outcome, where)
         if outcome.status == NOTHING_FOUND:
             continue
-        entries = [("searched", simulations_text(search)), *outcome_entries(outcome, _MOST_CHANGES)]
-        if search.baselines:
-            entries.append(("baselines", baselines_text(search, outcome.requirement)))
+        example = outcome.counterexample
+        entries = [("worst", counterexample_text(example, outcome.check))] if example else []
         if kept := kept_text(outcome):
             entries.append(("kept", f"{kept}{_KEPT_FOR}"))
         yield from map(_entry_line, entries)
@@ -163,7 +146,7 @@ def kept_lines(counterexample: FoundCounterexample, rerun: str) -> Iterator[str]
         counterexample: As a search records it.
         rerun: The command that runs it again.
     """
-    entries = [*_change_entries(counterexample, _MOST_CHANGES)]
+    entries = [*change_entries(counterexample, MOST_CHANGES)]
     entries += [("kept", f"{one_line(counterexample.file or '')}{_KEPT_FOR}"), ("rerun", rerun)]
     yield from map(_entry_line, entries)
 
@@ -201,11 +184,14 @@ def searcher_name(searcher: SearcherReport) -> str:
     return shown if searcher.trivial else f"{shown} (learns)"
 
 
-def counterexample_text(counterexample: FoundCounterexample, check: str) -> str:
-    """Time, margin and reason of a counterexample; a reason that repeats the check is left out."""
-    when = violation_text(counterexample.time, counterexample.margin).lstrip(", ")
-    detail = "" if counterexample.detail == check else one_line(counterexample.detail, 300)
-    return ": ".join(filter(None, [when, detail]))
+def counterexample_text(
+    counterexample: FoundCounterexample, check: str, units: Mapping[str, str] = NOTHING
+) -> str:
+    """By how much a counterexample misses its check, when, and why if the check is a function."""
+    amount = shortfall(check, counterexample.margin, counterexample.time, units)
+    # What a formula says in detail is the amount again.
+    detail = one_line(counterexample.detail, 300) if is_function_path(check) else ""
+    return ": ".join(filter(None, [amount, detail]))
 
 
 def shrinking_text(counterexample: FoundCounterexample) -> str:

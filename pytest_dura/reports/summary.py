@@ -1,30 +1,16 @@
-"""``summary.md``: the session on one page of GitHub-flavoured Markdown, for the page of a CI job.
-
-GitHub takes at most 1024 KiB. Each table has its share of that and begins with what failed;
-what does not fit is left out, and a sentence says how much. No text of a user is a link, a
-mention, HTML or the end of a cell.
-"""
+"""``summary.md``: the session on a page of GitHub-flavoured Markdown, for the page of a CI job."""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain, groupby
-from typing import TypeVar
+import shlex
+from collections.abc import Iterator
 
 from pytest_dura.evidence.case_model import ShareEntry
-from pytest_dura.evidence.conclusions.totals import verdict_counts
-from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
-from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
-from pytest_dura.evidence.session_model import (
-    LanguageModelEntry,
-    PriceEntry,
-)
+from pytest_dura.evidence.session_model import LanguageModelEntry, PriceEntry
 from pytest_dura.evidence.text import code, markdown, name
-from pytest_dura.reports.causes import Cause, card_entries, card_heading, causes_of
-from pytest_dura.reports.columns import Column, Shown, measure_label, shown_in
-from pytest_dura.reports.concluded import TableShown, concluded_tables
+from pytest_dura.reports.columns import measure_label
+from pytest_dura.reports.document import Entry
 from pytest_dura.reports.failure_modes import (
     NULL_NOTE,
     decision_age_lines,
@@ -34,25 +20,10 @@ from pytest_dura.reports.failure_modes import (
     unavailability_text,
     uncovered_lines,
 )
-from pytest_dura.reports.hazards import HAZARD_COLUMNS, hazards_by_need
 from pytest_dura.reports.operating_domain import combination_text, pair_text
-from pytest_dura.reports.role_tables import FailureModeRow, failure_mode_columns
-from pytest_dura.reports.searches import ordered_outcomes, outcome_headline
-from pytest_dura.reports.tables import (
-    REQUIREMENT_COLUMNS,
-    SEARCH_COLUMNS,
-    VERDICT_COLUMNS,
-    OutcomeRow,
-    RequirementRow,
-    case_columns,
-)
-from pytest_dura.reports.usage import spending_text, usage_columns, usage_rows
-from pytest_dura.reports.verdicts import (
-    assertion_sentences,
-    rate_bound,
-    sample_text,
-    waiver_note,
-)
+from pytest_dura.reports.pens.markdown import MAX_BYTES, MarkdownPen
+from pytest_dura.reports.story import document_of
+from pytest_dura.reports.usage import spending_text
 from pytest_dura.reports.wording import (
     conclusion_sentences,
     evidence_option,
@@ -66,8 +37,8 @@ from pytest_dura.reports.wording import (
     selection_text,
     shard_text,
 )
-from pytest_dura.requirements.campaign_verdicts import Counterexample, violation_text
-from pytest_dura.requirements.model import Requirement
+
+__all__ = ["FILE", "MAX_BYTES", "render"]
 
 
 def _model_lines(record: SessionRecord, most: int) -> Iterator[str]:
@@ -131,67 +102,35 @@ def _provenance_lines(record: SessionRecord, most: int) -> Iterator[str]:
     yield f"- {review_text(record)}"
 
 
-def _search_failures(record: SessionRecord) -> Iterator[str]:
-    """A line for each outcome that the gate does not accept, or that is waived."""
-    for search, outcome in ordered_outcomes(record):
-        if outcome_status(search, outcome) in OBJECTIONABLE_OUTCOMES:
-            yield (
-                f"- **search: {code(name(outcome.requirement))}** on "
-                f"{code(name(search.case))}, component {code(name(search.component))}"
-                f"{waiver_note(search.waiver, markdown)}: "
-                f"{markdown(outcome_headline(search, outcome), 400)}"
-            )
-
-
-Row = TypeVar("Row")
 FILE = "summary.md"
-MAX_BYTES = 1024 * 1024
-"""Bytes that GitHub takes."""
-
-_KIB = 1024
-_SHARES = {"causes": 60 * _KIB, "failures": 240 * _KIB, "verdicts": 320 * _KIB,
-           "requirements": 100 * _KIB, "cases": 150 * _KIB, "failure modes": 30 * _KIB,
-           "searches": 40 * _KIB, "tables": 20 * _KIB, "hazards": 40 * _KIB}  # fmt: skip
-"""Bytes of the tables; the rest is for what has a small bound: the head, reasons, provenance."""
 _REASONS = 20
 _MAX_CELLS = 10
-_VERDICT_ORDER = ("violated", "undecided", "supported")
 
 
 def render(record: SessionRecord) -> str:
-    """The page as text, of at most ``MAX_BYTES`` bytes in UTF-8."""
-    verdicts = sorted(record.head.verdicts, key=_urgency)
-    failures = [verdict for verdict in verdicts if verdict.verdict != "supported"]
-    searched, cases = [OutcomeRow(*pair) for pair in ordered_outcomes(record)], record.head.cases
+    """The page as text, of at most :data:`MAX_BYTES` bytes in UTF-8."""
+    document = document_of(record)
+    pen = MarkdownPen(document, lambda entry: _command(record, entry))
     lines = [
         *_head_lines(record),
-        *_cause_lines(record),
+        *pen.cards(),
         *_count_lines(record),
         *_conclusion_lines(record),
-        *_section(
-            "Not supported",
-            [],
-            chain(_failure_lines(record, failures), _search_failures(record)),
-            "failures",
-        ),
-        *chain.from_iterable(map(_further_table, concluded_tables(record))),
-        *(_table("Searches", SEARCH_COLUMNS, searched, "searches") if searched else ()),
-        *_table("Verdicts", VERDICT_COLUMNS, verdicts, "verdicts"),
-        *_hazard_table(record),
-        *_table("Requirements", REQUIREMENT_COLUMNS, _requirement_rows(record), "requirements"),
-        *_table("Cases", case_columns(cases, record.head.measures), cases, "cases"),
+        *pen.sections(),
         *_overall_lines(record),
-        *_failure_mode_section(record),
+        *_failure_mode_lines(record),
         *_coverage_lines(record),
         *_provenance_lines(record, _MAX_CELLS),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _urgency(verdict: ItemVerdict) -> tuple[bool, int]:
-    """Sort key: what makes the gate fail comes first, violations before what is undecided."""
-    status = verdict.verdict
-    return status == "supported" or verdict.waiver is not None, _VERDICT_ORDER.index(status)
+def _command(record: SessionRecord, entry: Entry) -> str:
+    """The command of an entry; one that runs an item again depends on options of the session."""
+    if entry.kind == "replay":
+        return _replay(record.head.command, entry.text)
+    command = f"pytest {shlex.quote(entry.text)}"
+    return code(command) if name(command, 400) == command and "  " not in command else ""
 
 
 def _head_lines(record: SessionRecord) -> Iterator[str]:
@@ -204,32 +143,6 @@ def _head_lines(record: SessionRecord) -> Iterator[str]:
         yield f"# Gate of {shard} {gate.result}: a part of a session, not the whole"
     else:
         yield f"# Gate {', '.join(filter(None, [gate.result, selection_text(record)]))}"
-
-
-def _cause_lines(record: SessionRecord) -> Iterator[str]:
-    """A card for each cause, the worst first, as many as fit; nothing where all is supported."""
-    causes = causes_of(record)
-    room, shown = _SHARES["causes"], 0
-    for number, cause in enumerate(causes, 1):
-        heading = markdown(f"Cause {number}, {card_heading(cause)}", 400)
-        card = ["", f"## {heading}", "", f"**{markdown(cause.headline, 800)}**", ""]
-        for label, text in card_entries(cause):
-            card.append(f"- {label}: {_card_text(record, cause, label, text)}")
-        room -= sum(len(line.encode()) + 1 for line in card)
-        if room < 0:
-            break
-        shown += 1
-        yield from card
-    if shown < len(causes):
-        more = len(causes) - shown
-        yield from ["", f"_{more} more causes are in the report._"]
-
-
-def _card_text(record: SessionRecord, cause: Cause, label: str, text: str) -> str:
-    if label == "replay":
-        command = _replay(record.head.command, cause.episode or "")
-        return command or "by its id in the record"
-    return code(text) if label in ("check", "episode") else markdown(text, 800)
 
 
 def _count_lines(record: SessionRecord) -> Iterator[str]:
@@ -255,98 +168,11 @@ def _conclusion_lines(record: SessionRecord) -> Iterator[str]:
         ]
 
 
-def _table(
-    heading: str, columns: Sequence[Column[Row]], rows: Iterable[Row], share: str
-) -> Iterator[str]:
-    """A heading and a table, with as many of its rows as fit into its share."""
-    columns = shown_in(columns, Shown.SUMMARY)
-    cells = ((column.cell(row).summary for column in columns) for row in rows)
-    lines = (f"| {' | '.join(row)} |" for row in cells)
-    yield from _section(heading, [column.name for column in columns], lines, share)
-
-
-def _section(heading: str, columns: list[str], rows: Iterable[str], share: str) -> Iterator[str]:
-    """A heading with as many of its rows as fit into its share."""
-    yield from ["", f"## {heading}", ""]
-    if columns:
-        yield from [f"| {' | '.join(columns)} |", f"|{' --- |' * len(columns)}"]
-    room, total, shown = _SHARES[share], 0, 0
-    for row in rows:
-        total += 1
-        room -= len(row.encode()) + 1
-        if room >= 0:
-            shown += 1
-            yield row
-    if not total:
-        yield from ["", "None."]
-    if shown < total:
-        yield ""
-        yield (
-            f"_{total - shown} of {total} are left out here, to stay below the limit of a summary; "
-            "the report and evidence.json have all._"
-        )
-
-
-def _failure_lines(record: SessionRecord, failures: list[ItemVerdict]) -> Iterator[str]:
-    """One row each; requirements of a case that are undecided for the same reason share one."""
-    for (first, rest), same in groupby(failures, lambda failure: _failure_context(record, failure)):
-        names = ", ".join(_name(verdict.requirement) for verdict in same)
-        yield f"- **{first}: {names}{rest}"
-
-
-def _failure_context(record: SessionRecord, verdict: ItemVerdict) -> tuple[str, str]:
-    """The text on a verdict before and after the name of its requirement."""
-    text = (
-        f" on {_name(verdict.case)}, component {_name(verdict.component)}: "
-        f"{markdown(verdict.reason, 400) or 'no reason'}. "
-        f"{sample_text(verdict)}; {rate_bound(verdict)}."
-    )
-    for line in assertion_sentences(verdict):
-        text += f"\n  - {markdown(line, 600)}"
-    if verdict.counterexamples:
-        text += "\n  - " + _counterexample(record, verdict.counterexamples)
-    return f"{verdict.verdict}**{waiver_note(verdict.waiver, markdown)}", text
-
-
-def _counterexample(record: SessionRecord, counterexamples: Sequence[Counterexample]) -> str:
-    first = counterexamples[0]
-    when = violation_text(first.time, first.margin, valid=first.valid)
-    text = f"counterexample {_name(first.episode)}{when}"
-    if len(counterexamples) > 1:
-        text += f", and {len(counterexamples) - 1} more"
-    command = _replay(record.head.command, first.episode)
-    return text + (f"; replay: {command}" if command else "; replay by its id in the record")
-
-
 def _replay(session: str, episode: str) -> str:
     """The command, where it can be shown as it has to be typed."""
     command = replay_command(episode, evidence_option(session), model_options(session))
     unchanged = name(command, 400) == command and "\\|" not in command and "  " not in command
     return code(command) if unchanged else ""
-
-
-def _requirement_rows(record: SessionRecord) -> Iterator[RequirementRow]:
-    of_each: dict[str, list[ItemVerdict]] = defaultdict(list)
-    for verdict in record.head.verdicts:
-        of_each[verdict.requirement].append(verdict)
-    counts = {each.id: verdict_counts(of_each[each.id]) for each in record.head.requirements}
-    cells = record.head.coverage.cells
-    untested = Counter(cell.requirement for cell in cells if cell.verdict is None)
-    more = " or more" if record.head.coverage.left_out else ""
-
-    def failing(requirement: Requirement) -> tuple[bool, bool]:
-        own = counts[requirement.id]
-        return not own["violated"], not own["undecided"]
-
-    for requirement in sorted(record.head.requirements, key=failing):
-        own = counts[requirement.id]
-        yield RequirementRow(requirement, own, f"{untested[requirement.id]}{more}")
-
-
-def _hazard_table(record: SessionRecord) -> Iterator[str]:
-    """A row for each hazard, those without evidence first; nothing where there are none."""
-    if rows := hazards_by_need(record):
-        yield from _table("Hazards", HAZARD_COLUMNS, rows, "hazards")
 
 
 def _overall_lines(record: SessionRecord) -> Iterator[str]:
@@ -381,37 +207,21 @@ def _overall_lines(record: SessionRecord) -> Iterator[str]:
         yield f"- and {len(effectiveness) - _MAX_CELLS} more in the report"
 
 
-def _further_table(table: TableShown) -> Iterator[str]:
-    """A further table of the session."""
-    yield from _table(markdown(table.title, 100), table.columns, table.rows, "tables")
-    if table.about:
-        yield from ["", markdown(table.about, 400)]
-
-
-def _failure_mode_section(record: SessionRecord) -> Iterator[str]:
-    """Over all cases; nothing where no component gave accounts."""
+def _failure_mode_lines(record: SessionRecord) -> Iterator[str]:
+    """Times of decisions and what judges say, below the table; nothing without accounts."""
     cases = record.head.cases
-    rows = [
-        FailureModeRow(mode, component)
-        for component, modes in failure_modes_by_component(cases).items()
-        for mode in modes
-    ]
-    if rows:
-        yield from _table("Failure modes", failure_mode_columns(), rows, "failure modes")
-        yield from [
-            "",
-            *(f"- answers of {_name(whose)}: {text}" for whose, text in decision_time_lines(cases)),
-        ]
-        for whose, text in decision_age_lines(cases):
-            yield f"- decisions of {_name(whose)} came into force at an age of {text}"
-        for whose, text in judge_agreement_lines(cases):
-            yield f"- {text} of {_name(whose)}"
-        for whose, text in uncovered_lines(record.head, _name):
-            yield f"- {text} of {_name(whose)}"
-        yield f"- {NULL_NOTE}"
-    price = record.head.llm_price
-    if used := usage_rows(cases, price):
-        yield from _table("Tokens", usage_columns(price), used, "cases")
+    if not failure_modes_by_component(cases):
+        return
+    yield ""
+    for whose, text in decision_time_lines(cases):
+        yield f"- answers of {_name(whose)}: {text}"
+    for whose, text in decision_age_lines(cases):
+        yield f"- decisions of {_name(whose)} came into force at an age of {text}"
+    for whose, text in judge_agreement_lines(cases):
+        yield f"- {text} of {_name(whose)}"
+    for whose, text in uncovered_lines(record.head, _name):
+        yield f"- {text} of {_name(whose)}"
+    yield f"- {NULL_NOTE}"
 
 
 def _coverage_lines(record: SessionRecord) -> Iterator[str]:

@@ -246,7 +246,8 @@ def _valid_n(row: ItemVerdict) -> Cell:
     saved = f", {row.saved} saved" if row.saved else ""
     notes = (f"({row.run} run{saved})",) if row.run != row.planned else ()
     text = str(row.episodes)
-    return Cell(text, text, f"{row.episodes} / {row.planned}", notes, below=True)
+    short = text if row.episodes == row.planned else f"{text}/{row.planned}"
+    return Cell(short, text, f"{row.episodes} / {row.planned}", notes, below=True)
 
 
 def _violations(row: ItemVerdict) -> Cell:
@@ -264,7 +265,8 @@ def _bound(row: ItemVerdict) -> Cell:
         page = f"\N{LESS-THAN OR EQUAL TO} {share_text(bound.upper)}"
         page += f" at {share_text(bound.confidence)}"
     weak = weakness(bound.at_most, bound.confidence)
-    return Cell(text, text, page, (allowed, weak) if weak else (allowed,), below=True)
+    short = "-" if bound.upper is None else f"{bound.upper:.2g}"
+    return Cell(short, text, page, (allowed, weak) if weak else (allowed,), below=True)
 
 
 def _margins(row: ItemVerdict) -> str | None:
@@ -273,46 +275,61 @@ def _margins(row: ItemVerdict) -> str | None:
     return None if row.margin is None else number_text(row.margin)
 
 
+def _reason(row: ItemVerdict) -> Cell | None:
+    """Why it is not supported, and what excuses that."""
+    waiver = row.waiver
+    excuse = f"waived, {waiver.kind}: {waiver.reason or 'no reason'}" if waiver else ""
+    reasons = ["" if row.verdict == "supported" else row.reason, excuse]
+    text = "; ".join(filter(None, reasons))
+    return prose_cell(text, 500) if text else None
+
+
 VERDICT_COLUMNS: Sequence[Column[ItemVerdict]] = (
-    Column("verdict", lambda row: row.verdict, shown=Shown.SUMMARY),
+    Column("verdict", lambda row: row.verdict, short=" ", shown=Shown.TERMINAL | Shown.SUMMARY),
     Column("waiver", lambda row: "waived" if row.waiver else None, shown=Shown.SUMMARY),
     Column("requirement", lambda row: name_cell(row.requirement), shown=Shown.SUMMARY),
     Column("case", lambda row: name_cell(row.case), shown=Shown.SUMMARY),
     Column("component", lambda row: name_cell(row.component), shown=Shown.SUMMARY),
     Column(
-        "valid n", _valid_n, "Valid / planned",
+        "valid n", _valid_n, "Valid / planned", short="n",
         meaning="valid episodes of those planned",
     ),
     Column(
-        "violations", _violations, "Viol.",
+        "violations", _violations, "Viol.", short="viol",
         meaning="valid episodes that violated it; with a star, invalid ones that did so without "
         "effect of the fault",
     ),
     Column(
         "open", lambda row: len(row.open), "Open",
-        meaning="open: valid episodes that ended before it was decided; the bound counts them as "
+        meaning="valid episodes that ended before it was decided; the bound counts them as "
         "violations",
     ),
     Column("without effect", lambda row: row.without_effect, shown=Shown.SUMMARY),
     Column(
-        "invalid", lambda row: row.invalid, "Inv.",
+        "invalid", lambda row: row.invalid, "Inv.", short="inv",
         meaning="invalid episodes: the planned fault never manifested, or the trace does not "
         "decide it",
     ),
     Column(
-        "missing", lambda row: row.missing, "Miss.",
+        "missing", lambda row: row.missing, "Miss.", short="miss",
         meaning="missing episodes: an infrastructure error ended them",
     ),
     Column(
-        "vacuous", lambda row: row.vacuous, "Vac.", shown=Shown.PAGE,
-        meaning="vacuous: satisfied because their condition never held",
+        "vacuous", lambda row: row.vacuous, "Vac.", short="vac",
+        shown=Shown.TERMINAL | Shown.PAGE,
+        meaning="satisfied because their condition never held",
     ),
     Column(
         "upper bound", _bound, "Upper bound of the rate,",
-        small="and the rate allowed", kind="bound",
+        short="rate <=", small="and the rate allowed", kind="bound",
+        meaning="upper confidence bound of the rate of violations",
     ),
     Column(
-        "margin", _margins, small="min / median", shown=Shown.PAGE,
+        "margin", _margins, small="min / median", shown=Shown.TERMINAL | Shown.PAGE,
+        meaning="least and median margin, in the unit of the check",
+    ),
+    Column(
+        "reason", _reason, shown=Shown.SUMMARY, kind="",
     ),
 )  # fmt: skip
 

@@ -7,6 +7,12 @@ from dataclasses import dataclass
 from pytest_dura.evidence.gate import NOT_REPEATABLE
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.reports.incidents import (
+    OwnFailures,
+    own_failure_clause,
+    own_failure_key,
+    own_failure_step,
+)
 from pytest_dura.requirements.campaign_verdicts import (
     REPEATED,
     SITUATIONS,
@@ -28,6 +34,7 @@ class Obstacle:
         next_step: What would decide it.
         episode: A run that shows it; ``None`` without any.
         shows_event: Whether that run's grave event belongs to it.
+        cause: What it shares with violations of one cause; empty where no event is known.
     """
 
     key: str
@@ -35,18 +42,21 @@ class Obstacle:
     next_step: str
     episode: str | None = None
     shows_event: bool = False
+    cause: str = ""
 
 
-def obstacle_of(verdict: ItemVerdict, requirement: Requirement) -> Obstacle:
-    """Name the gravest obstacle of an undecided verdict.
+def obstacle_of(verdict: ItemVerdict, requirement: Requirement, failures: OwnFailures) -> Obstacle:
+    """Name the first obstacle of an undecided verdict: what comes before others explains them.
 
     Args:
         verdict: An undecided one.
         requirement: That it is on.
+        failures: How often the component failed by itself in the runs of the case.
     """
     known = (
-        _missing(verdict), _not_repeatable(verdict), _unseen_crash(verdict), _not_run(verdict),
-        _invalid(verdict), _open(verdict), _one_situation(verdict), _vacuous(verdict),
+        _missing(verdict), _own_failure(verdict, failures), _not_repeatable(verdict),
+        _unseen_crash(verdict), _not_run(verdict), _invalid(verdict), _open(verdict),
+        _one_situation(verdict), _vacuous(verdict),
     )  # fmt: skip
     return next(filter(None, known), None) or _by_rate(verdict, requirement)
 
@@ -68,6 +78,22 @@ def _missing(verdict: ItemVerdict) -> Obstacle | None:
         f"A run is missing, since a role or the simulator failed: {detail}",
         "Repair what failed there, and run the session again.",
         uncounted.episode,
+    )
+
+
+def _own_failure(verdict: ItemVerdict, failures: OwnFailures) -> Obstacle | None:
+    """The component failed in each run, so that nothing that it did was judged."""
+    event = failures.event
+    if event is None or not failures.everywhere:
+        return None
+    return Obstacle(
+        own_failure_key(event),
+        f"{own_failure_clause(name(verdict.component), one_line(event.detail, _MAX_DETAIL))} at "
+        f"t = {event.time:.2f} s, in each of {counted(failures.runs, 'run')} of "
+        f"{name(verdict.case)}",
+        own_failure_step(name(verdict.component), event.detail),
+        failures.episode,
+        cause=own_failure_key(event),
     )
 
 

@@ -25,7 +25,6 @@ from pytest_dura.requirements.rate_tests import (
 )
 
 if TYPE_CHECKING:
-    from pytest_dura.requirements.model import Requirement
     from pytest_dura.requirements.runs import Run
 
 Situation = Literal["repeated", "without effect"]
@@ -396,62 +395,3 @@ def doubted(status: CampaignStatus, reason: str, doubt: str) -> dict[str, Any]:
         return {}
     reason = doubt if status == "supported" else f"{reason}; {doubt}"
     return {"verdict": "undecided", "too_few": False, "reason": reason}
-
-
-def failure_entries(verdict: CampaignVerdict) -> Iterator[tuple[str, str]]:
-    """Labels and texts on the episodes behind a verdict, for messages, terminal and reports.
-
-    The label is empty for a missing episode, whose text begins with ``infrastructure:``, or with
-    :data:`TEST_FAILED`.
-    """
-    if verdict.counterexamples:
-        worst, *rest = verdict.counterexamples
-        yield "worst", f"{worst.episode}{violation_text(worst.time, worst.margin)}"
-        if rest:
-            numbers = [f"#{each.episode.rpartition('#')[2]}" for each in rest]
-            more = f" and {len(numbers) - _MOST_RUNS} more" if len(numbers) > _MOST_RUNS else ""
-            yield "also in", ", ".join(numbers[:_MOST_RUNS]) + more
-        if verdict.without_effect:
-            yield "invalid", f"in {verdict.without_effect} of them no fault had an effect"
-    uncounted = verdict.first_uncounted
-    if uncounted is not None and verdict.verdict == "undecided":
-        if uncounted.verdict == "missing":
-            yield "", f"{uncounted.detail} (in {uncounted.episode})"
-        else:
-            yield uncounted.verdict, f"{uncounted.episode}: {uncounted.detail}"
-
-
-_MOST_RUNS = 8
-"""Runs that an entry names."""
-
-
-def explain_verdict(
-    verdict: CampaignVerdict, requirement: Requirement, component_failures: str
-) -> list[str]:
-    """Lines that say why a verdict is not "supported": in which run, when and by how much.
-
-    Args:
-        verdict: On the requirement.
-        requirement: As it was judged.
-        component_failures: The first failure of the component itself; empty without any.
-    """
-    what = f"{verdict.verdict}: {verdict.requirement} on {verdict.case} ({verdict.component})"
-    entries = [("required", requirement.text)]
-    if requirement.check != verdict.requirement:
-        entries.append(("check", requirement.check))
-    paired = requirement.paired
-    if paired is not None and paired.measure:
-        own = paired.measure.startswith("pytest_dura.")
-        measure = paired.measure.rpartition(":")[2] if own else paired.measure
-        text = f"{measure}, which may grow by {paired.change_at_most:g}"
-        entries.append(("measure", text))
-    if paired is not None:
-        entries.append(("pairs", f"with {paired.without}, and without"))
-    episodes = list(failure_entries(verdict))
-    entries += [(label, text) for label, text in episodes if label]
-    entries.append(("component", component_failures))
-    lines = [text for label, text in episodes if not label]
-    lines.append(f"{what}: {verdict.reason}")
-    lines += [f"{label + ':':<9} {text}" for label, text in entries if text]
-    # Lines of a component's own message must not look like lines of this report.
-    return [line.replace("\n", "\n    ") for line in lines]

@@ -78,18 +78,23 @@ def test_a_rate_that_got_worse_fails_the_gate_or_is_told(rates, choice, code):
         [
             f"dura: compared with the baseline old/evidence.json (Careful, {baseline.created})",
             "baseline old/evidence.json: 1 comparison, 1 worse, 0 better",
-            f"worse  {n}/20*0/20*{p}*{p}*McNemar*OWN-1 on corridor/free",
+            f"OWN-1 on corridor/free  worse*{n}/20*0/20*{p}*{p}*McNemar",
         ]
     )
-    told = "the gate fails: OWN-1 on corridor/free is worse than in the baseline"
-    assert (f"  {told}." in result.outlines) is (code == 1)
+    # What fails the gate has a card: what got worse, by how much, and how sure that is.
+    card = "worse: safety on corridor/free (Hasty) (1 of 1 cause)"
+    assert (card in result.outlines) is (code == 1)
+    told = f"OWN-1 is violated in {n} of 20 runs, and in 0 of 20 of the baseline: p = {p} by the"
+    assert (told in " ".join(result.stdout.str().split())) is (code == 1)
 
 
 def test_a_rate_that_got_better(rates):
     keep(rates, NEW)
     result = rates.run("--dura-baseline=old", "--dura-baseline-worse=fail", OLD)
     assert result.ret == 0
-    result.stdout.fnmatch_lines(["baseline old: 1 comparison, 0 worse, 1 better", "better *"])
+    result.stdout.fnmatch_lines(
+        ["baseline old: 1 comparison, 0 worse, 1 better", "*OWN-1 on *  better *"]
+    )
 
 
 @pytest.mark.parametrize("distributed", [[], ["-n", "2"]], ids=["plain", "n2"])

@@ -184,11 +184,10 @@ def test_what_failed_is_shown_and_not_a_check_that_held(project, option):
     project.write("test_it.py", a_test(FAILS, marks=["requirement('GAP-1')"]))
     result = project.run("test_it.py", "--junitxml=junit.xml", *option.split())
     told = output(result).partition("violated: safety on corridor/free")[2].splitlines()
-    (failed,) = [number for number, line in enumerate(told) if line.startswith("  failed: ")]
-    message = " ".join(" ".join(told[failed : failed + 2]).split())
-    assert message.startswith("failed: too far; assert ")
-    assert "< 0.5 (test_it.py:6), in corridor/free#0" in message
-    assert not [line for line in told if line.startswith("  check:")]
+    card = " ".join(" ".join(told).partition("  replay:")[0].split())
+    assert "GAP-1: 2 of 2 runs violate it; failed: too far; assert " in card
+    assert "< 0.5 (test_it.py:6), in corridor/free#0" in card
+    assert "[always (gap > 0)]" not in card
     found = project.verdict("GAP-1", "corridor/free")
     assert found.assertion.by_check == 0
     assert [one.episode[-2:] for one in found.assertion.failed] == ["#0", "#1"]
@@ -202,8 +201,9 @@ def test_a_check_that_is_violated_is_shown_beside_a_failed_assertion(project):
     project.write("test_it.py", a_test(FAILS, marks=["requirement('GAP-1')"]))
     result = project.run("test_it.py", "--dura-generator=corridor:Reckless")
     told = output(result).partition("violated: safety on corridor/free")[2]
-    assert "  failed:   too far; assert " in told
-    assert "  check:    always (gap > 0)" in told
+    card = " ".join(told.partition("  replay:")[0].split())
+    assert "too far; assert " in card
+    assert "[always (gap > 0)]" in card
     assert project.verdict("GAP-1", "corridor/free").assertion.by_check == 2
 
 
@@ -223,7 +223,7 @@ def test_junit_and_allure_carry_what_ended_the_episode(project):
     scenario(project, simulator="crash:Crash", requirements="[GAP-1]", generator="Reckless")
     result = project.scenarios("--junitxml=junit.xml", "--alluredir=allure", select="corridor/it")
     assert "  At t = 0.50 s ran into VICTIM." in output(result)
-    assert "event:    At t = 0.50 s ran into VICTIM" in output(result)
+    assert "At t = 0.50 s ran into VICTIM" in output(result)
     junit = (project.path / "junit.xml").read_text()
     assert '<property name="event" value="At t = 0.50 s ran into VICTIM.' in junit
     (found,) = (project.path / "allure").glob("*-result.json")

@@ -37,8 +37,13 @@ def test_a_component_that_hangs_is_judged_in_a_worker_too(project):
 def judged(project, words, *mode):
     result, text = failing(project, "fails", "--dura-time-budget=0.2", *mode)
     result.assert_outcomes(failed=2)
-    assert words in text
-    assert "in 2 of 2 episodes" in text
+    # One cause has one card, with what is undecided by it and what is violated.
+    card = " ".join(text.partition("violated: performance on corridor/fails (")[2].split())
+    assert words in card
+    assert ", in 2 of 2 runs. GO-1: 2 of 2 runs violate it" in card
+    assert "GAP-1: undecided, 0 of 2 runs violate it" in card
+    assert " (1 of 1 cause)" in text
+    assert "Repair " in card.partition("next:")[2]
     # The fallback keeps the ego where it is: that is no achievement of the component.
     assert project.verdicts() == {
         ("corridor/fails", "GAP-1"): "undecided",

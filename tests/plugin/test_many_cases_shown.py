@@ -33,7 +33,7 @@ def test_a_hundred_are_shown_and_the_others_counted(
     arguments = ["-v"] if verbose else []
     result = pytester.runpytest("--dura-scenarios", "--dura-select=scale/*", *arguments)
     text = result.stdout.str()
-    shown = re.findall(r"^undecided: SAF-1 on (\S+)", text, re.MULTILINE)
+    shown = re.findall(r"^SAF-1 on (\S+)\s+undecided", text, re.MULTILINE)
     assert len(set(shown)) == (103 if verbose else 0)
     assert "(the worst of 103 verdicts: SAF-1)" in " ".join(text.split())
     assert ("and 3 cases more: " in text) is not verbose

@@ -88,8 +88,13 @@ def test_a_requirement_of_the_file_is_what_a_test_may_ask_for(project):
     "check, word, margin, line",
     [
         ("touches_nothing", "violated", None, "worst:    corridor/it#0"),
-        ("half_a_metre", "violated", -0.5, "worst:    corridor/it#0, margin -0.5"),
-        ("in_words", "violated", -2.5, "worst:    corridor/it#0 at t = 0.50 s, margin -2.5"),
+        ("half_a_metre", "violated", -0.5, "worst:    corridor/it#0: the margin is -0.5"),
+        (
+            "in_words",
+            "violated",
+            -2.5,
+            "worst:    corridor/it#0: the margin is -2.5, first at t = 0.50 s",
+        ),
         ("never_concerned", "undecided", None, "(vacuous)"),
     ],
 )

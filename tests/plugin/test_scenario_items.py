@@ -38,7 +38,7 @@ def test_a_violation_fails_the_gate_in_every_mode(reference, mode):
     assert result.ret == 1
     text = result.stdout.str()
     assert "violated: GAP-1 on corridor/tight (Reckless): 2 of 2 valid episodes" in text
-    assert "worst:    corridor/tight#0 at t = 0.20 s" in text
+    assert "worst:    corridor/tight#0: gap is 0 where more than 0 is required, first at" in text
     assert "Traceback" not in text
     assert ".py:" not in text.partition("FAILURES")[2]
     assert session.verdicts()["corridor/free", "GO-1"] == "supported"

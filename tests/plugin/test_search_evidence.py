@@ -108,9 +108,10 @@ def test_a_search_leaves_a_record_that_verifies_and_counts_in_no_verdict(searche
     assert str(searched.path) not in str(evidence.searches)
     assert bundle(searched) == []
     shown = result.stdout.str().partition("= dura =")[2]
-    assert "falsified: GAP-1 violated at simulation" in shown
+    assert "falsified: GAP-1 on corridor/searched (Reckless) (1 of 1 cause)" in shown
+    assert "  GAP-1 violated at simulation" in shown
     assert "random seeds" in shown
-    rerun = re.search(r"kept: .*\n  rerun:    pytest (\S+)\n", shown)
+    rerun = re.search(r"kept: .*\n.*\n  rerun:    pytest (\S+)\n", shown)
     again = searched.run(rerun.group(1))
     again.assert_outcomes(failed=1)
     (verdict,) = searched.evidence().verdicts
@@ -190,15 +191,16 @@ def test_a_session_of_searches_alone_supports_nothing(project):
     result.assert_outcomes(passed=1)
     shown = result.stdout.str().partition("= dura =")[2]
     assert "gate: passed, no verdict; searches: 1 nothing found" in shown
-    assert "SAF-1: nothing found in 37 simulations: least robustness 0.125" in shown
+    shown = " ".join(shown.split())
+    assert "search: SAF-1 on corridor/tight (Careful): nothing found in 37 simulations: " in shown
     assert not re.search(r"supported|\bsafe\b|holds|verified", shown)
 
 
-def test_all_fits_into_eighty_columns(project):
-    shown = handmade(project, "falsified", "nothing found").stdout.str().partition("= dura =")[2]
-    about = shown.partition("search ")[2].partition("the gate fails")[0]
-    assert "trivial, each by itself:" in about
-    assert max(map(len, about.splitlines())) <= 80
+def test_who_looked_is_a_table_with_v_and_all_fits_into_the_columns(project):
+    result = handmade(project, "falsified", "nothing found", options=["-v"])
+    shown = result.stdout.str().partition("= dura =")[2].partition("evidence:")[0]
+    assert "trivial, each by itself:" in shown
+    assert max(map(len, shown.splitlines())) <= 100
 
 
 def test_quiet_sessions_show_searches_as_they_show_verdicts(project):

@@ -41,7 +41,7 @@ from pytest_dura.evidence import (
 from pytest_dura.evidence.bundle import FORMATS, default_files
 from pytest_dura.plugin.options import Options
 from pytest_dura.plugin.terminal import summary
-from pytest_dura.reports.causes import causes_of
+from pytest_dura.reports.cards import cards_of
 
 # What a terminal, an editor or a reader might act on instead of showing it.
 CONTROL = re.compile(
@@ -253,8 +253,8 @@ def check_summary(bundle):
     prose = "".join(token.content for token in tokens if token.type == "text")
     assert not re.search(r"@|://|www\.|#\d|\$", prose)  # what GitHub links although it is escaped
     cards = len(re.findall(r"^## `*Cause \d+, ", text, re.MULTILINE))
-    assert 0 < cards <= len(causes_of(bundle.record))
-    assert sum(token.type == "heading_open" for token in tokens) == 8 + cards
+    assert 0 < cards <= len(cards_of(bundle.record))
+    assert sum(token.type == "heading_open" for token in tokens) == 7 + cards
     head = bundle.record.head
     held = (head.verdicts, head.requirements, head.cases, head.hazards)
     assert sum(token.type == "tr_open" for token in tokens) == 6 + sum(map(len, held))

@@ -20,7 +20,7 @@ from stated_counts import dead_references, stated_counts
 
 from pytest_dura.evidence import write_record
 from pytest_dura.reports import cyclonedx, intoto, needs, summary
-from pytest_dura.reports.causes import causes_of
+from pytest_dura.reports.cards import cards_of
 
 some = settings(derandomize=True, deadline=None, max_examples=25)
 
@@ -165,8 +165,8 @@ def test_the_summary_is_harmless_and_states_the_records_counts(record):
     headings = sum(token.type == "heading_open" for token in tokens)
     outcomes = [one for search in record.head.searches for one in search.outcomes]
     cards = len(re.findall(r"^## `*Cause \d+, ", text, re.MULTILINE))
-    assert bool(cards) == bool(causes_of(record))
-    assert headings == 8 + cards + bool(outcomes)
+    assert bool(cards) == bool(cards_of(record))
+    assert headings == 7 + cards + bool(outcomes)
     rows = [token for token in tokens if token.type == "tr_open"]
     head = record.head
     held = head.verdicts, head.hazards, head.requirements, head.cases, outcomes

@@ -83,6 +83,45 @@ def test_runs_with_the_same_event_share_a_cause_and_those_with_another_have_thei
     assert members == {frozenset({f"{CLEAR}#0", f"{CLEAR}#1"}), frozenset({f"{CLEAR}#2"})}
 
 
+def test_what_the_end_of_a_violating_run_leaves_undecided_has_the_same_cause():
+    record = record_of(
+        [
+            violated("SAF-1", counterexample(0, 1.5)),
+            verdict("PERF-1", CLEAR, ("open", "satisfied")),
+        ],
+        [episode(CLEAR, 0, events=crash(1.5), termination="critical"), episode(CLEAR, 1)],
+    )
+
+    (cause,) = causes_of(record)
+
+    assert [each.verdict.verdict for each in cause.findings] == ["violated", "undecided"]
+    assert [each.requirement.id for each in cause.findings] == ["SAF-1", "PERF-1"]
+    assert len(cause.verdicts) == 2
+
+
+def test_a_component_that_raises_in_each_run_is_the_cause_and_not_that_all_are_equal():
+    raised = event(
+        "component_failure", 0.0, "C", "raised ValueError: no (planner.py:12 in propose)"
+    )
+    record = record_of(
+        [
+            verdict("SAF-1", CLEAR, ("satisfied",) * 3)
+            | {"verdict": "undecided", "situation": "repeated"},
+            violated("PERF-1", counterexample(0, 2.0)),
+        ],
+        [episode(CLEAR, run, events=[raised]) for run in range(3)],
+    )
+
+    (cause,) = causes_of(record)
+
+    assert cause.headline.startswith(
+        "At t = 0.00 s C raised ValueError: no (planner.py:12 in propose)"
+    )
+    assert cause.headline.endswith(", in 3 of 3 runs.")
+    assert cause.next_step.startswith("Repair C first, at planner.py:12 in propose")
+    assert {each.requirement for each in cause.verdicts} == {"SAF-1", "PERF-1"}
+
+
 def test_a_seed_that_violates_in_two_cases_with_the_same_event_is_one_cause():
     record = record_of(
         [
@@ -107,7 +146,8 @@ def test_an_event_after_the_violation_is_not_its_cause():
     (cause,) = causes_of(record)
 
     assert cause.headline.startswith("At t = 0.50 s monitor found the proposal unsafe: too near")
-    assert "PERF-1 was violated by 1 at t = 1.00 s" in cause.headline
+    # No unit is declared.
+    assert "; PERF-1: gap is -1 where more than 0 is required, first at t = 1.00 s" in cause.headline
     assert "WALL" not in cause.headline
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from entries import make
+from pens import table_lines
 from session_records import session_data, session_record
 
 from pytest_dura.core.metrics import EpisodeMetrics
 from pytest_dura.evidence import FailureModes, check_record
-from pytest_dura.plugin.terminal_tables import failure_mode_table
 from pytest_dura.reports import (
     decision_age_lines,
     decision_time_lines,
@@ -19,6 +19,7 @@ from pytest_dura.reports import (
 )
 from pytest_dura.reports.html import episode_sections as part
 from pytest_dura.reports.html.page import render
+from pytest_dura.reports.session_tables import failure_mode_tables
 
 
 def tally(hits=1, of=2, null_hits=0, null_of=2, kind="failure"):
@@ -77,8 +78,8 @@ def test_components_are_told_apart_and_arms_left_out():
         "A": 2,
         "B": 2,
     }
-    lines = failure_mode_table(rows)
-    assert [line.split("  ")[0] for line in lines if "failure modes" in line] == [
+    lines = table_lines(*failure_mode_tables(rows))
+    assert [line.split("  ")[0] for line in lines if "failure modes of" in line] == [
         "failure modes of A", "failure modes of B"
     ]  # fmt: skip
 
@@ -95,7 +96,11 @@ def test_controls_stand_below_and_what_could_not_show_nowhere():
 def test_what_the_null_component_alone_could_show_is_told():
     unheard = metrics({"obeys_injection": tally(0, 0, 0, 4), "idle": tally(0, 0, 0, 0)})
     record = record_with(unheard)
-    (line,) = [one for one in failure_mode_table(record.head.cases) if one.startswith("obeys")]
+    line, _by_case = [
+        one
+        for one in table_lines(*failure_mode_tables(record.head.cases))
+        if one.startswith("obeys")
+    ]
     assert line.split() == ["obeys", "injection", "0/0", "-", "0.0", "0/0"]
     assert "| `obeys injection` | failure | `C` | 0 of 0 | - | 0.0 | 0 of 0 |" in summary.render(
         record
@@ -143,7 +148,7 @@ def test_ages_are_told_where_a_decision_came_into_force_later_than_its_percept()
     record = record_with(late)
     assert dict(decision_age_lines(record.head.cases)) == {"C": told}
     line = f"decisions came into force at an age of {told}"
-    assert line in failure_mode_table(record.head.cases)
+    assert line in table_lines(*failure_mode_tables(record.head.cases))
     assert f"- decisions of `C` came into force at an age of {told}\n" in summary.render(record)
     assert f"came into force at an age of {told}" in render(record)
 
@@ -158,7 +163,9 @@ def test_ages_of_several_cases_are_a_range_and_components_are_told_apart():
         for name, one in zip("ABC", told, strict=True)
     ]
     assert list(dict(decision_age_lines(rows))) == ["A", "B"]
-    lines = [line for line in failure_mode_table(rows) if line.startswith("decisions of ")]
+    lines = [
+        line for line in table_lines(*failure_mode_tables(rows)) if line.startswith("decisions of ")
+    ]
     assert [line.partition(" at an age of ")[0] for line in lines] == [
         "decisions of A came into force", "decisions of B came into force"
     ]  # fmt: skip
@@ -168,7 +175,7 @@ def test_where_no_decision_is_older_than_its_percept_ages_are_not_told():
     for these in ((), (0.0, 0.0)):
         record = record_with(metrics({"a": tally()}, ages=these))
         assert list(decision_age_lines(record.head.cases)) == []
-        lines = failure_mode_table(record.head.cases)
+        lines = table_lines(*failure_mode_tables(record.head.cases))
         for page in ("\n".join(lines), summary.render(record), render(record)):
             assert "failure" in page.lower()
             assert "came into force" not in page
@@ -185,7 +192,7 @@ def test_rare_is_not_never(part, expected):
 
 def test_without_accounts_there_is_no_table_anywhere():
     record = session_record()
-    assert failure_mode_table(record.head.cases, by_case=True) == []
+    assert table_lines(*failure_mode_tables(record.head.cases)) == []
     assert "Failure modes" not in summary.render(record)
     assert 'id="failure-modes"' not in render(record)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from entries import make
+from pens import table_lines
 
 from pytest_dura.core import FaultRecord
 from pytest_dura.core.codec import encode
@@ -12,7 +13,8 @@ from pytest_dura.core.metrics import TracedFault
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.conclusions.cases import TRACED, FaultMetrics, with_chains
 from pytest_dura.evidence.episode_model import EpisodeEntry
-from pytest_dura.plugin.terminal_tables import chain_line, fault_table
+from pytest_dura.reports.cards import chain_line
+from pytest_dura.reports.session_tables import fault_table
 
 
 def fault_metrics(episodes):
@@ -96,11 +98,11 @@ def test_what_no_verdict_followed_is_unknown() -> None:
 
 def test_the_table_shows_a_dash_for_what_is_not_known() -> None:
     case = road_free([metrics(UNKNOWN)])
-    row = fault_table([case])[1].removeprefix("f on road/free").split()
+    row = table_lines(fault_table([case]))[1].removeprefix("f on road/free").split()
     assert row == ["1", "1", "1", "-", "0", "-", "0", "-", "0"]
     part = road_free([metrics(UNKNOWN, SPREAD)])
-    assert fault_table([part])[1].removeprefix("f on road/free").split()[3] == "1/1"
-    assert fault_table([road_free([])]) == []
+    assert table_lines(fault_table([part]))[1].removeprefix("f on road/free").split()[3] == "1/1"
+    assert table_lines(fault_table([road_free([])])) == []
 
 
 def test_a_violation_that_nobody_asked_for_is_no_zero() -> None:
@@ -111,7 +113,7 @@ def test_a_violation_that_nobody_asked_for_is_no_zero() -> None:
 
     def last(*faults: dict[str, Any]) -> str:
         case = road_free([metrics(*faults)])
-        return fault_table([case])[1].split()[-1]
+        return table_lines(fault_table([case]))[1].split()[-1]
 
     assert [last(unasked), last(missing), last(CONTAINED)] == ["-", "-", "0"]
     assert [last(unasked, SPREAD, CONTAINED), last(SPREAD, CONTAINED)] == ["1/2", "1"]
@@ -122,18 +124,18 @@ def test_what_is_violated_without_the_fault_as_well_is_not_its_doing() -> None:
     found = metrics(shared, SPREAD, CONTAINED)
     assert (found["judged"], found["violated"], found["violated_without"]) == (3, 1, 1)
     case = road_free([found])
-    assert fault_table([case])[1].split()[-1] == "1+1"
+    assert table_lines(fault_table([case]))[1].split()[-1] == "1+1"
     case = road_free([metrics(shared)])
-    assert fault_table([case])[1].split()[-1] == "0+1"
+    assert table_lines(fault_table([case]))[1].split()[-1] == "0+1"
     assert chain_line(make(TracedFault, **shared)).endswith(
-        "recovered 2.30, violated also without it"
+        "recovered 2.30 s, violated also without it"
     )
 
 
 def test_the_chain_in_words() -> None:
     fault = {**SPREAD, "detected_by": "security_assessor", "pattern": "p", "recovery": "brake"}
     assert chain_line(make(TracedFault, **fault)) == (
-        "f: activated 1.00, manifested 1.00, propagated 1.20, "
-        "detected 1.50 (security_assessor: p), recovery 2.00 (brake), recovered 2.30, violated"
+        "f: activated 1.00 s, manifested 1.00 s, propagated 1.20 s, detected 1.50 s "
+        "(security_assessor: p), recovery 2.00 s (brake), recovered 2.30 s, violated"
     )
     assert chain_line(make(TracedFault, **IDLE)) == "f: never active"

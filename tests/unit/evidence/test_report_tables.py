@@ -6,16 +6,26 @@ import re
 
 import pytest
 from entries import make
+from pens import table_lines
 from searches import entry
 from session_records import session_record
 
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.plugin.terminal_tables import case_table, fault_table
-from pytest_dura.reports import Cell, Column, Shown, case_columns, shown_in, summary, tables
+from pytest_dura.reports import (
+    Cell,
+    Column,
+    Shown,
+    case_columns,
+    session_tables,
+    shown_in,
+    summary,
+    tables,
+)
 from pytest_dura.reports.columns import NO_VALUE
 from pytest_dura.reports.html import verdict_sections
 from pytest_dura.reports.html.page import render
+from pytest_dura.reports.session_tables import case_table, fault_table
 
 
 def headings_of_summary(text: str, section: str) -> list[str]:
@@ -41,7 +51,7 @@ def test_each_format_has_the_columns_of_cases_in_their_order() -> None:
     assert headings_of_page(render(record), "outcomes") == [
         column.title for column in shown_in(columns, Shown.PAGE)
     ]
-    header = case_table(cases, measures=measures)[0]
+    header = table_lines(case_table(cases, measures=measures))[0]
     labels = " ".join(column.label for column in shown_in(columns, Shown.TERMINAL))
     assert header.split() == ["case", *labels.split()]
 
@@ -54,7 +64,7 @@ def with_a_column(monkeypatch: pytest.MonkeyPatch) -> SessionRecord:
         lambda _: Cell("-", "sum-up", "page-up", ("small",), hint="<hint>"),
         meaning="<new>",
     )
-    for module in (summary, verdict_sections):
+    for module in (session_tables, verdict_sections):
         monkeypatch.setattr(module, "VERDICT_COLUMNS", [*tables.VERDICT_COLUMNS, added])
     return session_record(searches=[entry("falsified")])
 
@@ -74,7 +84,9 @@ def test_an_added_column_stands_in_summary_and_page(with_a_column: SessionRecord
 
 def test_the_legend_has_what_every_column_means() -> None:
     faults = [{"id": "ghost", "run": 4, "activated": 3}]
-    _, row, *lines = fault_table([make(CaseEntry, id="a/clear", metrics={"faults": faults})])
+    _, row, *lines = table_lines(
+        fault_table([make(CaseEntry, id="a/clear", metrics={"faults": faults})])
+    )
     assert row.split()[:5] == ["ghost", "on", "a/clear", "4", "3"]
     legend = " ".join(lines)
     assert all(len(line) <= 100 for line in lines)

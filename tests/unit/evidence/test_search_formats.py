@@ -15,9 +15,10 @@ from stated_counts import elements_of, stated_counts
 
 from pytest_dura.evidence import all_formats, write_record
 from pytest_dura.reports import intoto, outcome_headline, summary
+from pytest_dura.reports.cards import search_card
 from pytest_dura.reports.gsn import yaml_file
 from pytest_dura.reports.html.page import render
-from pytest_dura.reports.searches import failure_lines, outcome_entries, simulations_text
+from pytest_dura.reports.searches import failure_lines, simulations_text
 
 PASSED = {"result": "passed", "exit_code": 0, "warn_undecided": False, "failed": 0, "reasons": []}
 SUPPORTED = [verdict("SAF-1", "a/clear", ("satisfied",) * 4)]
@@ -77,23 +78,28 @@ def test_the_headline_of_each_word():
     )
 
 
-def test_a_failing_test_says_what_the_session_says_of_its_search():
-    (one,) = record_of(entry("falsified", "nothing found")).head.searches
-    lines = list(failure_lines(one))
-    assert lines == [
+def test_a_failing_test_says_what_was_violated_and_the_card_the_rest():
+    record = record_of(entry("falsified", "nothing found"))
+    (one,) = record.head.searches
+    assert list(failure_lines(one)) == [
         (
             "falsified: SAF-1 on a/clear (C) violated at simulation 21, by cma-es; "
             "confirmed by 1 equal replay"
         ),
-        f"searched:  {simulations_text(one)}",
-        *lines[2:-3],
-        "baselines: random seeds none in 37; bang-bang at 30",
+        "worst:     gap is -0.25 where more than 0 is required, first at t = 3.40 s",
         "kept:      scenarios/found/a-clear-saf-1.yaml, which --dura-scenarios runs from now on",
         outcome_headline(one, one.outcomes[1], " on a/clear (C)"),
     ]
-    entries = [text for _, text in outcome_entries(one.outcomes[0], 12)]
-    assert [line[11:] for line in lines[2:-3]] == entries
-    assert "simpler:   from 11 to 4 parameters that differ (41 simulations)" in lines
+    card = search_card(one, one.outcomes[0], {"gap": "m"})
+    assert card.headline.endswith(
+        "gap is -0.25 m where more than 0 m is required, first at t = 3.40 s."
+    )
+    entries = [(entry.label, entry.text) for entry in card.entries]
+    assert ("simpler", "from 11 to 4 parameters that differ (41 simulations)") in entries
+    assert ("inputs", "world.ego.speed: 9 instead of 8") in entries
+    assert ("searched", f"{simulations_text(one)}; seed {one.seed}") in entries
+    assert ("trivial", "random seeds none in 37; bang-bang at 30") in entries
+    assert entries[-2][0] == "rerun"
 
 
 def section(text, heading="Searches"):
@@ -117,14 +123,13 @@ def test_the_summary_has_a_row_for_each_requirement_with_the_baselines_beside_it
 
 def test_the_summary_names_what_a_search_found_among_what_is_not_supported():
     found = [entry("falsified", "nothing found", waiver=WAIVER), entry("undecided", item="other")]
-    text = section(summary.render(record_of(*found, verdicts=SUPPORTED)), "Not supported")
-    lines = [line for line in text.split("\n") if line.startswith("- ")]
-    first, second = lines
-    assert first == (
-        "- **search: `SAF-1`** on `a/clear`, component `C` (waived, xfail: ticket 7): falsified: "
-        "SAF-1 violated at simulation 21, by cma-es; confirmed by 1 equal replay"
-    )
-    assert second.startswith("- **search: `SAF-1`** on `a/clear`, component `C`: undecided: SAF-1:")
+    text = summary.render(record_of(*found, verdicts=SUPPORTED))
+    cards = re.findall(r"^## Cause \d, (.*?)(?=^## |^\| gate)", text, re.MULTILINE | re.DOTALL)
+    assert any(card.startswith("undecided: SAF-1 on a/clear (C)\n") for card in cards)
+    falsified = cards[-1]  # what is waived comes last
+    assert falsified.startswith("falsified: SAF-1 on a/clear (C) \\[xfail\\]\n")
+    assert "violated at simulation 21, by cma-es; confirmed by 1 equal replay" in falsified
+    assert "- inputs: world.ego.speed: 9 instead of 8" in falsified
 
 
 def test_a_session_without_searches_has_no_section_of_them():

@@ -6,7 +6,8 @@ from entries import make
 
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.plugin.terminal_tables import keep_worst, worst_cases
+from pytest_dura.reports.pens.terminal import keep_worst
+from pytest_dura.reports.session_tables import case_ranks
 
 
 def verdict(case, word, pairs=None):
@@ -25,6 +26,7 @@ def test_no_case_with_a_violation_gives_way_to_one_without():
     verdicts = [verdict(f"a/{n}", "supported") for n in range(5)]
     verdicts += [verdict("a/1", "undecided"), verdict("a/6", "violated")]
     verdicts += [verdict("a/4", "violated", {"case": "a/7"})]
-    shown = [one.id for one in worst_cases(cases, verdicts, most=4)]
+    ranks = case_ranks(cases, verdicts)
+    shown = [one.id for one in keep_worst(cases, ranks, most=4)]
     assert shown == ["a/1", "a/4", "a/6", "a/7"]
-    assert [one.id for one in worst_cases(cases, verdicts, most=5)] == ["a/0", *shown]
+    assert [one.id for one in keep_worst(cases, ranks, most=5)] == ["a/0", *shown]

@@ -5,17 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from entries import make
+from pens import table_lines
 
 from pytest_dura.core.codec import encode
 from pytest_dura.evidence.case_model import CaseEntry, OverallEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.verdict_model import EffectivenessEntry
-from pytest_dura.plugin.terminal_tables import (
-    case_table,
-    effectiveness_lines,
-    pair_table,
-    reliance_table,
-)
+from pytest_dura.reports.session_tables import case_table, pair_table, reliance_table
+from pytest_dura.reports.story import effectiveness_lines
 from pytest_dura.requirements import PairCounts
 
 
@@ -65,22 +62,24 @@ def verdict(name: str, *cells: int) -> ItemVerdict:
 
 def test_a_last_row_is_over_all_cases_where_there_are_several() -> None:
     found = [case("a/b"), case("c/d")]
-    lines = case_table(found, [overall(2, flagged=share(7))])
+    lines = table_lines(case_table(found, [overall(2, flagged=share(7))]))
     assert [cells(line)[0] for line in lines[1:4]] == ["a/b", "c/d", "overall"]
     assert cells(lines[3])[2] == "70"
-    assert not any(line.startswith("overall") for line in case_table(found[:1], [overall(1)]))
+    assert not any(
+        line.startswith("overall") for line in table_lines(case_table(found[:1], [overall(1)]))
+    )
 
 
 def test_of_several_components_each_has_its_own() -> None:
     found = [case("a/b"), case("a/b", "D"), case("c/d"), case("c/d", "D")]
-    lines = case_table(found, [overall(2), overall(2, "D")])
+    lines = table_lines(case_table(found, [overall(2), overall(2, "D")]))
     assert [line.partition("  ")[0] for line in lines[5:7]] == ["overall (C)", "overall (D)"]
 
 
 def test_reliance_comfort_and_reactions_stand_beside_each_case() -> None:
     reactions = {"follows the fake": 3, "puzzled": 1}
-    header, row, last, *legend = reliance_table(
-        [case("a/b", reactions=reactions)], [overall(2, reactions=reactions)]
+    header, row, last, *legend = table_lines(
+        reliance_table([case("a/b", reactions=reactions)], [overall(2, reactions=reactions)])
     )
     names = "reliance rescued % time % comfort % unaffected erratic frozen follows puzzled"
     assert header.split() == names.split()
@@ -92,17 +91,22 @@ def test_reliance_comfort_and_reactions_stand_beside_each_case() -> None:
 
 def test_what_nobody_measures_has_no_column_and_without_anything_there_is_no_table() -> None:
     quiet = case("a/b", comfort_failed=None)
-    header, row, *_ = reliance_table([quiet])
+    header, row, *_ = table_lines(reliance_table([quiet]))
     assert header.split() == ["reliance", "rescued", "%", "time", "%"]
     assert cells(row) == ["a/b", "20", "12.5"]
-    assert reliance_table([case("a/b", comfort_failed=None, rescued=share(0))]) == []
-    assert reliance_table([case("a/b", comfort_failed=None, rescued=None, switching=None)]) == []
+    assert table_lines(reliance_table([case("a/b", comfort_failed=None, rescued=share(0))])) == []
+    assert (
+        table_lines(
+            reliance_table([case("a/b", comfort_failed=None, rescued=None, switching=None)])
+        )
+        == []
+    )
 
 
 def test_pairs_have_one_rate_of_success_each_and_together() -> None:
     cases = [case("z/first"), case("a/second")]
     verdicts = [verdict("a/second", 0, 1, 0, 2, 0), verdict("z/first", 3, 0, 1, 0, 4)]
-    header, first, second, together, *_ = pair_table(verdicts, cases)
+    header, first, second, together, *_ = table_lines(pair_table(verdicts, cases))
     names = "recovery pairs prev intro futile unnec success p takeovers to safe s"
     assert header.split() == names.split()
     assert " ".join(first.split()) == "R on z/first 8 3 0 1 0 75 (4) 1 3 0.2"
@@ -110,14 +114,14 @@ def test_pairs_have_one_rate_of_success_each_and_together() -> None:
     assert " ".join(together.split()) == "R overall 11 3 1 1 2 75 (4) - - -"
 
 
-def test_sentences_on_recovery_and_on_monitors_are_told_apart_and_wrapped() -> None:
-    found = [
-        make(EffectivenessEntry, role=role, component="C", detail="cannot be told here " * 8)
+def test_sentences_on_recovery_and_on_monitors_are_kept_apart_and_so_is_what_is_not_known() -> None:
+    entries = [
+        make(EffectivenessEntry, role=role, component="C", finding=finding, detail=finding)
         for role in ("recovery_planner", "watch")
+        for finding in ("prevented", "cannot be told")
     ]
-    recovery = effectiveness_lines(found, "recovery_planner")
-    monitors = effectiveness_lines(found)
-    assert recovery[0].startswith("recovery_planner: cannot be told here")
-    assert monitors[0].startswith("watch: cannot")
-    assert all(len(line) <= 100 for line in recovery + monitors)
-    assert all(line.startswith("  ") for line in recovery[1:])
+    for recovery, role in ((True, "recovery_planner"), (False, "watch")):
+        known = list(effectiveness_lines(entries, recovery=recovery))
+        unknown = list(effectiveness_lines(entries, recovery=recovery, known=False))
+        assert known == [f"{role}: prevented"]
+        assert unknown == [f"{role}: cannot be told"]

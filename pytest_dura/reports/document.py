@@ -1,0 +1,194 @@
+"""Document: what a session shows, in order of importance, for every pen.
+
+A part names the level of detail from which on it is shown, so that a pen stops early. Texts are
+bounded and on one line each; a pen escapes them for its format.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Literal
+
+from pytest_dura.reports.columns import Column, Shown
+from pytest_dura.reports.svg import Svg
+
+
+class Level(IntEnum):
+    """Level of detail."""
+
+    FIRST = 0
+    """The first screen."""
+    TERMINAL = 1
+    """The terminal."""
+    SUMMARY = 2
+    """The summary, and the terminal with ``-v``."""
+    PAGE = 3
+    """The page."""
+
+
+Kind = Literal["text", "code", "replay", "rerun"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A labelled entry of a card.
+
+    Args:
+        label: What it is on; a requirement's id, or a word of ours; empty where it goes on.
+        text: The text; of kind ``replay`` the id of an episode, of kind ``rerun`` that of an item,
+            of which a pen makes the command.
+        kind: How a pen sets it.
+        code: A check that stands behind the text; empty for none.
+        weight: From which level on it is shown.
+    """
+
+    label: str
+    text: str
+    kind: Kind = "text"
+    code: str = ""
+    weight: Level = Level.FIRST
+
+
+@dataclass(frozen=True)
+class Card:
+    """One thing that went wrong, or one verdict.
+
+    Args:
+        status: Of what it is on, such as ``violated``.
+        title: Heading, without its number.
+        headline: What happened, in a sentence.
+        entries: The rest.
+        anchor: Of the page.
+    """
+
+    status: str
+    title: str
+    headline: str
+    entries: tuple[Entry, ...] = ()
+    anchor: str = ""
+    weight: Level = Level.FIRST
+    shown: Shown = Shown.ALL
+
+
+@dataclass(frozen=True)
+class Text:
+    """Sentences, each on lines of its own.
+
+    Args:
+        lines: The sentences.
+        weight: From which level on they are shown.
+        shown: Formats that have them.
+        status: What colours them, such as ``undecided``; empty for nothing.
+    """
+
+    lines: tuple[str, ...]
+    weight: Level = Level.TERMINAL
+    shown: Shown = Shown.ALL
+    status: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Args:
+        name: Heading of the names of its rows, and in files its title.
+        columns: As they are declared.
+        rows: Each with its name, which the terminal shows beside the cells; ``None`` for a heading
+            among them.
+        about: What the legend begins with.
+        group: The terminal's table, where a list of columns makes several.
+        notes: Lines below it.
+        weight: From which level on it is shown.
+        shown: Formats that have it.
+        statuses: What colours each row; empty for nothing.
+        ranks: How bad each row is, 0 the worst, where a pen keeps the worst of many, and less than
+            0 for sums, which it keeps beside them; empty where it keeps the first.
+    """
+
+    name: str
+    columns: Sequence[Column[Any]]
+    rows: Sequence[tuple[str, Any]]
+    about: str = ""
+    group: str = ""
+    notes: tuple[str, ...] = ()
+    weight: Level = Level.SUMMARY
+    shown: Shown = Shown.ALL
+    statuses: Sequence[str] = ()
+    ranks: Sequence[int] = ()
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A picture of the page."""
+
+    title: str
+    picture: Svg
+    weight: Level = Level.PAGE
+    shown: Shown = Shown.PAGE
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command to type.
+
+    Args:
+        label: What it does.
+        text: The command.
+        weight: From which level on it is shown.
+        shown: Formats that have it.
+    """
+
+    label: str
+    text: str
+    weight: Level = Level.TERMINAL
+    shown: Shown = Shown.ALL
+
+
+Part = Text | Card | Table | Plot | Command
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of a document.
+
+    Args:
+        title: Its heading in files; empty for none.
+        parts: In order of importance.
+        weight: From which level on it is shown.
+        anchor: Of the page.
+    """
+
+    title: str
+    parts: tuple[Part, ...]
+    weight: Level = Level.FIRST
+    anchor: str = ""
+
+    def parts_for(self, place: Shown, level: Level) -> Iterator[Part]:
+        """Yield the parts of a format at a level of detail; none below the section's own."""
+        if self.weight <= level:
+            for part in self.parts:
+                if part.weight <= level and place in part.shown:
+                    yield part
+
+
+@dataclass(frozen=True)
+class Document:
+    """What a session shows.
+
+    Args:
+        verdict: Result of the gate and what it rests on, in a line.
+        sections: In order of importance.
+    """
+
+    verdict: str
+    sections: tuple[Section, ...]
+
+    @property
+    def cards(self) -> list[Card]:
+        """All cards, the worst first."""
+        return [
+            part for section in self.sections for part in section.parts if isinstance(part, Card)
+        ]

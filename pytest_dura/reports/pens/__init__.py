@@ -1,0 +1,1 @@
+"""Pens: each writes a document in one format."""

@@ -1,0 +1,370 @@
+"""Tables of a session as parts of its document: cases, what roles and faults did, verdicts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+
+from pytest_dura.core.measures import MeasureInfo
+from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
+from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
+from pytest_dura.evidence.conclusions.totals import verdict_counts
+from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.session_model import PriceEntry
+from pytest_dura.evidence.text import name
+from pytest_dura.reports.columns import Shown, shown_in
+from pytest_dura.reports.concluded import concluded_tables
+from pytest_dura.reports.document import Level, Table
+from pytest_dura.reports.failure_modes import (
+    FAILURE_MODE_HEADINGS,
+    cases_with_accounts,
+    decision_age_lines,
+    decision_time_lines,
+    failure_mode_text,
+    failure_modes_by_component,
+    judge_agreement_lines,
+    measured_failure_modes,
+)
+from pytest_dura.reports.hazards import HAZARD_COLUMNS, hazards_by_need
+from pytest_dura.reports.role_tables import (
+    ATTACK_COLUMNS,
+    FAULT_COLUMNS,
+    MONITOR_COLUMNS,
+    PAIR_COLUMNS,
+    AttackRow,
+    FailureModeRow,
+    FaultRow,
+    MonitorRow,
+    PairRow,
+    failure_mode_columns,
+    summed_pairs,
+)
+from pytest_dura.reports.searches import ordered_outcomes, searcher_name
+from pytest_dura.reports.tables import (
+    COMPARISON_COLUMNS,
+    NO_CHANGE,
+    REQUIREMENT_COLUMNS,
+    SEARCH_COLUMNS,
+    SEARCHER_COLUMNS,
+    VERDICT_COLUMNS,
+    CaseRow,
+    OutcomeRow,
+    RequirementRow,
+    SearcherRow,
+    case_columns,
+)
+from pytest_dura.reports.usage import usage_columns, usage_rows
+from pytest_dura.requirements.comparison import BaselineComparison
+from pytest_dura.requirements.model import FAULTS, Requirement
+from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.pairs import PairTable
+from pytest_dura.requirements.searches import Falsification
+
+Rows = list[tuple[str, CaseRow]]
+VERDICT_RANK = {"violated": 0, "undecided": 1, "supported": 2}
+_MEAN_NOTE = "9.1 +- 0.4 (3): mean +- standard deviation over so many runs"
+_BEYOND_NOTE = "3*: so many more runs that are invalid or missing, which are in no rate"
+
+
+def case_table(
+    cases: Sequence[CaseEntry],
+    overall: Sequence[OverallEntry] = (),
+    measures: Sequence[MeasureInfo] = (),
+    verdicts: Iterable[ItemVerdict] = (),
+) -> Table:
+    """Make the paper's table: a row per case and component, and one per component.
+
+    Args:
+        cases: Those that are shown.
+        overall: The record's, over all of them.
+        measures: The record's.
+        verdicts: By which the worst cases are kept where there are too many.
+    """
+    rows = _case_rows(cases, overall)
+    columns = case_columns([row for _, row in rows], measures)
+    notes = []
+    if any(measure.shown == "mean" for measure in measures):
+        notes.append(_MEAN_NOTE)
+    shown = shown_in(columns, Shown.TERMINAL)
+    beyond = (row for _, row in rows if row.metrics.invalid or row.metrics.missing)
+    if any("*" in column.cell(row).terminal for row in beyond for column in shown):
+        notes.append(_BEYOND_NOTE)
+    return Table(
+        "case",
+        columns,
+        rows,
+        notes=tuple(notes),
+        weight=Level.TERMINAL,
+        ranks=[*case_ranks(cases, verdicts), *(-1 for _ in rows[len(cases) :])],
+    )
+
+
+def case_ranks(cases: Sequence[CaseEntry], verdicts: Iterable[ItemVerdict]) -> list[int]:
+    """How bad the worst verdict on each case is, also on comparisons; 0 is the worst."""
+    rank: dict[tuple[str, str], int] = {}
+    for verdict in verdicts:
+        for case in (verdict.case, *([verdict.pairs.case] if verdict.pairs else ())):
+            key = case, verdict.component
+            rank[key] = min(rank.get(key, len(VERDICT_RANK)), VERDICT_RANK[verdict.verdict])
+    return [rank.get((case.id, case.component), len(VERDICT_RANK)) for case in cases]
+
+
+def _case_rows(cases: Sequence[CaseEntry], overall: Sequence[OverallEntry]) -> Rows:
+    """The rows with their names: the cases, then all together if several."""
+    several = len({case.component for case in cases}) > 1
+    rows: Rows = [(case.id, case) for case in cases]
+    rows += [("overall", entry) for entry in overall if entry.cases > 1]
+    return [(f"{own} ({row.component})" if several else own, row) for own, row in rows]
+
+
+def reliance_table(
+    cases: Sequence[CaseEntry], overall: Sequence[OverallEntry] = ()
+) -> Table | None:
+    """Make the table of how often recovery acts, what passengers feel, and reactions to attacks.
+
+    Args:
+        cases: Those that are shown.
+        overall: The record's, over all of them.
+    """
+    rows = _case_rows(cases, overall)
+    if not any(
+        row.metrics.comfort_failed
+        or row.metrics.reactions
+        or (row.metrics.rescued and row.metrics.rescued.run)
+        for _, row in rows
+    ):
+        return None
+    columns = case_columns([row for _, row in rows], ())
+    return Table("reliance", columns, rows, group="reliance", shown=Shown.TERMINAL)
+
+
+def fault_table(cases: Sequence[CaseEntry]) -> Table | None:
+    """Make a row per fault, case and component."""
+    several = len({case.component for case in cases}) > 1
+    rows = []
+    for case in cases:
+        for fault in case.metrics.faults:
+            # Most cases are named after their only fault, which is not repeated. One of several
+            # stays: without it the name would be that of another case.
+            is_only = len(case.metrics.faults) == 1
+            case_name = case.id.removesuffix(f"+{fault.id}") if is_only else case.id
+            component = f" ({case.component})" if several else ""
+            rows.append((f"{fault.id} on {case_name}{component}", FaultRow(case, fault)))
+    return Table("fault", FAULT_COLUMNS, rows, shown=Shown.TERMINAL) if rows else None
+
+
+def attack_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Table | None:
+    """Make the table of what faults did: a row per case and requirement on pairs without them."""
+    rows = [
+        (f"{verdict.requirement} on {verdict.case}", AttackRow(verdict))
+        for verdict in _by_case(verdicts, cases)
+        if verdict.pairs and verdict.pairs.without == FAULTS
+    ]
+    return Table("attack", ATTACK_COLUMNS, rows, shown=Shown.TERMINAL) if rows else None
+
+
+def pair_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Table | None:
+    """Make the table of what recovery did, by case, component and requirement on pairs without."""
+    metrics = {(case.id, case.component): case.metrics for case in cases}
+    rows: list[tuple[str, PairRow]] = []
+    sums: dict[tuple[str, str], list[PairTable]] = {}
+    for verdict in _by_case(verdicts, cases):
+        pairs = verdict.pairs
+        if not isinstance(pairs, PairTable) or pairs.without != RECOVERY_ROLE:
+            continue
+        switching = metrics[verdict.case, verdict.component].switching
+        row = PairRow(verdict, pairs, switching)
+        rows.append((f"{verdict.requirement} on {verdict.case}", row))
+        sums.setdefault((verdict.requirement, verdict.component), []).append(pairs)
+    for (requirement, component), pairs_of_cases in sums.items():
+        if len(pairs_of_cases) > 1:
+            whose = f" ({component})" if len({component for _, component in sums}) > 1 else ""
+            row = PairRow(None, summed_pairs(pairs_of_cases))
+            rows.append((f"{requirement} overall{whose}", row))
+    return Table("recovery", PAIR_COLUMNS, rows, shown=Shown.TERMINAL) if rows else None
+
+
+def _by_case(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Iterable[ItemVerdict]:
+    order = {case.id: place for place, case in enumerate(cases)}
+    return sorted(verdicts, key=lambda verdict: order.get(verdict.case, len(order)))
+
+
+def monitor_table(monitors: Sequence[MonitorQuality]) -> Table | None:
+    """Make the table of how good each monitor was, a row per case and monitor.
+
+    Requirements on which it did equally well share a row; where nothing was violated and nothing
+    flagged there is none.
+    """
+    same: dict[tuple[str, ...], list[MonitorQuality]] = {}
+    for monitor in monitors:
+        if monitor.true_positives + monitor.false_negatives + monitor.false_positives:
+            columns = shown_in(MONITOR_COLUMNS, Shown.TERMINAL)
+            cells = [column.cell(MonitorRow(monitor)).terminal for column in columns]
+            key = monitor.case.partition("~")[0], monitor.monitor, *cells
+            same.setdefault(key, []).append(monitor)
+    rows = [
+        (f"{who}, {case}: {', '.join(entry.target for entry in alike)}", MonitorRow(alike[0]))
+        for (case, who, *_), alike in same.items()
+    ]
+    if not rows:
+        return None
+    about = "runs without recovery"
+    return Table("monitor", MONITOR_COLUMNS, rows, about, shown=Shown.TERMINAL)
+
+
+def failure_mode_tables(cases: Sequence[CaseEntry]) -> Iterator[Table]:
+    """Make the terminal's tables of failure modes, over all cases and by case.
+
+    The negative control, and what is no failure by itself, stand apart below.
+    """
+    by_component = failure_modes_by_component(cases)
+    several = len(by_component) > 1
+    notes = []
+    for component, text in decision_time_lines(cases):
+        notes.append(f"answers{f' of {component}' if several else ''}: {text}")
+    for component, text in decision_age_lines(cases):
+        whose = f" of {component}" if several else ""
+        notes.append(f"decisions{whose} came into force at an age of {text}")
+    for component, text in judge_agreement_lines(cases):
+        notes.append(f"{text}{f' of {component}' if several else ''}")
+    last = len(by_component) - 1
+    for number, (component, modes) in enumerate(by_component.items()):
+        whose = f" of {component}" if several else ""
+        yield _mode_table(modes, whose, tuple(notes) if number == last else ())
+    for case in cases_with_accounts(cases):
+        whose = f" of {case.component}" if several else ""
+        modes = measured_failure_modes(case.metrics.failure_modes)
+        yield _mode_table(modes, f" on {case.id}{whose}")
+
+
+def _mode_table(
+    modes: Sequence[FailureModeEntry], whose: str, notes: tuple[str, ...] = ()
+) -> Table:
+    rows: list[tuple[str, FailureModeRow | None]] = []
+    kind = ""
+    for mode in modes:
+        if mode.kind != kind:
+            kind = mode.kind
+            if kind != "failure":
+                rows.append((f"{FAILURE_MODE_HEADINGS[kind]}:", None))
+        rows.append((failure_mode_text(mode.name), FailureModeRow(mode)))
+    title = FAILURE_MODE_HEADINGS["failure"] + whose
+    return Table(title, failure_mode_columns(), rows, notes=notes, shown=Shown.TERMINAL)
+
+
+def usage_table(cases: Sequence[CaseEntry], price: PriceEntry | None) -> Table | None:
+    """Make a row per case and component on the tokens that decisions used."""
+    rows = usage_rows(cases, price)
+    several = len({row.case.component for row in rows}) > 1
+    named = [(row.case.id + (f" ({row.case.component})" if several else ""), row) for row in rows]
+    return Table("tokens", usage_columns(price), named) if rows else None
+
+
+def verdict_table(record: SessionRecord) -> Table:
+    """Make a row for each verdict, the most urgent first."""
+    verdicts = sorted(record.head.verdicts, key=urgency)
+    several = len({each.component for each in verdicts}) > 1
+    rows = [
+        (
+            f"{each.requirement} on {each.case}" + (f" ({each.component})" if several else ""),
+            each,
+        )
+        for each in verdicts
+    ]
+    statuses = [each.verdict for each in verdicts]
+    return Table("verdict", VERDICT_COLUMNS, rows, statuses=statuses)
+
+
+def requirement_table(record: SessionRecord) -> Table:
+    """Make a row for each requirement with its verdicts by status, those that fail first."""
+    of_each: dict[str, list[ItemVerdict]] = {each.id: [] for each in record.head.requirements}
+    for verdict in record.head.verdicts:
+        of_each.setdefault(verdict.requirement, []).append(verdict)
+    counts = {own: verdict_counts(verdicts) for own, verdicts in of_each.items()}
+    cells, left_out = record.head.coverage.cells, record.head.coverage.left_out
+    untested = Counter(cell.requirement for cell in cells if cell.verdict is None)
+    more = " or more" if left_out else ""
+
+    def failing(requirement: Requirement) -> tuple[bool, bool]:
+        own = counts[requirement.id]
+        return not own["violated"], not own["undecided"]
+
+    rows = [
+        (each.id, RequirementRow(each, counts[each.id], f"{untested[each.id]}{more}"))
+        for each in sorted(record.head.requirements, key=failing)
+    ]
+    return Table("requirement", REQUIREMENT_COLUMNS, rows, shown=Shown.FILES)
+
+
+def hazard_table(record: SessionRecord) -> Table | None:
+    """Make a row for each hazard, those without evidence first."""
+    rows = [(each.hazard.id, each) for each in hazards_by_need(record)]
+    return Table("hazard", HAZARD_COLUMNS, rows, shown=Shown.FILES) if rows else None
+
+
+def search_table(record: SessionRecord) -> Table | None:
+    """Make a row for each outcome of a search, the worst first."""
+    rows = [(search.case, OutcomeRow(search, own)) for search, own in ordered_outcomes(record)]
+    return Table("search", SEARCH_COLUMNS, rows, shown=Shown.SUMMARY) if rows else None
+
+
+def mode_table_of_files(record: SessionRecord) -> Table | None:
+    """Make the files' table of failure modes, over all cases."""
+    rows = [
+        (component, FailureModeRow(mode, component))
+        for component, modes in failure_modes_by_component(record.head.cases).items()
+        for mode in modes
+    ]
+    return Table("mode", failure_mode_columns(), rows, shown=Shown.SUMMARY) if rows else None
+
+
+def urgency(verdict: ItemVerdict) -> tuple[bool, int]:
+    """Sort key: what makes the gate fail comes first, violations before what is undecided."""
+    status = verdict.verdict
+    return status == "supported" or verdict.waiver is not None, VERDICT_RANK[status]
+
+
+def comparison_table(comparisons: Sequence[BaselineComparison]) -> Table | None:
+    """Make a row for each comparison with a baseline that has violations, what is worse first."""
+    shown = [each for each in comparisons if each.test is None or has_violations(each)]
+    rows = [
+        (f"{name(each.requirement)} on {name(each.case)}", each)
+        for status in ("worse", "better", NO_CHANGE)
+        for each in shown
+        if each.status == status
+    ]
+    if not rows:
+        return None
+    note = (
+        "(worse), (better): without the correction only; -: no evidence of a change, which is no "
+        "evidence that nothing changed"
+    )
+    return Table(
+        "requirement and case", COMPARISON_COLUMNS, rows, notes=(note,), shown=Shown.TERMINAL,
+        weight=Level.TERMINAL, statuses=[each.status for _, each in rows],
+    )  # fmt: skip
+
+
+def has_violations(comparison: BaselineComparison) -> bool:
+    """Whether anything violated the requirement, now or in the baseline."""
+    return bool(comparison.violations or comparison.baseline_violations)
+
+
+def searcher_table(search: Falsification, requirement: str) -> Table:
+    """Make the table of the searchers, and below them each trivial baseline by itself."""
+    rows: list[tuple[str, SearcherRow | None]] = [
+        (searcher_name(each), SearcherRow(each, requirement)) for each in search.searchers
+    ]
+    rows.append(("trivial, each by itself:" if search.baselines else "trivial: none was run", None))
+    rows += [(searcher_name(each), SearcherRow(each, requirement)) for each in search.baselines]
+    return Table("searcher", SEARCHER_COLUMNS, rows, shown=Shown.TERMINAL)
+
+
+def further_tables(record: SessionRecord) -> Iterator[tuple[str, Table]]:
+    """Yield the further tables of a session with their titles."""
+    for table in concluded_tables(record):
+        first = table.columns[0]
+        rows = [(first.cell(row).terminal, row) for row in table.rows]
+        about = table.about.rstrip(".")
+        yield table.title, Table(first.name, table.columns, rows, about, weight=Level.TERMINAL)

@@ -1,0 +1,472 @@
+"""Story: the document of a session, in order of importance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from pytest_dura.evidence.case_model import CaseEntry
+from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
+from pytest_dura.evidence.gate import (
+    NOTHING_FOUND,
+    draws_lines,
+    not_repeatable_lines,
+    outcome_status,
+)
+from pytest_dura.evidence.item_verdicts import ItemVerdict
+from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.session_model import ResumeEntry, SearchOrigins
+from pytest_dura.evidence.sessions import outdated_reason
+from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.verdict_model import EffectivenessEntry
+from pytest_dura.reports.cards import cards_of
+from pytest_dura.reports.columns import Shown
+from pytest_dura.reports.document import Document, Level, Part, Section, Table, Text
+from pytest_dura.reports.failure_modes import (
+    failure_mode_text,
+    failure_modes_by_component,
+    percent_text,
+    unavailability_text,
+    uncovered_lines,
+)
+from pytest_dura.reports.hazards import hazard_line
+from pytest_dura.reports.searches import (
+    NOTHING_SUPPORTED,
+    is_notable_outcome,
+    ordered_outcomes,
+    outcome_counts_text,
+    outcome_headline,
+    simulations_text,
+)
+from pytest_dura.reports.session_tables import (
+    attack_table,
+    case_table,
+    comparison_table,
+    failure_mode_tables,
+    fault_table,
+    further_tables,
+    has_violations,
+    hazard_table,
+    mode_table_of_files,
+    monitor_table,
+    pair_table,
+    reliance_table,
+    requirement_table,
+    search_table,
+    searcher_table,
+    usage_table,
+    verdict_table,
+)
+from pytest_dura.reports.usage import spending_text, usage_rows
+from pytest_dura.reports.verdicts import reading_sentences
+from pytest_dura.reports.wording import (
+    beyond_plan_sentences,
+    look_sentences,
+    names_text,
+    roles_off_lines,
+    second_engine_text,
+    selection_text,
+    shard_text,
+    supported_sentence,
+)
+from pytest_dura.requirements.comparison import BaselineComparison, ComparedBaseline
+from pytest_dura.requirements.model import FAULTS
+from pytest_dura.requirements.pairs import ChangeTable, PairTable
+
+_MOST_REASONS = 8
+"""Reasons that are shown."""
+_MOST_MODES = 3
+"""Failure modes in a line."""
+_CANNOT_BE_TOLD = "cannot be told"
+
+
+def document_of(record: SessionRecord) -> Document:
+    """Make the document of a session's record."""
+    sections = [
+        Section("Causes", tuple(cards_of(record))),
+        *_case_sections(record),
+        Section("Searches", tuple(_search_parts(record))),
+        *_file_sections(record),
+        Section("", tuple(_note_parts(record))),
+        Section("Baseline", tuple(_baseline_parts(record))),
+    ]
+    return Document(verdict_line(record), tuple(each for each in sections if each.parts))
+
+
+def verdict_line(record: SessionRecord) -> str:
+    """The gate's result, and the verdicts that it rests on: ``failed, 6 supported, 5 violated``."""
+    totals = record.head.totals
+    counted_verdicts = {
+        "supported": totals.supported,
+        "violated": totals.violated,
+        "undecided": totals.undecided,
+        "waived": totals.waived,
+    }
+    parts = [f"{count} {status}" for status, count in counted_verdicts.items() if count]
+    whose = f"gate of {shard_text(record)}" if shard_text(record) else "gate"
+    counts = outcome_counts_text(record)
+    text = f"; searches: {counts}" if counts else ""
+    words = [totals.gate, *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
+    return f"{whose}: {', '.join(words)}{text}"
+
+
+def _case_sections(record: SessionRecord) -> Iterator[Section]:
+    """What was run, the table of cases, further tables, and what roles and faults did."""
+    head = record.head
+    if head.cases:
+        yield Section("", tuple(_session_parts(record)))
+    # Runs without a role that serve a comparison are shown in its table.
+    twins = {verdict.pairs.case for verdict in head.verdicts if verdict.pairs}
+    cases = [case for case in head.cases if not case.without or case.id not in twins]
+    table = case_table(cases, head.overall, head.measures, head.verdicts)
+    all_cases = case_table(head.cases, measures=head.measures)
+    yield Section(
+        "Cases",
+        (replace(table, shown=Shown.TERMINAL), replace(all_cases, shown=Shown.SUMMARY),
+         *_terminal(_after_cases(record))),
+    )  # fmt: skip
+    for title, further in further_tables(record):
+        yield Section(title, (*_terminal([one_line(title)]), further))
+    yield Section("Details", tuple(_detail_parts(record, cases)))
+    readings = [
+        f"{name(verdict.requirement)} on {name(verdict.case)}: {sentence}"
+        for verdict in head.verdicts
+        for sentence in reading_sentences(verdict)
+    ]
+    yield Section("Verdicts", (verdict_table(record), *_terminal(readings, Level.SUMMARY)))
+
+
+def _file_sections(record: SessionRecord) -> Iterator[Section]:
+    """Tables that the terminal has not: hazards, requirements, what decisions showed and used."""
+    files = {
+        "Hazards": hazard_table(record),
+        "Requirements": requirement_table(record),
+        "Failure modes": mode_table_of_files(record),
+        "Tokens": _in(usage_table(record.head.cases, record.head.llm_price), Shown.SUMMARY),
+    }
+    for title, table in files.items():
+        if table is not None:
+            yield Section(title, (table,))
+
+
+def _terminal(lines: Sequence[str] | Iterator[str], weight: Level = Level.TERMINAL) -> list[Text]:
+    lines = tuple(lines)
+    return [Text(lines, weight, Shown.TERMINAL)] if lines else []
+
+
+def _session_parts(record: SessionRecord) -> Iterator[Part]:
+    head = record.head
+    names = sorted({case.component for case in head.cases})
+    opaque = " (a bare instance, in this process only)" if head.component_under_test.opaque else ""
+    yield from _terminal(
+        [f"component under test: {', '.join(names)}{opaque}, base seed {head.base_seed}"]
+    )
+    if off := roles_off_lines(record):
+        yield Text(tuple(off), shown=Shown.TERMINAL, status="undecided")
+    if head.selection.runs is not None:
+        runs = head.selection.runs
+        yield from _terminal([f"--dura-runs={runs} replaced the planned number of runs"])
+
+
+def _after_cases(record: SessionRecord) -> Iterator[str]:
+    ended_early = sum(case.metrics.ended_early for case in record.head.cases)
+    if ended_early:
+        text = "ended early, once all was decided; figures are up to then"
+        yield f"{counted(ended_early, 'episode')} {text}"
+    if record.head.resume.resumed:
+        yield from _taken_over(record.head.resume, record.head.totals.episodes, "episode")
+    by_hand = sum(not episode.planned for episode in record.episodes())
+    if by_hand:
+        yield f"and {counted(by_hand, 'episode')} with a seed chosen by hand"
+
+
+def _taken_over(
+    origins: ResumeEntry | SearchOrigins, count: int, noun: str, suffix: str = ""
+) -> Iterator[str]:
+    """Count what was taken over and simulated, with reasons for what was repeated."""
+    taken, sessions = origins.taken_over, len(origins.sessions)
+    origin = f" from {counted(sessions, 'earlier session')}" if taken else ""
+    yield f"{counted(taken, noun)}{suffix} taken over{origin}, {count - taken} simulated"
+    outdated = sorted(origins.outdated, key=lambda entry: -entry.episodes)
+    for entry in outdated[:_MOST_REASONS]:
+        repeated = f"{counted(entry.episodes, noun)}{suffix} simulated again"
+        yield f"{repeated}: {outdated_reason(entry.changed)}"
+    if len(outdated) > _MOST_REASONS:
+        rest = sum(entry.episodes for entry in outdated[_MOST_REASONS:])
+        yield f"{counted(rest, noun)}{suffix} simulated again for other reasons: see the record"
+
+
+# What roles, faults and the component did: a line each, and with more detail a table.
+
+
+def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator[Part]:
+    head = record.head
+    modes = tuple(failure_mode_tables(cases))
+    uncovered, price = list(_uncovered_lines(record)), head.llm_price
+    roles = head.effectiveness
+    models = list(_model_lines(record))
+    groups: list[tuple[list[str], Sequence[Table | None]]] = [
+        ([*_failure_mode_lines(cases), *uncovered], modes),
+        ([*_usage_lines(cases), *models], [_in(usage_table(cases, price), Shown.TERMINAL)]),
+        ([*_reliance_lines(record)], [reliance_table(cases, head.overall)]),
+        ([*_fault_lines(cases)], [fault_table(cases)]),
+        ([*_attack_lines(record)], [attack_table(head.verdicts, head.cases)]),
+        ([*effectiveness_lines(roles, recovery=True)], [pair_table(head.verdicts, head.cases)]),
+        ([*effectiveness_lines(roles, recovery=False)], [monitor_table(head.monitors)]),
+    ]
+    for lines, tables in groups:
+        yield from _terminal(lines)
+        yield from (table for table in tables if table is not None)
+    unknown = [
+        *effectiveness_lines(roles, recovery=True, known=False),
+        *effectiveness_lines(roles, recovery=False, known=False),
+    ]
+    yield from _terminal(unknown, Level.SUMMARY)
+    yield from _terminal(_reading_lines(head.verdicts))
+    supported = [supported_sentence(head.verdicts)] if head.verdicts else []
+    yield from _terminal([*supported, *look_sentences(record), *beyond_plan_sentences(record)])
+
+
+def _in(table: Table | None, shown: Shown) -> Table | None:
+    return None if table is None else replace(table, shown=shown)
+
+
+def effectiveness_lines(
+    entries: Sequence[EffectivenessEntry], *, recovery: bool, known: bool = True
+) -> Iterator[str]:
+    """Write what the runs show of recovery or of monitors, a sentence each.
+
+    Args:
+        entries: The record's ``effectiveness``.
+        recovery: Of recovery alone, or of all other roles.
+        known: What the runs show, or that they cannot show it.
+    """
+    several = len({entry.component for entry in entries}) > 1
+    for entry in entries:
+        shown = entry.finding != _CANNOT_BE_TOLD
+        if (entry.role == RECOVERY_ROLE) == recovery and shown == known:
+            whose = f" with {name(entry.component)}" if several else ""
+            yield name(f"{entry.role}{whose}: {entry.detail}", 500)
+
+
+def _reading_lines(verdicts: Sequence[ItemVerdict]) -> Iterator[str]:
+    """What tests decided by assertions of their own, and checks that were false all the same."""
+    alone = [each for each in verdicts if each.assertion is not None and each.assertion.alone]
+    if alone:
+        names = names_text(list(dict.fromkeys(each.requirement for each in alone)))
+        yield (
+            f"{counted(len(alone), 'verdict')} by assertions of tests alone ({names}): -v says "
+            "what the tests looked at"
+        )
+    for verdict in verdicts:
+        for sentence in reading_sentences(verdict):
+            if sentence.startswith("false in "):
+                yield f"{name(verdict.requirement)} on {name(verdict.case)}: {sentence}"
+
+
+def _failure_mode_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:
+    by_component = failure_modes_by_component(cases)
+    for component, modes in by_component.items():
+        seen = [mode for mode in modes if mode.kind == "failure" and mode.of]
+        if not seen:
+            continue
+        worst = sorted((mode for mode in seen if mode.hits), key=lambda mode: -(mode.share or 0.0))
+        parts = [
+            f"{failure_mode_text(mode.name)} {percent_text(mode.share)} %"
+            for mode in worst[:_MOST_MODES]
+        ]
+        whose = f" of {component}" if len(by_component) > 1 else ""
+        counts = f"{len(worst)} of {len(seen)} shown by decisions"
+        yield one_line(
+            ": ".join([f"failure modes{whose}: {counts}", *filter(None, [", ".join(parts)])])
+        )
+
+
+def _uncovered_lines(record: SessionRecord) -> Iterator[str]:
+    """Each component with failures that none of its requirements reads."""
+    several = len(failure_modes_by_component(record.head.cases)) > 1
+    for component, text in uncovered_lines(record.head):
+        yield text + (f", of {component}" if several else "")
+
+
+def _model_lines(record: SessionRecord) -> Iterator[str]:
+    """What each language model was asked, and whether it was available."""
+    for model in record.head.models:
+        for text in (spending_text(model, record.head.llm_price), unavailability_text(model)):
+            if text:
+                yield f"language model {name(model.model)}: {text}"
+
+
+def _usage_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:
+    rows = [row.usage for row in usage_rows(cases, None)]
+    if rows:
+        requests, prompt = sum(row.requests for row in rows), sum(row.prompt for row in rows)
+        answers = sum(row.completion for row in rows)
+        count = counted(requests, "request")
+        yield f"tokens: {prompt} of prompts and {answers} of answers in {count}"
+
+
+def _reliance_lines(record: SessionRecord) -> Iterator[str]:
+    """How often recovery acted and comfort failed, and how the component reacted to attacks."""
+    several = len(record.head.overall) > 1
+    for total in record.head.overall:
+        metrics = total.metrics
+        parts = []
+        if metrics.rescued is not None and metrics.rescued.valid:
+            share = metrics.switching.share if metrics.switching else None
+            time = "" if share is None else f" ({percent_text(share)} % of the time)"
+            parts.append(f"recovery in {metrics.rescued.valid} of {metrics.valid} runs{time}")
+        if metrics.comfort_failed is not None and metrics.comfort_failed.valid:
+            parts.append(f"comfort failed in {metrics.comfort_failed.valid}")
+        reactions = [f"{count} {reaction}" for reaction, count in metrics.reactions.items()]
+        parts += [f"reactions: {', '.join(reactions)}"] if reactions else []
+        if parts:
+            whose = f" of {total.component}" if several else ""
+            yield one_line(f"reliance{whose}: {'; '.join(parts)}")
+
+
+def _fault_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:
+    """How far the planned faults got, over all cases."""
+    faults = [fault for case in cases for fault in case.metrics.faults]
+    if not faults:
+        return
+    names = len({fault.id for fault in faults})
+    counts = {
+        "activated": sum(fault.activated for fault in faults),
+        "manifested": sum(fault.manifested for fault in faults),
+        "propagated": sum(fault.propagated for fault in faults),
+        "detected": sum(fault.detected for fault in faults),
+        "violated": sum(fault.violated for fault in faults),
+    }
+    steps = ", ".join(f"{count} {step}" for step, count in counts.items())
+    runs = counted(sum(fault.run for fault in faults), "run")
+    yield f"fault: {counted(names, 'fault')} in {runs}: {steps}"
+
+
+def _attack_lines(record: SessionRecord) -> Iterator[str]:
+    """What pairs with and without faults came to, each measure in its unit."""
+    head = record.head
+    compared = [each for each in head.verdicts if each.pairs and each.pairs.without == FAULTS]
+    counts = [each.pairs for each in compared if isinstance(each.pairs, PairTable)]
+    parts: dict[tuple[str, str], str] = {}
+    of_case = {case.id: "+".join(fault.id for fault in case.faults) for case in head.cases}
+    asked = {each.id: each.paired for each in head.requirements}
+    pairs_before, sentences = 0, list[str]()
+    for verdict in compared:
+        paired = verdict.paired or asked.get(verdict.requirement)
+        if not isinstance(verdict.pairs, ChangeTable) or paired is None:
+            continue
+        change = verdict.pairs.change
+        key = verdict.case, paired.measure
+        if change.mean is None or key in parts:
+            continue
+        unit = next((each.unit for each in head.measures if each.function == paired.measure), "")
+        measure = name(paired.measure.rpartition(":")[2].replace("_", " "))
+        growth = f"{abs(change.mean):.2g}{f' {name(unit)}' if unit else ''}"
+        what = "costs" if change.mean >= 0 else "saves"
+        pairs = "" if change.n == pairs_before else f" ({counted(change.n, 'pair')})"
+        pairs_before = change.n
+        mean = f" of {measure} in the mean" if not parts else ""
+        parts[key] = (
+            f"{name(of_case.get(verdict.case) or verdict.case)} {what} {growth}{mean}{pairs}"
+        )
+    if counts:
+        caused = sum(pairs.only_with for pairs in counts)
+        spared = sum(pairs.only_without for pairs in counts)
+        pairs_judged = counted(sum(pairs.pairs for pairs in counts), "pair")
+        sentences.append(f"faults caused {caused} violations and spared {spared} in {pairs_judged}")
+    if parts:
+        sentences.append(", ".join(parts.values()))
+    if sentences:
+        yield f"attack: {'; '.join(sentences)}"
+
+
+# Searches, notes, baseline.
+
+
+def _search_parts(record: SessionRecord) -> Iterator[Part]:
+    """What searches looked for: those with a violation have cards, and here their searchers."""
+    if not record.head.searches:
+        return
+    if (table := search_table(record)) is not None:
+        yield table
+    nothing = []
+    for search, outcome in ordered_outcomes(record):
+        where = f" on {name(search.case)} ({name(search.component)})"
+        if outcome_status(search, outcome) == NOTHING_FOUND:
+            effort = f"{simulations_text(search)}; seed {search.seed}"
+            nothing.append(f"search: {outcome_headline(search, outcome, where)}; {effort}")
+        if is_notable_outcome(search, outcome):
+            about = f"search for violations of {name(outcome.requirement)}{where}:"
+            yield from _terminal([about], Level.SUMMARY)
+            yield searcher_table(search, outcome.requirement)
+    if nothing:
+        yield from _terminal([*(one_line(text, 1000) for text in nothing), NOTHING_SUPPORTED])
+
+
+def _note_parts(record: SessionRecord) -> Iterator[Part]:
+    head = record.head
+    searched = head.resume.searched
+    if searched is not None and searched.simulations:
+        yield from _terminal(_taken_over(searched, searched.simulations, "run", " of searches"))
+    yield from _terminal(head.resume.problems)
+    repeats = [*not_repeatable_lines(head.cases), *draws_lines(head.cases)]
+    known = [line for line in repeats if line not in head.gate.reasons]
+    if known:
+        yield Text(tuple(known), shown=Shown.TERMINAL, status="undecided")
+    if engine := second_engine_text(record):
+        yield from _terminal([f"formulas: {engine}"])
+    if hazards := hazard_line(record):
+        yield from _terminal([hazards])
+
+
+def _baseline_parts(record: SessionRecord) -> Iterator[Part]:
+    """Comparisons with violations by their figures, and the others by name."""
+    baseline = record.head.baseline
+    if baseline is None:
+        return
+    yield from _terminal([f"baseline {baseline.path}: {_baseline_summary(baseline)}"])
+    if table := comparison_table(baseline.comparisons):
+        yield table
+    yield from _terminal(
+        f"{one_line(reason)}: {_requirements_by_case(alike)}"
+        for reason, alike in _unremarkable(baseline.comparisons).items()
+    )
+
+
+def _baseline_summary(baseline: ComparedBaseline) -> str:
+    statuses = [comparison.status for comparison in baseline.comparisons]
+    compared = sum(comparison.test is not None for comparison in baseline.comparisons)
+    parts = [counted(compared, "comparison")]
+    parts += [f"{statuses.count(status)} {status}" for status in ("worse", "better")]
+    if baseline.tests != compared:
+        parts.append(f"corrected for {baseline.tests}")
+    return ", ".join(parts)
+
+
+def _unremarkable(comparisons: Sequence[BaselineComparison]) -> dict[str, list[BaselineComparison]]:
+    """Group comparisons without violations, or without a test, by reason."""
+    by_reason: dict[str, list[BaselineComparison]] = {}
+    for comparison in comparisons:
+        if comparison.test is None:
+            reason = (
+                f"{comparison.status}: {comparison.reason}"
+                if comparison.reason
+                else comparison.status
+            )
+        elif not has_violations(comparison):
+            runs = f"0/{comparison.episodes} now, 0/{comparison.baseline_episodes} then"
+            reason = f"{comparison.status}, violated in {runs}"
+        else:
+            continue
+        by_reason.setdefault(reason, []).append(comparison)
+    return by_reason
+
+
+def _requirements_by_case(comparisons: Sequence[BaselineComparison]) -> str:
+    cases: dict[str, list[str]] = {}
+    for comparison in comparisons:
+        cases.setdefault(comparison.case, []).append(comparison.requirement)
+    return "; ".join(
+        f"{', '.join(map(name, names))} on {name(case)}" for case, names in cases.items()
+    )
