@@ -147,7 +147,8 @@ def test_an_event_after_the_violation_is_not_its_cause():
 
     assert cause.headline.startswith("At t = 0.50 s monitor found the proposal unsafe: too near")
     # No unit is declared.
-    assert "; PERF-1: gap is -1 where more than 0 is required, first at t = 1.00 s" in cause.headline
+    missed = "PERF-1: gap is -1 where more than 0 is required, first at t = 1.00 s"
+    assert f"; {missed}; " in cause.headline
     assert "WALL" not in cause.headline
 
 
