@@ -361,7 +361,7 @@ class RecordBuilder:
         declared: dict[str, set[str]] = defaultdict(set)
         for each in self._all(SignalUnit):
             declared[each.signal].add(each.unit)
-        checks = [each.check for kind in (Requirement, Judgement) for each in self._all(kind)]
+        checks = [each.check for each in (*self._all(Requirement), *self._all(Judgement))]
         named = {word for check in checks for word in re.findall(r"[A-Za-z_][\w.]*", check)}
         return {
             signal: unit
