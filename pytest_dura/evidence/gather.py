@@ -361,7 +361,8 @@ class RecordBuilder:
         declared: dict[str, set[str]] = defaultdict(set)
         for each in self._all(SignalUnit):
             declared[each.signal].add(each.unit)
-        checks = [each.check for each in (*self._all(Requirement), *self._all(Judgement))]
+        checks = [each.check for each in self._all(Requirement)]
+        checks += [each.check for each in self._all(Judgement)]
         named = {word for check in checks for word in re.findall(r"[A-Za-z_][\w.]*", check)}
         return {
             signal: unit

@@ -20,7 +20,7 @@ def failing(project, name, *arguments):
     "generator, words",
     [
         ("Raises", "Raises raised ValueError: out of ideas (corridor.py:"),
-        ("ReturnsNaN", "ReturnsNaN no valid action: the action nan is no finite number"),
+        ("ReturnsNaN", "ReturnsNaN failed: no valid action: the action nan is no finite number"),
         ("Hangs", "Hangs overran its wall-clock time budget"),
     ],
 )

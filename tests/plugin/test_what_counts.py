@@ -235,7 +235,7 @@ def test_a_planned_fault_that_never_manifested_is_invalid(project):
     found = expect(project, result, "undecided", reason, requirement="GAP-1")
     detail = "never manifested: ghost-obstacle"
     assert found.first_uncounted == UncountedEpisode("corridor/it#0", "invalid", detail)
-    assert "invalid: corridor/it#0: never manifested: ghost-obstacle" in result.stdout.str()
+    assert "invalid:  corridor/it#0: never manifested: ghost-obstacle" in result.stdout.str()
 
 
 def test_a_manifested_fault_that_changed_no_behaviour_is_valid(project):
@@ -329,7 +329,8 @@ def test_vacuous_passes_alone_are_undecided(project):
     reason = "its condition held in none of the 2 valid episodes (vacuous)"
     found = expect(project, result, "undecided", reason)
     assert (found.episodes, found.vacuous) == (2, 2)
-    assert "2 vacuous)" in result.stdout.str()
+    told = " ".join(result.stdout.str().split())
+    assert "R-1: undecided, 0 of 2 runs violate it, 2 vacuous." in told
 
 
 def test_vacuous_passes_beside_others_are_counted(project):
@@ -340,7 +341,12 @@ def test_vacuous_passes_beside_others_are_counted(project):
     found = expect(project, result, "supported")
     assert found.episodes == 6
     assert 0 < found.vacuous < 6
-    assert f"{found.vacuous} vacuous)" in result.stdout.str()
+    header, row = (
+        next(line for line in result.outlines if line.startswith(start)).split()
+        for start in ("verdict ", "R-1 on corridor/it ")
+    )
+    # The row is named by two more words than the header.
+    assert row[header.index("vac") + 2 + 1] == str(found.vacuous)
 
 
 def test_invalid_episodes_are_followed_by_further_runs_and_borne(project):
