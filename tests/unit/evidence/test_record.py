@@ -13,7 +13,7 @@ from pytest_dura.evidence.case_model import CaseEntry, CasePlan
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gather import claim
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.lines import KeptTrace
+from pytest_dura.evidence.lines import KeptTrace, SignalUnit
 from pytest_dura.evidence.session_model import ComponentEntry
 from pytest_dura.requirements.judgements import Judgement
 from pytest_dura.requirements.model import Requirement
@@ -457,3 +457,13 @@ def test_reports_that_come_late_lose_no_count():
     made.add(report(models=[model(asked=5), model(asked=3), model(fingerprint="g")]))
     told = {one["fingerprint"]: one["asked"] for one in evidence(made)["models"]}
     assert told == {"f": 5, "g": 0}
+
+
+def test_units_are_those_of_signals_that_checks_name_and_none_that_is_declared_twice():
+    builder = RecordBuilder(HEADER)
+    for check in ("always (gap > 0)", "always (speed < 3 implies percept.gap > limit)"):
+        builder.add([Requirement(check[-3:], "t", check=check)])
+    declared = {"gap": "m", "speed": "m/s", "percept.gap": "m", "jerk": "m/s3"}
+    builder.add(SignalUnit(*each) for each in (*declared.items(), ("speed", "km/h"), ("gap", "m")))
+    assert builder.head("complete").units == {"gap": "m", "percept.gap": "m"}
+    assert RecordBuilder(HEADER).head("complete").units is None
