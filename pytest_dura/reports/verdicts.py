@@ -5,8 +5,6 @@ A rate never stands without its n and its confidence. Propositions are never of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from pytest_dura.evidence.item_verdicts import ItemVerdict, Waiver
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.requirements.campaign_verdicts import SITUATIONS, weakness
@@ -18,27 +16,6 @@ _LONGEST_TEXT = 2000
 """Characters of a text that is shown in several lines."""
 _MAX_OBSERVED_NAMES = 8
 """Names of what a test looked at, in a sentence."""
-
-
-def figures_text(verdict: ItemVerdict) -> str:
-    """The figures that a verdict rests on, on one line: ``n = 12, 0 violations, ...``."""
-    violations = counted(verdict.violations, "violation") + fault_free_violations_text(verdict)
-    counts = f"n = {verdict.episodes}, {violations}"
-    if verdict.pairs:
-        counts = f"pairs without {verdict.pairs.without}: {counts}"
-    others = [count for count in other_run_counts(verdict) if not count.endswith("vacuous")]
-    counts = ", ".join([counts, *others])
-    bound = verdict.bound
-    if bound.upper is not None:
-        counts += f", rate <= {bound.upper:.2g} at {bound.confidence:g}"
-    counts += _weakness_note(verdict)
-    if verdict.situation is not None:
-        counts += f", {SITUATIONS[verdict.situation]}"
-    counts += f", {verdict.method}"
-    if verdict.saved:
-        counts += f", {verdict.saved} of {verdict.planned} runs saved"
-    waiver = f" [{verdict.waiver.kind}]" if verdict.waiver else ""
-    return counts + waiver
 
 
 def sample_text(verdict: ItemVerdict) -> str:
@@ -118,13 +95,6 @@ def reading_sentences(verdict: ItemVerdict) -> list[str]:
     return [
         sentence for sentence in sentences if not sentence.startswith(("failed: ", "by its check"))
     ]
-
-
-def waiver_note(waiver: Waiver | None, escape: Callable[[str, int], str]) -> str:
-    """Kind and reason of a waiver: `` (waived, xfail: ticket 7)``; empty without one."""
-    if waiver is None:
-        return ""
-    return f" (waived, {escape(waiver.kind, 200)}: {escape(waiver.reason, 200) or 'no reason'})"
 
 
 def part_text(share: float) -> str:

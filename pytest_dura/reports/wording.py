@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from operator import itemgetter
 
-from pytest_dura.core.state import NOTHING, Event
+from pytest_dura.core.state import NOTHING
 from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.looks import further_looks
@@ -41,11 +41,6 @@ def review_text(record: SessionRecord) -> str:
         return "generated, unreviewed"
     gate = record.head.gate.result
     return f"generated; {review.decision}; {review.remarks(gate)}"
-
-
-def event_text(event: Event) -> str:
-    """Text on the event that ended an episode: ``at t = 6.50 s the ego ran into VICTIM``."""
-    return f"at t = {event.time:.2f} s {event.detail}"
 
 
 def selection_text(record: SessionRecord) -> str:
