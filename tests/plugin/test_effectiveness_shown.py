@@ -31,7 +31,8 @@ def session(project, scenario, *arguments, **roles):
     for role, value in roles.items():
         project.write("conftest.py", CONFTEST.format(role=role, value=value))
     items = [f"intersection/{scenario}::{name}" for name in ("REC-1", "SAF-1")]
-    result = project.run(*items, *arguments)
+    # With -v also what cannot be told; `test_terminal.py` holds that it is left out otherwise.
+    result = project.run("-v", *items, *arguments)
     evidence = project.evidence()
     found = {one.role: (one.finding, one.detail) for one in evidence.effectiveness}
     shown = " ".join(" ".join(result.outlines).split())

@@ -99,7 +99,8 @@ def test_a_scenario_item_has_the_figures_of_its_verdict(junit, project):
     verdict = project.verdict("GAP-1", "corridor/tight")
     episode = project.evidence().episodes[0]
     assert told.pop("reason") == verdict.reason
-    assert told.pop("event").startswith("GAP-1 was violated at t = 0.20 s, before any role had")
+    missed = "GAP-1: gap is 0 where more than 0 is required, first at t = 0.20 s"
+    assert told.pop("event").startswith(f"{missed}, before any role had")
     assert told == {
         "item": "corridor/tight::GAP-1",
         "base_seed": "7",
