@@ -33,6 +33,7 @@ from pytest_dura.reports.verdicts import (
     other_run_counts,
 )
 from pytest_dura.reports.wording import names_text
+from pytest_dura.requirements.model import FAULTS
 from pytest_dura.requirements.searches import SearchOutcome
 
 _MOST_REQUIREMENTS = 8
@@ -130,8 +131,10 @@ def _items(cause: Cause) -> list[str]:
 def _finding_entry(finding: Finding) -> Entry:
     """What is required, how often it is missed, and by how much in the worst run."""
     verdict, requirement = finding.verdict, finding.requirement
-    what = "pair" if verdict.pairs is not None else "run"
-    runs = counted(verdict.episodes, what)
+    runs = counted(verdict.episodes, "run" if verdict.pairs is None else "pair")
+    if verdict.pairs is not None:
+        without = verdict.pairs.without
+        runs += f" with and without {'the faults' if without == FAULTS else name(without)}"
     violate = "violates" if verdict.violations == 1 else "violate"
     also = fault_free_violations_text(verdict)
     parts = [f"{verdict.violations} of {runs} {violate} it{also}"]

@@ -143,6 +143,8 @@ def explain_verdict(
             lines.insert(0, f"{uncounted.detail} (in {uncounted.episode})")
         else:
             entries.append((uncounted.verdict, f"{uncounted.episode}: {uncounted.detail}"))
+    if requirement.paired is not None:
+        entries.append(("pairs", f"with {requirement.paired.without}, and without"))
     check = f" [{requirement.check}]" if requirement.check not in ("", verdict.requirement) else ""
     entries += [("component", component_failures), ("required", f"{requirement.text}{check}")]
     lines += [f"{label + ':':<9} {text}" for label, text in entries if text]

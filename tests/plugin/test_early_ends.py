@@ -256,7 +256,8 @@ def test_every_format_agrees_on_runs_without_effect_of_the_fault(project):
     folder = project.path / "dura-evidence"
     terminal = " ".join(result.stdout.str().split())
     assert words in terminal
-    assert "n = 0, 0 violations, 3 violated without effect of the fault, 3 invalid" in terminal
+    counts = "R-1: 0 of 0 runs violate it, 3 violated without effect of the fault, 3 invalid"
+    assert counts in terminal
     assert re.search(r"corridor/it +0 \(2\) .*\+3\*", result.stdout.str())
     report = (folder / "report.html").read_text()
     assert words in report

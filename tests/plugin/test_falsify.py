@@ -283,7 +283,7 @@ requirements: [GAP-1]
     assert result.ret == 1
     (outcome,) = the_search(project).outcomes
     assert outcome.status == "undecided"
-    assert "searched:  10 of 10 simulations, 10 without an answer" in output(result)
+    assert "searched: 10 of 10 simulations, 10 without an answer" in output(result)
 
 
 def test_what_cannot_be_kept_is_found_all_the_same(project):

@@ -150,7 +150,7 @@ def test_a_session_of_hostile_texts_ends_properly_and_harmlessly(project, mode, 
     ours = shown.partition("= dura =")[2].partition("= short test summary")[0].splitlines()
     assert [line[:12] for line in ours if line.startswith("gate")] == ["gate: failed"]
     told = re.split("\n[_=]{4}", shown.partition(" corridor/it::H-1 _")[2])[0]
-    assert "required: " in told
+    assert "rerun:    pytest " in told
     assert "\ngate: passed" not in told
     check_evidence(project, capsys)
     check_junit(project.path / "junit.xml")
