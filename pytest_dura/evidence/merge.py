@@ -16,6 +16,8 @@ from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
+from pytest_dura.core.codec import encode
+from pytest_dura.core.episode import canonical
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.baseline import Baseline, regression_objections
 from pytest_dura.evidence.bundle import FORMATS, begin_bundle, short_name, write_bundle
@@ -75,7 +77,8 @@ _MOST_LEFT_OUT = 20
 def union_of_episodes(parts: Sequence[Part]) -> Iterator[tuple[EpisodeEntry, Part]]:
     """Yield each episode of the parts once, in the order of a record, with the part it is from.
 
-    Of equal episodes the one is taken whose trace is kept for the weightiest reason.
+    Of equal episodes the one is taken whose trace is kept for the weightiest reason, whatever the
+    order in which parts are merged.
 
     Raises:
         ConfigurationError: If two parts have an episode with different digests.
@@ -106,14 +109,22 @@ def _joined(held: Sequence[tuple[EpisodeEntry, Part]]) -> tuple[EpisodeEntry, Pa
                 remedy="find what the episode depends on beside its seed (--dura-replay compares "
                 "it); or merge parts that do not share it",
             )
-    traced, owner = max(held, key=lambda each: trace_weight(each[0].trace))  # the first of equals
+    held = sorted(held, key=lambda each: _place_among_equals(each[0]))
+    traced, owner = held[0]
     faults = []
     for place, fault in enumerate(traced.faults):
-        known = [fault, *(episode.faults[place] for episode, _ in held)]
+        known = [episode.faults[place] for episode, _ in held]
         followed = (each for each in known if each != untraced(each))
         faults.append(next(followed, fault))
     planned = any(episode.planned for episode, _ in held)
     return traced.replace(planned=planned, faults=faults), owner
+
+
+def _place_among_equals(episode: EpisodeEntry) -> tuple[int, str, bytes]:
+    """Order what joining leaves as it is: the trace, and how long each run of it took."""
+    trace = episode.trace
+    file = "" if trace is None else trace.sha256
+    return -trace_weight(trace), file, canonical(encode(episode.timings))
 
 
 Component = ComponentEntry | ComponentUnderTest

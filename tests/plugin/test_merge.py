@@ -496,17 +496,19 @@ def test_a_bundle_merged_with_itself_or_with_its_parts_is_the_bundle(made, tmp_p
 
 
 def test_merging_is_associative_and_commutative(made, tmp_path):
-    runs, rest, some = (made / name for name in ("runs", "rest", "some"))
-    merge_bundles([runs, rest], tmp_path / "1")
-    merge_bundles([rest, some], tmp_path / "2")
-    written = set()
-    for number, bundles in enumerate(
-        ([tmp_path / "1", some], [some, tmp_path / "1"], [runs, tmp_path / "2"], [some, rest, runs])
-    ):
-        output = tmp_path / f"out{number}"
-        merge_bundles(bundles, output)
-        written.add((output / "evidence.json").read_text().replace(str(output), "OUT"))
+    parts = {name: made / name for name in ("runs", "rest", "some")}
+    merge_bundles(parts.values(), tmp_path / "at-once")
+    written = {_written(tmp_path / "at-once")}
+    for last, bundle in parts.items():  # whichever began between the two others
+        pair, output = tmp_path / f"without-{last}", tmp_path / f"{last}-last"
+        merge_bundles([parts[name] for name in parts if name != last], pair)
+        merge_bundles([bundle, pair] if last == "rest" else [pair, bundle], output)
+        written.add(_written(output))
     assert len(written) == 1
+
+
+def _written(bundle):
+    return (bundle / "evidence.json").read_text().replace(str(bundle), "OUT")
 
 
 def test_merged_bundles_that_share_a_session_are_refused(made, tmp_path):
