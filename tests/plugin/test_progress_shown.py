@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import os
 import pty
@@ -71,6 +72,7 @@ def in_terminal(project, *arguments, until=None):
             sys.stdin, sys.stdout, sys.stderr = map(os.fdopen, range(3), ("r", "w", "w"))
             sys.__stdout__, sys.__stderr__ = sys.stdout, sys.stderr
             signal.signal(signal.SIGINT, signal.default_int_handler)
+            gc.callbacks.clear()  # that of Hypothesis swallows an interruption that meets it
             code = int(pytest.main(["-p", "no:cacheprovider", *arguments]))
             sys.stdout.flush()
         except BaseException:  # a copy of the process ends here, whatever it met; it is printed
