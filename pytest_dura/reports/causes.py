@@ -232,10 +232,12 @@ class _Causes:
         verdicts = {
             (each.verdict.requirement, each.verdict.case): each.verdict for each in violations
         }
-        findings = {each.requirement.id: self._violated(each) for each in reversed(violations)}
-        findings = {each.requirement.id: findings[each.requirement.id] for each in violations}
-        # The amount of a requirement's first violation is that of the worst episode.
-        findings |= {each.requirement.id: self._violated(each) for each in incident.violations}
+        worst_by_id: dict[str, Violation] = {}
+        for each in violations:
+            worst_by_id.setdefault(each.requirement.id, each)
+        # What the worst episode violates is shown by the amount of that episode.
+        worst_by_id |= {each.requirement.id: each for each in incident.violations}
+        findings = {own: self._violated(each) for own, each in worst_by_id.items()}
         twins = tuple(twin_outcomes(self._episodes, incident))
         time = worst.counterexample.time
         happened = "No record of the episode is held."

@@ -12,7 +12,6 @@ from enum import IntEnum
 from typing import Any, Literal
 
 from pytest_dura.reports.columns import Column, Shown
-from pytest_dura.reports.svg import Svg
 
 
 class Level(IntEnum):
@@ -60,14 +59,12 @@ class Card:
         title: Heading, without its number.
         headline: What happened, in a sentence.
         entries: The rest.
-        anchor: Of the page.
     """
 
     status: str
     title: str
     headline: str
     entries: tuple[Entry, ...] = ()
-    anchor: str = ""
     weight: Level = Level.FIRST
     shown: Shown = Shown.ALL
 
@@ -120,34 +117,7 @@ class Table:
     ranks: Sequence[int] = ()
 
 
-@dataclass(frozen=True)
-class Plot:
-    """A picture of the page."""
-
-    title: str
-    picture: Svg
-    weight: Level = Level.PAGE
-    shown: Shown = Shown.PAGE
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command to type.
-
-    Args:
-        label: What it does.
-        text: The command.
-        weight: From which level on it is shown.
-        shown: Formats that have it.
-    """
-
-    label: str
-    text: str
-    weight: Level = Level.TERMINAL
-    shown: Shown = Shown.ALL
-
-
-Part = Text | Card | Table | Plot | Command
+Part = Text | Card | Table
 
 
 @dataclass(frozen=True)
@@ -158,13 +128,11 @@ class Section:
         title: Its heading in files; empty for none.
         parts: In order of importance.
         weight: From which level on it is shown.
-        anchor: Of the page.
     """
 
     title: str
     parts: tuple[Part, ...]
     weight: Level = Level.FIRST
-    anchor: str = ""
 
     def parts_for(self, place: Shown, level: Level) -> Iterator[Part]:
         """Yield the parts of a format at a level of detail; none below the section's own."""

@@ -264,8 +264,8 @@ def _common_unit(node: Node, units: Mapping[str, str]) -> str | None:
         for side in (each.left, each.right)
     ):
         return None
-    found = {units.get(each.name) or None for each in walk(node) if isinstance(each, Signal)}
-    return found.pop() if len(found) == 1 else None
+    shared = {units.get(each.name) or None for each in walk(node) if isinstance(each, Signal)}
+    return shared.pop() if len(shared) == 1 else None
 
 
 def _apart(value: float, bound: float) -> tuple[str, str]:

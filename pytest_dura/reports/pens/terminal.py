@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.columns import Column, Shown, legend_entries, shown_in
-from pytest_dura.reports.document import Card, Command, Document, Entry, Level, Table, Text
+from pytest_dura.reports.document import Card, Document, Entry, Level, Table
 
 WIDTH = 100
 LONGEST = 500
@@ -69,11 +69,9 @@ class TerminalPen:
                 previous = part
                 if isinstance(part, Table):
                     yield from self.table(part)
-                elif isinstance(part, Text):
+                else:
                     for text in part.lines:
                         yield from (Line(line, part.status) for line in wrapped(text))
-                elif isinstance(part, Command):
-                    yield Line(f"{part.label}: {part.text}")
 
     def _cards(self, cards: Sequence[Card]) -> Iterator[Line]:
         shown = cards[: _MOST_CARDS_VERBOSE if self._verbose else _MOST_CARDS]
