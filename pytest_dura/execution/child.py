@@ -34,6 +34,7 @@ reply, the last one or not."""
 THREADS = -1
 """What stands for the number of a child where the template has threads, and forks none."""
 STATUS = struct.Struct("<q")
+"""Form of what a template writes of a child: its number once it is forked, then how it ended."""
 _MAX_CALLS = 1000
 """Calls after which a child gives way to a fresh one, so that what a role leaves behind goes."""
 MAX_MEMORY_GROWTH = 512 * 2**20

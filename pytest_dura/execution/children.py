@@ -12,7 +12,6 @@ import mmap
 import os
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import tempfile
@@ -27,7 +26,7 @@ from typing import IO, Any, cast
 
 from pytest_dura.core.calls import SIZE, read_call
 from pytest_dura.core.trust import Places, current_places
-from pytest_dura.execution.child import BEGUN, READY, RETIRES, THREADS
+from pytest_dura.execution.child import BEGUN, READY, RETIRES, STATUS, THREADS
 from pytest_dura.execution.replies import CallFailedError, Death
 from pytest_dura.execution.surroundings import Captured
 
@@ -45,7 +44,6 @@ _POLL_SECONDS = 1.0
 _MOST_OUTPUT = 100_000
 """Bytes of what a call prints that are kept, the last ones."""
 _WITH_TEMPLATE = "ended with its template, which "
-_STATUS = struct.Struct("<q")
 
 
 def _how_it_ended(code: int) -> str:
@@ -376,8 +374,8 @@ class Child:
 
     def _read_status(self) -> int | None:
         assert self._status is not None
-        data = os.read(self._status, _STATUS.size)
-        return _STATUS.unpack(data)[0] if len(data) == _STATUS.size else None
+        data = os.read(self._status, STATUS.size)
+        return STATUS.unpack(data)[0] if len(data) == STATUS.size else None
 
     def _ended(self, limit: _Limit) -> ChildEndedError:
         if not self._has_ended(_SECONDS_TO_END):

@@ -212,6 +212,7 @@ def _logging(levels: Mapping[str, int]) -> Iterator[list[dict[str, Any]]]:
     """Context in which loggers have these levels, and their records are kept."""
     records: list[dict[str, Any]] = []
     handler = _Records(records)
+    before = {name: logging.getLogger(name).level for name in levels}
     for name, level in levels.items():
         logging.getLogger(name).setLevel(level)
     logging.root.addHandler(handler)
@@ -219,6 +220,8 @@ def _logging(levels: Mapping[str, int]) -> Iterator[list[dict[str, Any]]]:
         yield records
     finally:
         logging.root.removeHandler(handler)
+        for name, level in before.items():  # the next call may come from other surroundings
+            logging.getLogger(name).setLevel(level)
 
 
 @contextmanager
