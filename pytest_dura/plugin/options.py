@@ -511,7 +511,7 @@ class Options:
         ini="dura_require_repeatable",
         ini_type="bool",
         default="false",
-        details="See [repeated episodes](evidence.md#repeated-episodes).",
+        details="See [repeated episodes](determinism.md#repeated-episodes).",
     )
     repeatable: Option[bool] = Option(
         None,
@@ -521,7 +521,7 @@ class Options:
         ini="dura_repeatable",
         default="true",
         example="false",
-        details="See [repeated episodes](evidence.md#repeated-episodes).",
+        details="See [repeated episodes](determinism.md#repeated-episodes).",
     )
     baseline: Option[str | None] = Option(
         "--dura-baseline",
@@ -580,7 +580,7 @@ class Options:
         default="1",
         metavar="N",
         example="8",
-        details="See [many requests at once](llm.md#many-requests-at-once).",
+        details="See [many requests at once](llm/cost.md#many-requests-at-once).",
         same_in_shards=False,
     )
     llm_limit: Option[Limits | None] = Option(

@@ -111,7 +111,7 @@ def test_a_broken_link_and_a_broken_anchor_are_seen(tmp_path):
 
 
 def test_the_build_refuses_a_link_that_leads_nowhere(site, tmp_path):
-    page = REPOSITORY / "docs" / "recovery.md"
+    page = REPOSITORY / "docs" / "formulas.md"
     text = (REPOSITORY / "mkdocs.yml").read_text("utf-8")
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "index.md").write_text(

@@ -62,7 +62,7 @@ def test_every_file_and_command_of_the_readme_does_what_it_shows(folder, run):
 
 
 def test_the_readme_is_read_in_a_sitting():
-    assert len(README.read_text("utf-8").splitlines()) <= 200
+    assert len(README.read_text("utf-8").splitlines()) <= 150
 
 
 @pytest.mark.parametrize(

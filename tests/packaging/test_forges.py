@@ -160,7 +160,7 @@ def test_the_action_installs_itself_and_what_the_project_asks_for(action, tmp_pa
 def test_every_input_of_the_action_is_used_and_described():
     read_action = read("action.yml")
     text = (REPOSITORY / "action.yml").read_text()
-    page = (REPOSITORY / "docs" / "ci-recipes.md").read_text("utf-8")
+    page = (REPOSITORY / "docs" / "how-to" / "ci.md").read_text("utf-8")
     for name in read_action["inputs"]:
         assert f"inputs.{name}" in text
         assert f"`{name}`" in page

@@ -225,9 +225,9 @@ def test_a_scenario_of_a_wrong_domain_is_refused_in_words(tank, changes, message
 
 
 def test_the_least_of_a_domain_is_one_as_the_page_prints_it(tank):
-    page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "tutorials" / "tank.md").read_text()
     (module,) = re.findall(r"<!-- tank.py -->\n```python\n(.*?)```", page, flags=re.DOTALL)
-    (scenario,) = re.findall(r"```yaml\n(name: tank/filling\n.*?)```", page, flags=re.DOTALL)
+    (scenario,) = re.findall(r"```yaml\n# scenarios/tank.yaml\n(.*?)```", page, flags=re.DOTALL)
     check = re.search(r"check_simulator\(.*?\* 20\)", page)[0]
     requirement = "{id: LEVEL-1, text: Dry feet., kind: safety, check: always (level < 2.2)}"
     tank.write("tank.py", module)

@@ -23,7 +23,7 @@ HOSTILE = st.sampled_from(
         "\ufffe\uffff", "1e3", "語" * 300, "\x85\u2028", "'; rm -rf /", "%s{}", "💥",
     ]
 )  # fmt: skip
-PAGE = Path(__file__).parents[2] / "docs/evidence.md"
+PAGE = Path(__file__).parents[2] / "docs/evidence/assurance-case.md"
 (OWN,) = (block.text for block in blocks_of(PAGE) if block.file == "argument.gsn.yaml")
 """The argument of an assessor, as the documentation has it."""
 CASE = session_record().head.cases[0]

@@ -1,4 +1,4 @@
-"""docs/llm.md names everything that there is, and nothing else."""
+"""docs/llm.md and the pages of docs/llm name everything that there is, and nothing else."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from pytest_dura.llm.answers import FAILURE_MEANINGS as CLASSES
 from pytest_dura.llm.endpoint import KEY, MODEL, URL
 from pytest_dura.llm.settings import Settings
 
-PAGE = (Path(__file__).parents[3] / "docs" / "llm.md").read_text()
+DOCS = Path(__file__).parents[3] / "docs"
+PAGE = "\n".join(
+    page.read_text("utf-8") for page in [DOCS / "llm.md", *sorted((DOCS / "llm").glob("*.md"))]
+)
 FILLED_IN = {"server", "judge_server", "prompts"}
 
 
