@@ -12,6 +12,8 @@ import re
 import subprocess
 import sys
 import tempfile
+import textwrap
+from collections import Counter
 from difflib import SequenceMatcher
 from pathlib import Path
 
@@ -49,7 +51,7 @@ SESSIONS = {
 def output(python: str, command: str) -> list[str]:
     """Return the lines of a command as an interpreter's environment prints them."""
     with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "pytest.ini").write_text("[pytest]\n")
+        Path(folder, "pytest.ini").write_text("[pytest]\ndura_progress_interval = never\n")
         Path(folder, "planner.py").write_text(PLANNER)
         done = subprocess.run(
             [python, "-m", *command.split()], cwd=folder, capture_output=True, text=True,
@@ -57,45 +59,77 @@ def output(python: str, command: str) -> list[str]:
         )  # fmt: skip
     if done.returncode not in (0, 1):
         raise SystemExit(done.stdout + done.stderr)
-    text = done.stdout.replace(folder, "FOLDER")
-    text = re.sub(r"in [\d.]+s( \([\d:]+\))?", "in N s", text)
-    return [line.rstrip() for line in text.splitlines()]
+    text = re.sub(r"in [\d.]+s( \([\d:]+\))?", "in N s", done.stdout.replace(folder, "FOLDER"))
+    return [line.rstrip() for line in text.splitlines() if not line.startswith("plugins: ")]
+
+
+def wrapped(lines: list[str]) -> list[str]:
+    """Return lines of at most the width of a column."""
+    return [
+        part
+        for line in lines
+        for part in (textwrap.wrap(line, WIDTH, drop_whitespace=False) or [""])
+    ]
 
 
 def side_by_side(before: list[str], after: list[str]) -> list[str]:
     """Return both in two columns, equal lines beside each other."""
-    rows = []
-    for _, i, j, k, m in SequenceMatcher(None, before, after, autojunk=False).get_opcodes():
-        rows += itertools.zip_longest(before[i:j], after[k:m], fillvalue="")
-    return [f"{left:{WIDTH}} | {right}".rstrip() for left, right in rows]
+    left, right = wrapped(before), wrapped(after)
+    rows: list[tuple[str, str]] = []
+    for _, i, j, k, m in SequenceMatcher(None, left, right, autojunk=False).get_opcodes():
+        rows += itertools.zip_longest(left[i:j], right[k:m], fillvalue="")
+    return [f"{old.rstrip():{WIDTH}} | {new}".rstrip() for old, new in rows]
 
 
-def sentences(lines: list[str]) -> list[str]:
-    """Return the sentences of an output: paragraphs joined, figures and names left out."""
+LABEL = re.compile(r" *([a-z][a-z ]*): {2,}")
+
+
+def paragraphs(lines: list[str]) -> list[str]:
+    """Join lines that go on in the next one, as cards are written."""
     joined: list[str] = []
     for line in lines:
-        continues = joined and line.startswith("  ") and not re.match(r"\s+\S+:  ", line)
-        if continues and joined[-1]:
+        starts = LABEL.match(line) or re.match(r" +[A-Z-]+\d:", line)
+        deeper = line.startswith("  ") and not starts
+        if deeper and joined and joined[-1]:
             joined[-1] += f" {line.strip()}"
         else:
             joined.append(line.strip())
-    parts = itertools.chain.from_iterable(re.split(r"(?<=[a-z)][.:]) ", line) for line in joined)
-    return [part for part in parts if re.match(r"[A-Z][a-z]+ .* .* .*\.$", part)]
+    return joined
+
+
+def labels(lines: list[str]) -> Counter[str]:
+    """Count the lines that begin with each label, such as ``replay:``."""
+    return Counter(match[1] for line in lines if (match := LABEL.match(line)))
+
+
+def sentences(lines: list[str]) -> list[str]:
+    """Return the sentences of an output that stand behind no label."""
+    free = [text for text in paragraphs(lines) if not LABEL.match(text)]
+    parts = [part for text in free for part in re.split(r"(?<=[a-z\d)])\. (?=[A-Z])", text)]
+    return [part for part in parts if re.match(r"[A-Za-z].*[a-z] .* .* [a-z]", part)]
+
+
+def figures_left_out(text: str) -> str:
+    """Return text with a letter for each number."""
+    return re.sub(r"\d[\d.]*", "N", text)
+
+
+def gone(before: list[str], after: list[str]) -> list[str]:
+    """Return what went, as entries of a list: lines by their labels, then sentences."""
+    old, new = labels(before), labels(after)
+    entries = [f"`{name}:` {old[name]} -> {new[name]}" for name in old if new[name] < old[name]]
+    kept = {figures_left_out(each).rstrip(".") for each in sentences(after)}
+    left = [each for each in sentences(before) if figures_left_out(each).rstrip(".") not in kept]
+    return entries + [f"`{each}`" for each in dict.fromkeys(left)]
 
 
 def session(title: str, command: str, python: str) -> list[str]:
     """Return the section of a session."""
     before, after = output(python, command), output(sys.executable, command)
-    kept = {re.sub(r"\d[\d.]*", "N", each) for each in sentences(after)}
-    gone = [
-        each
-        for each in dict.fromkeys(sentences(before))
-        if re.sub(r"\d[\d.]*", "N", each) not in kept
-    ]
-    listed = [f"- {each}" for each in gone] or ["- none"]
+    listed = [f"- {entry}" for entry in gone(before, after)] or ["- nothing"]
     return [
         f"## {title}", "", "```sh", command, "```", "",
-        f"{len(before)} lines before, {len(after)} after. Sentences that went:", "", *listed, "",
+        f"{len(before)} lines before, {len(after)} after. What went:", "", *listed, "",
         "```text", *side_by_side(before, after), "```", "",
     ]  # fmt: skip
 
@@ -107,8 +141,10 @@ def page(python: str) -> str:
         "",
         "<!-- Written by `python docs/side_by_side.py PYTHON`; do not edit. -->",
         "",
-        f"Three sessions as they were printed before one document was made of a record ({BEFORE}, left)",
-        f"and now (right), {WIDTH} columns wide. The planner of the third is this one:",
+        "Three sessions as they were printed before reports and terminal were written from one",
+        f"document ({BEFORE}, left) and now (right), {WIDTH} columns wide. In the lists of what",
+        "went, a label such as `replay:` stands for the lines that begin with it. The planner of the",
+        "third session is this one:",
         "",
         "```python",
         *PLANNER.splitlines(),

@@ -58,6 +58,12 @@ def public_names():
     return {reference.FOLDER / name: text for name, text in pages.items()}
 
 
+def forged_fields():
+    """The list of fields that a hash or a signature alone protects."""
+    fields = importlib.import_module("forged_fields")
+    return {fields.PAGE: fields.updated_page(fields.PAGE.read_text("utf-8"))}
+
+
 def prompts():
     """Prompts of real episodes, as they are put before a model, byte by byte."""
     texts = golden()
@@ -74,6 +80,7 @@ GENERATED = {
     hazard_files: "python -m pytest_dura.library.hazards",
     public_names: "python docs/reference_pages.py",
     prompts: "python tests/support/prompt_views.py",
+    forged_fields: "python tests/support/forged_fields.py",
 }
 """What makes the texts of some files, and the command that writes them."""
 

@@ -15,6 +15,7 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
+from forged_fields import PAGE, free_names, rows_of, table_rows
 from forging import forgeries
 
 from pytest_dura.core import ConfigurationError
@@ -359,90 +360,6 @@ def test_inputs_may_not_contradict_each_other_though_all_else_follows_from_them(
     assert list(record_problems(again)) != []
 
 
-FREE = {
-    "who wrote it, where, when and how fast, which nothing else in it repeats": """
-        created, finished, command, tool, environment, execution, resume.session, resume.sources,
-        selection,
-        require_repeatable, timings.wall_seconds, timings.evidence_seconds,
-        episodes[].metrics.processing_us, inputs
-    """,
-    "what was asked for, in the words of its own file": """
-        requirements[].text, requirements[].kind, requirements[].source, requirements[].reason,
-        requirements[].method, requirements[].p0, requirements[].at_most (null),
-        requirements[].paired,
-        cases[].without[], cases[].faults[].duration, cases[].faults[].by_chance,
-        cases[].faults[].activation, cases[].faults[].parameters
-    """,
-    "what the component is, beside its name and the digest of its code": """
-        component_under_test.path, component_under_test.version, component_under_test.opaque,
-        component_under_test.distribution, component_under_test.files,
-        component_under_test.digest (null), component_under_test.others[].path,
-        component_under_test.others[].version, component_under_test.others[].opaque,
-        component_under_test.others[].distribution, component_under_test.others[].files,
-        component_under_test.others[].digest (null)
-    """,
-    "what an episode was simulated from: simulating it again tells": """
-        episodes[].spec.roles, episodes[].spec.simulator, episodes[].spec.termination,
-        episodes[].spec.time_budget,
-        episodes[].spec.faults[].duration, episodes[].spec.faults[].by_chance,
-        episodes[].spec.faults[].activation, episodes[].spec.faults[].parameters
-    """,
-    "what was seen in an episode, and is in no trace: simulating it again tells": """
-        cases[].repeat (null), cases[].repeat.detail, episodes[].trajectory, episodes[].drawn,
-        episodes[].metrics.robustness_min, episodes[].metrics.violations,
-        episodes[].metrics.recoveries_succeeded, episodes[].faults[].planned_at,
-        episodes[].faults[].deactivated_at, episodes[].faults[].detected_by,
-        episodes[].faults[].pattern, episodes[].faults[].recovery,
-        episodes[].faults[].recovery_at, episodes[].faults[].activations,
-        episodes[].faults[].manifest_ticks, episodes[].faults[].by_chance,
-        episodes[].faults[].read_by,
-        episodes[].faults[].propagation, episodes[].faults[].propagated_at,
-        episodes[].faults[].unknown, judgements[].runs[].twin_verdict.margin,
-        judgements[].runs[].twin_verdict.time, judgements[].runs[].twin_verdict.detail,
-        monitors[].untimed, monitors[].invalid, monitors[].missing,
-        monitors[].false_alarms, monitors[].horizon (other)
-    """,
-    "what a test asserted: running it tells": """
-        judgements[].assertion.alone, judgements[].assertion.observed
-    """,
-    "what was to be decided, where it was": """
-        judgements (fewer)
-    """,
-    "the name of a test that failed": """
-        failed_items[]
-    """,
-    "what a search did, of which no verdict is made: searching again tells": """
-        searches[].seed, searches[].budget, searches[].refused, searches[].rule,
-        searches[].parameters, searches[].searchers[].trivial,
-        searches[].searchers[].first.* (null), searches[].baselines (fewer),
-        searches[].baselines[].name, searches[].baselines[].best.*,
-        searches[].baselines[].first.* (null), searches[].coverage, searches[].simulator,
-        searches[].roles, searches[].item
-    """,
-    "what a search found: replaying the counterexample tells": """
-        searches[].outcomes[].counterexample.case, searches[].outcomes[].counterexample.scenario,
-        searches[].outcomes[].counterexample.digest, searches[].outcomes[].counterexample.margin,
-        searches[].outcomes[].counterexample.time, searches[].outcomes[].counterexample.detail,
-        searches[].outcomes[].counterexample.shrinking (null),
-        searches[].outcomes[].counterexample.shrinking.before,
-        searches[].outcomes[].counterexample.shrinking.budget,
-        searches[].outcomes[].counterexample.shrinking.finished,
-        searches[].outcomes[].counterexample.file (other),
-        searches[].outcomes[].counterexample.name (other)
-    """,
-}
-"""Fields from which nothing else in a bundle follows, and why; with all that is below them."""
-
-
-def free_names():
-    return [name.strip() for names in FREE.values() for name in names.split(",")]
-
-
-def test_the_fields_that_nothing_but_a_hash_protects_are_named_to_users():
-    text = (Path(__file__).parents[2] / "docs" / "trust.md").read_text()
-    assert [name for name in free_names() if f"`{name}`" not in text] == []
-
-
 def names_it(name, field, kind):
     """Whether the name of a field, or of a kind of other value of it, is about this one."""
     return re.match(re.escape(name) + r"(?![\w*])", f"{field} ({kind})") is not None
@@ -470,11 +387,18 @@ def found_by(made, record):
         return "conclusion"
 
 
+def found_in_totals(made, record):
+    """What verify finds against totals that were not counted anew."""
+    if check_record(record):
+        return "form"
+    return "conclusion" if [*conclusion_problems(SessionRecord.of(record, made))] else "nothing"
+
+
 def test_one_forged_field_is_found_whatever_field_it_is(made):
     """Each field of the schema that this session fills, with each kind of other value.
 
     Where a field stands several times, it is enough that one of its places is found: not all
-    verdicts rest on traces. What finds them is printed, for the table of ``docs/trust.md``.
+    verdicts rest on traces. What finds them is printed, and is the table of ``docs/trust.md``.
     """
     text = (made / "evidence.json").read_text()
     by_field = defaultdict(list)
@@ -503,12 +427,15 @@ def test_one_forged_field_is_found_whatever_field_it_is(made):
                 break
         else:
             missed.append(key)
-    finders = "values", "form", "contradiction", "conclusion", "trace"
-    for name, counts in sorted(table.items()):
-        others = counts["values"] - sum(counts[finder] for finder in finders[1:])
-        cells = map(str, (*(counts[finder] for finder in finders), others))
-        sys.stdout.write(f"| `{name}` | {' | '.join(cells)} |\n")
+    for field, kind in by_field:
+        if field.partition(".")[0] == "totals":
+            record = json.loads(text)
+            by_field[field, kind][0].apply(record)
+            table["totals"][found_in_totals(made, record)] += 1
+    rows = [*table_rows(table)]
+    sys.stdout.write("".join(f"{row}\n" for row in rows))
     assert not missed, "\n".join(f"{field} ({kind})" for field, kind in missed)
+    assert rows_of(PAGE.read_text("utf-8")) == rows, "`python tests/support/forged_fields.py`"
 
 
 @pytest.mark.parametrize(
