@@ -81,7 +81,9 @@ def side_by_side(before: list[str], after: list[str]) -> list[str]:
     return [f"{old.rstrip():{WIDTH}} | {new}".rstrip() for old, new in rows]
 
 
-LABEL = re.compile(r" *([a-z][a-z ]*): {2,}")
+LABEL = re.compile(
+    r" *(also in|check|component|episode|event|next|replay|required|rerun|twin|worst): "
+)
 
 
 def paragraphs(lines: list[str]) -> list[str]:
@@ -89,6 +91,7 @@ def paragraphs(lines: list[str]) -> list[str]:
     joined: list[str] = []
     for line in lines:
         starts = LABEL.match(line) or re.match(r" +[A-Z-]+\d:", line)
+        starts = starts or bool(joined and re.search(r"of \d+ causes?\)$", joined[-1]))
         deeper = line.startswith("  ") and not starts
         if deeper and joined and joined[-1]:
             joined[-1] += f" {line.strip()}"
@@ -143,8 +146,8 @@ def page(python: str) -> str:
         "",
         "Three sessions as they were printed before reports and terminal were written from one",
         f"document ({BEFORE}, left) and now (right), {WIDTH} columns wide. In the lists of what",
-        "went, a label such as `replay:` stands for the lines that begin with it. The planner of the",
-        "third session is this one:",
+        "went, a label such as `replay:` stands for the lines that begin with it. The planner of",
+        "the third session is this one:",
         "",
         "```python",
         *PLANNER.splitlines(),
