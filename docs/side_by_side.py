@@ -19,7 +19,7 @@ from pathlib import Path
 
 PAGE = Path(__file__).with_name("releases") / "terminal.md"
 BEFORE = "commit e139dc19"
-WIDTH = 100
+WIDTH = 80
 PLANNER = '''\
 # planner.py
 import json
