@@ -35,7 +35,7 @@ def reference_page() -> str:
         "",
         "- record: a session with it leaves evidence, whatever its tests are.",
         "- episodes: an episode of the same case and run may be another one with it, and is not",
-        "  [taken over](resume.md#what-is-compared) then.",
+        "  [taken over](executors.md#what-is-compared) then.",
         "- repeated: the printed commands that repeat it.",
         "- shards: the `same` for all shards of a session; `free` where it may differ, or where",
         "  the merge compares what it leads to; or why it excludes `--dura-shard`.",
