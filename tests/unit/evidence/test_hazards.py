@@ -292,8 +292,9 @@ def test_an_incomplete_session_does_not_read_as_one_that_passed():
     assert generated_argument(made)["GTop"].undeveloped
 
 
-PAGE = (Path(__file__).parents[3] / "docs/standards.md").read_text("utf-8")
-BLOCKS = dict(re.findall(r"```(yaml|python)\n(.*?)```", PAGE, re.DOTALL))
+DOCS = Path(__file__).parents[3] / "docs"
+PAGES = [(DOCS / name).read_text("utf-8") for name in ("standards.md", "evidence/exports.md")]
+BLOCKS = dict(re.findall(r"```(yaml|python)\n(.*?)```", "\n".join(PAGES), re.DOTALL))
 
 
 def test_the_hazards_of_the_documentation_can_be_read():
