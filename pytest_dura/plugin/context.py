@@ -83,6 +83,15 @@ class SessionContext:
         """Whether options or arguments ask for something of this package."""
         return self.options.activated or bool(self.own_arguments)
 
+    @property
+    def runs_scenarios_alone(self) -> bool:
+        """Whether options or arguments name scenarios, and nothing names a test."""
+        if self.own_arguments:
+            return self.own_arguments.issuperset(self.config.args)
+        return self.options.scenarios and (
+            self.config.args_source is not self.config.ArgsSource.ARGS
+        )
+
     def extend_import_path(self) -> None:
         """Make ``planner:MyPlanner`` importable from where pytest was started, and from the root.
 

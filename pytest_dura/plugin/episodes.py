@@ -6,7 +6,6 @@ sessions.
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import tempfile
 import uuid
@@ -441,22 +440,9 @@ class SharedEpisodes:
         self._searches_reported += len(searched)
         return [SearchedRun(f"{key[0]} {key[1]}", earlier.origin(key)) for key in searched]
 
-    def first_to_repeat(self, case: str, component: str) -> bool:
-        """Whether this process is the first of the session that repeats an episode of a case."""
-        if not self.context.is_worker:
-            return True
-        name = hashlib.sha256(f"{case}\n{component}".encode()).hexdigest()
-        with suppress(OSError):
-            self._repetition_marks.mkdir(mode=0o700, exist_ok=True)
-            try:
-                (self._repetition_marks / name).touch(exist_ok=False)
-            except FileExistsError:
-                return False
-        return True
-
     @property
-    def _repetition_marks(self) -> Path:
-        """Folder in which workers mark what they repeat, as long as the session runs."""
+    def worker_folder(self) -> Path:
+        """Folder in which workers note what items look at, as long as the session runs."""
         return Path(tempfile.gettempdir()) / f"pytest-dura-{self.id}"
 
     def send_to_worker(self, workerinput: MutableMapping[str, Any]) -> None:
@@ -541,7 +527,7 @@ class SharedEpisodes:
             record: Of the session.
             written: Whether all of its evidence could be written.
         """
-        shutil.rmtree(self._repetition_marks, ignore_errors=True)
+        shutil.rmtree(self.worker_folder, ignore_errors=True)
         lost = self._lost or self._lost_here or record.head.totals.missing
         self.is_whole = written and record.head.status == "complete" and not lost
         if not self.is_whole:
@@ -625,21 +611,20 @@ class Repeats:
     """Repeats the first episode of each case once this process has run the last item on it.
 
     By then the process has run other episodes, so that what they left in classes or modules shows.
-    Of the processes of a session one simulates the repetition.
 
     Args:
         models: Whose counts leave repetitions out.
-        shared: Which process repeats a case.
+        context: The session's context.
         executor: Who simulates.
     """
 
     def __init__(
         self,
         models: LanguageModels,
-        shared: SharedEpisodes,
+        context: SessionContext,
         executor: SessionExecutor,
     ) -> None:
-        self._models, self._shared, self._executor = models, shared, executor
+        self._models, self._context, self._executor = models, context, executor
         self._due: dict[tuple[str, str], _DueRepetition] = {}
         self._done: set[tuple[str, str]] = set()
 
@@ -652,8 +637,8 @@ class Repeats:
             return
         from pytest_dura.library.scenario import tolerances_of
 
-        task = self._shared.context.runner.task(case, episode.spec.run)
-        declared = draws_reason(self._shared.context, case)
+        task = self._context.runner.task(case, episode.spec.run)
+        declared = draws_reason(self._context, case)
         tolerances = tolerances_of(task.spec.simulator)
         signals = {} if tolerances is None else episode.signals
         self._due[key] = _DueRepetition(task, episode.digest, declared, signals, tolerances)
@@ -676,27 +661,22 @@ class Repeats:
         # The last case first: a component that behaves by turns, one way in a run and another way
         # in its twin, would otherwise meet the turn of the first time.
         in_turn = list(reversed(self._due.items()))
-        if not self._shared.context.is_worker:  # there another process may repeat it
-            due_tasks = [due.task for _, due in in_turn if due.declared != LIVE_MODEL]
-            self._shared.context.runner.store.begin_repeats(due_tasks)
+        due_tasks = [due.task for _, due in in_turn if due.declared != LIVE_MODEL]
+        self._context.runner.store.begin_repeats(due_tasks)
         for (case, component), due in in_turn:
-            repeated = self._repeated(due)
             self._done.add((case, component))
-            if repeated is not None:
-                about = {"case": case, "component": component, "episode": due.task.spec.id}
-                about |= {"digest": due.digest, "declared": due.declared}
-                yield RepeatedCase.from_data({**about, **repeated})
+            about = {"case": case, "component": component, "episode": due.task.spec.id}
+            about |= {"digest": due.digest, "declared": due.declared}
+            yield RepeatedCase.from_data({**about, **self._repeated(due)})
         self._due.clear()
 
-    def _repeated(self, due: _DueRepetition) -> Mapping[str, Any] | None:
-        """Repeat an episode; ``None`` if another process does."""
+    def _repeated(self, due: _DueRepetition) -> Mapping[str, Any]:
+        """Repeat an episode."""
         if due.declared == LIVE_MODEL:
             return {"result": "skipped", "repeated_digest": None, "detail": LIVE_MODEL}
-        if not self._shared.first_to_repeat(due.task.spec.case, due.task.spec.component):
-            return None
         try:
             with self._models.uncounted():
-                repetition = self._shared.context.runner.store.repeat(due.task)
+                repetition = self._context.runner.store.repeat(due.task)
         except Exception as error:  # whatever user code raises, which it did not the first time
             return {
                 "result": "failed",

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     import warnings
 
     from xdist.remote import Producer
-    from xdist.scheduler import LoadScopeScheduling
+    from xdist.scheduler import LoadScheduling
     from xdist.workermanage import WorkerController
 
     from pytest_dura.plugin.session import DuraSession
@@ -261,12 +261,17 @@ class SessionHooks:
             for item in own_items:
                 mark_item(self.session, item)
 
+    @pytest.hookimpl(tryfirst=True)  # before a worker reports that it has collected
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         """Note what will run, in a record that replaces an earlier session's."""
         own_items = list(filter(uses_runner, session.items))
         if self.session.shard is None:  # a shard deselects what other shards run
             self.session.selection.select(own_items)
         note_repetitions(own_items)
+        if self.session.is_worker and own_items:
+            from pytest_dura.plugin.xdist import note_subjects
+
+            note_subjects(session.config, session.items)
         node_ids = [item.nodeid for item in own_items]
         self.has_own_items = bool(node_ids) or self.session.active
         if node_ids:
@@ -340,18 +345,6 @@ class SessionHooks:
         """Note that the loop over the items ended by itself."""
         result = yield
         self.session.evidence.ran_to_end = True
-        return result
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(
-        self, item: pytest.Item, nextitem: pytest.Item | None
-    ) -> Generator[None, Any, Any]:
-        """Let a worker that has no item left simulate episodes for the others."""
-        result = yield
-        if nextitem is None and self.session.is_worker and self.session.plan:
-            from pytest_dura.plugin.xdist import steal_work
-
-            steal_work(self.session.runner, item)
         return result
 
     @pytest.hookimpl(wrapper=True, trylast=True)
@@ -512,7 +505,10 @@ class SessionHooks:
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:
         """Send a worker what it needs: it writes the traces of its episodes itself."""
+        from pytest_dura.plugin.xdist import send_folder
+
         send_options(self.session.options, node.workerinput)
+        send_folder(self.session.shared.worker_folder, node.workerinput)
         self.session.shared.send_to_worker(node.workerinput)
         self.session.models.send_to_worker(node.workerinput)
 
@@ -527,13 +523,19 @@ class SessionHooks:
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_make_scheduler(
         self, config: pytest.Config, log: Producer
-    ) -> LoadScopeScheduling | None:
-        """Schedule by cases, so that workers share episodes."""
-        if not self.session.active or config.getoption("dist") != "load":
-            return None
-        from pytest_dura.plugin.xdist import CaseScheduling
+    ) -> LoadScheduling | None:
+        """Schedule by scenarios, so that workers share no episodes."""
+        from pytest_dura.plugin.xdist import ScenarioScheduling, schedules_scenarios
 
-        return CaseScheduling(config, log)
+        if not schedules_scenarios(config):
+            return None
+        return ScenarioScheduling(config, log, self.session.shared.worker_folder)
+
+    @pytest.hookimpl(optionalhook=True, trylast=True)
+    def pytest_handlecrashitem(self, report: pytest.TestReport, sched: Any) -> None:
+        """Report the items that are not tried any more after a worker died."""
+        if hasattr(sched, "report_given_up"):
+            sched.report_given_up(report)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_xdist_node_collection_finished(

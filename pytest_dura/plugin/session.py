@@ -157,7 +157,7 @@ class DuraSession(SessionContext):
         self.models = LanguageModels(self, self.roles)
         self.formulas = FormulaEngines(both=options.second_engine)
         self.shared = SharedEpisodes(self, self.executor, self.formulas)
-        self.repeats = Repeats(self.models, self.shared, self.executor)
+        self.repeats = Repeats(self.models, self, self.executor)
         self.properties = PropertyTests(self)
         self.selection = Selection(self)
         self.evidence = SessionEvidence(
@@ -230,13 +230,8 @@ class DuraSession(SessionContext):
 
     def take_arguments(self) -> None:
         """Leave to pytest the arguments that name files, and none if scenarios run alone."""
-        config = self.config
-        if self.own_arguments:
-            config.args = [
-                argument for argument in config.args if argument not in self.own_arguments
-            ]
-        elif self.options.scenarios and config.args_source is not config.ArgsSource.ARGS:
-            config.args = []
+        left = [] if self.runs_scenarios_alone else self.config.args
+        self.config.args = [argument for argument in left if argument not in self.own_arguments]
 
     @cached_property
     def progress(self) -> WorkerFile | ProgressHooks | None:

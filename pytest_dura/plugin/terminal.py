@@ -82,6 +82,10 @@ def header(
         lines.append(f"dura: {options.shard} of that; the others run elsewhere")
     lines += [f"dura: {role} is OFF: {where}" for role, where in _switched_off(context)]
     lines += executor.header()
+    if context.runs_scenarios_alone and config.pluginmanager.hasplugin("dsession"):
+        from pytest_dura.plugin.xdist import idle_workers
+
+        lines += idle_workers(context)
     lines += [f"dura: {line}" for line in shared.lines]
     lines += models.header()
     lines += _baseline_header(baseline)

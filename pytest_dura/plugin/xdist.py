@@ -1,192 +1,190 @@
-"""Scheduling of our items over the workers of pytest-xdist, and work stealing.
+"""Scheduling over the workers of pytest-xdist: all items of a scenario on one worker.
 
-Items of a case are split over all workers, which share its episodes. A worker that has no item
-left simulates episodes of the last campaigns that no other worker has claimed, and stops where
-the requirement is decided; the worker that has the item judges it.
+So campaigns, pairs and twins are simulated once, and workers share nothing. The controller collects
+no items: the first worker that has collected writes down what each of them looks at.
 """
 
 from __future__ import annotations
 
+import copy
+import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
 
-from xdist.scheduler import LoadScopeScheduling
+from xdist.scheduler import LoadScheduling
 
-from pytest_dura.campaign.events import EventStream
-from pytest_dura.plugin.items import ScenarioItem
+from pytest_dura.evidence.text import counted
+from pytest_dura.plugin.outcomes import marked_target, target_of
 
 if TYPE_CHECKING:
     import pytest
     from xdist.remote import Producer
     from xdist.workermanage import WorkerController
 
-    from pytest_dura.campaign.campaign import Campaign
-    from pytest_dura.campaign.runner import Runner
-    from pytest_dura.requirements.model import Requirement
+    from pytest_dura.plugin.context import SessionContext
+
+Subject: TypeAlias = tuple[str, str]
+"""What an item looks at: the name of a scenario, and one of its cases or runs."""
+_SUBJECTS_KEY = "dura_subjects"
+"""Key in the input of a worker: the folder for what items look at."""
+_SUBJECTS_FILE = "subjects.json"
+MAX_DEATHS = 2
+"""Workers that may die in items on one case, or on one run, before the others of these fail."""
 
 
-def steal_work(runner: Runner, last: pytest.Item) -> None:
-    """Simulate episodes of campaigns that other workers may still run.
+def schedules_scenarios(config: pytest.Config) -> bool:
+    """Whether a scenario stays on one worker: the user chose no ``--dist`` of his own."""
+    typed = config.known_args_namespace
+    own = typed.dist != "no" or typed.distload
+    return bool(config.getoption("dist") == "load" and not own)
+
+
+def idle_workers(context: SessionContext) -> Iterator[str]:
+    """Say that processes would simulate faster than workers, some of which have no scenario."""
+    workers = len(context.config.getoption("tx"))
+    scenarios = len({planned.case.scenario.name for planned in context.plan})
+    if schedules_scenarios(context.config) and scenarios < workers:
+        yield (
+            "dura: this session is faster without -n: one worker simulates all of a scenario, "
+            f"and {workers} workers have {counted(scenarios, 'scenario')}"
+        )
+
+
+def subject_of(item: pytest.Item) -> Subject | None:
+    """What an item looks at; ``None`` where it chooses its episodes itself, or has none."""
+    target = target_of(item)
+    if target is None:
+        return None
+    run = "" if marked_target(item, ["episode"]) is None else f"#{target.run}"
+    return target.case.scenario.name, target.case.id + run
+
+
+def send_folder(folder: Path, workerinput: dict[str, object]) -> None:
+    """Tell a worker where to write down what items look at."""
+    workerinput[_SUBJECTS_KEY] = str(folder)
+
+
+def note_subjects(config: pytest.Config, items: Sequence[pytest.Item]) -> None:
+    """Write down what items look at, if this is the first worker that has collected them."""
+    folder = vars(config)["workerinput"].get(_SUBJECTS_KEY)
+    subjects = [] if folder is None else [subject_of(item) for item in items]
+    if folder is not None and any(subjects):
+        # The folder is another worker's, or cannot be made: then pytest-xdist schedules by itself.
+        with suppress(OSError):
+            Path(folder).mkdir(mode=0o700)
+            Path(folder, _SUBJECTS_FILE).write_text(json.dumps(subjects))
+
+
+def _read_subjects(folder: Path) -> list[Subject | None]:
+    with suppress(OSError, ValueError):  # of another machine, or of a worker that was killed
+        found = json.loads((folder / _SUBJECTS_FILE).read_text())
+        return [each and (each[0], each[1]) for each in found]
+    return []
+
+
+class ScenarioScheduling(LoadScheduling):  # type: ignore[misc, unused-ignore]
+    """Load scheduling that gives a worker all items of a scenario at once.
+
+    Items without one are scheduled as pytest-xdist does, and so is a session that has no other.
 
     Args:
-        runner: The runner of this worker.
-        last: Its last item, which has come to its end.
-    """
-    if not isinstance(last, ScenarioItem) or not _may_steal(runner, last.session):
-        return
-    known = runner.library().requirements
-    # What is simulated for another worker is no event here: that worker's items use it.
-    runner = replace(runner, events=EventStream())
-    workers = int(vars(last.config)["workerinput"]["workercount"])
-    for item in _last_items(last.session.items, known, workers):
-        requirement = known[item.name]
-        campaign = runner.campaign(item.planned.case, requirement=requirement)
-        try:
-            # A component that asks a language model runs only where its requests are counted.
-            if not runner.task(campaign.case).portable:
-                return
-            if not _is_simulated(runner, campaign, requirement):
-                campaign.judge(requirement)
-        except Exception:  # whatever it is, the worker that has the item reports it
-            return
-
-
-def _may_steal(runner: Runner, run: pytest.Session) -> bool:
-    """Whether all items are to be run to their end, and nothing else is due here."""
-    runs_all = not run.config.getoption("maxfail", 0)
-    stopped = bool(run.shouldstop or run.shouldfail)
-    return runs_all and not stopped and runner.store.execution.inside
-
-
-def _last_items(
-    items: Sequence[pytest.Item], known: dict[str, Requirement], cases: int
-) -> Iterator[ScenarioItem]:
-    """Yield an item for each campaign of so many last cases, the last one first."""
-    seen: dict[str, set[str | None]] = {}
-    for item in reversed(items):
-        if not isinstance(item, ScenarioItem):
-            return
-        case, paired = item.planned.case.id, known[item.name].paired
-        if case not in seen and len(seen) == cases:
-            return
-        without = None if paired is None else paired.without
-        if without not in seen.setdefault(case, set()):
-            seen[case].add(without)
-            yield item
-
-
-def _is_simulated(runner: Runner, campaign: Campaign, requirement: Requirement) -> bool:
-    """Whether all planned runs are stored, those of pairs included."""
-    cases = [campaign.case]
-    if requirement.paired is not None:
-        cases.append(campaign.paired(requirement.paired.without).case)
-    runs = range(campaign.planned)
-    return all(
-        runner.store.holds(runner.task(case, run)) for run in reversed(runs) for case in cases
-    )
-
-
-SHARES = 4
-"""Shares per worker into which the runs of a test are split, if they are long enough."""
-LEAST = 8
-"""Runs in a share at least, unless every worker is to have one."""
-MOST = 500
-"""Runs in a share at most: the base class looks through a whole share at each item that ends."""
-
-
-class CaseScheduling(LoadScopeScheduling):  # type: ignore[misc, unused-ignore]
-    """Load scheduling that keeps all workers at the same case, whose episodes they share.
-
-    The items of a case that look at its campaign are split into a share for each worker: all of
-    them simulate it together, and none is left with the last case alone. The items of a test that
-    looks at one run each are split into shares of neighbouring runs. Any other item is on its own.
+        folder: Where workers write down what items look at.
     """
 
-    def __init__(self, config: pytest.Config, log: Producer | None = None) -> None:
+    collection: list[str] | None
+    maxschedchunk: int | None
+
+    def __init__(self, config: pytest.Config, log: Producer | None, folder: Path) -> None:
         super().__init__(config, log)
-        config.option.loadscopereorder = False  # the order of the cases is that of the shares
-        self._scopes: dict[str, str] = {}
-        self._places: dict[str, int] = {}
+        self._folder = folder
+        self._subjects: list[Subject | None] = []
+        self._deaths: Counter[Subject] = Counter()
+        self.given_up: list[str] = []
+        """Items that the last death made fail."""
 
-    def _split_scope(self, nodeid: str) -> str:
-        if not self._scopes:
-            self._scopes = shares(self.collection or [], self.numnodes)
-        return self._scopes[nodeid]
+    def schedule(self) -> None:
+        """Begin with one scenario for each worker."""
+        collection, *others = self.node2collection.values()
+        if self.collection is None and all(other == collection for other in others):
+            self._subjects = _read_subjects(self._folder)
+            if len(self._subjects) != len(collection):
+                self._subjects = []
+        if self.collection is not None or not any(self._subjects):
+            super().schedule()
+            return
+        self.collection = collection
+        self.maxschedchunk = self.maxschedchunk or len(collection)
+        first: dict[str | None, int] = {}
+        places = [
+            place if subject is None else first.setdefault(subject[0], place)
+            for place, subject in enumerate(self._subjects)
+        ]
+        self.pending[:] = sorted(range(len(collection)), key=places.__getitem__)
+        for node in self.nodes:
+            self._send_tests(node, 2)
+        for node in self.nodes:
+            self.check_schedule(node)
 
-    def _assign_work_unit(self, node: WorkerController) -> None:
-        """Assign a unit as the base class does, without its search for each item."""
-        if not self._places:
-            collection = self.registered_collections[node]
-            self._places = {name: place for place, name in enumerate(collection)}
-        scope, unit = self.workqueue.popitem(last=False)
-        self.assigned_work.setdefault(node, {})[scope] = unit
-        node.send_runtest_some([self._places[name] for name, done in unit.items() if not done])
+    def check_schedule(self, node: WorkerController, duration: float = 0) -> None:
+        """Give a worker more; it runs an item once it knows the next one, or that there is none."""
+        super().check_schedule(node, duration)
+        if self._subjects and len(self.node2pending[node]) < 2:
+            super().check_schedule(node)
 
-    def mark_test_complete(
-        self, node: WorkerController, item_index: int, duration: float = 0
-    ) -> None:
-        """Do as the base class, and forget a finished unit, which it would count for ever."""
-        scope = self._split_scope(self.registered_collections[node][item_index])
-        units = self.assigned_work[node]
-        super().mark_test_complete(node, item_index, duration)
-        if scope in units and all(units[scope].values()):
-            del units[scope]
+    def _send_tests(self, node: WorkerController, num: int) -> None:
+        """Send the next scenario, or so many of the items before it."""
+        if self._subjects and self.pending:
+            scenarios = (self._scenario(index) for index in self.pending)
+            first = next(scenarios)
+            most = len(self.pending) if first is not None else num
+            num = 1
+            while num < most and next(scenarios, _END) == first:
+                num += 1
+        super()._send_tests(node, num)
+
+    def _scenario(self, index: int) -> str | None:
+        subject = self._subjects[index]
+        return None if subject is None else subject[0]
+
+    def mark_test_pending(self, item: str) -> None:
+        """Refuse to try an item again that looks at episodes and killed its worker.
+
+        Raises:
+            NotImplementedError: For such an item.
+        """
+        assert self.collection is not None
+        if self._subjects and self._subjects[self.collection.index(item)] is not None:
+            raise NotImplementedError
+        super().mark_test_pending(item)
 
     def remove_node(self, node: WorkerController) -> str | None:
-        """Return the item during which the worker died; it is not tried again.
+        """Return the item during which the worker died; its others are given to other workers.
 
-        The base class hands out all units of a dead worker again. An item that kills its worker
-        would kill every one that follows, and a worker that is given a finished unit is never
-        given another: the session would not end.
+        Those that look at the same fail with it once they have cost as many workers.
         """
-        units = self.assigned_work[node]
-        crashed: str | None = None
-        for name, unit in list(units.items()):
-            unfinished = [item for item, is_done in unit.items() if not is_done]
-            if unfinished and crashed is None:
-                crashed = unfinished.pop(0)
-                unit[crashed] = True
-            if not unfinished:
-                del units[name]
-        super().remove_node(node)
+        self.given_up = []
+        pending = self.node2pending[node]
+        subject = self._subjects[pending[0]] if self._subjects and pending else None
+        if subject is not None:
+            assert self.collection is not None
+            self._deaths[subject] += 1
+            if self._deaths[subject] >= MAX_DEATHS:
+                same = [index for index in pending[1:] if self._subjects[index] == subject]
+                self.given_up = [self.collection[index] for index in same]
+                pending[:] = [index for index in pending if index not in same]
+        crashed: str | None = super().remove_node(node)
         return crashed
 
-    def _reschedule(self, node: WorkerController) -> None:
-        """Give the worker more work, and never a single item.
-
-        A worker runs an item when it knows the next one, or that there is none. The base class
-        gives one unit to a worker that takes the place of a dead one, which would wait for ever.
-        """
-        super()._reschedule(node)
-        if not node.shutting_down and self._pending_of(self.assigned_work[node]) == 1:
-            super()._reschedule(node)
+    def report_given_up(self, crashed: pytest.TestReport) -> None:
+        """Report the items that fail with the one during which a worker died."""
+        for name in self.given_up:
+            report = copy.copy(crashed)
+            report.nodeid = name
+            report.longrepr = f"{MAX_DEATHS} workers died in items on the same episodes"
+            self.config.hook.pytest_runtest_logreport(report=report)
 
 
-def shares(collection: Sequence[str], workers: int) -> dict[str, str]:
-    """Return the unit of each item: units are handed out whole, in the order of the collection.
-
-    Args:
-        collection: Node ids of all items.
-        workers: How many workers there are.
-    """
-    together: dict[str, list[str]] = {}
-    for name in collection:
-        together.setdefault(_group(name), []).append(name)
-    scopes = {}
-    for group, names in together.items():
-        count = workers
-        if ".py::" in group:
-            count = max(workers, min(SHARES * workers, len(names) // LEAST), -(-len(names) // MOST))
-        for place, name in enumerate(names):
-            scopes[name] = f"{group} {place * count // len(names)}"
-    return scopes
-
-
-def _group(nodeid: str) -> str:
-    """Return what belongs together: items of a case, or the runs of a case in a test."""
-    name, bracket, parameters = nodeid.partition("[")
-    if bracket:
-        # A test on runs or cases: `name[intersection/nominal#3]`, maybe among other parameters.
-        return f"{name}[{parameters.partition('#')[0].rstrip(']')}]"
-    return name if ".py::" in name else name.rpartition("::")[0]
+_END = object()

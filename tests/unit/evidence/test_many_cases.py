@@ -27,7 +27,6 @@ from pytest_dura.evidence import (
 from pytest_dura.evidence.case_model import CasePlan
 from pytest_dura.evidence.conclusions.cases import missing_runs, verdicts_on_cases
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.plugin.xdist import MOST, shares
 from pytest_dura.requirements.model import Requirement
 
 SIZES = (20, 40, 80)
@@ -137,10 +136,3 @@ def test_missing_runs_of_a_comparison_are_those_of_both_its_cases() -> None:
         assert found[name, "C"] == [told]
         missing = missing_runs(make(CasePlan, id=name, planned=1), found[name, "C"], {0})
         assert missing == {"missing_runs": [1, 2], "missing_runs_total": 2}
-
-
-def test_shares_of_workers_stay_small_however_many_runs_a_case_has() -> None:
-    """Xdist looks through a whole share whenever one of its items ends."""
-    names = [f"t.py::test_it[a/b#{run}]" for run in range(10 * MOST + 1)]
-    units = list(shares(names, 2).values())
-    assert max(units.count(unit) for unit in set(units)) <= MOST
