@@ -109,13 +109,11 @@ class LockedFile:
         _HELD.add(self)
 
     @classmethod
-    def acquire(cls, file: Path, mode: int = 0o644, *, create: bool = True) -> Self:
+    def acquire(cls, file: Path) -> Self:
         """Open and lock a file; a symbolic link is not followed.
 
         Args:
             file: Its name, in a folder that exists.
-            mode: Mode of a new file.
-            create: Whether to make a file that is missing.
 
         Raises:
             LockHeldError: If another process holds it.
@@ -123,9 +121,9 @@ class LockedFile:
         """
         from filelock import lock_descriptor
 
-        flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | (os.O_CREAT if create else 0)
+        flags = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | os.O_CREAT
         while True:
-            number = os.open(file, flags, mode)
+            number = os.open(file, flags, 0o644)
             try:
                 locked = lock_descriptor(number, blocking=False)
                 holder = "" if locked else _read_text(number)
@@ -148,10 +146,6 @@ class LockedFile:
             return os.path.samestat(os.fstat(self._number), self._opened)
         except OSError:
             return False
-
-    def read(self) -> str:
-        """Text that a holder wrote last; empty for a new file."""
-        return "" if self._number is None else _read_text(self._number)
 
     def write(self, text: str) -> None:
         """Replace the text; the lock is given up if that fails.

@@ -1,5 +1,5 @@
 from .address import address_of, describe_machine
-from .cache import CLAIM, EPISODE, EpisodeCache
+from .cache import EPISODE, EpisodeCache
 from .codec import pack
 from .executors import IN_FLIGHT, Execution, ExecutorChoice
 from .processes import MAX_STARTS, ProcessPool
@@ -9,7 +9,6 @@ from .store import EpisodeStore
 from .task import EpisodeTask, missing_episode, run_episode
 
 __all__ = [
-    "CLAIM",
     "EPISODE",
     "IN_FLIGHT",
     "MAX_STARTS",

@@ -1,4 +1,4 @@
-"""EpisodeCache: episodes in a directory that the processes of a session share."""
+"""EpisodeCache: the finished episodes of a session in a directory, for one that goes on with it."""
 
 from __future__ import annotations
 
@@ -12,16 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from pytest_dura.core.episode import EpisodeSpec
-from pytest_dura.core.files import LockedFile, LockHeldError
 from pytest_dura.core.state import NOTHING
 from pytest_dura.execution.address import Address
 from pytest_dura.execution.codec import MAX_UNPACKED_BYTES, DamagedEpisodeError, unpack
 from pytest_dura.execution.sources import Sources
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
-EPISODE, CLAIM, NEW, SOURCES = ".episode", ".claim", ".new", ".sources"
-MAX_ATTEMPTS = 2
-"""Processes that an episode may end before it is given up."""
+EPISODE, NEW, SOURCES = ".episode", ".new", ".sources"
 _FORMAT = 2
 _PRIVATE = 0o600
 """Mode of all files: they hold what secrets components were given, and what they made of them."""
@@ -51,21 +48,8 @@ class CacheEntry:
     changed: tuple[str, ...] | None = None
 
 
-class Claim(LockedFile):
-    """Right to simulate an episode, as long as this process holds it.
-
-    Attributes:
-        attempts: How many processes ended while they had it, before this one.
-    """
-
-    attempts = 0
-
-
 class EpisodeCache:
-    """Episodes by address in a directory.
-
-    A claim is a lock of the operating system: it ends with the process that holds it, whereupon
-    another one takes the episode over. How many processes an episode has ended is kept beside it.
+    """Episodes by address in a directory, each put there whole once it is over.
 
     Args:
         directory: Where they are; it is made when something is first put there.
@@ -113,24 +97,6 @@ class EpisodeCache:
         except (OSError, DamagedEpisodeError):
             return None
 
-    def claim(self, address: Address) -> Claim | None:
-        """The right to simulate an episode; ``None`` if another process has it.
-
-        Raises:
-            OSError: If the directory cannot be written.
-        """
-        file = self._file(address, CLAIM)
-        _make_private(file.parent.parent, file.parent)
-        try:
-            claim = Claim.acquire(file, _PRIVATE)
-        except LockHeldError:
-            return None
-        count, _, session = claim.read().partition(" ")
-        # Attempts of another session do not count: what was wrong may be mended.
-        claim.attempts = int(count) if count.isdigit() and session == self.session else 0
-        claim.write(f"{claim.attempts + 1} {self.session}")
-        return claim
-
     def put(
         self,
         address: Address,
@@ -139,7 +105,7 @@ class EpisodeCache:
         files: Mapping[str, str] = NOTHING,
         changed: Sequence[str] | None = None,
     ) -> None:
-        """Store an episode where every process finds it.
+        """Store an episode where a later session, and any process of this one, finds it.
 
         Args:
             address: Its address.
@@ -217,7 +183,7 @@ class EpisodeCache:
                 folder.unlink(missing_ok=True)
             if len(folder.name) == 2 and folder.is_dir() and not folder.is_symlink():
                 for file in list(folder.iterdir()):
-                    if file.suffix in (EPISODE, CLAIM, NEW):
+                    if file.suffix in (EPISODE, NEW):
                         file.unlink(missing_ok=True)
                 with suppress(OSError):  # a file of other origin lies there
                     folder.rmdir()

@@ -303,7 +303,7 @@ _LOST_KEY = "dura_lost"
 
 
 class SharedEpisodes:
-    """Shares episodes between the processes of a session, and with earlier sessions.
+    """Takes over episodes of earlier sessions, and keeps those of this one.
 
     Args:
         context: The session's context.
@@ -418,13 +418,8 @@ class SharedEpisodes:
         if self._store is not None:
             self._store.execution = self._executor.execution()
 
-    @property
-    def is_broken(self) -> bool:
-        """Whether an episode closed the file descriptors of this process, which cannot go on."""
-        return self._store is not None and self._store.is_broken
-
     def take_problems(self) -> list[str]:
-        """Return why episodes could not be shared, as far as not returned yet."""
+        """Return why episodes could not be kept, as far as not returned yet."""
         problems = [] if self._store is None else self._store.problems
         new, self._problems_reported = problems[self._problems_reported :], len(problems)
         return new

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.evidence.case_model import CasePlan
     from pytest_dura.evidence.lines import Line, RemarkKind
-    from pytest_dura.execution.store import EpisodeKey
+    from pytest_dura.execution.memory import EpisodeKey
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
@@ -402,8 +402,6 @@ class ItemRecorder:
         self._forget_item()
         if self._executor.is_lost:  # what there is by now can be resumed
             item.session.shouldstop = "nobody is left who simulates"
-        if self._shared.is_broken:
-            item.session.shouldstop = "file descriptors of this process were closed"
 
     def _keep_failed_trace(self, excinfo: pytest.ExceptionInfo[BaseException] | None) -> None:
         """Keep the trace of the last episode of a failed test that asked for no verdict."""

@@ -218,7 +218,7 @@ def test_a_session_without_any_memory_left_does_not_pass(project, without_memory
 
 
 @pytest.mark.parametrize("mode", [[], ["-n", "0"]], ids=["plain", "n0"])
-def test_a_shelf_on_a_full_disk_costs_nothing_but_the_sharing(project, monkeypatch, mode):
+def test_a_full_disk_costs_nothing_but_the_episodes_for_a_resume(project, monkeypatch, mode):
     scenario(project, runs=5, requirements="[GAP-1]")
     real = Path.write_bytes
 
@@ -230,7 +230,7 @@ def test_a_shelf_on_a_full_disk_costs_nothing_but_the_sharing(project, monkeypat
     monkeypatch.setattr(Path, "write_bytes", full)
     result = project.run("corridor/it", *mode)
     assert result.ret == 0
-    line = "episodes cannot be shared with other processes, nor with a later session: No space left"
+    line = "episodes are not kept for --dura-resume: No space left"
     assert output(result).count(line) == 1
     record = project.evidence()
     assert record.resume.problems == [f"{line} on device"]

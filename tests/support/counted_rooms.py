@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -24,8 +23,7 @@ class Counted(Controller):
 
     Args:
         folder: In which ``log`` grows by a line for each simulation. A file ``deadly`` there names
-            the run that kills the process, ``slow`` one that waits until
-            so many simulations have begun.
+            the run that kills the process.
     """
 
     def __init__(self, folder: str) -> None:
@@ -37,17 +35,9 @@ class Counted(Controller):
         run = str(context.scenario["run"])
         with (self.folder / "log").open("a") as log:
             log.write(f"{run}\n")
-        if self._named("deadly") == run:
+        deadly = self.folder / "deadly"
+        if deadly.exists() and deadly.read_text() == run:
             os.kill(os.getpid(), signal.SIGKILL)
-        slow, _, others = self._named("slow").partition(" ")
-        deadline = time.monotonic() + 30.0
-        while slow == run and len(self._named("log").split()) < int(others):
-            assert time.monotonic() < deadline
-            time.sleep(0.005)
-
-    def _named(self, name: str) -> str:
-        file = self.folder / name
-        return file.read_text() if file.exists() else ""
 
 
 def counted_task(folder: Path, run: int) -> EpisodeTask:
@@ -61,7 +51,7 @@ def counted_task(folder: Path, run: int) -> EpisodeTask:
 
 
 def counted_store(folder: Path, session: str = "s", *, earlier: bool = False) -> EpisodeStore:
-    """A store on the shelf that all processes share."""
+    """A store whose episodes are kept in the folder."""
     return EpisodeStore(EpisodeCache(folder / "shelf", session, earlier=earlier))
 
 

@@ -13,7 +13,7 @@ from pytest_dura import RoleSpec, Runner
 from pytest_dura.campaign import FaultsTraced
 from pytest_dura.core import EpisodeSpec, Event
 from pytest_dura.execution import EpisodeStore, EpisodeTask, run_episode
-from pytest_dura.execution.store import EpisodeMemory, size_of
+from pytest_dura.execution.memory import EpisodeMemory, size_of
 from pytest_dura.library import load_library
 from pytest_dura.requirements import JudgedEpisode, Requirement
 

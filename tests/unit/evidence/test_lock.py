@@ -12,6 +12,7 @@ import filelock
 import pytest
 
 from pytest_dura import ConfigurationError
+from pytest_dura.core.files import LockedFile
 from pytest_dura.evidence import DirectoryLock
 from pytest_dura.evidence.files import LOCK_FILE
 
@@ -95,3 +96,13 @@ def test_a_copy_of_the_process_holds_no_lock(tmp_path):
     finally:
         os.kill(copy, signal.SIGKILL)
         os.waitpid(copy, 0)
+
+
+def test_a_lock_whose_descriptor_was_closed_closes_no_other_file(tmp_path):
+    locked = LockedFile.acquire(tmp_path / "lock")
+    number = locked._number
+    with (tmp_path / "other").open("w") as other:
+        os.dup2(other.fileno(), number)  # as if it were closed, and its number given away
+        assert not locked.is_held
+        locked.release()
+        os.close(number)  # it is open still, on the other file

@@ -75,7 +75,7 @@ def room(seed: int, roles: dict[str, RoleSpec]) -> EpisodeSpec:
 def store() -> Iterator[EpisodeStore]:
     made = EpisodeStore(execution=Execution(threads=EpisodeThreads(2)))
     yield made
-    made.close()
+    made.execution.close()
 
 
 def test_so_many_episodes_wait_at_once_and_come_in_their_order(store, monkeypatch) -> None:
