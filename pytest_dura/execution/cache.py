@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.state import NOTHING
 from pytest_dura.execution.address import Address
@@ -117,20 +117,13 @@ class EpisodeCache:
         Raises:
             OSError: If it cannot be written.
         """
-        header = {
-            "format": _FORMAT,
-            "id": spec.id,
-            "component": spec.component,
-            "session": self.session,
-            "parts": dict(address.parts),
-            "files": dict(files),
-            "changed": None if changed is None else list(changed),
-        }
+        known = None if changed is None else tuple(changed)
+        entry = CacheEntry(spec.id, spec.component, self.session, address.parts, files, known)
         if not self._has_put_sources:
             self.put_sources()
         file = self._file(address, EPISODE)
         _make_private(file.parent.parent, file.parent)
-        _replace_private(file, json.dumps(header).encode() + b"\n" + packed)
+        _replace_private(file, _header(entry) + b"\n" + packed)
 
     def entries(self) -> Iterator[CacheEntry]:
         """Headers of all episodes, in no order; those that cannot be read are left out."""
@@ -213,25 +206,19 @@ def _replace_private(file: Path, data: bytes) -> None:
         raise
 
 
+def _header(entry: CacheEntry) -> bytes:
+    return json.dumps({"format": _FORMAT, **encode(entry)}).encode()
+
+
 def _read_header(line: bytes, address: Address | None = None) -> CacheEntry:
     try:
-        header: Any = json.loads(line)
-        changed = header["changed"]
-        entry = CacheEntry(
-            header["id"],
-            header["component"],
-            header["session"],
-            dict(header["parts"]),
-            dict(header["files"]),
-            None if changed is None else tuple(changed),
-        )
-    except (LookupError, RecursionError, TypeError, ValueError) as error:
+        header = json.loads(line)
+        known = header.pop("format")
+        entry = decode(CacheEntry, header)
+    except (AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         raise DamagedEpisodeError(f"{type(error).__name__}: {error}") from None
-    texts = [entry.id, entry.component, entry.session, *entry.parts, *entry.parts.values()]
-    texts += [*entry.files, *entry.files.values()]
-    texts += entry.changed or ()
-    if header.get("format") != _FORMAT or not all(isinstance(text, str) for text in texts):
-        raise DamagedEpisodeError("its beginning is not as we write it")
+    if known != _FORMAT:
+        raise DamagedEpisodeError(f"its format is not {_FORMAT}")
     if address is not None and entry.parts != address.parts:
         raise DamagedEpisodeError("it is not the episode of this name")
     return entry
