@@ -163,7 +163,13 @@ def summary(
     from pytest_dura.reports.story import document_of
 
     document = document_of(record)
-    if not document.sections and not record.head.shard:
+
+    def command(entry: Entry) -> str:
+        return (replay_command if entry.kind == "replay" else rerun_command)(context, entry.text)
+
+    pen = TerminalPen(document, command, verbose=context.config.option.verbose > 0)
+    lines = list(pen.lines())
+    if not lines and not record.head.shard:
         return
     terminal.section("dura", "=")
     terminal = SafeTerminal(terminal)
@@ -171,11 +177,7 @@ def summary(
         for line in shared.lines:
             terminal.line(line)
 
-    def command(entry: Entry) -> str:
-        return (replay_command if entry.kind == "replay" else rerun_command)(context, entry.text)
-
-    pen = TerminalPen(document, command, verbose=context.config.option.verbose > 0)
-    for text, status in pen.lines():
+    for text, status in lines:
         terminal.line(text, **{_COLOURS[status]: True} if status in _COLOURS else {})
     for note in notes:
         terminal.line(note)

@@ -13,7 +13,7 @@ from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.causes import Cause, Finding, card_heading, causes_of
-from pytest_dura.reports.document import Card, Entry, Level
+from pytest_dura.reports.document import Card, Entry, Level, Place
 from pytest_dura.reports.searches import (
     MOST_CHANGES,
     baseline_note,
@@ -91,6 +91,7 @@ def cause_card(cause: Cause, episode: EpisodeEntry | None = None) -> Card:
         title,
         cause.happened,
         tuple(_cause_entries(cause, episode)),
+        place=Place(cause.case, cause.component, cause.episode or "", cause.time),
     )
 
 
@@ -176,6 +177,7 @@ def search_card(
         title,
         _search_headline(search, outcome, units),
         tuple(_search_entries(search, outcome)),
+        place=Place(search.case, search.component),
     )
 
 
@@ -209,6 +211,8 @@ def _search_entries(search: RecordedSearch, outcome: SearchOutcome) -> Iterator[
         yield Entry("kept", f"{kept}, which --dura-scenarios runs from now on")
     again = example.name if kept and example is not None and example.name else search.item
     yield Entry("rerun", again, "rerun")
+    if search.waiver is not None:
+        yield Entry("waived", one_line(search.waiver.reason or "no reason"))
     yield Entry("next", _search_step(search, outcome))
 
 

@@ -51,6 +51,23 @@ class Entry:
 
 
 @dataclass(frozen=True)
+class Place:
+    """Where to see what a card is on.
+
+    Args:
+        case: Id of the case; empty for the whole session.
+        component: Name of the component under test.
+        episode: Id of an episode that shows it; empty for none.
+        time: When, in s.
+    """
+
+    case: str = ""
+    component: str = ""
+    episode: str = ""
+    time: float | None = None
+
+
+@dataclass(frozen=True)
 class Card:
     """One thing that went wrong, or one verdict.
 
@@ -59,6 +76,7 @@ class Card:
         title: Heading, without its number.
         headline: What happened, in a sentence.
         entries: The rest.
+        place: Where to see it.
     """
 
     status: str
@@ -67,6 +85,7 @@ class Card:
     entries: tuple[Entry, ...] = ()
     weight: Level = Level.FIRST
     shown: Shown = Shown.ALL
+    place: Place = Place()
 
 
 @dataclass(frozen=True)
@@ -78,12 +97,14 @@ class Text:
         weight: From which level on they are shown.
         shown: Formats that have them.
         status: What colours them, such as ``undecided``; empty for nothing.
+        view: The page's view that has them; empty for its first one.
     """
 
     lines: tuple[str, ...]
     weight: Level = Level.TERMINAL
     shown: Shown = Shown.ALL
     status: str = ""
+    view: str = ""
 
 
 @dataclass(frozen=True)
@@ -103,6 +124,8 @@ class Table:
         statuses: What colours each row; empty for nothing.
         ranks: How bad each row is, 0 the worst, where a pen keeps the worst of many, and less than
             0 for sums, which it keeps beside them; empty where it keeps the first.
+        caption: Its title in the page; that of its section where it is empty.
+        view: The page's view that has it; empty for its first one.
     """
 
     name: str
@@ -115,6 +138,8 @@ class Table:
     shown: Shown = Shown.ALL
     statuses: Sequence[str] = ()
     ranks: Sequence[int] = ()
+    caption: str = ""
+    view: str = ""
 
 
 Part = Text | Card | Table
@@ -149,10 +174,12 @@ class Document:
     Args:
         verdict: Result of the gate and what it rests on, in a line.
         sections: In order of importance.
+        sentence: What the result of the gate rests on, in a sentence.
     """
 
     verdict: str
     sections: tuple[Section, ...]
+    sentence: str = ""
 
     @property
     def cards(self) -> list[Card]:

@@ -53,18 +53,21 @@ class PairRow:
         pairs: Their counts.
         switching: Of the case.
         anchor: Of the verdict in the page.
+        title: What is summed, without a verdict.
     """
 
     verdict: ItemVerdict | None
     pairs: PairTable
     switching: SwitchingFigures | None = None
     anchor: str | None = None
+    title: str = ""
 
 
 PAIR_COLUMNS: Sequence[Column[PairRow]] = (
     Column(
         "requirement",
-        lambda row: given(row.verdict, lambda own: name_cell(own.requirement, anchor=row.anchor)),
+        lambda row: given(row.verdict, lambda own: name_cell(own.requirement, anchor=row.anchor))
+        or row.title,
         shown=Shown.PAGE, kind="",
     ),
     Column("case", lambda row: given(row.verdict, _case_of_pairs), shown=Shown.PAGE, kind=""),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
@@ -12,9 +13,10 @@ from pytest_dura.evidence.conclusions.totals import verdict_counts
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.session_model import PriceEntry
-from pytest_dura.evidence.text import name
-from pytest_dura.reports.columns import Shown, shown_in
+from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.reports.columns import Shown, number_text, shown_in
 from pytest_dura.reports.concluded import concluded_tables
+from pytest_dura.reports.contents import verdict_anchor
 from pytest_dura.reports.document import Level, Table
 from pytest_dura.reports.failure_modes import (
     FAILURE_MODE_HEADINGS,
@@ -55,7 +57,7 @@ from pytest_dura.reports.tables import (
     case_columns,
 )
 from pytest_dura.reports.usage import usage_columns, usage_rows
-from pytest_dura.requirements.comparison import BaselineComparison
+from pytest_dura.requirements.comparison import BaselineComparison, ComparedBaseline
 from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import PairTable
@@ -157,11 +159,21 @@ def fault_table(cases: Sequence[CaseEntry]) -> Table | None:
 def attack_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Table | None:
     """Make the table of what faults did: a row per case and requirement on pairs without them."""
     rows = [
-        (f"{verdict.requirement} on {verdict.case}", AttackRow(verdict))
+        (
+            f"{verdict.requirement} on {verdict.case}",
+            AttackRow(verdict, verdict_anchor(verdict.requirement, verdict.case)),
+        )
         for verdict in _by_case(verdicts, cases)
         if verdict.pairs and verdict.pairs.without == FAULTS
     ]
-    return Table("attack", ATTACK_COLUMNS, rows, shown=Shown.TERMINAL) if rows else None
+    caption = "Attacks: runs of equal seeds with the faults and without them"
+    return _of_view("monitors", caption, Table("attack", ATTACK_COLUMNS, rows))
+
+
+def _of_view(view: str, caption: str, table: Table) -> Table | None:
+    """A table of the terminal and of a view of the page; nothing without rows."""
+    shown = Shown.TERMINAL | Shown.PAGE
+    return replace(table, view=view, caption=caption, shown=shown) if table.rows else None
 
 
 def pair_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Table | None:
@@ -174,15 +186,16 @@ def pair_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> T
         if not isinstance(pairs, PairTable) or pairs.without != RECOVERY_ROLE:
             continue
         switching = metrics[verdict.case, verdict.component].switching
-        row = PairRow(verdict, pairs, switching)
+        row = PairRow(verdict, pairs, switching, verdict_anchor(verdict.requirement, verdict.case))
         rows.append((f"{verdict.requirement} on {verdict.case}", row))
         sums.setdefault((verdict.requirement, verdict.component), []).append(pairs)
     for (requirement, component), pairs_of_cases in sums.items():
         if len(pairs_of_cases) > 1:
             whose = f" ({component})" if len({component for _, component in sums}) > 1 else ""
-            row = PairRow(None, summed_pairs(pairs_of_cases))
-            rows.append((f"{requirement} overall{whose}", row))
-    return Table("recovery", PAIR_COLUMNS, rows, shown=Shown.TERMINAL) if rows else None
+            title = f"{requirement} overall{whose}"
+            rows.append((title, PairRow(None, summed_pairs(pairs_of_cases), title=title)))
+    caption = "Recovery: runs of equal seeds with it and without it"
+    return _of_view("monitors", caption, Table("recovery", PAIR_COLUMNS, rows))
 
 
 def _by_case(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Iterable[ItemVerdict]:
@@ -213,6 +226,30 @@ def monitor_table(monitors: Sequence[MonitorQuality]) -> Table | None:
     return Table("monitor", MONITOR_COLUMNS, rows, about, shown=Shown.TERMINAL)
 
 
+def monitor_table_of_page(monitors: Sequence[MonitorQuality]) -> Table | None:
+    """Make the page's table of monitors: those that differ in nothing but their target share a row.
+
+    Where nothing was violated and nothing flagged there is no row.
+    """
+    alike: dict[MonitorQuality, list[str]] = {}
+    for each in monitors:
+        if each.true_positives + each.false_negatives + each.false_positives:
+            alike.setdefault(replace(each, target=""), []).append(each.target)
+    rows = [(each.monitor, MonitorRow(each, targets)) for each, targets in alike.items()]
+    horizons = sorted({each.horizon for each in alike if each.horizon is not None})
+    within = f"{' or '.join(map(number_text, horizons))} s" if horizons else "time"
+    about = (
+        f"measured on runs without recovery: a violation that was flagged in the {within} before "
+        "it is a true positive, one that was not a false negative; a flag without a violation is a "
+        "false positive"
+    )
+    silent = len(monitors) - sum(map(len, alike.values()))
+    notes = f"{counted(silent, 'further measurement')} without a violation and without a flag"
+    table = Table("monitor", MONITOR_COLUMNS, rows, about, notes=(notes,) if silent else ())
+    caption = "Quality of the monitors"
+    return replace(table, view="monitors", caption=caption, shown=Shown.PAGE) if rows else None
+
+
 def failure_mode_tables(cases: Sequence[CaseEntry]) -> Iterator[Table]:
     """Make the terminal's tables of failure modes, over all cases and by case.
 
@@ -235,7 +272,24 @@ def failure_mode_tables(cases: Sequence[CaseEntry]) -> Iterator[Table]:
     for case in cases_with_accounts(cases):
         whose = f" of {case.component}" if several else ""
         modes = measured_failure_modes(case.metrics.failure_modes)
-        yield _mode_table(modes, f" on {case.id}{whose}")
+        table = _mode_table(modes, f" on {case.id}{whose}")
+        yield replace(table, shown=Shown.TERMINAL)
+
+
+def mode_table_of_cases(cases: Sequence[CaseEntry]) -> Table | None:
+    """Make the page's table of failure modes by case."""
+    rows = [
+        (case.id, FailureModeRow(mode, case.component, case))
+        for case in cases_with_accounts(cases)
+        for mode in measured_failure_modes(case.metrics.failure_modes)
+    ]
+    about = (
+        "the decisions of an episode depend on each other; the bound is on the share of episodes "
+        "in which a failure ever shows: exact, one-sided, with 95 % confidence"
+    )
+    table = Table("case", failure_mode_columns(by_case=True), rows, about, shown=Shown.PAGE,
+                  view="failure_modes", caption="Failure modes by case")  # fmt: skip
+    return table if rows else None
 
 
 def _mode_table(
@@ -250,7 +304,9 @@ def _mode_table(
                 rows.append((f"{FAILURE_MODE_HEADINGS[kind]}:", None))
         rows.append((failure_mode_text(mode.name), FailureModeRow(mode)))
     title = FAILURE_MODE_HEADINGS["failure"] + whose
-    return Table(title, failure_mode_columns(), rows, notes=notes, shown=Shown.TERMINAL)
+    shown, caption = Shown.TERMINAL | Shown.PAGE, title[:1].upper() + title[1:]
+    return Table(title, failure_mode_columns(), rows, notes=notes, shown=shown, caption=caption,
+                 view="failure_modes")  # fmt: skip
 
 
 def usage_table(cases: Sequence[CaseEntry], price: PriceEntry | None) -> Table | None:
@@ -258,7 +314,10 @@ def usage_table(cases: Sequence[CaseEntry], price: PriceEntry | None) -> Table |
     rows = usage_rows(cases, price)
     several = len({row.case.component for row in rows}) > 1
     named = [(row.case.id + (f" ({row.case.component})" if several else ""), row) for row in rows]
-    return Table("tokens", usage_columns(price), named) if rows else None
+    caption = "Tokens of language models by case"
+    columns = usage_columns(price)
+    table = Table("tokens", columns, named, caption=caption, view="failure_modes")
+    return table if rows else None
 
 
 def verdict_table(record: SessionRecord) -> Table:
@@ -273,7 +332,8 @@ def verdict_table(record: SessionRecord) -> Table:
         for each in verdicts
     ]
     statuses = [each.verdict for each in verdicts]
-    return Table("verdict", VERDICT_COLUMNS, rows, statuses=statuses)
+    shown = Shown.TERMINAL | Shown.SUMMARY
+    return Table("verdict", VERDICT_COLUMNS, rows, statuses=statuses, shown=shown)
 
 
 def requirement_table(record: SessionRecord) -> Table:
@@ -300,13 +360,14 @@ def requirement_table(record: SessionRecord) -> Table:
 def hazard_table(record: SessionRecord) -> Table | None:
     """Make a row for each hazard, those without evidence first."""
     rows = [(each.hazard.id, each) for each in hazards_by_need(record)]
-    return Table("hazard", HAZARD_COLUMNS, rows, shown=Shown.FILES) if rows else None
+    return Table("hazard", HAZARD_COLUMNS, rows, shown=Shown.SUMMARY) if rows else None
 
 
 def search_table(record: SessionRecord) -> Table | None:
     """Make a row for each outcome of a search, the worst first."""
     rows = [(search.case, OutcomeRow(search, own)) for search, own in ordered_outcomes(record)]
-    return Table("search", SEARCH_COLUMNS, rows, shown=Shown.SUMMARY) if rows else None
+    table = Table("search", SEARCH_COLUMNS, rows, shown=Shown.FILES, view="searches")
+    return table if rows else None
 
 
 def mode_table_of_files(record: SessionRecord) -> Table | None:
@@ -346,6 +407,21 @@ def comparison_table(comparisons: Sequence[BaselineComparison]) -> Table | None:
     )  # fmt: skip
 
 
+def comparison_table_of_page(baseline: ComparedBaseline) -> Table:
+    """Make a row for each comparison with a baseline."""
+    rows = [(each.requirement, each) for each in baseline.comparisons]
+    component = name(baseline.component.get("name") or "unknown")
+    about = (
+        f"against {name(baseline.path)}, made {one_line(baseline.created)}, component {component}, "
+        f"base seed {baseline.base_seed}, SHA-256 {name(baseline.sha256)}; "
+        f"{counted(baseline.tests, 'comparison')} corrected together ({baseline.correction})"
+    )
+    return Table(
+        "requirement", COMPARISON_COLUMNS, rows, about, shown=Shown.PAGE, view="provenance",
+        caption="Rates of violations against the baseline",
+    )  # fmt: skip
+
+
 def has_violations(comparison: BaselineComparison) -> bool:
     """Whether anything violated the requirement, now or in the baseline."""
     return bool(comparison.violations or comparison.baseline_violations)
@@ -358,7 +434,8 @@ def searcher_table(search: Falsification, requirement: str) -> Table:
     ]
     rows.append(("trivial, each by itself:" if search.baselines else "trivial: none was run", None))
     rows += [(searcher_name(each), SearcherRow(each, requirement)) for each in search.baselines]
-    return Table("searcher", SEARCHER_COLUMNS, rows, shown=Shown.TERMINAL)
+    shown, caption = Shown.TERMINAL | Shown.PAGE, f"Who violated {requirement} in {search.case}"
+    return Table("searcher", SEARCHER_COLUMNS, rows, shown=shown, caption=caption, view="searches")
 
 
 def further_tables(record: SessionRecord) -> Iterator[tuple[str, Table]]:

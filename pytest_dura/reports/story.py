@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -9,12 +10,15 @@ from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.gate import (
     NOTHING_FOUND,
+    OBJECTIONABLE_OUTCOMES,
     draws_lines,
     not_repeatable_lines,
+    outcome_objection,
     outcome_status,
 )
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.model import RecordHead, SessionRecord, Totals
+from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.session_model import ResumeEntry, SearchOrigins
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name, one_line
@@ -36,19 +40,23 @@ from pytest_dura.reports.searches import (
     ordered_outcomes,
     outcome_counts_text,
     outcome_headline,
+    search_coverage_text,
     simulations_text,
 )
 from pytest_dura.reports.session_tables import (
     attack_table,
     case_table,
     comparison_table,
+    comparison_table_of_page,
     failure_mode_tables,
     fault_table,
     further_tables,
     has_violations,
     hazard_table,
+    mode_table_of_cases,
     mode_table_of_files,
     monitor_table,
+    monitor_table_of_page,
     pair_table,
     reliance_table,
     requirement_table,
@@ -61,6 +69,9 @@ from pytest_dura.reports.usage import spending_text, usage_rows
 from pytest_dura.reports.verdicts import reading_sentences
 from pytest_dura.reports.wording import (
     beyond_plan_sentences,
+    conclusion_sentences,
+    is_incomplete,
+    limitation_sentences,
     look_sentences,
     names_text,
     roles_off_lines,
@@ -84,30 +95,104 @@ def document_of(record: SessionRecord) -> Document:
     """Make the document of a session's record."""
     sections = [
         Section("Causes", tuple(cards_of(record))),
+        Section("Shown", (Text(tuple(conclusion_sentences(record)), shown=Shown.FILES),)),
+        Section("Not shown", (Text(tuple(limitation_sentences(record)), shown=Shown.FILES),)),
         *_case_sections(record),
         Section("Searches", tuple(_search_parts(record))),
         *_file_sections(record),
         Section("", tuple(_note_parts(record))),
         Section("Baseline", tuple(_baseline_parts(record))),
     ]
-    return Document(verdict_line(record), tuple(each for each in sections if each.parts))
+    parts = tuple(each for each in sections if each.parts)
+    return Document(verdict_line(record), parts, verdict_sentence(record))
 
 
 def verdict_line(record: SessionRecord) -> str:
     """The gate's result, and the verdicts that it rests on: ``failed, 6 supported, 5 violated``."""
     totals = record.head.totals
-    counted_verdicts = {
-        "supported": totals.supported,
-        "violated": totals.violated,
-        "undecided": totals.undecided,
-        "waived": totals.waived,
-    }
-    parts = [f"{count} {status}" for status, count in counted_verdicts.items() if count]
+    parts = _counted(totals, ("supported", "violated", "undecided", "waived"))
     whose = f"gate of {shard_text(record)}" if shard_text(record) else "gate"
     counts = outcome_counts_text(record)
     text = f"; searches: {counts}" if counts else ""
     words = [totals.gate, *filter(None, [selection_text(record)]), *(parts or ["no verdict"])]
     return f"{whose}: {', '.join(words)}{text}"
+
+
+def _counted(totals: Totals, statuses: Sequence[str]) -> list[str]:
+    return [f"{count} {status}" for status in statuses if (count := getattr(totals, status))]
+
+
+_NOT_ENDED = {
+    "running": "did not end: it still runs, or was killed",
+    "interrupted": "was interrupted",
+}
+
+
+def verdict_sentence(record: SessionRecord) -> str:
+    """Say what the gate's result rests on: of 11 verdicts, 5 violated, 6 supported."""
+    head, totals = record.head, record.head.totals
+    if is_incomplete(record):
+        how = _NOT_ENDED.get(head.status, "did not come to its end")
+        return f"Incomplete: the session {how}. It is no pass, whatever stands below."
+    verdicts = counted(len(head.verdicts), "verdict")
+    if head.gate.result != "passed":
+        if not head.gate.reasons:
+            return "No reason is recorded."
+        counts = _counted(totals, ("violated", "undecided", "supported", "waived"))
+        searches = outcome_counts_text(record)
+        text = f"of {verdicts}, {', '.join(counts)}" if counts else "no verdict"
+        text += f"; searches: {searches}" if searches else ""
+        text += "".join(f"; {one_line(reason)}" for reason in _reasons_without_card(head))
+        return f"{text[:1].upper()}{text[1:]}."
+    if not head.verdicts:
+        return (
+            "Nothing failed, and there is no verdict: no requirement is supported by this session."
+        )
+    waived = ", or waived by name" if totals.waived else ""
+    warned = (
+        "; undecided ones are let through with a warning, as the command asks"
+        if head.gate.warn_undecided
+        else ""
+    )
+    return f"Nothing speaks against it: each of {verdicts} is supported{waived}{warned}."
+
+
+def _reasons_without_card(head: RecordHead) -> list[str]:
+    """Reasons of the gate that rest on no verdict, on no search and on no objection."""
+    with_card = {f"{each.requirement} on {each.case} is {each.verdict}" for each in head.verdicts}
+    with_card.update(
+        outcome_objection(outcome.requirement, search.case, outcome_status(search, outcome))
+        for search in head.searches
+        for outcome in search.outcomes
+        if outcome_status(search, outcome) in OBJECTIONABLE_OUTCOMES
+    )
+    with_card.update(other_objections(head))
+    return [reason for reason in head.gate.reasons if reason not in with_card]
+
+
+def episode_sentence(record: SessionRecord) -> str:
+    """Count the episodes that were simulated, and say what those are for that no case plans."""
+    cases, total = record.head.cases, record.head.totals.episodes
+    plain = [case.metrics for case in cases if not case.without]
+    planned = sum(metrics.planned for metrics in plain)
+    beyond = sum(max(0, metrics.run - metrics.planned) for metrics in plain)
+    arms = Counter[tuple[str, ...]]()
+    for case in cases:
+        if case.without:
+            arms[tuple(case.without)] += case.metrics.run
+    run = sum(metrics.run for metrics in plain)
+    parts = [f"{run - beyond} of {planned} planned"]
+    parts += [f"{beyond} beyond the plan of their case"] if beyond else []
+    parts += [
+        f"{count} of the same seeds without {names_text(roles)}, to compare with"
+        for roles, count in arms.items()
+        if count
+    ]
+    by_hand = total - run - arms.total()
+    parts += [f"{by_hand} with a seed chosen by hand"] if by_hand > 0 else []
+    repeated = sum(case.repeat is not None and case.repeat.result != "skipped" for case in cases)
+    again = f"; {counted(repeated, 'case')} run once more, to see whether it repeats"
+    return f"{counted(total, 'episode')}: {', '.join(parts)}{again if repeated else ''}"
 
 
 def _case_sections(record: SessionRecord) -> Iterator[Section]:
@@ -126,7 +211,7 @@ def _case_sections(record: SessionRecord) -> Iterator[Section]:
          *_terminal(_after_cases(record))),
     )  # fmt: skip
     for title, further in further_tables(record):
-        yield Section(title, (*_terminal([one_line(title)]), further))
+        yield Section(title, (*_terminal([one_line(title)]), replace(further, view="tables")))
     yield Section("Details", tuple(_detail_parts(record, cases)))
     readings = [
         f"{name(verdict.requirement)} on {name(verdict.case)}: {sentence}"
@@ -142,16 +227,21 @@ def _file_sections(record: SessionRecord) -> Iterator[Section]:
         "Hazards": hazard_table(record),
         "Requirements": requirement_table(record),
         "Failure modes": mode_table_of_files(record),
-        "Tokens": _in(usage_table(record.head.cases, record.head.llm_price), Shown.SUMMARY),
+        "Failure modes by case": mode_table_of_cases(record.head.cases),
+        "Tokens": _in(usage_table(record.head.cases, record.head.llm_price), Shown.FILES),
     }
     for title, table in files.items():
         if table is not None:
             yield Section(title, (table,))
 
 
-def _terminal(lines: Sequence[str] | Iterator[str], weight: Level = Level.TERMINAL) -> list[Text]:
+def _terminal(
+    lines: Sequence[str] | Iterator[str], weight: Level = Level.TERMINAL, view: str = ""
+) -> list[Text]:
+    """Lines of the terminal, and of a view of the page where one is named."""
     lines = tuple(lines)
-    return [Text(lines, weight, Shown.TERMINAL)] if lines else []
+    shown = Shown.TERMINAL | Shown.PAGE if view else Shown.TERMINAL
+    return [Text(lines, weight, shown, view=view)] if lines else []
 
 
 def _session_parts(record: SessionRecord) -> Iterator[Part]:
@@ -205,23 +295,26 @@ def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator
     uncovered, price = list(_uncovered_lines(record)), head.llm_price
     roles = head.effectiveness
     models = list(_model_lines(record))
-    groups: list[tuple[list[str], Sequence[Table | None]]] = [
-        ([*_failure_mode_lines(cases), *uncovered], modes),
-        ([*_usage_lines(cases), *models], [_in(usage_table(cases, price), Shown.TERMINAL)]),
-        ([*_reliance_lines(record)], [reliance_table(cases, head.overall)]),
-        ([*_fault_lines(cases)], [fault_table(cases)]),
-        ([*_attack_lines(record)], [attack_table(head.verdicts, head.cases)]),
-        ([*effectiveness_lines(roles, recovery=True)], [pair_table(head.verdicts, head.cases)]),
-        ([*effectiveness_lines(roles, recovery=False)], [monitor_table(head.monitors)]),
-    ]
-    for lines, tables in groups:
-        yield from _terminal(lines)
+    groups: list[tuple[list[str], Sequence[Table | None], str]] = [
+        ([*_failure_mode_lines(cases), *uncovered], modes, "failure_modes"),
+        ([*_usage_lines(cases), *models], [_in(usage_table(cases, price), Shown.TERMINAL)],
+         "failure_modes" if modes else ""),
+        ([*_reliance_lines(record)], [reliance_table(cases, head.overall)], ""),
+        ([*_fault_lines(cases)], [fault_table(cases)], "faults"),
+        ([*_attack_lines(record)], [attack_table(head.verdicts, head.cases)], "monitors"),
+        ([*effectiveness_lines(roles, recovery=True)],
+         [pair_table(head.verdicts, head.cases)], "monitors"),
+        ([*effectiveness_lines(roles, recovery=False)],
+         [monitor_table(head.monitors), monitor_table_of_page(head.monitors)], "monitors"),
+    ]  # fmt: skip
+    for lines, tables, view in groups:
+        yield from _terminal(lines, view=view)
         yield from (table for table in tables if table is not None)
     unknown = [
         *effectiveness_lines(roles, recovery=True, known=False),
         *effectiveness_lines(roles, recovery=False, known=False),
     ]
-    yield from _terminal(unknown, Level.SUMMARY)
+    yield from _terminal(unknown, Level.SUMMARY, "monitors")
     yield from _terminal(_reading_lines(head.verdicts))
     supported = [supported_sentence(head.verdicts)] if head.verdicts else []
     yield from _terminal([*supported, *look_sentences(record), *beyond_plan_sentences(record)])
@@ -401,7 +494,20 @@ def _search_parts(record: SessionRecord) -> Iterator[Part]:
             yield from _terminal([about], Level.SUMMARY)
             yield searcher_table(search, outcome.requirement)
     if nothing:
-        yield from _terminal([*(one_line(text, 1000) for text in nothing), NOTHING_SUPPORTED])
+        lines = [*(one_line(text, 1000) for text in nothing), NOTHING_SUPPORTED]
+        yield from _terminal(lines, view="searches")
+    yield Text(
+        tuple(
+            one_line(
+                f"{name(search.case)} with {name(search.component)} is searched by "
+                f"{name(search.item)}: {simulations_text(search)}; seed {search.seed}; "
+                f"{search.rule}; simulated: {search_coverage_text(search)}"
+            )
+            for search in record.head.searches
+        ),
+        shown=Shown.PAGE,
+        view="searches",
+    )
 
 
 def _note_parts(record: SessionRecord) -> Iterator[Part]:
@@ -428,6 +534,7 @@ def _baseline_parts(record: SessionRecord) -> Iterator[Part]:
     yield from _terminal([f"baseline {baseline.path}: {_baseline_summary(baseline)}"])
     if table := comparison_table(baseline.comparisons):
         yield table
+    yield comparison_table_of_page(baseline)
     yield from _terminal(
         f"{one_line(reason)}: {_requirements_by_case(alike)}"
         for reason, alike in _unremarkable(baseline.comparisons).items()

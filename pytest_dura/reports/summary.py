@@ -25,10 +25,8 @@ from pytest_dura.reports.pens.markdown import MAX_BYTES, MarkdownPen
 from pytest_dura.reports.story import document_of
 from pytest_dura.reports.usage import spending_text
 from pytest_dura.reports.wording import (
-    conclusion_sentences,
     evidence_option,
     is_incomplete,
-    limitation_sentences,
     merge_text,
     model_options,
     replay_command,
@@ -115,7 +113,6 @@ def render(record: SessionRecord) -> str:
         *_head_lines(record),
         *pen.cards(),
         *_count_lines(record),
-        *_conclusion_lines(record),
         *pen.sections(),
         *_overall_lines(record),
         *_failure_mode_lines(record),
@@ -153,19 +150,6 @@ def _count_lines(record: SessionRecord) -> Iterator[str]:
     yield from (f"- {markdown(reason, 300) or 'no reason'}" for reason in gate.reasons[:_REASONS])
     if len(gate.reasons) > _REASONS:
         yield f"- and {len(gate.reasons) - _REASONS} more reasons"
-
-
-def _conclusion_lines(record: SessionRecord) -> Iterator[str]:
-    for heading, sentences in (
-        ("Shown", conclusion_sentences(record)),
-        ("Not shown", limitation_sentences(record)),
-    ):
-        yield from [
-            "",
-            f"**{heading}**",
-            "",
-            *(f"- {markdown(sentence, 400)}" for sentence in sentences),
-        ]
 
 
 def _replay(session: str, episode: str) -> str:

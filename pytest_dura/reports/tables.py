@@ -6,7 +6,7 @@ A column is added here and nowhere else; those of pairs, monitors, faults and fa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from pytest_dura.core.measures import MeasureInfo
@@ -15,7 +15,7 @@ from pytest_dura.evidence.case_model import CaseEntry, MeasuredNumbers, OverallE
 from pytest_dura.evidence.gate import outcome_status
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.searches import RecordedSearch
-from pytest_dura.evidence.text import code, markdown, name
+from pytest_dura.evidence.text import code, markdown, name, one_line
 from pytest_dura.reports.columns import (
     NO_VALUE,
     Cell,
@@ -30,6 +30,7 @@ from pytest_dura.reports.columns import (
     runs_cell,
     share_text,
 )
+from pytest_dura.reports.contents import requirement_anchor
 from pytest_dura.reports.searches import (
     baselines_text,
     kept_text,
@@ -231,10 +232,14 @@ class RequirementRow:
     untested: str
 
 
+def _requirement(row: RequirementRow) -> Cell:
+    return name_cell(row.requirement.id, anchor=requirement_anchor(row.requirement.id))
+
+
 REQUIREMENT_COLUMNS: Sequence[Column[RequirementRow]] = (
-    Column("requirement", lambda row: name_cell(row.requirement.id)),
-    Column("kind", lambda row: prose_cell(row.requirement.kind)),
-    Column("text", lambda row: prose_cell(row.requirement.text)),
+    Column("requirement", _requirement, kind=""),
+    Column("kind", lambda row: prose_cell(row.requirement.kind), kind=""),
+    Column("text", lambda row: prose_cell(row.requirement.text), kind=""),
     Column("supported", lambda row: row.counts["supported"]),
     Column("violated", lambda row: row.counts["violated"]),
     Column("undecided", lambda row: row.counts["undecided"]),
@@ -429,21 +434,28 @@ def _counterexample(row: OutcomeRow) -> Cell:
         text = f"coverage {search_coverage_text(row.search)}"
         return Cell(text, text, text)
     changes = parameter_changes(counterexample, MOST_CHANGES)
-    text = ", ".join(f"{code(path)} {markdown(how, 100)}" for path, how in changes)
-    text = text or "the case as it stands"
-    more = len(counterexample.changes) - len(changes)
-    text += f" and {more} more" if more > 0 else ""
-    kept = kept_text(row.outcome)
-    text += f"; kept in {code(kept)}" if kept else ""
-    return Cell(text, text, text)
+    more, kept = len(counterexample.changes) - len(changes), kept_text(row.outcome)
+    rest = f" and {more} more" if more > 0 else ""
+
+    def written(path: Callable[[str], str], how: Callable[[str, int], str]) -> str:
+        text = ", ".join(f"{path(own)} {how(change, 100)}" for own, change in changes)
+        return (
+            (text or "the case as it stands") + rest + (f"; kept in {path(kept)}" if kept else "")
+        )
+
+    plain = written(str, one_line)
+    return Cell(plain, written(code, markdown), plain)
 
 
 SEARCH_COLUMNS: Sequence[Column[OutcomeRow]] = (
-    Column("search", _search_status, shown=Shown.SUMMARY),
-    Column("waiver", lambda row: "waived" if row.search.waiver else None, shown=Shown.SUMMARY),
-    Column("requirement", lambda row: name_cell(row.outcome.requirement), shown=Shown.SUMMARY),
-    Column("case", lambda row: name_cell(row.search.case), shown=Shown.SUMMARY),
-    Column("component", lambda row: name_cell(row.search.component), shown=Shown.SUMMARY),
+    Column("search", _search_status, shown=Shown.FILES, kind=""),
+    Column("waiver", lambda row: "waived" if row.search.waiver else None, shown=Shown.FILES,
+           kind=""),
+    Column("requirement", lambda row: name_cell(row.outcome.requirement), shown=Shown.FILES,
+           kind=""),
+    Column("case", lambda row: name_cell(row.search.case), shown=Shown.FILES, kind=""),
+    Column("component", lambda row: name_cell(row.search.component), shown=Shown.FILES,
+           kind=""),
     Column("simulations", _simulations),
     Column(
         "robustness", lambda row: _best(row.outcome.best), "Least robustness",
@@ -452,14 +464,14 @@ SEARCH_COLUMNS: Sequence[Column[OutcomeRow]] = (
     Column(
         "found by",
         lambda row: given(row.outcome.searcher, lambda own: prose_cell(own, 100)),
-        shown=Shown.SUMMARY,
+        shown=Shown.FILES, kind="",
     ),
     Column(
         "trivial baselines alone",
         lambda row: prose_cell(baselines_text(row.search, row.outcome.requirement), 1000),
-        shown=Shown.SUMMARY,
+        shown=Shown.FILES, kind="",
     ),
-    Column("counterexample", _counterexample, shown=Shown.SUMMARY),
+    Column("counterexample", _counterexample, shown=Shown.FILES, kind=""),
 )  # fmt: skip
 
 

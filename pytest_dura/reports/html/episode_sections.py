@@ -29,25 +29,8 @@ from pytest_dura.reports.contents import (
     verdict_anchor,
     verdict_key,
 )
-from pytest_dura.reports.failure_modes import (
-    FAILURE_MODE_HEADINGS,
-    NULL_NOTE,
-    cases_with_accounts,
-    decision_age_lines,
-    decision_time_lines,
-    failure_modes_by_component,
-    judge_agreement_lines,
-    measured_failure_modes,
-    uncovered_lines,
-)
-from pytest_dura.reports.role_tables import (
-    FAULT_COLUMNS,
-    FailureModeRow,
-    FaultRow,
-    failure_mode_columns,
-)
+from pytest_dura.reports.role_tables import FAULT_COLUMNS, FaultRow
 from pytest_dura.reports.tables import case_columns
-from pytest_dura.reports.usage import usage_columns, usage_rows
 
 Data = Mapping[str, Any]
 Heading = Mapping[str, Any]
@@ -271,6 +254,8 @@ def fault_section(record: SessionRecord, contents: ReportContents, _links: Episo
         for fault in case.metrics.faults:
             outcomes = sorted(tally.outcomes.get(fault.id, Counter()).items())
             chains.append(FaultRow(case, fault, outcomes))
+    if not any(case.faults for case in record.head.cases):
+        return {}
     named = {name for case in shown for name in _fault_names(case)}
     left_out = {name for case in rest for name in _fault_names(case)} - named
     return {
@@ -407,50 +392,3 @@ def _episode_row(
         or episode.episode.invalid_reason
         or episode.episode.critical,
     }
-
-
-MAX_MODE_ROWS = 500
-"""Rows of single cases; the record has all."""
-
-
-def failure_mode_section(
-    record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
-) -> Data:
-    """A table over all cases for each component that gave accounts, and one of single cases."""
-    cases, price = record.head.cases, record.head.llm_price
-    usage = usage_rows(cases, price)
-    components = failure_modes_by_component(cases)
-    if not components and not usage:
-        return {}
-    rows = [
-        FailureModeRow(failure_mode, case.component, case)
-        for case in cases_with_accounts(cases)
-        for failure_mode in measured_failure_modes(case.metrics.failure_modes)
-    ]
-    return {
-        "components": [
-            {
-                "component": component,
-                "groups": _failure_mode_groups([FailureModeRow(mode, component) for mode in modes]),
-            }
-            for component, modes in components.items()
-        ],
-        "answers": list(decision_time_lines(cases)),
-        "ages": list(decision_age_lines(cases)),
-        "judged": [*judge_agreement_lines(cases), *uncovered_lines(record.head)],
-        "null": NULL_NOTE,
-        "columns": shown_in(failure_mode_columns(), Shown.PAGE),
-        "case_columns": shown_in(failure_mode_columns(by_case=True), Shown.PAGE),
-        "usage": usage[:MAX_MODE_ROWS],
-        "usage_columns": usage_columns(price),
-        "rows": rows[:MAX_MODE_ROWS],
-        "left_out": len(rows[MAX_MODE_ROWS:]),
-    }
-
-
-def _failure_mode_groups(rows: list[FailureModeRow]) -> list[Data]:
-    return [
-        {"heading": heading, "rows": group}
-        for kind, heading in FAILURE_MODE_HEADINGS.items()
-        if (group := [row for row in rows if row.mode.kind == kind])
-    ]

@@ -1,11 +1,13 @@
-"""The report's page: sections and players put into the templates."""
+"""Page pen: writes the document of a session, with panels and players, by the templates."""
 
 from __future__ import annotations
 
 import re
+import shlex
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -13,30 +15,40 @@ from urllib.parse import quote
 from pytest_dura.evidence.bundle import RECORD_FILE
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import LINE, name, one_line, visible
-from pytest_dura.reports.causes import Cause, causes_of
 from pytest_dura.reports.columns import (
+    Shown,
     measure_label,
     number_text,
     role_name,
     seconds_text,
     share_text,
+    shown_in,
 )
 from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
 )
+from pytest_dura.reports.document import Card, Document, Entry, Level, Table, Text
 from pytest_dura.reports.html import (
+    bundle_sections,
     episode_sections,
     hazard_section,
-    overview_sections,
     plot_sections,
     verdict_sections,
 )
+from pytest_dura.reports.html.cards import OPEN_CARDS, shown_cards
 from pytest_dura.reports.html.player import content_hash
 from pytest_dura.reports.html.players import Traces, embed_players
-from pytest_dura.reports.scene import frame_svg
-from pytest_dura.reports.svg import Svg, tag
-from pytest_dura.reports.wording import model_options, replay_command
+from pytest_dura.reports.story import document_of, episode_sentence
+from pytest_dura.reports.svg import tag
+from pytest_dura.reports.wording import (
+    evidence_option,
+    merge_text,
+    model_options,
+    replay_command,
+    selection_text,
+    shard_text,
+)
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -103,28 +115,34 @@ _FILTERS: Mapping[str, Any] = {
     "address": _file_address,
     "reference": _bundle_reference,
     "joined": lambda texts: "\n".join(map(name, texts)),
+    "capital": lambda text: text[:1].upper() + text[1:],
+    "bounded": lambda rows: rows[:MOST_ROWS],
+    "on_page": lambda columns: shown_in(columns, Shown.PAGE),
 }
 """Filters of the templates."""
 
+MOST_ROWS = 500
+"""Rows of a table of the document; the record has all."""
 _DIRECTORY = Path(__file__).parent
 
-Section = Callable[[SessionRecord, ReportContents, EpisodeLinks], Mapping[str, Any]]
+Panel = Callable[[SessionRecord, ReportContents, EpisodeLinks], Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
 class View:
-    """A part of the page that is shown by itself.
+    """A part of the page that is shown by itself; one without anything to show is left out.
 
     Args:
-        name: That of its template, and under which the template has its data.
+        name: By which parts of the document name it.
         title: In the navigation.
-        section: Returns its data; a view whose data are empty is left out.
+        panel: Returns the data of what the page alone shows there, for the template of this name,
+            or nothing; ``None`` where it has only parts of the document.
         printed: Whether it is on paper, too.
     """
 
     name: str
     title: str
-    section: Section
+    panel: Panel | None = None
     printed: bool = False
 
     @property
@@ -139,24 +157,24 @@ VIEWS: Sequence[View] = (
     View("hazards", "Hazards", hazard_section.hazard_section, printed=True),
     View("episodes", "Episodes", episode_sections.episode_section),
     View("matrix", "Matrix", episode_sections.matrix_section),
-    View("argument", "Assurance case", overview_sections.argument_section),
+    View("argument", "Assurance case", bundle_sections.argument_section),
     View("plots", "Plots", plot_sections.plot_section, printed=True),
-    View("searches", "Searches", verdict_sections.search_section),
-    View("monitors", "Monitors", verdict_sections.monitor_section),
+    View("searches", "Searches"),
+    View("monitors", "Monitors"),
     View("faults", "Faults", episode_sections.fault_section),
-    View("failure_modes", "Failure modes", episode_sections.failure_mode_section),
-    View("tables", "Further tables", overview_sections.table_section, printed=True),
+    View("failure_modes", "Failure modes"),
+    View("tables", "Further tables", printed=True),
     View("provenance", "Provenance", verdict_sections.provenance_section),
-    View("files", "Files", overview_sections.files_section),
+    View("files", "Files", bundle_sections.files_section),
 )
-"""Views after the overview, in the order of the navigation and, without scripts, of the page."""
+"""Views after the first one, in the order of the navigation and, without scripts, of the page."""
 
 
 def render(record: SessionRecord) -> str:
     """The page as a text. It reads the bundle's traces, and names those that it cannot read."""
-    causes = causes_of(record)
-    worst = [(cause.episode, cause.component) for cause in causes if cause.episode is not None]
-    contents = ReportContents.of(record, first=worst)
+    document = document_of(record)
+    worst = [(card.place.episode, card.place.component) for card in document.cards]
+    contents = ReportContents.of(record, first=[key for key in worst if key[0]])
     traces = Traces(record)
     players = embed_players(record, contents.candidates, traces)
     links = EpisodeLinks.of(record, contents, players.shown)
@@ -165,27 +183,31 @@ def render(record: SessionRecord) -> str:
     if players.shown:
         scripts.insert(1, players.script)
         styles.insert(0, players.style)
-
-    def picture(cause: Cause) -> Svg:
-        return _cause_picture(cause, contents, traces)
-
-    sections = {view.name: view.section(record, contents, links) for view in VIEWS}
-    overview = overview_sections.overview_section(record, causes, links, picture)
+    panels = {view.name: view.panel(record, contents, links) for view in VIEWS if view.panel}
+    parts = _parts_by_view(document)
     template = _environment().get_template("report.html")
     head_script, *scripts_below = _inline(scripts)
     return template.render(
         record=record.head,
         review=record.review,
+        document=document,
+        sentence_of_episodes=episode_sentence(record),
+        cards=list(shown_cards(record, document, contents, links, traces)),
+        open_cards=OPEN_CARDS,
+        command=partial(_command, record),
+        shard=shard_text(record),
+        merged=merge_text(record),
+        selected=selection_text(record),
         links=links,
         players=players,
         contents=contents,
-        views=[view for view in VIEWS if sections[view.name]],
-        overview=overview,
+        views=[view for view in VIEWS if panels.get(view.name) or parts.get(view.name)],
+        parts=parts,
         head_script=head_script,
         scripts=scripts_below,
         styles=_inline(styles),
         policy=_content_policy(scripts, styles),
-        **sections,
+        **panels,
     )
 
 
@@ -193,18 +215,24 @@ _HEAD_SCRIPT = 'document.documentElement.classList.add("js");'
 """Before anything is drawn: one view at a time, where scripts run."""
 
 
-def _cause_picture(cause: Cause, contents: ReportContents, traces: Traces) -> Svg:
-    """The scene at a cause's violation; empty without a trace that can be read, or a scene."""
-    key = (cause.episode or "", cause.component)
-    listed = next((each for each in contents.candidates if each.key == key), None)
-    if listed is None or listed.episode.trace is None or cause.time is None:
-        return Svg("")
-    try:
-        trace = traces.read(listed.episode.trace)
-    except Exception:  # what is wrong with it stands in its player's place
-        return Svg("")
-    twin = next((each.trace for each in traces.twins_of(listed.episode) if each.trace), None)
-    return frame_svg(trace, cause.time, twin=twin, label=f"At {cause.time:.2f} s: {cause.headline}")
+def _parts_by_view(document: Document) -> dict[str, list[tuple[str, Text | Table]]]:
+    """Parts of the document with the titles of their sections, but for cards and empty ones."""
+    parts: dict[str, list[tuple[str, Text | Table]]] = defaultdict(list)
+    for section in document.sections:
+        for part in section.parts_for(Shown.PAGE, Level.PAGE):
+            if isinstance(part, Card):
+                continue
+            if part.rows if isinstance(part, Table) else part.lines:
+                parts[part.view].append((section.title, part))
+    return parts
+
+
+def _command(record: SessionRecord, entry: Entry) -> str:
+    """The command of a card's entry, as it has to be typed."""
+    if entry.kind == "rerun":
+        return f"pytest {shlex.quote(entry.text)}"
+    command = record.head.command
+    return replay_command(entry.text, evidence_option(command), model_options(command))
 
 
 @cache
@@ -222,6 +250,7 @@ def _environment() -> Environment:
     )
     environment.filters.update(_FILTERS)
     environment.globals["svg"] = tag
+    environment.tests["table"] = lambda part: isinstance(part, Table)
     return environment
 
 

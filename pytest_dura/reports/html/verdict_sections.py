@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
-from pytest_dura.core.codec import encode, fields_as_data
+from pytest_dura.core.codec import encode
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
-from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
     case_anchor,
-    case_key,
     fault_names,
     faults_by_case,
     requirement_anchor,
@@ -26,43 +24,16 @@ from pytest_dura.reports.contents import (
 )
 from pytest_dura.reports.incidents import KINDS
 from pytest_dura.reports.role_tables import (
-    ATTACK_COLUMNS,
-    MONITOR_COLUMNS,
-    PAIR_COLUMNS,
-    AttackRow,
-    MonitorRow,
-    PairRow,
     has_fixed_n,
 )
-from pytest_dura.reports.searches import (
-    NOTHING_SUPPORTED,
-    baseline_note,
-    counterexample_text,
-    is_notable_outcome,
-    kept_text,
-    outcome_headline,
-    outcome_rank,
-    parameter_changes,
-    search_coverage_text,
-    searcher_name,
-    shrinking_text,
-    simulations_text,
-)
 from pytest_dura.reports.tables import (
-    COMPARISON_COLUMNS,
-    SEARCH_COLUMNS,
-    SEARCHER_COLUMNS,
     VERDICT_COLUMNS,
-    OutcomeRow,
-    SearcherRow,
 )
 from pytest_dura.reports.usage import spending_text
 from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.requirements.campaign_verdicts import violation_text
-from pytest_dura.requirements.model import FAULTS, Requirement
-from pytest_dura.requirements.monitoring.quality import MonitorQuality
+from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.pairs import PairTable
-from pytest_dura.requirements.searches import SearcherReport
 
 Data = Mapping[str, Any]
 
@@ -175,107 +146,6 @@ def _verdict_row(verdict: ItemVerdict, links: EpisodeLinks) -> Data:
     }
 
 
-def monitor_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """Monitors with violations or alarms, how many had neither, and the pairs with recovery."""
-    monitors = [
-        monitor
-        for monitor in record.head.monitors
-        if monitor.true_positives + monitor.false_negatives + monitor.false_positives
-    ]
-    switching = {case_key(case): case.metrics.switching for case in record.head.cases}
-    attacks: list[AttackRow] = []
-    pairs: list[PairRow] = []
-    for verdict in record.head.verdicts:
-        anchor = verdict_anchor(verdict.requirement, verdict.case)
-        if verdict.pairs is not None and verdict.pairs.without == FAULTS:
-            attacks.append(AttackRow(verdict, anchor))
-        elif isinstance(verdict.pairs, PairTable):
-            pairs.append(
-                PairRow(verdict, verdict.pairs, switching.get(verdict_key(verdict)), anchor)
-            )
-    horizons = sorted({monitor.horizon for monitor in monitors if monitor.horizon is not None})
-    return {
-        "rows": _joined_targets(monitors),
-        "horizons": horizons,
-        "silent": len(record.head.monitors) - len(monitors),
-        "columns": shown_in(MONITOR_COLUMNS, Shown.PAGE),
-        "pairs": pairs,
-        "pair_columns": shown_in(PAIR_COLUMNS, Shown.PAGE),
-        "attacks": attacks,
-        "attack_columns": shown_in(ATTACK_COLUMNS, Shown.PAGE),
-        "effectiveness": record.head.effectiveness,
-        "several": len({effect.component for effect in record.head.effectiveness}) > 1,
-    }
-
-
-def _joined_targets(monitors: list[MonitorQuality]) -> list[MonitorRow]:
-    """Monitors, those that differ in nothing but their target joined into a row."""
-    same: dict[MonitorQuality, list[MonitorQuality]] = {}
-    for monitor in monitors:
-        same.setdefault(replace(monitor, target=""), []).append(monitor)
-    return [MonitorRow(alike[0], [entry.target for entry in alike]) for alike in same.values()]
-
-
-_MAX_SEARCHES = 200
-"""Searches that are shown; the record has all."""
-MOST_CHANGES = 50
-
-
-def search_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """The searches, the worst first, with a row for each of their requirements."""
-    if not record.head.searches:
-        return {}
-    ordered = sorted(record.head.searches, key=_search_rank)
-    return {
-        "searches": [
-            {
-                **fields_as_data(search),
-                "searched": simulations_text(search),
-                "coverage": search_coverage_text(search),
-                "rows": list(_outcome_rows(search)),
-            }
-            for search in ordered[:_MAX_SEARCHES]
-        ],
-        "columns": shown_in(SEARCH_COLUMNS, Shown.PAGE),
-        "searcher_columns": shown_in(SEARCHER_COLUMNS, Shown.PAGE),
-        "left_out": len(ordered[_MAX_SEARCHES:]),
-        "note": NOTHING_SUPPORTED,
-    }
-
-
-def _search_rank(search: RecordedSearch) -> int:
-    return min(outcome_rank(search, outcome) for outcome in search.outcomes)
-
-
-def _outcome_rows(search: RecordedSearch) -> Iterator[Data]:
-    for outcome in search.outcomes:
-        name, counterexample = outcome.requirement, outcome.counterexample
-        notable = is_notable_outcome(search, outcome)
-        yield {
-            **fields_as_data(outcome),
-            "row": OutcomeRow(search, outcome),
-            "headline": outcome_headline(search, outcome),
-            "baseline_alone": baseline_note(search, outcome),
-            "own": _searcher_rows(search.searchers, name) if notable else [],
-            "alone": _searcher_rows(search.baselines, name) if notable else [],
-            "worst": ""
-            if counterexample is None
-            else counterexample_text(counterexample, outcome.check),
-            "kept": kept_text(outcome),
-            "simpler": "" if counterexample is None else shrinking_text(counterexample),
-            "changes": []
-            if counterexample is None
-            else parameter_changes(counterexample, MOST_CHANGES),
-            "more": 0 if counterexample is None else len(counterexample.changes[MOST_CHANGES:]),
-        }
-
-
-def _searcher_rows(
-    searchers: Sequence[SearcherReport], requirement: str
-) -> list[tuple[str, SearcherRow]]:
-    return [(searcher_name(each), SearcherRow(each, requirement)) for each in searchers]
-
-
 def provenance_section(
     record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
@@ -290,6 +160,4 @@ def provenance_section(
         "inputs": record.head.inputs,
         "timings": record.head.timings,
         "processing": sorted(record.head.timings.processing_seconds.items()),
-        "baseline": record.head.baseline,
-        "comparison_columns": shown_in(COMPARISON_COLUMNS, Shown.PAGE),
     }

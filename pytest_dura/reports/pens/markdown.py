@@ -73,6 +73,7 @@ class MarkdownPen:
                 if isinstance(part, Table):
                     yield from _table(section.title, part)
                 elif isinstance(part, Text):
+                    yield from ["", f"**{section.title}**"] if section.title else []
                     yield ""
                     yield from (f"- {markdown(line, 600)}" for line in part.lines)
 

@@ -17,7 +17,7 @@ from pytest_dura.reports import (
     percent_text,
     summary,
 )
-from pytest_dura.reports.html import episode_sections as part
+from pytest_dura.reports.html import page as part
 from pytest_dura.reports.html.page import render
 from pytest_dura.reports.session_tables import failure_mode_tables
 
@@ -205,7 +205,7 @@ def test_a_record_with_failure_modes_keeps_to_the_schema():
 
 
 def test_rows_of_single_cases_are_bounded(monkeypatch):
-    monkeypatch.setattr(part, "MAX_MODE_ROWS", 2)
+    monkeypatch.setattr(part, "MOST_ROWS", 2)
     told = metrics({name: tally() for name in "abc"})
     page = render(record_with(told, told))
     assert "4 further rows are in evidence.json" in page

@@ -21,10 +21,13 @@ from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import name
 from pytest_dura.reports import anchor, case_anchor, contents, generated_argument, verdict_anchor
 from pytest_dura.reports.causes import causes_of
+from pytest_dura.reports.columns import Shown
 from pytest_dura.reports.contents import requirement_anchor
-from pytest_dura.reports.html import overview_sections, players
+from pytest_dura.reports.document import Entry, Level, Text
+from pytest_dura.reports.html import bundle_sections, cards, players
 from pytest_dura.reports.html.episode_sections import heading, matrix
-from pytest_dura.reports.html.page import render
+from pytest_dura.reports.html.page import _environment, render
+from pytest_dura.reports.story import document_of
 from pytest_dura.reports.summary import render as summarised
 
 
@@ -48,12 +51,15 @@ def row(html, anchor):
 
 
 def test_the_gate_says_why_it_failed_and_that_nobody_reviewed_it(html):
+    header = Page(re.search("<header.*?</header>", html, re.DOTALL)[0]).words
+    assert header.startswith("✗ Gate failed exit code 1")
     gate = section(html, "overview")
-    assert "failed exit code 1" in gate
+    assert gate.startswith("Of 4 verdicts, 2 violated, 1 undecided, 1 supported")
     assert "✗ violated" in gate
-    assert "commit c0ffee" in gate
-    assert "base seed 0" in gate
-    assert "generated and unreviewed" in gate
+    assert "At commit c0ffee" in gate
+    assert "base seed 0, the episodes are the same" in gate
+    assert "Generated and unreviewed" in gate
+    assert "python -m pytest_dura sign DIR --key=KEY.pem --review=review.yaml" in gate
     assert "--dura-replay='CASE#RUN' --dura-evidence=DIR" in gate
 
 
@@ -66,8 +72,7 @@ def test_the_gate_says_why_it_failed_and_that_nobody_reviewed_it(html):
 )
 def test_an_incomplete_session_says_so_before_anything_else(changes):
     gate = section(render(session_record(**changes)), "overview")
-    assert "Incomplete:" in gate
-    assert gate.index("Incomplete:") < gate.index("exit code")
+    assert gate.startswith("Incomplete: the session")
 
 
 def test_a_gate_that_passed_says_what_it_let_through():
@@ -161,7 +166,7 @@ def test_what_the_runs_show_of_recovery_and_monitors_is_listed():
         "finding": "cannot be told", "detail": detail,
     }  # fmt: skip
     html = render(session_record(effectiveness=[found]))
-    assert f"<li><b>RecoveryPlanner</b>: {detail}</li>" in html
+    assert f"<li>recovery_planner: {detail}</li>" in section_html(html, "monitors")
     assert f"`recovery_planner` with `C`: {detail}" in summarised(
         session_record(effectiveness=[found])
     )
@@ -227,7 +232,7 @@ def test_targets_on_which_a_monitor_did_equally_well_share_a_row():
     words = section(render(session_record(monitors=found)), "monitors")
     assert "SecurityAssessor SAF-1, SEC-1 a/clear+ghost" in words
     assert "SecurityAssessor SAF-2 a/clear+ghost" in words
-    assert "1 further measurements are not listed" in words
+    assert "1 further measurement without a violation and without a flag" in words
 
 
 def test_bars_are_as_high_as_their_counts(html):
@@ -479,7 +484,7 @@ def test_what_was_violated_comes_first():
 
 def test_a_card_leads_to_its_verdict(html):
     card = re.search(r"<article.*?</article>", html, re.DOTALL)[0]
-    assert f'<a href="#{verdict_anchor("SAF-1", "a/clear+ghost")}">Verdict</a>' in card
+    assert f'href="#{verdict_anchor("SAF-1", "a/clear+ghost")}">SAF-1</a>' in card
 
 
 def test_a_cell_of_the_heat_map_says_on_what_it_rests_and_whether_that_is_enough():
@@ -534,18 +539,76 @@ def test_episodes_that_violated_something_are_listed_first(html):
 
 def test_a_cause_is_told_with_its_picture_and_leads_to_its_player(tmp_path):
     html = render(record_with_trace(tmp_path))
-    card = re.search(r'<article class="card is-card-violated".*?</article>', html, re.DOTALL)[0]
+    card = re.search(r'<article class="card is-violated".*?</article>', html, re.DOTALL)[0]
     words = Page(card).words
-    assert "SAF-1 safety Never collides" in words
-    assert f"{VIOLATING} at t = 0.90 s, margin -0.5" in words
+    assert "▶ Play it Safety on a/clear+ghost (C)" in words
+    assert "SAF-1 1 of 2 runs violates it: gap is -0.5 where more than 0 is required" in words
+    assert "first at t = 0.90 s. Never collides. always (gap > 0)" in words
+    assert f"Episode {VIOLATING}" in words
     assert f"pytest --dura-replay={VIOLATING!r}" in words
     assert '<div class="picture"><svg' in card
     player = re.search('<details class="player" id="([^"]*)"', html)[1]
     assert f'<a class="button" href="#{player}">' in card
 
 
+def test_the_page_writes_the_document_once(html):
+    document = document_of(session_record())
+    page = Page(html)
+    words = page.words
+    assert html.count('class="gate-word"') == 1
+    assert words.count(document.sentence) == 1
+    for card in document.cards:
+        assert card.headline in words
+        for entry in card.entries:
+            if entry.kind in ("text", "code"):
+                assert " ".join(entry.text.split()) in words
+    for each in document.sections:
+        for part in each.parts_for(Shown.PAGE, Level.PAGE):
+            if isinstance(part, Text):
+                assert all(words.count(line) == 1 for line in part.lines)
+
+
+def test_a_text_of_several_lines_is_folded_below_its_last_one():
+    trace = "Traceback:\n  File a.py\nValueError: <odd>"
+    entry = _environment().get_template("macros.html").module.entry
+    text = str(entry(Entry("trace", trace, "code"), str))
+    assert "<summary>ValueError: &lt;odd&gt;</summary><pre>Traceback:\n  File a.py" in text
+
+
+def test_views_without_anything_to_show_are_not_in_the_navigation():
+    record = session_record()
+    cases = [case.replace(faults=[]) for case in record.head.cases]
+    html = render(session_record(cases=cases, monitors=[], effectiveness=[], hazards=[]))
+    views = re.findall(r'<li><a href="#([^"]+)">', html.partition("</nav>")[0])
+    assert {"overview", "requirements", "cases", "episodes", "matrix", "files"} <= set(views)
+    assert not {"faults", "monitors", "failure-modes", "searches", "tables", "hazards"} & set(views)
+
+
+def test_without_a_commit_no_word_of_one_is_said():
+    environment = session_record().head.environment
+    git = environment.git.replace(commit=None, dirty=None)
+    words = section(render(session_record(environment=environment.replace(git=git))), "overview")
+    assert "Run it again" in words
+    assert "commit" not in words
+
+
+def test_episodes_beside_the_plan_are_explained_where_they_are_counted():
+    case = session_record().head.cases[0]
+    arm = case.replace(id="a/clear~monitor", without=["safety_monitor"])
+    arm = arm.replace(metrics=arm.metrics.replace(run=1))
+    words = section(render(session_record(cases=[case, arm])), "overview")
+    planned = "2 of 2 planned, 1 of the same seeds without safety_monitor, to compare with"
+    assert f"6 episodes: {planned}, 3 with a seed chosen by hand" in words
+
+
+def test_a_test_that_fails_by_itself_is_named_beside_the_verdicts():
+    gate = {"result": "failed", "exit_code": 1, "failed": 1, "reasons": ["1 test item failed"]}
+    words = section(render(session_record(gate=gate)), "overview")
+    assert words.startswith("Of 4 verdicts, 2 violated, 1 undecided, 1 supported, 1 waived; 1 test")
+
+
 def test_cards_are_bounded_and_the_rest_is_folded():
-    count = overview_sections.OPEN_CARDS + 4
+    count = cards.OPEN_CARDS + 4
     cases = [f"a/c{number}" for number in range(count)]
     entry = session_record().head.cases[0]
     record = session_record(
@@ -555,8 +618,8 @@ def test_cards_are_bounded_and_the_rest_is_folded():
     )
     html = render(record)
     opened, _, folded = section_html(html, "overview").partition('<details class="more">')
-    assert opened.count("<article") == overview_sections.OPEN_CARDS
-    more = len(causes_of(record)) - overview_sections.OPEN_CARDS
+    assert opened.count("<article") == cards.OPEN_CARDS
+    more = len(causes_of(record)) - cards.OPEN_CARDS
     assert folded.count("<article") == more > 0
     assert f"{more} more causes" in Page(folded).words
 
@@ -573,7 +636,7 @@ def test_the_argument_is_a_tree_with_what_speaks_against_it_first(html):
 
 
 def test_a_large_argument_is_cut_off_below_and_says_so(monkeypatch):
-    monkeypatch.setattr(overview_sections, "_MAX_ELEMENTS", 4)
+    monkeypatch.setattr(bundle_sections, "_MAX_ELEMENTS", 4)
     words = section(render(session_record()), "argument")
     assert "elements are not in this tree" in words
     assert "Goal GTop" in words

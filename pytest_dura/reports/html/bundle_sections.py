@@ -1,127 +1,20 @@
-"""Sections of the report that begin and end it: overview with its cards, argument, files."""
+"""Panels of the page on what lies beside it: the assurance case as a tree, and the files."""
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pytest_dura.core.codec import encode
 from pytest_dura.evidence.bundle import FORMATS, RECORD_FILE, default_files
 from pytest_dura.evidence.files import MANIFEST_FILE, REVIEW_FILE
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.reports.causes import Cause
-from pytest_dura.reports.concluded import concluded_tables
-from pytest_dura.reports.contents import (
-    EpisodeLinks,
-    ReportContents,
-    case_anchor,
-    requirement_anchor,
-    verdict_anchor,
-)
+from pytest_dura.reports.contents import EpisodeLinks, ReportContents, requirement_anchor
 from pytest_dura.reports.gsn.argument import generated_argument
 from pytest_dura.reports.gsn.element import Element, root_ids
-from pytest_dura.reports.svg import Svg
-from pytest_dura.reports.wording import (
-    conclusion_sentences,
-    limitation_sentences,
-    merge_text,
-    selection_text,
-    shard_text,
-)
-from pytest_dura.requirements.campaign_verdicts import violation_text
 
 Data = Mapping[str, Any]
-Picture = Callable[[Cause], Svg]
-"""Returns the picture of a cause's worst moment; empty where its episode has no scene."""
-
-OPEN_CARDS = 6
-MAX_CARDS = 200
-"""Causes with a card; the tables have all verdicts."""
-_MAX_NAMED = 3
-"""Requirements, and further episodes, that a card names."""
-
-
-def overview_section(
-    record: SessionRecord, causes: Sequence[Cause], links: EpisodeLinks, picture: Picture
-) -> Data:
-    """The cards of the causes, what is supported, and sentences on the session."""
-    cards = [
-        _card(cause, links, picture(cause) if place < OPEN_CARDS else Svg(""))
-        for place, cause in enumerate(causes[:MAX_CARDS])
-    ]
-    explained = {id(verdict) for cause in causes for verdict in cause.verdicts}
-    anchors = {
-        f"{verdict.requirement} on {verdict.case} is {verdict.verdict}": verdict_anchor(
-            verdict.requirement, verdict.case
-        )
-        for verdict in record.head.verdicts
-    }
-    reasons = {
-        f"{verdict.requirement} on {verdict.case} is {verdict.verdict}"
-        for verdict in record.head.verdicts
-        if id(verdict) in explained
-    }
-    return {
-        "cards": cards[:OPEN_CARDS],
-        "more": cards[OPEN_CARDS:],
-        "left_out": len(causes) - len(cards),
-        "anchors": anchors,
-        # What has a card needs no line of its own.
-        "reasons": [text for text in record.head.gate.reasons if text not in reasons],
-        "supported": _supported(record),
-        "shown": list(conclusion_sentences(record)),
-        "not_shown": list(limitation_sentences(record)),
-        "part": shard_text(record),
-        "merged": merge_text(record),
-        "selected": selection_text(record),
-    }
-
-
-def _card(cause: Cause, links: EpisodeLinks, picture: Svg) -> Data:
-    link = None if cause.episode is None else links.of_episode(cause.episode, cause.component)
-    first = cause.requirements[0].id if cause.requirements else ""
-    return {
-        **vars(cause),
-        "waived": cause.waived,
-        "picture": picture,
-        "named": [
-            (requirement, links.known(requirement_anchor(requirement.id)))
-            for requirement in cause.requirements[:_MAX_NAMED]
-        ],
-        "others": len(cause.requirements[_MAX_NAMED:]),
-        "link": link,
-        "plays": link is not None and link in links.players.values(),
-        "when": violation_text(cause.time, cause.margin, valid=True),
-        "verdict_anchor": links.known(verdict_anchor(first, cause.case)),
-        "case_anchor": links.known(case_anchor(cause.case)),
-        "further": [
-            (episode, links.of_episode(episode, cause.component))
-            for episode in cause.more[:_MAX_NAMED]
-        ],
-        "uncounted": len(cause.more[_MAX_NAMED:]),
-    }
-
-
-def _supported(record: SessionRecord) -> Data:
-    """The requirements of which each verdict is supported, and how many verdicts are."""
-    statuses: dict[str, Counter[str]] = {}
-    for verdict in record.head.verdicts:
-        statuses.setdefault(verdict.requirement, Counter())[verdict.verdict] += 1
-    rows = [
-        {**encode(requirement), "anchor": requirement_anchor(requirement.id), "number": number}
-        for requirement in record.head.requirements
-        if (counts := statuses.get(requirement.id)) and (number := counts["supported"])
-        and len(+counts) == 1
-    ]  # fmt: skip
-    return {
-        "rows": rows[:MAX_CARDS],
-        "left_out": len(rows[MAX_CARDS:]),
-        "number": len(rows),
-        "verdicts": sum(counts["supported"] for counts in statuses.values()),
-    }
-
 
 # The assurance case.
 
@@ -227,9 +120,3 @@ def _traces(record: SessionRecord, links: EpisodeLinks) -> Iterator[Data]:
                 "episode": episode.id,
                 "link": links.of_episode(episode.id, episode.component),
             }
-
-
-def table_section(record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """The further tables of the session."""
-    tables = list(concluded_tables(record))
-    return {"tables": tables} if tables else {}
