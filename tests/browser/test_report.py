@@ -9,6 +9,7 @@ from report_pages import VIOLATING, record_with_trace
 from session_records import episode, session_record, verdict
 
 from pytest_dura.reports import case_anchor, verdict_anchor
+from pytest_dura.reports.html import page as report
 from pytest_dura.reports.html.page import render
 
 PHONE = {"viewport": {"width": 360, "height": 740}}
@@ -185,6 +186,23 @@ def test_of_a_long_list_a_page_is_drawn_and_a_link_finds_its_own(opened):
     assert page.evaluate("document.documentElement.scrollHeight") > 900
     go(page, "overview")
     assert page.evaluate("document.documentElement.scrollHeight") <= 6 * 900
+
+
+def test_a_packed_row_is_unpacked_where_its_view_or_a_link_asks_for_it(opened, monkeypatch):
+    monkeypatch.setattr(report, "MAX_PLAIN_ROWS", 50)
+    monkeypatch.setattr(report, "KEPT_ROWS", 10)
+    html = render(many_verdicts(120))
+    page = opened(html)
+    anchor = verdict_anchor("SAF-1", "a/case77")
+    assert page.locator(f"#{anchor}").count() == 0
+    go(page, anchor)
+    page.locator(f"#{anchor}").wait_for()
+    count = page.get_by_role("search", name="Filter the verdicts").locator("output")
+    assert count.inner_text() == "120 of 120 verdicts"
+    go(page, "cases")
+    assert "1 to 50 of 120" in page.locator("#cases .pager").first.inner_text()
+    plain = opened(html, java_script_enabled=False)
+    assert plain.get_by_text("Most rows are packed, and need JavaScript").first.is_visible()
 
 
 def test_without_scripts_everything_is_there_but_the_filter(opened, html):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-
 CONFTEST = """
 import pytest
 from pytest_dura import Assessment, Recovery, RecoveryPlanner, SafetyMonitor

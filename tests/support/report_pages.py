@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import re
+import zlib
 from collections import Counter
 from html.parser import HTMLParser
 
@@ -53,6 +56,15 @@ class Page(HTMLParser):
     def words(self):
         """The text with single spaces."""
         return " ".join("".join(self.text).split())
+
+
+def unpacked(html):
+    """The page with the rows that its script would unpack."""
+    return re.sub(
+        '<script type="application/octet-stream" class="packed">([^<]*)</script>',
+        lambda packed: zlib.decompress(base64.b64decode(packed[1])).decode(),
+        html,
+    )
 
 
 def record_with_trace(directory, *, file="episodes/one.mcap", trace=None, **changes):

@@ -125,6 +125,7 @@ def case_section(record: SessionRecord, contents: ReportContents, links: Episode
             if (group := [row for row in rows if bool(row["case"].without) is arms])
             + (folded := [case for case in rest if bool(case.without) is arms])
         ],
+        "rows": len(rows),
         "overall": [total for total in record.head.overall if total.cases > 1],
         "columns": columns,
         "several": len({case.component for case in cases}) > 1,
@@ -174,6 +175,8 @@ def matrix_section(record: SessionRecord, contents: ReportContents, links: Episo
             lambda i, j: places[columns[j]].get(requirements[i]),
             "Scenario and faults",
         ),
+        # Cells are small: a row of a wide matrix is as long as some of other tables.
+        "rows": len(columns) * max(1, len(requirements) // 5),
         "tested": sum(cell.verdict is not None for cell in coverage.cells),
         "words": {name: words[name] for name in ("supported", "violated", "undecided")},
         "not_run": sum(

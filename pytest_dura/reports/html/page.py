@@ -37,8 +37,8 @@ from pytest_dura.reports.html import (
     verdict_sections,
 )
 from pytest_dura.reports.html.cards import OPEN_CARDS, shown_cards
-from pytest_dura.reports.html.player import content_hash
-from pytest_dura.reports.html.players import Traces, embed_players
+from pytest_dura.reports.html.player import content_hash, packed_text
+from pytest_dura.reports.html.players import Traces, embed_players, plain_base64
 from pytest_dura.reports.story import document_of, episode_sentence
 from pytest_dura.reports.svg import tag
 from pytest_dura.reports.wording import (
@@ -116,11 +116,17 @@ _FILTERS: Mapping[str, Any] = {
     "reference": _bundle_reference,
     "joined": lambda texts: "\n".join(map(name, texts)),
     "capital": lambda text: text[:1].upper() + text[1:],
+    "kept": lambda rows, of: rows if of <= MAX_PLAIN_ROWS else min(rows, KEPT_ROWS),
+    "pack": lambda text: plain_base64(packed_text(text)),
     "bounded": lambda rows: rows[:MOST_ROWS],
     "on_page": lambda columns: shown_in(columns, Shown.PAGE),
 }
 """Filters of the templates."""
 
+MAX_PLAIN_ROWS = 2000
+"""Rows of a table that stand in the page as they are; of more, all but the first are packed."""
+KEPT_ROWS = 100
+"""Rows of a long table, or of an entry of it, that are not packed."""
 MOST_ROWS = 500
 """Rows of a table of the document; the record has all."""
 _DIRECTORY = Path(__file__).parent

@@ -285,8 +285,12 @@ _PAGE = """<!doctype html>
 
 def pack_data(data: Mapping[str, Any]) -> str:
     """Data as zlib's deflate in base64, safe inside a script element or an attribute."""
-    plain = json.dumps(data, separators=(",", ":"), allow_nan=False).encode("ascii")
-    return base64.b64encode(zlib.compress(plain, 9)).decode("ascii")
+    return packed_text(json.dumps(data, separators=(",", ":"), allow_nan=False), 9)
+
+
+def packed_text(text: str, level: int = 6) -> str:
+    """A text as zlib's deflate in base64."""
+    return base64.b64encode(zlib.compress(text.encode(), level)).decode("ascii")
 
 
 @cache

@@ -125,7 +125,7 @@ def embed_players(
                 **vars(candidate.episode),
                 "violates": candidate.violates,
                 "problem": problem,
-                "packed": None if packed is None else _plain_base64(packed),
+                "packed": None if packed is None else plain_base64(packed),
                 "anchor": player_anchor(*candidate.key),
                 "listed": episode_anchor(*candidate.key),
             }
@@ -195,8 +195,8 @@ def _satisfied_verdict(verdict: ItemVerdict, episode: BriefEpisode) -> tuple[str
     return "satisfied", ""
 
 
-def _plain_base64(text: str) -> Markup:
-    """The player's text for a script element, which is not escaped.
+def plain_base64(text: str) -> Markup:
+    """What was packed, for a script element, in which it is not escaped.
 
     Raises:
         ValueError: If it holds anything but letters, digits and ``+/=``.
@@ -204,7 +204,7 @@ def _plain_base64(text: str) -> Markup:
     from markupsafe import Markup
 
     if not re.fullmatch(r"[A-Za-z0-9+/=]*", text):
-        raise ValueError("the player's text is not base64")
+        raise ValueError("what was packed is not base64")
     return Markup(text)  # noqa: S704 - it was just looked at
 
 

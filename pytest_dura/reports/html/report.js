@@ -234,11 +234,26 @@
     details.addEventListener("toggle", () => details.open && mount(details));
   }
 
+  // Of very long tables most rows are packed, until their view or one of them is asked for.
+  const unpack = async (script) => {
+    const bytes = Uint8Array.from(atob(script.textContent), (each) => each.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const made = document.createElement("template");
+    made.innerHTML = await new Response(stream).text();
+    script.replaceWith(made.content);
+  };
+
   // The address says what is shown: a view, an entry of its list, or something inside of one.
   const route = (moved) => {
     const overview = views[0];
-    const target = byId(decodeURIComponent(location.hash.slice(1))) ?? overview;
+    const wanted = decodeURIComponent(location.hash.slice(1));
+    const target = byId(wanted) ?? overview;
     const view = target.closest(".view") ?? overview;
+    const packed = (wanted && !byId(wanted) ? main : view).querySelectorAll("script.packed");
+    if (packed.length) {
+      Promise.all([...packed].map(unpack)).then(() => route(moved));
+      return;
+    }
     for (const each of views) each.classList.toggle("current", each === view);
     for (const link of document.querySelectorAll("nav a")) {
       if (link.hash === `#${view.id}`) link.setAttribute("aria-current", "page");

@@ -95,6 +95,7 @@ def requirement_section(
         group["counts"] = {status: counts[status] for status in WORST_FIRST if counts[status]}
     return {
         "groups": groups + others,
+        "rows": len(shown),
         "kinds": sorted({requirement.kind for requirement in record.head.requirements}),
         "faults": fault_names(record, contents.folded),
         "several": several,

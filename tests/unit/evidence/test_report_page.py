@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 from entries import make
-from report_pages import VIOLATING, Page, record_with_trace
+from report_pages import VIOLATING, Page, record_with_trace, unpacked
 from session_records import episode, session_record, verdict
 from stated_counts import stated_counts
 
@@ -25,6 +25,7 @@ from pytest_dura.reports.columns import Shown
 from pytest_dura.reports.contents import requirement_anchor
 from pytest_dura.reports.document import Entry, Level, Text
 from pytest_dura.reports.html import bundle_sections, cards, players
+from pytest_dura.reports.html import page as page_module
 from pytest_dura.reports.html.episode_sections import heading, matrix
 from pytest_dura.reports.html.page import _environment, render
 from pytest_dura.reports.story import document_of
@@ -573,6 +574,19 @@ def test_a_text_of_several_lines_is_folded_below_its_last_one():
     entry = _environment().get_template("macros.html").module.entry
     text = str(entry(Entry("trace", trace, "code"), str))
     assert "<summary>ValueError: &lt;odd&gt;</summary><pre>Traceback:\n  File a.py" in text
+
+
+def test_rows_of_very_long_tables_are_packed_and_nothing_is_lost(monkeypatch):
+    record, plain = session_record(), render(session_record())
+    assert "packed" not in re.sub("<script>.*?</script>", "", plain, flags=re.DOTALL)
+    monkeypatch.setattr(page_module, "MAX_PLAIN_ROWS", 1)
+    monkeypatch.setattr(page_module, "KEPT_ROWS", 1)
+    html = render(record)
+    assert html.count('class="packed"') >= 4  # verdicts, cases, counts of episodes, the matrix
+    whole = unpacked(html)
+    assert Page(whole).ids == Page(plain).ids
+    assert Page(whole).elements["tr"] == Page(plain).elements["tr"] > Page(html).elements["tr"]
+    assert stated_counts("report.html", whole) == record.head.totals.to_json()
 
 
 def test_views_without_anything_to_show_are_not_in_the_navigation():
