@@ -75,7 +75,7 @@ MAX_LISTED_PAIRS = 20
 def plot_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
     """The plots, each with what it leaves out, and the table of pairs.
 
-    Empty where there is nothing to be drawn.
+    Empty where there is nothing to be drawn: no plot is of a single case.
     """
     measures = [each for each in record.head.measures if each.shown == "mean"]
     arms = [Arm.of(case) for case in record.head.cases]
@@ -85,7 +85,7 @@ def plot_section(record: SessionRecord, contents: ReportContents, _links: Episod
     )
     for episode in record.episodes():
         data.add(episode)
-    shown = [each for each in measures[:MAX_MEASURES] if data.measures[each.name]]
+    shown = [each for each in measures[:MAX_MEASURES] if len(data.measures[each.name]) > 1]
     plots: dict[str, Any] = {
         "measures": [
             _measure_plot(data, each, i, len(arms) - len(drawn)) for i, each in enumerate(shown)
@@ -101,7 +101,8 @@ def plot_section(record: SessionRecord, contents: ReportContents, _links: Episod
         **_flows(data),
         **_pair_maps(record),
     }
-    return plots if any(plots.values()) else {}
+    drawn_ones = ("measures", "differences", "margins", "detection", "flows", "combinations")
+    return plots if any(plots[each] for each in drawn_ones) else {}
 
 
 def _dots(numbers: Sequence[float]) -> Sequence[float]:
@@ -210,7 +211,7 @@ def _margin_plots(record: SessionRecord, contents: ReportContents) -> Data:
         clean = not any(verdict.violations for verdict in own)
         return status, clean, kinds.get(requirement, len(KINDS))
 
-    order = sorted(by_requirement, key=worst)
+    order = sorted((own for own in by_requirement if len(by_requirement[own]) > 1), key=worst)
     plots = [
         _margin_plot(requirement, by_requirement[requirement], i, contents)
         for i, requirement in enumerate(order[:MAX_MARGIN_PLOTS])
@@ -219,6 +220,7 @@ def _margin_plots(record: SessionRecord, contents: ReportContents) -> Data:
         "margins": plots,
         "margins_left_out": len(order[MAX_MARGIN_PLOTS:]),
         "without_margins": bare,
+        "single": len(by_requirement) - len(order),
     }
 
 

@@ -218,18 +218,43 @@ def test_the_page_draws_the_arms_of_a_scenario_side_by_side():
     assert len(anchors) == len(set(anchors))
 
 
+def two_cases(requirement, *others):
+    """Verdicts on a requirement: supported on one case, and on the other what is asked for."""
+    return [
+        verdict(requirement, "a/clear", ("satisfied",) * 3),
+        verdict(requirement, "a/clear+ghost", others),
+    ]
+
+
 def test_margins_have_a_cross_for_each_violating_run_and_the_violated_ones_come_first():
-    html = section(session_record())
+    record = session_record(
+        verdicts=[
+            *two_cases("SEC-1", *("satisfied",) * 9),
+            *two_cases("PERF-1", "violated", "satisfied"),
+            *two_cases("SAF-1", "violated", "violated"),
+        ]
+    )
+    html = section(record)
     order = re.findall(r'<details class="margins"( open)?><summary><b>([^<]*)<', html)
     assert order == [(" open", "SAF-1"), (" open", "PERF-1"), ("", "SEC-1")]
-    violated = sum(each.violations for each in session_record().head.verdicts)
+    violated = sum(each.violations for each in record.head.verdicts)
     assert html.count('class="cross"') == violated > 0
 
 
-def test_a_session_without_numbers_has_no_plots_and_says_what_varies():
+def test_no_plot_is_of_a_single_case():
+    record = session_record()
+    html = section(record)
+    assert re.findall(r"<summary><b>([A-Z]+-1)<", html) == ["SAF-1"]
+    assert "2 requirements are judged on one case alone" in html
+    assert "Clearance time by scenario" in html
+    alone = arms_record(cases=session_data()["cases"][:1])
+    assert "Clearance time by scenario" not in render(alone)
+
+
+def test_a_session_without_numbers_has_no_plots():
     html = section(session_record(episodes=[]))
     assert "<figure" not in html
-    assert "No scenario varies two parameters." in html
+    assert "operating domain" not in html
     assert 'id="plots"' not in render(session_record(episodes=[], verdicts=[], measures=[]))
 
 
@@ -238,7 +263,8 @@ def test_what_is_too_many_is_counted(monkeypatch):
     monkeypatch.setattr(plot_sections, "MAX_MARGIN_PLOTS", 1)
     html = section(arms_record())
     assert "1 more cases are not drawn" in html
-    assert "2 more requirements are not drawn" in html
+    two = [*two_cases("SAF-1", "violated"), *two_cases("PERF-1", "violated")]
+    assert "1 more requirements are not drawn" in section(session_record(verdicts=two))
     monkeypatch.setattr(plot_data, "MAX_RUNS", 2)
     assert "1 more runs" in section(arms_record())
 
