@@ -109,8 +109,8 @@ def _cause_entries(cause: Cause, episode: EpisodeEntry | None) -> Iterator[Entry
         yield Entry("fault", one_line(chain_line(fault), 1000), weight=Level.SUMMARY)
     for twin in cause.twins:
         yield Entry("twin", twin.sentence)
-    if cause.replay:
-        yield Entry("replay", cause.episode or "", "replay")
+    if cause.episode is not None:
+        yield Entry("replay", cause.episode, "replay")
     for item in _items(cause):
         yield Entry("rerun", item, "rerun", weight=Level.SUMMARY)
     if cause.waived:

@@ -30,19 +30,12 @@ from pytest_dura.reports.incidents import (
     Violation,
     amount_text,
     event_clause,
-    headline,
     twin_outcomes,
     what_happened,
 )
 from pytest_dura.reports.next_steps import next_step
 from pytest_dura.reports.undecided import Obstacle, obstacle_of
-from pytest_dura.reports.wording import (
-    evidence_option,
-    is_incomplete,
-    model_options,
-    names_text,
-    replay_command,
-)
+from pytest_dura.reports.wording import is_incomplete, names_text
 from pytest_dura.requirements.model import Requirement
 
 _STATUSES = ("violated", "incomplete", "undecided")
@@ -73,25 +66,21 @@ class Cause:
     Args:
         status: ``violated``, ``undecided`` or ``incomplete``.
         kind: The gravest kind of its requirements; empty without any.
-        headline: One sentence of what happened, and by how much the worst requirement was missed.
-        happened: The same without the requirement, for what states each of them.
+        happened: One sentence of what happened; by how much it misses which requirement, its
+            findings say.
         findings: Its requirements, the gravest first.
         case: Id of the case; empty for a session that is incomplete.
         component: Name of the component under test.
         episode: The worst counterexample, or else a run that spoils the verdict.
         more: Other episodes of the same cause.
         time: When its worst requirement was violated first, in s.
-        margin: By how much, negative, in the unit of its check.
-        check: What was judged.
         twins: What the runs of the same seed did that lack the faults or a role.
-        replay: A command to type; empty where there is nothing to replay.
         next_step: What to look at next.
         verdicts: Those that it explains.
     """
 
     status: str
     kind: str
-    headline: str
     happened: str
     findings: tuple[Finding, ...]
     case: str
@@ -99,10 +88,7 @@ class Cause:
     episode: str | None
     more: tuple[str, ...]
     time: float | None
-    margin: float | None
-    check: str
     twins: tuple[TwinOutcome, ...]
-    replay: str
     next_step: str
     verdicts: tuple[ItemVerdict, ...]
 
@@ -176,7 +162,6 @@ class _Causes:
     def __init__(self, record: SessionRecord, episodes: Episodes) -> None:
         self._record, self._episodes = record, episodes
         self._requirements = {each.id: each for each in record.head.requirements}
-        self._command = record.head.command
 
     def all(self) -> list[Cause]:
         """Causes of violated verdicts, and then of the undecided ones that they do not explain."""
@@ -247,7 +232,6 @@ class _Causes:
         return Cause(
             status="violated",
             kind=worst.requirement.kind,
-            headline=_with_count(headline(incident, findings[worst.requirement.id].amount), often),
             happened=_with_count(happened, often),
             findings=tuple(findings.values()),
             case=worst.verdict.case,
@@ -255,10 +239,7 @@ class _Causes:
             episode=incident.episode,
             more=tuple(member.episode for member in group[1:]),
             time=time,
-            margin=worst.counterexample.margin,
-            check=worst.verdict.check or worst.requirement.check,
             twins=twins,
-            replay=self._replay(incident.episode),
             next_step=next_step(incident, twins),
             verdicts=tuple(verdicts.values()),
         )
@@ -315,7 +296,7 @@ class _Causes:
     def _of_verdicts(
         self,
         status: str,
-        headline: str,
+        happened: str,
         verdicts: Sequence[ItemVerdict],
         next_step: str,
         episode: str | None = None,
@@ -333,25 +314,17 @@ class _Causes:
         return Cause(
             status=status,
             kind=first.requirement.kind,
-            headline=headline,
-            happened=headline,
+            happened=happened,
             findings=tuple(dict.fromkeys(findings[each.requirement] for each in ordered)),
             case=first.verdict.case,
             component=first.verdict.component,
             episode=episode,
             more=(),
             time=None,
-            margin=first.verdict.margin,
-            check=first.check,
             twins=(),
-            replay="" if episode is None else self._replay(episode),
             next_step=next_step,
             verdicts=tuple(ordered),
         )
-
-    def _replay(self, episode: str) -> str:
-        options = evidence_option(self._command), model_options(self._command)
-        return replay_command(episode, *options)
 
 
 def _with_count(sentence: str, count: str) -> str:
@@ -458,9 +431,8 @@ def _objection_step(objection: str) -> str:
     return "Mend it, and run the session again."
 
 
-def _session_cause(headline: str, next_step: str) -> Cause:
+def _session_cause(happened: str, next_step: str) -> Cause:
     return Cause(
-        status="incomplete", kind="", headline=headline, happened=headline, findings=(), case="",
-        component="", episode=None, more=(), time=None, margin=None, check="", twins=(), replay="",
-        next_step=next_step, verdicts=(),
+        status="incomplete", kind="", happened=happened, findings=(), case="", component="",
+        episode=None, more=(), time=None, twins=(), next_step=next_step, verdicts=(),
     )  # fmt: skip

@@ -399,22 +399,6 @@ def own_failure_step(component: str, detail: str) -> str:
     return f"Repair {component} first{where}: until then no verdict is on what it decides."
 
 
-def headline(incident: Incident, amount: str) -> str:
-    """One sentence: what happened, after which fault, and where it led.
-
-    Args:
-        incident: The violations of one episode.
-        amount: By how much the worst requirement is missed, of :func:`amount_text`.
-    """
-    requirement, example = incident.worst.requirement.id, incident.worst.counterexample
-    if incident.brief is None:
-        violated = violated_clause(requirement, amount)
-        return f"{one_line(violated[:1].upper() + violated[1:])}, in an episode without a record."
-    return what_happened(
-        incident.brief, incident.event, requirement, time=example.time, amount=amount
-    )
-
-
 def amount_text(
     requirement: Requirement,
     check: str,

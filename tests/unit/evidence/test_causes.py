@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from dataclasses import replace
 
 import pytest
@@ -60,10 +59,10 @@ def test_all_that_an_episode_violates_is_one_cause_with_its_gravest_requirement_
     assert [each.id for each in cause.requirements] == ["SAF-1", "PERF-1"]
     assert cause.requirements[0].text == REQUIREMENTS["SAF-1"].text
     assert (cause.status, cause.kind, cause.case) == ("violated", "safety", CLEAR)
-    assert (cause.episode, cause.time, cause.margin) == (f"{CLEAR}#0", 1.5, -0.2)
-    assert cause.headline == "At t = 1.50 s the ego ran into WALL."
-    assert cause.check == REQUIREMENTS["SAF-1"].check
-    assert shlex.split(cause.replay) == ["pytest", f"--dura-replay={CLEAR}#0"]
+    assert (cause.episode, cause.time) == (f"{CLEAR}#0", 1.5)
+    assert cause.happened == "At t = 1.50 s the ego ran into WALL."
+    assert cause.findings[0].check == REQUIREMENTS["SAF-1"].check
+    assert "-0.2" in cause.findings[0].amount
 
 
 def test_runs_with_the_same_event_share_a_cause_and_those_with_another_have_their_own():
@@ -114,10 +113,10 @@ def test_a_component_that_raises_in_each_run_is_the_cause_and_not_that_all_are_e
 
     (cause,) = causes_of(record)
 
-    assert cause.headline.startswith(
+    assert cause.happened.startswith(
         "At t = 0.00 s C raised ValueError: no (planner.py:12 in propose)"
     )
-    assert cause.headline.endswith(", in 3 of 3 runs.")
+    assert cause.happened.endswith(", in 3 of 3 runs.")
     assert cause.next_step.startswith("Repair C first, at planner.py:12 in propose")
     assert {each.requirement for each in cause.verdicts} == {"SAF-1", "PERF-1"}
 
@@ -145,11 +144,11 @@ def test_an_event_after_the_violation_is_not_its_cause():
 
     (cause,) = causes_of(record)
 
-    assert cause.headline.startswith("At t = 0.50 s monitor found the proposal unsafe: too near")
+    assert cause.happened.startswith("At t = 0.50 s monitor found the proposal unsafe: too near")
     # No unit is declared.
-    missed = "PERF-1: gap is -1 where more than 0 is required, first at t = 1.00 s"
-    assert f"; {missed}; " in cause.headline
-    assert "WALL" not in cause.headline
+    missed = "gap is -1 where more than 0 is required, first at t = 1.00 s"
+    assert cause.findings[0].amount == missed
+    assert "WALL" not in cause.happened
 
 
 def test_safety_comes_before_performance_violated_before_undecided_and_waived_last():
@@ -206,7 +205,7 @@ def test_the_fault_stays_under_suspicion_where_its_twin_is_clean():
     assert twin.violates is False
     assert "does not violate it (SAF-1)" in twin.sentence
     assert "reached its goal at t = 2.00 s" in twin.sentence
-    assert "the fault ghost changed what generator read from t = 0.60 s on" in cause.headline
+    assert "the fault ghost changed what generator read from t = 0.60 s on" in cause.happened
     assert "security_assessor detected ghost at t = 0.70 s" in cause.next_step
 
 
@@ -245,7 +244,7 @@ def test_verdicts_that_more_runs_would_decide_are_one_cause_with_the_number_of_r
     assert cause.status == "undecided"
     assert len(cause.verdicts) == 2
     assert cause.case == GHOST  # the worse of the two
-    assert "1 of 3 violate SEC-1" in cause.headline
+    assert "1 of 3 violate SEC-1" in cause.happened
     plan = re.search(r"seed of (\d+) runs, which may hold (\d+) violations", cause.next_step)
     runs, allowed = map(int, plan.groups())
     assert runs > 3
@@ -259,7 +258,7 @@ def test_more_violations_than_are_allowed_are_said_before_any_plan():
         [episode(GHOST, 1), episode(GHOST, 2)],
     )
     (cause,) = causes_of(record)
-    assert cause.headline.startswith("More runs violate it than are allowed, too few to be sure: 2")
+    assert cause.happened.startswith("More runs violate it than are allowed, too few to be sure: 2")
     assert cause.next_step.startswith("Mend what violates it: at the observed rate of 66.7 %")
     assert "succeeds with probability" in cause.next_step
 
@@ -274,7 +273,7 @@ def test_a_missing_run_names_role_and_message():
 
     detail = record.head.verdicts[0].first_uncounted.detail.removeprefix("infrastructure: ")
     assert detail
-    assert detail in cause.headline
+    assert detail in cause.happened
     assert cause.episode == f"{CLEAR}#1"
 
 
@@ -282,7 +281,7 @@ def test_a_killed_session_is_a_cause_by_itself():
     (cause,) = causes_of(record_of([], [], status="running"))
 
     assert cause.status == "incomplete"
-    assert "was killed after" in cause.headline
+    assert "was killed after" in cause.happened
     assert "--dura-resume" in cause.next_step
 
 
@@ -291,7 +290,7 @@ def test_an_objection_beside_the_verdicts_is_a_cause():
     (cause,) = causes_of(record_of([], [], reasons=[reason]))
 
     assert cause.status == "incomplete"
-    assert "came out differently" in cause.headline
+    assert "came out differently" in cause.happened
 
 
 def test_a_session_without_failures_reads_no_episode():
