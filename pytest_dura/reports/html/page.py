@@ -27,6 +27,7 @@ from pytest_dura.reports.columns import (
 from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
+    case_anchor,
 )
 from pytest_dura.reports.document import Card, Document, Entry, Level, Table, Text
 from pytest_dura.reports.html import (
@@ -39,8 +40,10 @@ from pytest_dura.reports.html import (
 from pytest_dura.reports.html.cards import OPEN_CARDS, shown_cards
 from pytest_dura.reports.html.player import content_hash, packed_text
 from pytest_dura.reports.html.players import Traces, embed_players, plain_base64
+from pytest_dura.reports.role_tables import has_fixed_n
 from pytest_dura.reports.story import document_of, episode_sentence
 from pytest_dura.reports.svg import tag
+from pytest_dura.reports.verdicts import assertion_sentences
 from pytest_dura.reports.wording import (
     evidence_option,
     merge_text,
@@ -49,6 +52,8 @@ from pytest_dura.reports.wording import (
     selection_text,
     shard_text,
 )
+from pytest_dura.requirements.campaign_verdicts import violation_text
+from pytest_dura.requirements.pairs import PairTable
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -114,6 +119,10 @@ _FILTERS: Mapping[str, Any] = {
     "label": measure_label,
     "address": _file_address,
     "reference": _bundle_reference,
+    "case_anchor": case_anchor,
+    "assertions": assertion_sentences,
+    "fixed_n": has_fixed_n,
+    "when": lambda each: violation_text(each.time, each.margin, valid=each.valid),
     "joined": lambda texts: "\n".join(map(name, texts)),
     "capital": lambda text: text[:1].upper() + text[1:],
     "kept": lambda rows, of: rows if of <= MAX_PLAIN_ROWS else min(rows, KEPT_ROWS),
@@ -127,6 +136,8 @@ MAX_PLAIN_ROWS = 2000
 """Rows of a table that stand in the page as they are; of more, all but the first are packed."""
 KEPT_ROWS = 100
 """Rows of a long table, or of an entry of it, that are not packed."""
+MAX_COUNTEREXAMPLES = 5
+"""Counterexamples of a verdict that are named; the list of episodes has more."""
 MOST_ROWS = 500
 """Rows of a table of the document; the record has all."""
 _DIRECTORY = Path(__file__).parent
@@ -255,7 +266,8 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters.update(_FILTERS)
-    environment.globals["svg"] = tag
+    environment.globals.update(svg=tag, most_examples=MAX_COUNTEREXAMPLES)
+    environment.tests["pair_table"] = lambda pairs: isinstance(pairs, PairTable)
     environment.tests["table"] = lambda part: isinstance(part, Table)
     return environment
 

@@ -14,7 +14,6 @@ from pytest_dura.reports.columns import Shown, shown_in
 from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
-    case_anchor,
     fault_names,
     faults_by_case,
     requirement_anchor,
@@ -23,28 +22,20 @@ from pytest_dura.reports.contents import (
     verdict_key,
 )
 from pytest_dura.reports.incidents import KINDS
-from pytest_dura.reports.role_tables import (
-    has_fixed_n,
-)
 from pytest_dura.reports.tables import (
     VERDICT_COLUMNS,
 )
 from pytest_dura.reports.usage import spending_text
-from pytest_dura.reports.verdicts import assertion_sentences
-from pytest_dura.requirements.campaign_verdicts import violation_text
 from pytest_dura.requirements.model import Requirement
-from pytest_dura.requirements.pairs import PairTable
 
 Data = Mapping[str, Any]
 
 
 WORST_FIRST = ("violated", "undecided", "supported")
-MAX_COUNTEREXAMPLES = 5
-"""Counterexamples of a verdict that are named; the list of episodes has more."""
 
 
 def requirement_section(
-    record: SessionRecord, contents: ReportContents, links: EpisodeLinks
+    record: SessionRecord, contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
     """The requirements with their verdicts, the worst first, or else in the record's order."""
     several = len({case.component for case in record.head.cases}) > 1
@@ -63,7 +54,7 @@ def requirement_section(
         anchors.add(anchor)
         note = methods.setdefault((verdict.bound.method, verdict.method), len(methods) + 1)
         faults = faults_of.get(verdict_key(verdict), ())
-        row = {**_verdict_row(verdict, links), "anchor": own, "note": note, "faults": faults}
+        row = {"v": verdict, "anchor": own, "note": note, "faults": faults}
         rows.setdefault(verdict.requirement, []).append(row)
     ranks = {verdict.requirement: _verdict_rank(verdict) for verdict in reversed(shown)}
     groups = [
@@ -90,7 +81,7 @@ def requirement_section(
         for name in dict.fromkeys([*rows, *folded])
     ]
     for group in groups + others:
-        counts = Counter(row["verdict"] for row in group["rows"])
+        counts = Counter(row["v"].verdict for row in group["rows"])
         counts["supported"] += group["folded"]["number"]
         group["counts"] = {status: counts[status] for status in WORST_FIRST if counts[status]}
     return {
@@ -121,44 +112,13 @@ def _folded_verdicts(verdicts: list[ItemVerdict]) -> Data:
     }
 
 
-def _verdict_row(verdict: ItemVerdict, links: EpisodeLinks) -> Data:
-    shown = verdict.counterexamples[:MAX_COUNTEREXAMPLES]
-    return {
-        **{field.name: getattr(verdict, field.name) for field in fields(verdict)},
-        "verdict_entry": verdict,
-        "case_anchor": links.known(case_anchor(verdict.case)),
-        "worst": [
-            {
-                **{
-                    field.name: getattr(counterexample, field.name)
-                    for field in fields(counterexample)
-                },
-                "link": links.of_episode(counterexample.episode, verdict.component),
-                "when": violation_text(
-                    counterexample.time, counterexample.margin, valid=counterexample.valid
-                ),
-            }
-            for counterexample in shown
-        ],
-        "by_assertion": assertion_sentences(verdict),
-        "more": len(verdict.counterexamples) - len(shown),
-        "pairs": verdict.pairs if isinstance(verdict.pairs, PairTable) else None,
-        "fixed_n": has_fixed_n(verdict),
-    }
-
-
 def provenance_section(
     record: SessionRecord, _contents: ReportContents, _links: EpisodeLinks
 ) -> Data:
-    """Components, packages, inputs and timings, and the comparisons with the baseline."""
+    """Components under test, and language models; the rest is in the record as it is shown."""
     return {
         "components": components_under_test(record),
         "models": [
             (model, spending_text(model, record.head.llm_price)) for model in record.head.models
         ],
-        "packages": sorted(record.head.environment.packages.items()),
-        "redacted": sorted(record.head.redacted.items()),
-        "inputs": record.head.inputs,
-        "timings": record.head.timings,
-        "processing": sorted(record.head.timings.processing_seconds.items()),
     }
