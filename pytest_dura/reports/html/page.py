@@ -27,7 +27,10 @@ from pytest_dura.reports.columns import (
 from pytest_dura.reports.contents import (
     EpisodeLinks,
     ReportContents,
+    anchor,
     case_anchor,
+    requirement_anchor,
+    verdict_anchor,
 )
 from pytest_dura.reports.document import Card, Document, Entry, Level, Table, Text
 from pytest_dura.reports.html import (
@@ -119,7 +122,10 @@ _FILTERS: Mapping[str, Any] = {
     "label": measure_label,
     "address": _file_address,
     "reference": _bundle_reference,
+    "anchor": anchor,
     "case_anchor": case_anchor,
+    "requirement_anchor": requirement_anchor,
+    "verdict_anchor": verdict_anchor,
     "assertions": assertion_sentences,
     "fixed_n": has_fixed_n,
     "when": lambda each: violation_text(each.time, each.margin, valid=each.valid),
