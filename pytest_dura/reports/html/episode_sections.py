@@ -73,7 +73,7 @@ _MAX_LINKED = 6
 """Episodes that a case links to; the list of episodes has more."""
 
 
-def case_section(record: SessionRecord, contents: ReportContents, links: EpisodeLinks) -> Data:
+def case_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
     """One entry for each case and component, and the episodes by case.
 
     Arms that lack a role come last: they are there to be compared with.
@@ -84,12 +84,9 @@ def case_section(record: SessionRecord, contents: ReportContents, links: Episode
     verdicts: dict[CaseKey, list[ItemVerdict]] = defaultdict(list)
     for verdict in record.head.verdicts:
         verdicts[verdict_key(verdict)].append(verdict)
-    episodes: dict[CaseKey, list[Data]] = defaultdict(list)
+    episodes: dict[CaseKey, list[ListedEpisode]] = defaultdict(list)
     for each in contents.listed:
-        own = episodes[each.episode.case, each.episode.component]
-        if len(own) < _MAX_LINKED:
-            own.append({"id": each.episode.id, "anchor": links.of_episode(*each.key),
-                        "violates": bool(each.violates)})  # fmt: skip
+        episodes[each.episode.case, each.episode.component].append(each)
     anchors: set[str] = set()
     rows: list[dict[str, Any]] = []
     for case in shown:
@@ -101,12 +98,10 @@ def case_section(record: SessionRecord, contents: ReportContents, links: Episode
             {
                 "case": case,
                 "anchor": None if anchor in anchors else anchor,
-                "verdicts": [
-                    (each, verdict_anchor(each.requirement, each.case)) for each in judged
-                ],
+                "verdicts": judged,
                 # An arm without a role is there for pairs: the verdicts stand on the case itself.
                 "unjudged": [] if case.without else sorted(set(case.requirements) - named),
-                "episodes": episodes.get(key, []),
+                "episodes": episodes.get(key, [])[:_MAX_LINKED],
                 "run": contents.cases.get(key, CaseTally()).validities.total(),
             }
         )
@@ -319,9 +314,16 @@ def _heat_cell(verdicts: list[ItemVerdict] | None) -> Data:
 
 def episode_section(record: SessionRecord, contents: ReportContents, links: EpisodeLinks) -> Data:
     """Single episodes, those that violated something first."""
-    anchors: set[str] = set()
     faults = faults_by_case(record)
-    rows = [_episode_row(episode, links, anchors, faults) for episode in contents.listed]
+    anchors: set[str] = set()
+    rows = []
+    for each in contents.listed:
+        own = links.listed[each.key]
+        key = each.episode.case, each.episode.component
+        # A run by hand may bear the id of a planned one: the first has the anchor.
+        anchor = None if own in anchors else own
+        anchors.add(own)
+        rows.append({"listed": each, "anchor": anchor, "faults": faults.get(key, ())})
     return {
         "several": len({key[1] for key in contents.cases}) > 1,
         "total": record.head.totals.episodes,
@@ -369,29 +371,4 @@ def _case_counts(key: CaseKey, tally: CaseTally, case: CaseEntry | None) -> Data
         "never_total": 0 if case is None else case.missing_runs_total,
         "run": tally.validities.total(),
         **{name: tally.validities[name] for name in ("valid", "invalid", "missing")},
-    }
-
-
-def _episode_row(
-    episode: ListedEpisode,
-    links: EpisodeLinks,
-    anchors: set[str],
-    faults: Mapping[CaseKey, Sequence[str]],
-) -> Data:
-    own = links.listed[episode.key]
-    anchor = None if own in anchors else own
-    anchors.add(own)
-    return {
-        **vars(episode.episode),
-        "anchor": anchor,
-        "violates": [
-            {"id": name, "anchor": links.known(requirement_anchor(name))}
-            for name in episode.violates
-        ],
-        "player": links.players.get(episode.key),
-        "case_anchor": links.known(case_anchor(episode.episode.case)),
-        "faults": faults.get((episode.episode.case, episode.episode.component), ()),
-        "why": episode.episode.failure
-        or episode.episode.invalid_reason
-        or episode.episode.critical,
     }
