@@ -101,7 +101,10 @@ def _cause_entries(cause: Cause, episode: EpisodeEntry | None) -> Iterator[Entry
     if rest := cause.findings[_MOST_REQUIREMENTS:]:
         yield Entry("and", names_text([each.requirement.id for each in rest]))
     if cause.episode is not None:
-        runs = [f"#{each.rpartition('#')[2]}" for each in cause.more]
+        # Those of other cases have the same numbers.
+        case, _, _ = cause.episode.rpartition("#")
+        own = [each.rpartition("#") for each in cause.more]
+        runs = [f"{'' if other == case else other}#{run}" for other, _, run in own]
         more = f"; also {names_text(runs)}" if runs else ""
         without = "" if cause.valid else ", without effect of the fault"
         yield Entry("episode", f"{name(cause.episode)}{without}{more}", "code")

@@ -10,6 +10,7 @@ from session_records import CASES, REQUIREMENTS, episode, session_data, session_
 
 from pytest_dura.evidence import SessionRecord
 from pytest_dura.reports import causes_of
+from pytest_dura.reports.cards import cause_card
 
 CLEAR, GHOST, UNAIDED = CASES
 
@@ -134,6 +135,8 @@ def test_a_seed_that_violates_in_two_cases_with_the_same_event_is_one_cause():
 
     assert {cause.episode, *cause.more} == {f"{CLEAR}#0", f"{GHOST}#0"}
     assert set(cause.cases) == {CLEAR, GHOST}
+    (episode_entry,) = (each for each in cause_card(cause).entries if each.label == "episode")
+    assert episode_entry.text == f"{cause.episode}; also {cause.more[0]}"
 
 
 def test_an_event_after_the_violation_is_not_its_cause():
