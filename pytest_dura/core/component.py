@@ -287,6 +287,12 @@ class Component:
         self._limit = spec.time_budget
         self._calls = 0
         self._not_called = ""
+        self._error: BaseException | None = None
+
+    def take_error(self) -> BaseException | None:
+        """What the last call raised, if it did; its frames are kept no longer than that."""
+        error, self._error = self._error, None
+        return error
 
     def reset(self, context: RoleContext) -> str | None:
         """Begin an episode; returns the problem, if any, after which it is not called again."""
@@ -322,6 +328,7 @@ class Component:
         except BaseException as error:
             self._boundary.let_pass(error)
             checked, problem = None, f"no valid action: to check it raised {describe_error(error)}"
+            self._error = error
         if self._boundary.pending:
             problem = self._boundary.take_misuse() or problem
         return checked, problem
@@ -358,6 +365,7 @@ class Component:
             raise
         except BaseException as error:
             self._boundary.let_pass(error)
+            self._error = error
             return Answer(None, f"raised {describe_error(error)}")
 
     def _timed_call(self, number: int, call: Callable[..., Answer], *arguments: Any) -> Answer:

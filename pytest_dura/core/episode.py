@@ -11,7 +11,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -422,7 +422,11 @@ class Episode(Shown):
         """SHA-256 of everything but wall-clock timings; equal for equal specs on one platform."""
         state = hashlib.sha256(self.spec.key.encode())
         self._add_columns(state, self.signals)
-        events = [event for event in self.events if not event.wall_clock]
+        events = [
+            replace(event, traceback="") if event.traceback else event
+            for event in self.events
+            if not event.wall_clock
+        ]
         faults = [asdict(fault) for fault in self.faults]
         for fault in faults:
             del fault["read_by"]

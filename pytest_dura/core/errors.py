@@ -8,6 +8,7 @@ raised, so that the episode ends as missing whether the component passes it on o
 from __future__ import annotations
 
 import difflib
+import linecache
 import re
 import sysconfig
 import threading
@@ -166,8 +167,9 @@ class InfrastructureError(DuraError):
     The message starts with ``infrastructure:`` and names the role and the tick.
     """
 
-    def __init__(self, role: str, tick: int, time: float, cause: str) -> None:
+    def __init__(self, role: str, tick: int, time: float, cause: str, traceback: str = "") -> None:
         self.role, self.tick, self.time, self.cause = role, tick, time, cause
+        self.traceback = traceback
         super().__init__(f"infrastructure: {role} at tick {tick} (t = {time:.1f} s): {cause}")
 
 
@@ -188,6 +190,9 @@ class ConformanceError(DuraError):
         super().__init__("\n".join(lines))
 
 
+_ADDRESS = re.compile(r"\b0x[0-9a-fA-F]{6,}")
+
+
 def describe_error(error: BaseException) -> str:
     """Type, message and place of an error, without what changes from process to process.
 
@@ -198,7 +203,7 @@ def describe_error(error: BaseException) -> str:
     """
     message = cut(read_text(str, error, "(its message cannot be read)"))
     text = f"{type_name(error)}: {message}" if message else type_name(error)
-    text = re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x…", text)
+    text = _ADDRESS.sub("0x…", text)
     trace = traceback_of(error)
     place: tuple[CodeType, int] | None = None
     while trace is not None:
@@ -214,6 +219,81 @@ def describe_error(error: BaseException) -> str:
     code, line = place
     function = "" if code.co_name == "<module>" else f" in {code.co_name}"
     return f"{text} ({Path(code.co_filename).name}:{line}{function})"
+
+
+_MOST_LINKS, _MOST_FRAMES, _LONGEST_LINE = 3, 20, 300
+_below_error: Any = {
+    name: vars(BaseException)[name].__get__
+    for name in ("__cause__", "__context__", "__suppress_context__", "args")
+}
+
+
+def traceback_text(error: BaseException) -> str:
+    """Whole traceback of an error and of what led to it, as Python writes it, in bounded length.
+
+    The frames of this package that come before any others are left out, and of very many frames
+    those in the middle. No code of the error's class runs. The text is no part of a digest.
+    """
+    parts: list[str] = []
+    link: BaseException | None = error
+    while link is not None and len(parts) < 2 * _MOST_LINKS:
+        frames = [f"  {line}" for line in _frame_lines(link)]
+        head = ["Traceback (most recent call last):"] if frames else []
+        parts.insert(0, "\n".join([*head, *frames, _plain_message(link)]))
+        cause = _below_error["__cause__"](link)
+        hidden = _below_error["__suppress_context__"](link)
+        link = cause if cause is not None or hidden else _below_error["__context__"](link)
+        if link is not None:
+            how = (
+                "During handling of the above exception, another exception occurred:"
+                if cause is None
+                else "The above exception was the direct cause of the following exception:"
+            )
+            parts.insert(0, how)
+    while len(text := "\n\n".join(parts)) > LONGEST_TEXT and len(parts) > 1:
+        del parts[0]
+    return cut(text)
+
+
+def _frame_lines(error: BaseException) -> Iterator[str]:
+    """Two lines for each frame: its place, and its source as far as that is known."""
+    places: list[tuple[CodeType, int]] = []
+    trace = traceback_of(error)
+    while trace is not None:
+        places.append((trace.tb_frame.f_code, trace.tb_lineno))
+        trace = trace.tb_next
+    core = Path(__file__).parent
+    outer = 0
+    while outer < len(places) and Path(places[outer][0].co_filename).parent == core:
+        outer += 1
+    places = places[outer:] or places
+    half = _MOST_FRAMES // 2
+    for number, (code, line) in enumerate(places):
+        if half <= number < len(places) - half:
+            if number == half:
+                yield f"({len(places) - 2 * half} frames are left out)"
+            continue
+        yield f'File "{_shown_file(code.co_filename)}", line {line}, in {code.co_name}'
+        source = linecache.getline(code.co_filename, line).strip()
+        if source:
+            long = len(source) > _LONGEST_LINE
+            yield f"  {f'(a line of {len(source)} characters)' if long else source}"
+
+
+def _shown_file(file: str) -> str:
+    """A file's path, from the current directory where it is below that."""
+    try:
+        return str(Path(file).relative_to(Path.cwd()))
+    except (OSError, ValueError):  # it is elsewhere, or that directory was removed
+        return file
+
+
+def _plain_message(error: BaseException) -> str:
+    """Type of an error and those of its arguments that are of Python's own types."""
+    args = _below_error["args"](error)
+    plain = [str(each) for each in args if type(each) in (str, int, float)]
+    message = cut(_ADDRESS.sub("0x…", ", ".join(plain)))
+    return f"{type_name(error)}: {message}" if message else type_name(error)
 
 
 _LIBRARIES = ("stdlib", "platstdlib", "purelib", "platlib")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pytest_dura.core.boundary import CallBlocked, let_pass
 from pytest_dura.core.episode import Episode, EpisodeSpec
-from pytest_dura.core.errors import InfrastructureError, cut, describe_error
+from pytest_dura.core.errors import InfrastructureError, cut, describe_error, traceback_text
 from pytest_dura.core.loop_signals import PROPOSAL_PREFIX, account_columns, copied_account
 from pytest_dura.core.metrics import DependabilityMetrics, FaultRecord
 from pytest_dura.core.outputs import check_texts, exact_texts, shortened_with_hash
@@ -26,6 +26,8 @@ from pytest_dura.core.roles import (
 from pytest_dura.core.simulator import Recording, Scene, Simulator, scene_problems
 from pytest_dura.core.state import NOTHING, Alert, Event, Proposal, StateManager, Tick
 
+_MOST_TRACEBACKS = 4
+"""Failures of the component in an episode whose tracebacks are kept."""
 _DETECTION_GRACE = 1.0
 """Seconds after a fault's end in which an alert or a recovery still answers it."""
 
@@ -63,6 +65,7 @@ class EpisodeLog:
         self._recovery: str | None = None
         self._recovery_text = ""
         self._reached: set[str] = set()
+        self._tracebacks = 0
         self._reacted: dict[tuple[str, str], int] = {}
 
     def event(
@@ -71,19 +74,42 @@ class EpisodeLog:
         """Log an event of this tick."""
         self.events.append(Event(tick.index, tick.time, kind, subject, detail, NOTHING, wall_clock))
 
-    def early_event(self, kind: str, subject: str, detail: str) -> None:
-        """Log an event before the first tick."""
-        self.events.append(Event(0, 0.0, kind, subject, detail))
+    def reset_failed(self, problem: str, error: BaseException | None) -> None:
+        """Log that the Generator could not begin; ``error`` is what it raised, if it did."""
+        self.events.append(Event(0, 0.0, "component_failure", self.component, problem))
+        self._add_traceback(error)
 
-    def proposed(self, tick: Tick, proposal: Proposal | None, problem: str | None) -> None:
-        """Log the Generator's answer; ``problem`` says what is wrong with it, if anything."""
+    def proposed(
+        self,
+        tick: Tick,
+        proposal: Proposal | None,
+        problem: str | None,
+        error: BaseException | None = None,
+    ) -> None:
+        """Log the Generator's answer.
+
+        Args:
+            tick: The present one.
+            proposal: The answer, if it is one.
+            problem: What is wrong with it, if anything.
+            error: What the Generator raised, if it did.
+        """
         self._account = NOTHING if proposal is None else copied_account(proposal.account)
         self.metrics.proposals += 1
         if problem is None:
             self.metrics.valid_proposals += 1
         else:
             self._violation(tick, "component")
+        before = len(self.events)
         self._lasting(tick, "component_failure", self.component, problem, every_change=True)
+        if problem is not None and len(self.events) > before:
+            self._add_traceback(error)
+
+    def _add_traceback(self, error: BaseException | None) -> None:
+        """Put the traceback of what the component raised into the last event."""
+        if error is not None and self._tracebacks < _MOST_TRACEBACKS:
+            self._tracebacks += 1
+            self.events[-1] = replace(self.events[-1], traceback=traceback_text(error))
 
     def assessed(self, tick: Tick, name: str, output: Assessment) -> None:
         """Log a monitor's assessment of the proposal."""
@@ -285,8 +311,11 @@ class EpisodeLog:
     def failed(self, failure: InfrastructureError) -> None:
         """Log the failure of anything but the component."""
         self.events.append(
-            Event(failure.tick, failure.time, "infrastructure", failure.role, failure.cause)
-        )
+            Event(
+                failure.tick, failure.time, "infrastructure", failure.role, failure.cause,
+                traceback=failure.traceback,
+            )
+        )  # fmt: skip
 
     def close(
         self,
@@ -324,7 +353,10 @@ class EpisodeLog:
                 let_pass(error)
                 blocked = isinstance(error, CallBlocked)
                 last, cause = state.ticks[-1], str(error) if blocked else describe_error(error)
-                failure = failure or InfrastructureError("simulator", last.index, last.time, cause)
+                raised = "" if blocked else traceback_text(error)
+                failure = failure or InfrastructureError(
+                    "simulator", last.index, last.time, cause, raised
+                )
         if failure is not None:
             ending = "infrastructure"
             self.failed(failure)

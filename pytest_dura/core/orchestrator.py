@@ -34,6 +34,7 @@ from pytest_dura.core.errors import (
     InfrastructureError,
     describe_error,
     environment_errors,
+    traceback_text,
 )
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.log import Decision, EpisodeLog
@@ -271,7 +272,7 @@ class Orchestrator:
                     problem = self._component.reset(context)
                 self._raise_environment_error(errors)
                 if problem is not None:
-                    self.log.early_event("component_failure", spec.component, problem)
+                    self.log.reset_failed(problem, self._component.take_error())
             else:
                 faults = tuple(Fault.of(plain_copy(fault.plain())) for fault in spec.faults)
                 context = RoleContext(spec.seed, spec.time_step, scenario, faults)
@@ -385,7 +386,7 @@ class Orchestrator:
                 self.state.proposal = proposal.with_action(action)
             else:
                 problem = wrong
-        self.log.proposed(tick, proposal, problem)
+        self.log.proposed(tick, proposal, problem, self._component.take_error())
 
     def _assess(self, *, first: bool) -> tuple[Assessed, tuple[str, ...]]:
         state, tick, metrics = self.state, self.state.tick, self.log.metrics
@@ -492,7 +493,7 @@ class Orchestrator:
             if isinstance(error, ConfigurationError) and len(self.state.ticks) <= 1:
                 raise
             cause = boundary.take_misuse() or describe_error(error)
-            raise self._failure_of(role, cause) from error
+            raise self._failure_of(role, cause, traceback_text(error)) from error
         finally:
             timer.role = None
             if calls.check is not None:
@@ -519,10 +520,10 @@ class Orchestrator:
         if errors:
             raise self._failure_of(errors[0].source, str(errors[0])) from errors[0]
 
-    def _failure_of(self, role: str, cause: str) -> InfrastructureError:
+    def _failure_of(self, role: str, cause: str, traceback: str = "") -> InfrastructureError:
         ticks = self.state.ticks
         index, time = (ticks[-1].index, ticks[-1].time) if ticks else (0, 0.0)
-        return InfrastructureError(role, index, time, cause)
+        return InfrastructureError(role, index, time, cause, traceback)
 
 
 _HALT = object()

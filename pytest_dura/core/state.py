@@ -323,6 +323,9 @@ class Event:
     """Further values."""
     wall_clock: bool = field(default=False, metadata=LEFT_OUT)
     """Whether it depends on the machine's speed, and is no part of the digest; absent if not."""
+    traceback: str = field(default="", metadata=LEFT_OUT)
+    """Whole traceback of what was raised, in bounded length. It names files of this machine and is
+    no part of the digest; absent without one, and from the fifth failure of an episode on."""
 
     __repr__ = short_repr
 

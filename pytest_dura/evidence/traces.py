@@ -317,7 +317,11 @@ def _other_differences(recorded: Trace, replayed: Trace) -> Iterator[Difference]
 
 
 def _events(trace: Trace) -> list[dict[str, Any]]:
-    return [dict(event) for event in trace.events if not event.get("wall_clock")]
+    """Events that a replay repeats: a traceback names files of the machine."""
+    plain = [dict(event) for event in trace.events if not event.get("wall_clock")]
+    for event in plain:
+        event.pop("traceback", None)
+    return plain
 
 
 def _event_text(event: dict[str, Any] | None) -> str:

@@ -177,6 +177,7 @@ def _check_texts(head: Data) -> None:
         raise TypeError("what should be a truth value is none")
     texts = [head["termination"], *(() if head["failure"] is None else (head["failure"],))]
     texts += [event[name] for event in head["events"] for name in ("kind", "subject", "detail")]
+    texts += [event.get("traceback", "") for event in head["events"]]
     texts += [fault[name] for fault in head["faults"] for name in ("id", "target")]
     if not all(isinstance(text, str) for text in texts):
         raise TypeError("what should be a text is none")

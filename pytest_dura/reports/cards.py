@@ -11,7 +11,7 @@ from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.searches import RecordedSearch
-from pytest_dura.evidence.text import counted, name, one_line
+from pytest_dura.evidence.text import counted, name, one_line, visible
 from pytest_dura.reports.causes import Cause, Finding, card_heading, causes_of
 from pytest_dura.reports.document import Card, Entry, Level, Place
 from pytest_dura.reports.searches import (
@@ -110,6 +110,10 @@ def _cause_entries(cause: Cause, episode: EpisodeEntry | None) -> Iterator[Entry
         yield Entry("episode", f"{name(cause.episode)}{without}{more}", "code")
     for fault in episode.faults if episode is not None else ():
         yield Entry("fault", one_line(chain_line(fault), 1000), weight=Level.SUMMARY)
+    events = episode.events if episode is not None else ()
+    raised = next((event.traceback for event in events if event.traceback), "")
+    if raised:
+        yield Entry("traceback", visible(raised), "code", weight=Level.PAGE)
     for twin in cause.twins:
         yield Entry("twin", twin.sentence)
     if cause.episode is not None:

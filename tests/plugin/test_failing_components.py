@@ -3,7 +3,9 @@ from __future__ import annotations
 import pytest
 from corridors import IDLE, scenario
 
-from pytest_dura.evidence import verify_bundle
+from pytest_dura.evidence import open_record, verify_bundle
+from pytest_dura.reports.document import Level
+from pytest_dura.reports.story import document_of
 
 
 def failing(project, name, *arguments):
@@ -54,6 +56,26 @@ def judged(project, words, *mode):
     assert events[0].kind == "component_failure"
 
 
+def test_the_whole_traceback_is_in_the_record_and_in_a_card_of_the_page(project, mode):
+    scenario(project, "fails", generator="Raises")
+    project.run("corridor/fails", *mode)
+    record = project.evidence()
+    trace = record.episodes[0].events[0].traceback
+    assert trace.startswith("Traceback (most recent call last):\n")
+    assert trace.endswith('    raise ValueError("out of ideas")\nValueError: out of ideas')
+    assert 'File "corridor.py", line ' in trace
+    entries = [
+        entry
+        for card in document_of(open_record(project.path / "dura-evidence/evidence.json")).cards
+        for entry in card.entries
+        if entry.label == "traceback"
+    ]
+    assert [(each.text, each.kind, each.weight) for each in entries] == [
+        (trace, "code", Level.PAGE)
+    ]
+    assert verify_bundle(project.path / "dura-evidence").problems == []
+
+
 def test_a_role_that_fails_is_infrastructure(project, mode):
     scenario(project, "broken", monitor="Broken")
     result, text = failing(project, "broken", *mode)
@@ -64,6 +86,7 @@ def test_a_role_that_fails_is_infrastructure(project, mode):
     assert set(project.verdicts().values()) == {"undecided"}
     evidence = project.evidence()
     assert evidence.episodes[0].validity == "missing"
+    assert evidence.episodes[0].events[-1].traceback.endswith("RuntimeError: no opinion")
     assert evidence.verdicts[0].missing == 2
     assert "0 (2)" in text
 

@@ -16,6 +16,7 @@ from loops import Says, run_loop, spec_of
 from thermostat import Controller, HeatMonitor, SwitchOff, Thermostat
 
 from pytest_dura import Episode, Generator, Orchestrator, Proposal
+from pytest_dura.core.errors import LONGEST_TEXT
 
 TIGHT = {"time_budget": 0.05}
 
@@ -324,3 +325,60 @@ def test_a_component_cannot_hide_things_from_the_monitor_by_writing_into_the_per
 
 def test_the_controller_itself_is_fine() -> None:
     assert failures(run_loop(Controller(), recovery_planner=SwitchOff())) == []
+
+
+class ChainedError(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("a traceback runs no code of the error")
+
+
+def deep(levels: int) -> None:
+    if not levels:
+        raise KeyError("no plan", 7)
+    deep(levels - 1)
+
+
+def raise_deep(view: Any) -> Proposal:
+    try:
+        deep(200)
+    except KeyError as error:
+        raise ChainedError("x" * 30_000) from error
+    raise AssertionError
+
+
+def test_the_whole_traceback_is_kept_and_no_part_of_the_digest() -> None:
+    episode = run_loop(explode)
+    (failure,) = [event for event in episode.events if event.kind == "component_failure"]
+    lines = failure.traceback.splitlines()
+    assert lines[0] == "Traceback (most recent call last):"
+    assert lines[-2:] == ['    raise ValueError("no idea")', "ValueError: no idea"]
+    assert "test_component_failures.py" in lines[-3]
+    assert lines[-3].endswith(", in explode")
+    assert "pytest_dura/core" not in failure.traceback  # the user's frames come first
+    # Paths and lines differ from machine to machine.
+    again = run_loop(explode)
+    moved = replace(failure, traceback="elsewhere")
+    again.events = tuple(moved if event == failure else event for event in again.events)
+    assert again.digest == episode.digest
+
+
+def test_a_traceback_is_bounded_and_says_what_led_to_it() -> None:
+    (failure, *_) = run_loop(raise_deep).events
+    text = failure.traceback
+    assert len(text) <= 2 * LONGEST_TEXT
+    assert text.rpartition("ChainedError: ")[2].startswith("x" * 1000)
+    short = run_loop(lambda view: deep(200)).events[0].traceback  # type: ignore[func-returns-value]
+    assert short.endswith("KeyError: no plan, 7")
+    assert "frames are left out)" in short
+    assert short.count("in deep") < 40
+
+
+def test_tracebacks_of_an_episode_are_few() -> None:
+    def differs(view: Any) -> Proposal:
+        raise ValueError(f"no {view.index}")
+
+    events = [each for each in run_loop(differs).events if each.kind == "component_failure"]
+    assert len(events) > 4
+    assert [bool(each.traceback) for each in events][:6] == [True] * 4 + [False] * (
+        min(len(events), 6) - 4
+    )
