@@ -121,8 +121,6 @@ RESUME_FOLDER = ".episodes"
 """Folder of the episodes that an interrupted session leaves to the next one."""
 _EARLIER_FILES = ("evidence.schema.json",)
 """Files of bundles of earlier versions, which a new session replaces as well."""
-PROGRESS_FOLDER = ".progress"
-"""Folder in which the workers of a session write how far they are."""
 _TOOL = re.compile(rb'"tool"\s*:\s*\{\s*"name"\s*:\s*"pytest-dura"')
 _HEAD_BYTES = 1 << 16
 
@@ -163,12 +161,12 @@ def check_directory(directory: Path) -> None:
 
 
 def _is_temporary(name: str) -> bool:
-    """Whether it is what an unfinished session leaves: lock, spool, episode, trace, progress."""
+    """Whether it is what an unfinished session leaves: lock, spool, episode, trace."""
     first, _, rest = name.partition("/")
     if rest:
         if first == TRACE_FOLDER:
             return rest.startswith(".") or is_trace_name(rest)
-        return first in (RESUME_FOLDER, PROGRESS_FOLDER)
+        return first == RESUME_FOLDER
     return first == LOCK_FILE or first.startswith((*_temporary_prefixes(), SPOOL_PREFIX))
 
 

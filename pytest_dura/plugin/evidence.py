@@ -222,13 +222,12 @@ class SessionEvidence:
         config = self.context.config
         if self.record is not None or self.context.is_worker or config.option.collectonly:
             return
-        from pytest_dura.evidence.bundle import PROGRESS_FOLDER, begin_bundle, check_directory
+        from pytest_dura.evidence.bundle import begin_bundle, check_directory
         from pytest_dura.evidence.files import DirectoryLock
         from pytest_dura.evidence.gather import RecordBuilder
         from pytest_dura.evidence.looks import earlier_looks
         from pytest_dura.plugin.inputs import files_of_roles
         from pytest_dura.plugin.items import compared_options
-        from pytest_dura.plugin.progress import remove_files
         from pytest_dura.provenance import describe_environment, describe_tool
 
         options = self.context.options
@@ -265,7 +264,6 @@ class SessionEvidence:
             for failed in self._failed:
                 self.record.fail(failed)
             if not late:
-                remove_files(options.evidence / PROGRESS_FOLDER)
                 self._shared.begin()
             gate = Gate.running(warn_undecided=options.warn_undecided)
             record = self._concluded("running", gate)

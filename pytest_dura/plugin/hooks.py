@@ -171,7 +171,7 @@ class SessionHooks:
         if self.session.active:
             self._begin_guard()
         if session.config.pluginmanager.hasplugin("dsession"):
-            self.session.begin_progress()
+            _ = self.session.progress  # workers are begun next, and learn of it then
         if self.session.shard is not None:
             session.config.pluginmanager.register(self.session.shard, "dura-shard")
 
@@ -285,8 +285,6 @@ class SessionHooks:
         foreign = (lacks_case(item) and self._refusal_of(item) is None for item in own_items)
         if earlier or not all(foreign):
             self.session.begin_evidence(own_items)
-            if self.session.is_worker:
-                self.session.begin_progress()
         if self.session.evidence.record is not None:
             marked = [item.nodeid for item in own_items if item.get_closest_marker("dura")]
             self.session.evidence.note_tests(node_ids, marked)

@@ -1,375 +1,250 @@
-"""Progress of campaigns while they run: snapshots, the files of workers, and the hooks.
+"""Progress of campaigns while they run: one line, with the time that is left.
 
-Workers of pytest-xdist have no terminal, and its channel carries its own events alone: they
-write small files beside the evidence, which the controller reads.
+In a terminal the line stands behind what pytest has written, and the cursor before it: pytest
+writes its next result over it. A log has whole lines, rarer and rarer. Workers of pytest-xdist,
+which have no terminal, send theirs over its channel to the controller, whose main thread shows
+them. So nothing of pytest's own output is held back, repeated or written from another thread.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import re
-from collections.abc import Callable, Generator, Mapping
-from contextlib import suppress
-from dataclasses import fields, replace
-from functools import partial
+import sys
+import unicodedata
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from math import isinf
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pytest_dura.campaign.events import Progress
-from pytest_dura.plugin import progress_display
-from pytest_dura.plugin.progress_display import (
-    DisplayMode,
-    LiveScreen,
-    ProgressLog,
-    ProgressView,
-    TerminalGuard,
-    Ticker,
-    capture_disabled,
-    open_terminal,
-)
+from pytest_dura.core.text import without_commands
+from pytest_dura.evidence.text import counted
 
 if TYPE_CHECKING:
     from xdist.workermanage import WorkerController
 
+    from pytest_dura.campaign.events import Progress
 
-BOUND_SHARE = 1 / 500
-"""Share of the time that goes into bounds, at most."""
-LONGEST_BOUND_AGE = 10.0
-"""Seconds after which a bound is made anew, whatever the last one took."""
-
-
-class Snapshots:
-    """Snapshots of running campaigns, with new bounds only as often as their cost allows.
-
-    Args:
-        clock: Seconds.
-    """
-
-    def __init__(self, clock: Callable[[], float] = perf_counter) -> None:
-        self._clock = clock
-        self.forget()
-
-    def forget(self) -> None:
-        """Forget the campaign, which has ended."""
-        self._bounded: Progress | None = None
-        self._due = -1.0
-
-    def of(self, progress: Progress) -> Progress:
-        """Return how far a campaign is, with its bound."""
-        if self._bounded is None or self._bounded.judge is not progress.judge:
-            self.forget()
-        started = self._clock()
-        if started >= self._due:
-            self._bounded = progress.bounded()
-            ended = self._clock()
-            self._due = ended + min((ended - started) / BOUND_SHARE, LONGEST_BOUND_AGE)
-            return self._bounded
-        known = self._bounded
-        # A bound from fewer runs with as many violations is greater, so it still holds.
-        if known is None or known.violations != progress.violations:
-            return progress
-        return replace(progress, upper=known.upper, confidence=known.confidence)
+REFRESH = 0.5
+"""Seconds between two lines in a terminal, or of a worker."""
+SILENCE_SHARE, LONGEST_SILENCE = 0.1, 300.0
+"""The longer a session lasts, the longer until the next line of a log: so much of what passed, but
+no longer than that, or twice the interval: CI services end what is silent."""
+_EVENT = "dura_progress"
+_LEAST_ROOM = 12  # columns, below which a part of a line says nothing
+Requests = Callable[[], int | None]
+"""Returns how many requests to language models this process has made."""
 
 
-WRITE_INTERVAL = 0.25
-"""Seconds after which a worker writes again."""
-_FILE_NAME = re.compile(r"([0-9a-f]{16})\.([A-Za-z0-9_-]{1,32})\.(json|tmp)")
-_FIELDS = {field.name for field in fields(Progress)} - {"ended", "judge"}
-_MOST_BYTES, _MOST_FILES, _LONGEST, _GREATEST = 4096, 256, 500, 10**9
+class ProgressWords:
+    """Words on how far the running campaign is."""
+
+    def __init__(self, requests: Requests) -> None:
+        self._requests = requests
+        self._begun = 0.0, 0
+        """When the simulated runs of the campaign began, and the requests by then."""
+
+    def look(self, progress: Progress, now: float) -> None:
+        """Note when the simulated runs of a campaign begin; called before each of its runs."""
+        if progress.done == progress.taken_over:
+            self._begun = now, self._requests() or 0
+
+    def line(self, progress: Progress, now: float) -> str:
+        """Say how many runs are over, what came of them, and how long the others will take."""
+        progress = progress.bounded()
+        most = "at most " if progress.may_end_early else ""
+        taken = f" ({progress.taken_over} taken over)" if progress.taken_over else ""
+        parts = [f"{progress.done} of {most}{counted(progress.budget, 'run')}{taken}"]
+        if progress.violations is not None:
+            parts.append(counted(progress.violations, "violation"))
+        if progress.upper is not None and progress.confidence is not None:
+            share = f"{100 * progress.upper:.3g} % ({100 * progress.confidence:g} %)"
+            parts.append(f"rate <= {share}")
+        simulated, requests = progress.done - progress.taken_over, self._requests()
+        begun, earlier = self._begun
+        if simulated and now > begun:
+            if requests is not None:
+                parts.append(f"{(requests - earlier) / (now - begun):.2g} requests/s")
+            left = (now - begun) / simulated * (progress.budget - progress.done)
+            parts.append(f"{most}{duration(left)} left")
+        # Escape sequences in a name would act on the terminal.
+        name = f"{progress.case} {progress.subject}".rstrip()
+        name = "".join(each if each.isprintable() else "?" for each in name)
+        return f"{without_commands(name)}: {', '.join(parts)}"
 
 
-class WorkerFile:
-    """File in which a worker writes how far its campaign is.
+def duration(seconds: float) -> str:
+    """Write a duration in its two largest units."""
+    minutes, rest = divmod(max(1, round(seconds)), 60)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60:02} min"
+    return f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
 
-    Args:
-        folder: Where all workers do.
-        token: Of the session, as its controller chose it.
-        worker: Id of the worker.
-        clock: Seconds.
-        requests: Returns how many requests to language models this process has made.
-    """
 
-    def __init__(
-        self,
-        folder: Path,
-        token: str,
-        worker: str,
-        clock: Callable[[], float] = perf_counter,
-        requests: Callable[[], int | None] = lambda: None,
-    ) -> None:
-        self._folder, self._clock, self._requests = folder, clock, requests
-        self._file, self._begun = (folder / f"{token}.{worker}.{end}" for end in ("json", "tmp"))
-        self._snapshots = Snapshots(clock)
-        self._due: float | None = None
-        self._written = False
-        self._usable = True
+def columns(text: str) -> int:
+    """Count the columns that a terminal needs for a text."""
+    wide = sum(unicodedata.east_asian_width(each) in "WF" for each in text)
+    return len(text) + wide - sum(map(bool, map(unicodedata.combining, text)))
 
-    def begin(self) -> None:
-        """Make the folder, by which the controller knows that campaigns are to come."""
-        with suppress(OSError):  # without it there is no progress, which nothing depends on
-            self._folder.mkdir(parents=True, exist_ok=True)
+
+def fitting(text: str, room: int) -> str:
+    """Cut a text to so many columns, its beginning first; empty where it would say nothing."""
+    if columns(text) <= room:
+        return text
+    while columns(text) > room - 2 >= _LEAST_ROOM:
+        text = text[1:]
+    return f"..{text}" if room - 2 >= _LEAST_ROOM else ""
+
+
+class WorkerProgress:
+    """Sends the line of a worker to the controller; empty once its campaign has ended."""
+
+    def __init__(self, config: pytest.Config, requests: Requests) -> None:
+        plugins: Any = config.pluginmanager.get_plugins()
+        self._send = next(each.sendevent for each in plugins if hasattr(each, "sendevent"))
+        self._worker = vars(config)["workerinput"]["workerid"]
+        self._words, self._due, self._sent = ProgressWords(requests), 0.0, False
 
     def update(self, event: Progress) -> None:
-        """Write the progress of a campaign that has run for a while; remove the file at its end."""
-        if event.ended:
-            self._end()
-            return
-        now = self._clock()
-        if self._due is None:
-            self._due = now + WRITE_INTERVAL
-        elif now >= self._due and self._usable:
-            self._due = now + WRITE_INTERVAL
-            self._replace_file(replace(self._snapshots.of(event), requests=self._requests()))
-
-    def _replace_file(self, progress: Progress) -> None:
-        data = json.dumps({name: getattr(progress, name) for name in sorted(_FIELDS)}).encode()
-        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0)
-        try:
-            handle = os.open(self._begun, flags, 0o644)
-            try:
-                os.write(handle, data)
-            finally:
-                os.close(handle)
-            self._begun.replace(self._file)
-        except OSError:  # there is no progress then, which nothing depends on
-            self._usable = False
-        else:
-            self._written = True
-
-    def _end(self) -> None:
-        self._due = None
-        self._snapshots.forget()
-        if self._written:
-            self._written = False
-            with suppress(OSError):  # the controller removes what is left
-                self._file.unlink()
+        """Take in the progress of a campaign of this worker."""
+        now = perf_counter()
+        self._words.look(event, now)
+        if now >= self._due or (event.ended and self._sent):
+            line = "" if event.ended else self._words.line(event, now)
+            self._due, self._sent = now + REFRESH, bool(line)
+            self._send(_EVENT, worker=self._worker, line=line)
 
 
-def read_files(folder: Path, token: str) -> dict[str, Progress]:
-    """Read the progress of each worker's campaign; what cannot be read is left out."""
-    progress_of = {}
-    for file, of_session, worker, end in _progress_files(folder):
-        if of_session == token and end == "json":
-            progress = _read_progress(file)
-            if progress is not None:
-                progress_of[worker] = progress
-    return progress_of
+class ProgressDisplay:
+    """Shows the progress of this process, or as a controller that of its workers.
 
-
-def remove_files(folder: Path, worker: str | None = None) -> None:
-    """Remove the files of all sessions, and the folder if nothing else is in it.
-
-    Args:
-        folder: The folder.
-        worker: Remove the files of this worker alone.
-    """
-    # What cannot be removed does no harm: the token of a later session differs.
-    with suppress(OSError):
-        if folder.is_symlink():
-            folder.unlink()
-    for file, _, of_worker, _ in _progress_files(folder):
-        if worker is None or worker == of_worker:
-            with suppress(OSError):
-                file.unlink()
-    if worker is None:
-        with suppress(OSError):
-            folder.rmdir()
-
-
-def _progress_files(folder: Path) -> list[tuple[Path, str, str, str]]:
-    """List our files: path, token, worker, ending."""
-    try:
-        with os.scandir(folder) as entries:
-            named = [(entry, _FILE_NAME.fullmatch(entry.name)) for entry in entries]
-    except OSError:  # it is not there yet, or any more
-        return []
-    ours = [(Path(entry.path), match[1], match[2], match[3]) for entry, match in named if match]
-    return ours[:_MOST_FILES]
-
-
-def _read_progress(file: Path) -> Progress | None:
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    try:
-        handle = os.open(file, flags)
-        try:
-            text = os.read(handle, _MOST_BYTES + 1)
-        finally:
-            os.close(handle)
-        return _checked_progress(json.loads(text)) if len(text) <= _MOST_BYTES else None
-    except (OSError, ValueError, RecursionError):  # removed meanwhile, or no text of ours
-        return None
-
-
-def _checked_progress(data: Any) -> Progress | None:
-    """Make progress of plain data, if every value is in its range."""
-    if not (isinstance(data, dict) and set(data) == _FIELDS):
-        return None
-    counts = [data[name] for name in ("taken_over", "done", "budget")]
-    optional = [data[name] for name in ("violations", "requests") if data[name] is not None]
-    numbers = [*counts, *optional]
-    shares = [data[name] for name in ("upper", "confidence") if data[name] is not None]
-    is_valid = (
-        all(_is_text(data[name]) for name in ("case", "subject"))
-        and all(type(number) is int and 0 <= number <= _GREATEST for number in numbers)
-        and counts == sorted(counts)
-        and type(data["may_end_early"]) is bool
-        and all(isinstance(share, float) and 0.0 <= share <= 1.0 for share in shares)
-    )
-    return Progress(**data) if is_valid else None
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and len(value) <= _LONGEST and value.isprintable()
-
-
-class ProgressHooks:
-    """Hooks that show this process's progress, or as a controller that of its workers.
-
-    Args:
-        config: The session's configuration.
-        mode: How it is shown.
-        folder: Where workers write theirs.
-        interval: Seconds between the lines of a log.
-        requests: Returns how many requests to language models this process has made.
+    ``interval`` is the least number of seconds between lines of a log, and ``None`` in a terminal.
     """
 
-    def __init__(
-        self,
-        config: pytest.Config,
-        mode: DisplayMode,
-        folder: Path,
-        interval: float,
-        *,
-        requests: Callable[[], int | None],
-    ) -> None:
-        self._config, self._mode, self._folder, self._interval = config, mode, folder, interval
-        self._requests = requests
-        self._reporter: Any = self._config.pluginmanager.getplugin("terminalreporter")
-        self._distributed = self._config.pluginmanager.hasplugin("dsession")
-        self._token = os.urandom(8).hex()
-        self._guard: TerminalGuard | None = None
-        self._screen: LiveScreen | None = None
-        self._ticker: Ticker | None = None
-        self._showing: ProgressView | None = None
-        self._snapshots = Snapshots()
-        self._own_progress: dict[str, Progress] = {}
-        self._was_shown, self._due = True, 0.0
+    def __init__(self, config: pytest.Config, interval: float | None, requests: Requests) -> None:
+        self._config, self._interval = config, interval
+        self._words = ProgressWords(requests)
+        self._lines: dict[str, str] = {}
+        """By worker; empty for this process."""
+        self._begun = self._due = 0.0
+        self._drawn = 0
+        """Columns that are drawn behind pytest's cursor."""
 
     def update(self, event: Progress) -> None:
         """Take in the progress of a campaign of this process."""
+        self._words.look(event, perf_counter())
         if event.ended:
-            self._own_progress = {}
-            self._snapshots.forget()
-            if self._screen is not None:
-                self._screen.wipe()
-        elif self._mode == "live":
-            if self._was_shown:
-                self._was_shown = False
-                self._own_progress = {"": self._snapshots.of(event)}
-                self._begin()
-        elif perf_counter() >= self._due:
-            self._due = perf_counter() + progress_display.LINES_INTERVAL
-            self._own_progress = {"": self._snapshots.of(event)}
-            # A log is written between two runs: another thread could not suspend the capture.
-            self._begin().refresh()
+            self._lines.clear()
+            self._wipe()
+        elif self._is_due():
+            self._lines[""] = self._words.line(event, perf_counter())
+            self._show()
 
-    def _begin(self) -> ProgressView:
-        if self._showing is None:
-            surface = self._live() if self._mode == "live" else self._log()
-            self._showing = ProgressView(surface, self._running_campaigns)
-            if self._distributed or self._mode == "live":
-                live, lines = progress_display.LIVE_INTERVAL, progress_display.LINES_INTERVAL
-                self._ticker = Ticker(
-                    self._showing.refresh, live if self._mode == "live" else lines
-                )
-        return self._showing
+    def _is_due(self) -> bool:
+        """Whether a line is to be written, the first of a log after one interval."""
+        self._begun = self._begun or perf_counter()
+        return perf_counter() >= max(self._due, self._begun + (self._interval or 0.0))
 
-    def _running_campaigns(self) -> Mapping[str, Progress]:
-        if self._distributed:
-            return read_files(self._folder, self._token)
-        self._was_shown = True
-        requests = self._requests()
-        return {
-            place: replace(progress, requests=requests)
-            for place, progress in self._own_progress.items()
-        }
+    def _show(self) -> None:
+        now = perf_counter()
+        lines = [f"{place} {line}".lstrip() for place, line in sorted(self._lines.items())]
+        if self._interval is None:
+            self._due = now + REFRESH
+            self._draw(lines)
+            return
+        longest = max(LONGEST_SILENCE, 2 * self._interval)
+        self._due = now + max(self._interval, min(SILENCE_SHARE * (now - self._begun), longest))
+        with self._uncaptured() as writer:
+            reporter: Any = self._config.pluginmanager.getplugin("terminalreporter")
+            at = reporter.currentfspath
+            if writer.width_of_current_line:
+                writer.line()
+            writer.line(f"dura: {'; '.join(lines)}")
+            writer.flush()
+            # Dots of the same file go on below; what stands before a single result is repeated.
+            reporter.currentfspath = at if isinstance(at, Path) else None
 
-    def _live(self) -> LiveScreen:
-        self._guard = TerminalGuard(self._config.get_terminal_writer())
-        self._screen = LiveScreen(open_terminal(self._config), self._guard)
-        return self._screen
+    def _draw(self, lines: Sequence[str]) -> None:
+        """Write lines behind the cursor, over those that are there, and go back."""
+        with self._uncaptured() as writer:
+            writer.flush()
+            # A full line moves the cursor on.
+            room = writer.fullwidth - writer.width_of_current_line + 1
+            share = room // max(1, len(lines)) - 2
+            shown = "; ".join(filter(None, (fitting(line, share) for line in lines)))
+            width = columns(shown)
+            rest = max(0, self._drawn - width)
+            self._drawn = max(self._drawn, width)  # an interruption may come in between
+            line = shown + " " * rest + "\b" * (width + rest)
+            os.write(sys.stdout.fileno(), line.encode(sys.stdout.encoding, "replace"))
+            self._drawn = width
 
-    def _log(self) -> ProgressLog:
-        if self._distributed:
-            self._guard = TerminalGuard(self._config.get_terminal_writer())
-            lock = self._guard.lock
-            return ProgressLog(self._reporter, self._interval, perf_counter(), lambda: lock)
-        uncaptured = partial(capture_disabled, self._config)
-        return ProgressLog(self._reporter, self._interval, perf_counter(), uncaptured)
+    def _wipe(self) -> None:
+        if self._drawn:
+            self._draw(())
+
+    @contextmanager
+    def _uncaptured(self) -> Iterator[Any]:
+        """Context with pytest's writer in which standard output is that of the session."""
+        capture: Any = self._config.pluginmanager.getplugin("capturemanager")
+        with nullcontext() if capture is None else capture.global_and_fixture_disabled():
+            yield self._config.get_terminal_writer()
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:
-        """Let a worker write its progress."""
-        node.workerinput["dura_progress"] = self._token
+        """Let a worker send its progress, which passes the controller's own queue."""
+        node.workerinput[_EVENT] = True
+        dsession: Any = self._config.pluginmanager.getplugin("dsession")
+        setattr(dsession, f"worker_{_EVENT}", self._received)
+        receive = node.process_from_remote
 
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_xdist_node_collection_finished(self) -> None:
-        """Begin to read progress if workers are to run campaigns."""
-        if self._folder.is_dir():
-            self._begin()
+        def receive_progress(call: Any) -> None:
+            ours = isinstance(call, tuple) and call[0] == _EVENT
+            (node.putevent if ours else receive)(call)
 
-    @pytest.hookimpl(optionalhook=True)
-    def pytest_testnodedown(self, node: WorkerController) -> None:
-        """Remove the file of a worker, also of one that was killed."""
-        remove_files(self._folder, node.gateway.id)
+        node.process_from_remote = receive_progress
 
-    @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_runtest_logstart(self) -> Generator[None, Any, Any]:
-        """Let pytest write whole lines, which it writes in pieces."""
-        return (yield from self._undisturbed())
-
-    @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_runtest_logreport(self) -> Generator[None, Any, Any]:
-        """Let pytest write whole lines."""
-        return (yield from self._undisturbed())
-
-    @pytest.hookimpl(wrapper=True, tryfirst=True)
-    def pytest_runtest_logfinish(self) -> Generator[None, Any, Any]:
-        """Let pytest write whole lines."""
-        return (yield from self._undisturbed())
-
-    def _undisturbed(self) -> Generator[None, Any, Any]:
-        if self._guard is None:
-            return (yield)
-        with self._guard.lock:
-            return (yield)
-
-    def pytest_enter_pdb(self) -> None:
-        """Leave the terminal to a debugger."""
-        if self._screen is not None:
-            self._screen.pause()
-
-    def pytest_leave_pdb(self) -> None:
-        """Take the terminal back."""
-        if self._screen is not None:
-            self._screen.resume()
+    def _received(self, worker: str, line: str) -> None:
+        self._lines[worker] = line
+        self._lines = {place: each for place, each in self._lines.items() if each}
+        if not self._lines:
+            self._wipe()
+        elif self._is_due():
+            self._show()
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_sessionfinish(self) -> None:
-        """End the display."""
-        if self._ticker is not None:
-            self._ticker.close()
-        if self._screen is not None:
-            self._screen.close()
-        elif self._guard is not None:
-            self._guard.remove()
+    def pytest_runtest_logstart(self) -> None:
+        """Leave the line to pytest, as all of the hooks below do."""
+        self._wipe()
 
-    @pytest.hookimpl(trylast=True)
-    def pytest_unconfigure(self) -> None:
-        """Remove what workers left, which have ended by now."""
-        if self._distributed:
-            remove_files(self._folder)
+    pytest_runtest_logreport = pytest_runtest_logfinish = pytest_runtest_logstart
+    pytest_enter_pdb = pytest_keyboard_interrupt = pytest_sessionfinish = pytest_runtest_logstart
+
+    @pytest.hookimpl(optionalhook=True, tryfirst=True)
+    def pytest_testnodedown(self, node: WorkerController) -> None:
+        """Forget a worker, also one that was killed."""
+        self._lines.pop(node.gateway.id, None)
+        self._wipe()
+
+
+def make_progress(
+    config: pytest.Config, interval: float, requests: Requests
+) -> WorkerProgress | ProgressDisplay | None:
+    """Make what follows the progress of a process; ``None`` where nothing shows it, as under -q."""
+    if hasattr(config, "workerinput"):
+        return WorkerProgress(config, requests) if _EVENT in config.workerinput else None
+    reporter: Any = config.pluginmanager.getplugin("terminalreporter")
+    if reporter is None or config.getoption("verbose") < 0:
+        return None
+    # Without capture, and with live logs, tests write into the terminal at any time.
+    written = config.getoption("capture", "no") in ("no", "tee-sys") or config.getini("log_cli")
+    plain = os.environ.get("TERM", "dumb") == "dumb" or os.environ.get("CI")
+    live = reporter.isatty and not written and not plain
+    if not live and isinf(interval):
+        return None
+    display = ProgressDisplay(config, None if live else interval, requests)
+    config.pluginmanager.register(display, "dura-progress")
+    return display

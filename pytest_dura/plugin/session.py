@@ -10,7 +10,6 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
-from math import isinf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +32,7 @@ from pytest_dura.plugin.roles import SessionRoles
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream
     from pytest_dura.campaign.runner import Runner
-    from pytest_dura.plugin.progress import ProgressHooks, WorkerFile
+    from pytest_dura.plugin.progress import ProgressDisplay, WorkerProgress
 
 
 Chosen = tuple[str, str]
@@ -234,31 +233,11 @@ class DuraSession(SessionContext):
         self.config.args = [argument for argument in left if argument not in self.own_arguments]
 
     @cached_property
-    def progress(self) -> WorkerFile | ProgressHooks | None:
-        """Display of this process's progress, or a worker's file; ``None`` if nothing is shown."""
-        from pytest_dura.evidence.bundle import PROGRESS_FOLDER
-        from pytest_dura.plugin.progress import ProgressHooks, WorkerFile
-        from pytest_dura.plugin.progress_display import display_mode
+    def progress(self) -> WorkerProgress | ProgressDisplay | None:
+        """What follows the progress of this process; ``None`` where nothing shows it."""
+        from pytest_dura.plugin.progress import make_progress
 
-        folder = self.options.evidence / PROGRESS_FOLDER
-        if "dura_progress" in self.worker_input:
-            given = self.worker_input
-            return WorkerFile(
-                folder, given["dura_progress"], given["workerid"], requests=self.models.requests
-            )
-        mode, interval = display_mode(self.config), self.options.progress_interval
-        if mode is None or (mode == "lines" and isinf(interval)):
-            return None
-        hooks = ProgressHooks(self.config, mode, folder, interval, requests=self.models.requests)
-        self.config.pluginmanager.register(hooks, "dura-progress")
-        return hooks
-
-    def begin_progress(self) -> None:
-        """Begin to show the progress of workers, or to write that of this worker."""
-        from pytest_dura.plugin.progress import WorkerFile
-
-        if isinstance(self.progress, WorkerFile):
-            self.progress.begin()
+        return make_progress(self.config, self.options.progress_interval, self.models.requests)
 
     @cached_property
     def runner(self) -> Runner:

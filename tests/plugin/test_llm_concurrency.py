@@ -17,7 +17,7 @@ from test_llm_planner_sessions import answers, brief, named, scripted_server
 from pytest_dura.evidence import SessionRecord, read_trace, verify_bundle
 from pytest_dura.evidence.verify import conclusion_problems
 from pytest_dura.llm import session as sessions
-from pytest_dura.plugin import progress_display
+from pytest_dura.plugin import progress
 
 __all__ = ["cut_off", "named", "scripted_server", "server", "talking"]
 
@@ -266,12 +266,12 @@ def test_without_a_price_nothing_has_one(talking):
 
 
 def test_progress_says_how_many_requests_are_made(talking, monkeypatch):
-    monkeypatch.setattr(progress_display, "LINES_INTERVAL", 0.005)
+    monkeypatch.setattr(progress, "REFRESH", 0.005)
     ini = talking.path / "pytest.ini"
     ini.write_text(ini.read_text() + "\ndura_progress_interval = 0.004\n")
     result = run(talking, "live", "--dura-llm-concurrency=2", runs=20)
     result.stdout.re_match_lines(
-        [r"dura: corridor/it(-too)? GAP-1: \d+ of 20 runs, .*\d runs/s, [\d.]+ requests/s, .*left"]
+        [r"dura: corridor/it(-too)? GAP-1: \d+ of 20 runs, .*, [\d.]+ requests/s, .*left"]
     )
 
 
