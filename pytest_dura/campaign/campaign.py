@@ -403,11 +403,16 @@ class Campaign(Shown):
         assert self.judgement is not None
         self.runner.events.emit(VerdictReached(verdict, requirement, self.judgement))
         if verdict.verdict != "supported":
-            system = self.case.scenario.system
-            units = {} if system is None else system.units
-            lines = explain_verdict(verdict, requirement, str(self.failures), units)
-            raise RequirementViolated("\n".join(lines), verdict)
+            raise RequirementViolated("\n".join(self.explain(verdict, requirement)), verdict)
         return verdict
+
+    def explain(self, verdict: CampaignVerdict, requirement: Requirement) -> list[str]:
+        """Say in a few lines why a verdict is not "supported", with amounts in units."""
+        system = self.case.scenario.system
+        units = {} if system is None else system.units
+        measures = self.runner.task(self.case).spec.measures
+        units |= {measure.path: measure.unit for measure in measures}
+        return explain_verdict(verdict, requirement, str(self.failures), units)
 
 
 _RECOVERY = "recovery_planner"

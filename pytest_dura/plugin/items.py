@@ -130,7 +130,6 @@ def scenario_items(context: SessionContext, root: pytest.Session) -> list[pytest
 def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator: Runner) -> None:
     """Judge the requirement of the item on its case: the function that each item runs."""
     from pytest_dura.campaign.events import VerdictReached
-    from pytest_dura.requirements.shortfalls import explain_verdict
 
     context, planned = request.node.context, request.node.planned
     requirement = context.library().requirements[request.node.name]
@@ -147,9 +146,7 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
     if verdict.verdict == "supported":
         return
     # What happened, why, and what to do stands once, in the card of the cause.
-    system = planned.case.scenario.system
-    units = {} if system is None else system.units
-    lines = explain_verdict(verdict, requirement, str(campaign.failures), units)[:2]
+    lines = campaign.explain(verdict, requirement)[:2]
     rerun = rerun_command(context, f"{planned.case.id}::{requirement.id}")
     lines[-1] += " (why: see its card)"
     message = "\n".join([*lines, f"rerun:    {rerun}"])

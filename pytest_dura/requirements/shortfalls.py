@@ -125,7 +125,7 @@ def explain_verdict(
         verdict: On the requirement.
         requirement: As it was judged.
         component_failures: The first failure of the component itself; empty without any.
-        units: Of signals, by name.
+        units: Of signals by name, and of measures by their import path.
     """
     what = f"{verdict.verdict}: {verdict.requirement} on {verdict.case} ({verdict.component})"
     lines, entries = [f"{what}: {verdict.reason}"], []
@@ -133,7 +133,7 @@ def explain_verdict(
         worst, paired = verdict.counterexamples[0], requirement.paired
         amount = shortfall(requirement.check, worst.margin, worst.time, units)
         if paired is not None and paired.measure:
-            amount = pair_shortfall(paired, worst.margin)
+            amount = pair_shortfall(paired, worst.margin, units.get(paired.measure, ""))
         without = "" if worst.valid else "without effect of the fault"
         text = ", ".join(filter(None, [amount, without]))
         entries.append(("worst", ": ".join(filter(None, [worst.episode, text]))))

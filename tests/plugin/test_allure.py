@@ -218,7 +218,7 @@ def test_a_violation_on_pairs_has_its_event_and_picture_and_names_no_module(allu
     assert result.status == "failed"
     assert "the fault ghost-obstacle" in result.description.partition("What happened: ")[2]
     message = result.statusDetails["message"]
-    assert re.search(r": clearance time grows by \S+ with the faults where 0 is allowed", message)
+    assert re.search(r": clearance time grows by \S+ s with the faults where 0 s is allowed", message)
     assert "pytest_dura" not in result.description + result.statusDetails["message"]
     (worst,) = result.steps
     assert worst.name.startswith("Counterexample intersection/ghost-obstacle#0, ")
