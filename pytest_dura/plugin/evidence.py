@@ -54,7 +54,7 @@ _PHASES = ("setup", "call", "teardown")
 _OUTCOMES = ("passed", "failed", "skipped")
 
 
-def _waiver_of(report: pytest.TestReport) -> tuple[WaiverKind, str] | None:
+def waiver_of(report: pytest.TestReport) -> tuple[WaiverKind, str] | None:
     """Return the kind of waiver and its reason, if a report has one."""
     reason = getattr(report, "wasxfail", None)
     if reason is not None:
@@ -327,7 +327,7 @@ class SessionEvidence:
             self._failed.add(report.nodeid)
             if self.record is not None:
                 self.record.fail(report.nodeid)
-        waiver = _waiver_of(report)
+        waiver = waiver_of(report)
         if waiver is not None:
             name, reason = self.context.redact([report.nodeid, waiver[1]])
             self._waived.append((name, waiver[0], reason))

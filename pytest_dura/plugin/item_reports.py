@@ -26,7 +26,7 @@ from pytest_dura.core.codec import encode, fields_as_data
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
-from pytest_dura.plugin.context import draws_reason, replay_command
+from pytest_dura.plugin.context import draws_reason, replay_command, rerun_command
 from pytest_dura.plugin.markers import marked_requirements
 from pytest_dura.plugin.outcomes import (
     ItemJudged,
@@ -34,17 +34,19 @@ from pytest_dura.plugin.outcomes import (
     episode_of,
     target_of,
 )
-from pytest_dura.requirements.model import FAULTS
+from pytest_dura.reports.document import Card, Entry
+from pytest_dura.reports.pens.items import card_markdown, card_properties
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream
     from pytest_dura.core.episode import Episode
+    from pytest_dura.evidence.episode_model import EpisodeEntry
+    from pytest_dura.evidence.item_verdicts import ItemVerdict
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.reports.incidents import BriefRun
     from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-    from pytest_dura.requirements.judgements import Assertion, Judgement
+    from pytest_dura.requirements.judgements import Judgement
     from pytest_dura.requirements.model import Requirement
 
 
@@ -117,9 +119,10 @@ def _properties(context: SessionContext, event: ItemJudged) -> Properties:
         *_episode_properties(context, event.item),
     ]
     for result in event.results:
-        sentence = event_sentence(context, result)
-        properties += _result_properties(context, result, sentence)
+        properties += _result_properties(context, result)
         properties.append(("draws", _draws(context, result.case)))
+        if (card := card_of(context, event, result)) is not None:
+            properties += card_properties(card, _command_of(context))
     return [(name, _value(name, value)) for name, value in properties if value not in (None, "")]
 
 
@@ -134,6 +137,8 @@ def _draws(context: SessionContext, case: Case | None) -> str:
 def _value(name: str, value: Any) -> str:
     """Escape a value: plain text that XML and other processes can take."""
     text = str(value)
+    if name == "card_traceback":
+        return visible(text)
     return junit_name(text) if name in _NAMES else one_line(text)
 
 
@@ -149,9 +154,7 @@ def _episode_properties(context: SessionContext, item: pytest.Item) -> Iterator[
         yield "replay", replay_command(context, episode.id)
 
 
-def _result_properties(
-    context: SessionContext, result: ItemResult, sentence: str
-) -> Iterator[tuple[str, Any]]:
+def _result_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
     requirement = result.requirement
     yield "requirement", requirement.id
     yield "kind", requirement.kind
@@ -159,9 +162,8 @@ def _result_properties(
     yield "component", result.component
     if result.judged is not None and result.judgement is not None:
         yield from _outcome_properties(result.judged, result.judgement)
-        yield "event", sentence
     if result.verdict is not None:
-        yield from _verdict_properties(context, result, sentence)
+        yield from _verdict_properties(context, result)
 
 
 def _outcome_properties(judged: EpisodeVerdict, judgement: Judgement) -> Iterator[tuple[str, Any]]:
@@ -179,9 +181,7 @@ def _outcome_properties(judged: EpisodeVerdict, judgement: Judgement) -> Iterato
         yield "false_check", check
 
 
-def _verdict_properties(
-    context: SessionContext, result: ItemResult, sentence: str
-) -> Iterator[tuple[str, Any]]:
+def _verdict_properties(context: SessionContext, result: ItemResult) -> Iterator[tuple[str, Any]]:
     verdict = result.verdict
     assert verdict is not None
     yield "verdict", verdict.verdict
@@ -200,57 +200,99 @@ def _verdict_properties(
         episode = verdict.counterexamples[0].episode
         yield "counterexample", episode
         yield "counterexample_seed", seed_of(context, result, episode)
-        yield "event", sentence
         yield "replay", replay_command(context, episode)
 
 
-def event_sentence(context: SessionContext, result: ItemResult) -> str:
-    """Say what happened in the violating episode that stands for a result; empty without one.
+def card_of(context: SessionContext, event: ItemJudged, result: ItemResult) -> Card | None:
+    """Make the card of a result that is not supported; ``None`` of any other.
 
     Args:
         context: The session's context.
-        result: Of an item.
+        event: The item has ended.
+        result: One of its results.
     """
-    if result.status != "violated":
-        return ""
-    judged = result.judged
-    examples = result.verdict.counterexamples if result.verdict else ()
-    episode: Episode | None = result.episode
-    if episode is None and examples and result.case is not None:
-        episode = context.runner.fetch(result.case, int(examples[0].episode.rpartition("#")[2]))
-    shown = judged or (examples[0] if examples else None)
-    if episode is None or shown is None:
-        return ""
-    from pytest_dura.reports.incidents import amount_text, what_happened
+    if result.status in (None, "supported", "satisfied"):
+        return None
+    from pytest_dura.evidence.conclusions.verdicts import assertion_summary, item_verdict
+    from pytest_dura.evidence.item_verdicts import Waiver
+    from pytest_dura.plugin.evidence import waiver_of
+    from pytest_dura.reports.cards import JudgedItem, card_of_item
+    from pytest_dura.requirements.campaign_judge import judge_campaign
 
-    brief = _brief_run(episode)
-    paired = result.requirement.paired
-    event = brief.event_before(
-        shown.time,
-        kind=result.requirement.kind,
-        last=shown.time,
-        compares_faults=paired is not None and paired.without == FAULTS,
+    verdict, judged = result.verdict, result.judged
+    if verdict is None and judged is not None:
+        # A session has one verdict on all runs of the test: this item knows its own run.
+        alone = replace(result.requirement, at_most=None, method=None, p0=None)
+        case = judged.episode.rpartition("#")[0]
+        verdict = judge_campaign(alone, case, [judged], planned=1, component=judged.component)
+    if verdict is None or verdict.verdict == "supported":
+        return None
+    waiver = waiver_of(event.report)
+    own = item_verdict(
+        verdict,
+        event.item.nodeid,
+        waiver=None if waiver is None else Waiver(*waiver),
+        assertion=assertion_summary([result.judgement]) if result.judgement else None,
     )
     system = None if result.case is None else result.case.scenario.system
-    units = {} if system is None else system.units
-    check = (result.verdict.check if result.verdict else "") or result.requirement.check
-    amount = amount_text(
-        result.requirement, check, shown.margin, shown.time,
-        units=units, measures=episode.described_measures,
-    )  # fmt: skip
-    sentence = what_happened(brief, event, result.requirement.id, time=shown.time, amount=amount)
-    redacted: str = context.redact(sentence)
-    return redacted
+    episodes = list(_episodes_of(context, result, own))
+    ids = {each.id for each in episodes}
+    shown = tuple(each for each in own.counterexamples if each.episode in ids)
+    known = JudgedItem(
+        [replace(own, counterexamples=shown)],
+        [result.requirement],
+        episodes[0].described_measures if episodes else [],
+        {} if system is None else system.units,
+    )
+    card = card_of_item(known, lambda: map(_entry_of, episodes))
+    if card is None:
+        return None
+    redact = context.redact
+    entries = (
+        replace(each, text=redact(each.text), code=redact(each.code)) for each in card.entries
+    )
+    return replace(
+        card, title=redact(card.title), headline=redact(card.headline), entries=tuple(entries)
+    )
 
 
-def _brief_run(episode: Episode) -> BriefRun:
-    """Summarise an episode that is not in the record yet."""
+def _episodes_of(
+    context: SessionContext, result: ItemResult, verdict: ItemVerdict
+) -> Iterator[Episode]:
+    """Yield the run that stands for a verdict, and all of its runs if the component failed there.
+
+    How often it failed by itself is said of all runs.
+    """
+    if result.episode is not None:
+        yield result.episode
+        return
+    uncounted = verdict.first_uncounted
+    shown = [each.episode for each in verdict.counterexamples[:1]]
+    shown += [] if uncounted is None else [uncounted.episode]
+    if result.case is None or not verdict.run:
+        return
+    number = int(shown[0].rpartition("#")[2]) if shown else 0
+    first = context.runner.fetch(result.case, number)
+    yield first
+    if any(event.kind == "component_failure" for event in first.events):
+        for run in range(verdict.run):
+            if run != number:
+                yield context.runner.fetch(result.case, run)
+
+
+def _entry_of(episode: Episode) -> EpisodeEntry:
+    """Entry of an episode that is not in the record yet."""
     from pytest_dura.evidence.episode_model import EpisodeEntry
     from pytest_dura.evidence.episodes import episode_record
-    from pytest_dura.reports.incidents import BriefRun
 
-    entry = EpisodeEntry.from_data(episode_record(episode, planned=True))
-    return BriefRun.of(entry, episode.described_measures)
+    return EpisodeEntry.from_data(episode_record(episode, planned=True))
+
+
+def _command_of(context: SessionContext) -> Callable[[Entry], str]:
+    def command(entry: Entry) -> str:
+        return (replay_command if entry.kind == "replay" else rerun_command)(context, entry.text)
+
+    return command
 
 
 def seed_of(context: SessionContext, result: ItemResult, episode: str) -> int | None:
@@ -348,8 +390,8 @@ def _report_item(context: SessionContext, event: ItemJudged) -> None:
         for parameter, value in ({**parameters, "draws": draws} if draws else parameters).items():
             # Allure's history tells tests apart by parameters: results must not be among them.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
-    events = [event_sentence(context, result) for result in results]
-    description = _description(item, results, events)
+    cards = [card_of(context, event, result) for result in results]
+    description = _description(context, item, results, cards)
     if description:
         allure.add_description(test_description=description)
     if results and not hasattr(getattr(item, "function", None), "__allure_display_name__"):
@@ -364,7 +406,7 @@ def _report_item(context: SessionContext, event: ItemJudged) -> None:
             text = _verdict_json(context.redact(data))
             _attach(text, f"verdict {result.requirement.id}", "JSON")
     if context.options.evidence_level != "summary":
-        _show_worst(context, item, results)
+        _show_worst(context, item, results, cards)
 
 
 def _title(item: pytest.Item, results: Sequence[ItemResult]) -> str:
@@ -401,8 +443,13 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
     }
 
 
-def _description(item: pytest.Item, results: Sequence[ItemResult], events: Sequence[str]) -> str:
-    """Write Markdown: the test's docstring, then each requirement with source and verdict."""
+def _description(
+    context: SessionContext,
+    item: pytest.Item,
+    results: Sequence[ItemResult],
+    cards: Sequence[Card | None],
+) -> str:
+    """Write Markdown: the test's docstring, then each requirement with source and card."""
     given = item.get_closest_marker("allure_description")
     if given:
         own = given.args[0]
@@ -411,35 +458,27 @@ def _description(item: pytest.Item, results: Sequence[ItemResult], events: Seque
     else:
         own = item.function.__doc__ if hasattr(item, "function") else None
     parts = [inspect.cleandoc(own)] if own else []
-    for result, sentence in zip(results, events, strict=True):
-        requirement, judged = result.requirement, result.judged
-        reason = judged.detail if judged else result.verdict and result.verdict.reason
-        assertion = result.judgement and result.judgement.assertion
+    for result, card in zip(results, cards, strict=True):
+        requirement = result.requirement
         parts.append(f"**{markdown(requirement.id)}** {markdown(requirement.text, 2000)}")
+        reason = result.verdict.reason if result.verdict else result.judged and result.judged.detail
         for heading, text in (
             ("Source", requirement.source),
             ("Why this bound", requirement.reason),
             ("Verdict", f"{result.status or 'none'}. {reason or ''}"),
-            ("What happened", sentence),
-            ("By assertion", _looked_at(assertion) if assertion else ""),
         ):
             if text:
                 parts.append(f"{heading}: {markdown(text, 2000)}")
+        if card is not None:
+            parts += card_markdown(card, _command_of(context))
     return "\n\n".join(parts)
-
-
-def _looked_at(assertion: Assertion) -> str:
-    """Describe what a test that decided by its own assertions read, and what was false."""
-    if not (assertion.alone or assertion.observed):
-        return ""
-    false = "".join(f"; false, though the test passed: {check}" for check in assertion.false)
-    return f"the test looked at {', '.join(assertion.observed) or 'nothing'}{false}"
 
 
 def _show_worst(
     context: SessionContext,
     item: pytest.Item,
     results: Sequence[ItemResult],
+    cards: Sequence[Card | None],
 ) -> None:
     """Show one episode: the worst violation, else one that does not count, else the first."""
     from pytest_dura.evidence.traces import Trace
@@ -457,11 +496,9 @@ def _show_worst(
     kind, problem = "Sample", None
     if result is not None and _is_counterexample(result, episode):
         kind = "Counterexample"
-        problem = event_sentence(context, result)
-        if judged is not None:
-            when = "" if judged.time is None else f" at t = {judged.time:.2f} s"
-            effect = " without effect of the fault" if judged.without_effect else ""
-            problem = f"{judged.requirement} violated{effect}{when}: {judged.detail}"
+        card = cards[results.index(result)]
+        if card is not None:
+            problem = f"{card.headline} {card.entries[0].label}: {card.entries[0].text}"
     elif episode.validity != "valid":
         kind = episode.validity.capitalize()
         problem = episode.failure or episode.invalid_reason

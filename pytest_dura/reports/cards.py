@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from operator import itemgetter
 
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.core.metrics import TracedFault
 from pytest_dura.core.state import NOTHING
+from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.gate import OBJECTIONABLE_OUTCOMES, outcome_status
+from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.evidence.text import counted, name, one_line, visible
-from pytest_dura.reports.causes import Cause, Finding, card_heading, causes_of
+from pytest_dura.reports.causes import (
+    Cause,
+    Finding,
+    card_heading,
+    causes_of,
+    causes_of_verdicts,
+)
 from pytest_dura.reports.document import Card, Entry, Level, Place
 from pytest_dura.reports.searches import (
     MOST_CHANGES,
@@ -33,7 +43,7 @@ from pytest_dura.reports.verdicts import (
     other_run_counts,
 )
 from pytest_dura.reports.wording import names_text
-from pytest_dura.requirements.model import FAULTS
+from pytest_dura.requirements.model import FAULTS, Requirement
 from pytest_dura.requirements.searches import SearchOutcome
 
 _MOST_REQUIREMENTS = 8
@@ -76,6 +86,35 @@ def _shown_episodes(
         if key in named and (key not in episodes or episode.planned > episodes[key].planned):
             episodes[key] = episode
     return episodes
+
+
+@dataclass(frozen=True)
+class JudgedItem:
+    """An item that has just ended; see :class:`~pytest_dura.reports.causes.Judged`."""
+
+    verdicts: Sequence[ItemVerdict]
+    requirements: Sequence[Requirement]
+    measures: Sequence[MeasureInfo]
+    units: Mapping[str, str]
+    cases: Sequence[CaseEntry] = ()
+
+
+def card_of_item(item: JudgedItem, episodes: Callable[[], Iterable[EpisodeEntry]]) -> Card | None:
+    """Make the card of an item's verdict, of what is known when it ends; ``None`` if it passes.
+
+    Args:
+        item: With one verdict.
+        episodes: Returns the episodes that the verdict rests on.
+    """
+    read: list[EpisodeEntry] = []
+
+    def known() -> list[EpisodeEntry]:
+        read.extend(episodes())
+        return read
+
+    for cause in causes_of_verdicts(item, known):
+        return cause_card(cause, next((each for each in read if each.id == cause.episode), None))
+    return None
 
 
 def cause_card(cause: Cause, episode: EpisodeEntry | None = None) -> Card:

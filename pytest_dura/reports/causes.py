@@ -12,10 +12,14 @@ Texts are bounded and printable; each format still has to escape them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
+from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.baseline import regression_objections
+from pytest_dura.evidence.case_model import CaseEntry
+from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.objections import other_objections
@@ -39,6 +43,30 @@ from pytest_dura.reports.wording import is_incomplete, names_text
 from pytest_dura.requirements.model import Requirement
 
 _STATUSES = ("violated", "incomplete", "undecided")
+
+
+class Judged(Protocol):
+    """Verdicts and what their causes rest on: the head of a record, or an item that has ended."""
+
+    @property
+    def verdicts(self) -> Sequence[ItemVerdict]:
+        """The verdicts."""
+
+    @property
+    def requirements(self) -> Sequence[Requirement]:
+        """All that they are on."""
+
+    @property
+    def cases(self) -> Sequence[CaseEntry]:
+        """The cases, among them those of twins."""
+
+    @property
+    def measures(self) -> Sequence[MeasureInfo]:
+        """The figures that simulators declare."""
+
+    @property
+    def units(self) -> Mapping[str, str] | None:
+        """Units of signals, by name."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +153,23 @@ def causes_of(record: SessionRecord) -> list[Cause]:
     Args:
         record: Of a session.
     """
-    causes = [*_incomplete(record)]
-    failures = [each for each in record.head.verdicts if each.verdict != "supported"]
-    if failures:
-        causes += _Causes(record, Episodes.read(record, failures)).all()
+    causes = [*_incomplete(record), *causes_of_verdicts(record.head, record.episodes)]
     return sorted(causes, key=_badness)
+
+
+def causes_of_verdicts(
+    judged: Judged, episodes: Callable[[], Iterable[EpisodeEntry]]
+) -> list[Cause]:
+    """Put verdicts that are not supported together by their causes.
+
+    Args:
+        judged: The verdicts.
+        episodes: Returns the episodes that they may name; called where one is not supported.
+    """
+    failures = [each for each in judged.verdicts if each.verdict != "supported"]
+    if not failures:
+        return []
+    return _Causes(judged, Episodes.read(judged.cases, judged.measures, episodes(), failures)).all()
 
 
 def card_heading(cause: Cause) -> str:
@@ -155,13 +195,13 @@ class _Causes:
     """Makes the causes of a record's verdicts.
 
     Args:
-        record: Of a session.
-        episodes: Those that the verdicts name.
+        judged: The verdicts.
+        episodes: Those that they name.
     """
 
-    def __init__(self, record: SessionRecord, episodes: Episodes) -> None:
-        self._record, self._episodes = record, episodes
-        self._requirements = {each.id: each for each in record.head.requirements}
+    def __init__(self, judged: Judged, episodes: Episodes) -> None:
+        self._judged, self._episodes = judged, episodes
+        self._requirements = {each.id: each for each in judged.requirements}
 
     def all(self) -> list[Cause]:
         """Causes of violated verdicts, and then of the undecided ones that they do not explain."""
@@ -172,7 +212,7 @@ class _Causes:
             for incident in group:
                 places.setdefault((incident.component, incident.episode), place)
                 places.setdefault((incident.component, incident.signature), place)
-        for verdict in self._record.head.verdicts:
+        for verdict in self._judged.verdicts:
             if verdict.verdict == "violated" and not verdict.counterexamples:
                 reason = one_line(f"{name(verdict.requirement)}: {verdict.reason}.")
                 step = "Look at the test that judges it: no episode of the record shows it."
@@ -188,7 +228,7 @@ class _Causes:
 
     def _incidents(self) -> dict[EpisodeKey, Incident]:
         incidents: dict[EpisodeKey, Incident] = {}
-        for verdict in self._record.head.verdicts:
+        for verdict in self._judged.verdicts:
             for counterexample in verdict.counterexamples if verdict.verdict == "violated" else ():
                 key = counterexample.episode, verdict.component
                 incident = incidents.setdefault(key, Incident(*key, self._episodes.get(*key)))
@@ -199,7 +239,7 @@ class _Causes:
     def _obstacles(self) -> Iterator[tuple[Obstacle, list[ItemVerdict]]]:
         """Undecided verdicts by the reason that they share; the first of a group speaks for it."""
         groups: dict[tuple[str, str], tuple[Obstacle, list[ItemVerdict]]] = {}
-        undecided = [each for each in self._record.head.verdicts if each.verdict == "undecided"]
+        undecided = [each for each in self._judged.verdicts if each.verdict == "undecided"]
         for verdict in sorted(undecided, key=lambda each: -each.violations / max(1, each.episodes)):
             failures = self._episodes.raised[verdict.case, verdict.component]
             obstacle = obstacle_of(verdict, self._requirements[verdict.requirement], failures)
@@ -254,12 +294,12 @@ class _Causes:
 
     def _violated(self, violation: Violation) -> Finding:
         verdict, example = violation.verdict, violation.counterexample
-        requirement, head = violation.requirement, self._record.head
+        requirement, judged_by = violation.requirement, self._judged
         check = verdict.check or requirement.check
         judged = replace(requirement, paired=verdict.paired or requirement.paired)
-        units = head.units or {}
+        units, measures = judged_by.units or {}, judged_by.measures
         amount = amount_text(
-            judged, check, example.margin, example.time, units=units, measures=head.measures
+            judged, check, example.margin, example.time, units=units, measures=measures
         )
         return Finding(requirement, verdict, check, amount)
 

@@ -7,7 +7,7 @@ sentence needs.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -17,7 +17,6 @@ from pytest_dura.core.state import Event
 from pytest_dura.evidence.case_model import CaseEntry
 from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.reports.wording import names_text
 from pytest_dura.requirements.campaign_verdicts import Counterexample
@@ -242,9 +241,22 @@ class Episodes:
     raised: Mapping[tuple[str, str], OwnFailures]
 
     @classmethod
-    def read(cls, record: SessionRecord, failures: Sequence[ItemVerdict]) -> Episodes:
-        """Read them in one pass over the record's episodes."""
-        twins = _twin_cases(record.head.cases)
+    def read(
+        cls,
+        cases: Sequence[CaseEntry],
+        measures: Sequence[MeasureInfo],
+        episodes: Iterable[EpisodeEntry],
+        failures: Sequence[ItemVerdict],
+    ) -> Episodes:
+        """Read them in one pass over the episodes.
+
+        Args:
+            cases: Those of twins among them.
+            measures: What simulators declare.
+            episodes: All that verdicts may name.
+            failures: The verdicts that are not supported.
+        """
+        twins = _twin_cases(cases)
         wanted: set[EpisodeKey] = set()
         for verdict in failures:
             named = [each.episode for each in verdict.counterexamples]
@@ -258,13 +270,13 @@ class Episodes:
                     wanted.add((f"{case}#{number}", verdict.component))
         briefs: dict[EpisodeKey, BriefRun] = {}
         raised = {(each.case, each.component): OwnFailures() for each in failures}
-        for episode in record.episodes():
+        for episode in episodes:
             key = episode.id, episode.component
             failed = raised.get((episode.case, episode.component))
             first = failed is not None and failed.add(episode)
             # A verdict rests on planned episodes; one run by hand may bear the same id.
             if first or (key in wanted and (episode.planned or key not in briefs)):
-                briefs[key] = BriefRun.of(episode, record.head.measures)
+                briefs[key] = BriefRun.of(episode, measures)
         return cls(briefs, twins, raised)
 
     def get(self, episode: str, component: str) -> BriefRun | None:

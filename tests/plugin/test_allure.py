@@ -119,12 +119,17 @@ def test_a_violation_tells_of_itself_in_every_mode(reference, mode):
     assert result.name == "corridor/tight: GAP-1 It touches nothing."
     assert "2 of 2 valid episodes violated it" in result.description
     assert result.description.startswith("**GAP-1** It touches nothing.")
-    missed = "GAP-1: gap is 0 where more than 0 is required, first at t = 0.20 s,"
-    assert f"What happened: {missed} before any role" in result.description
+    missed = "gap is 0 where more than 0 is required, first at t = 0.20 s"
+    description = result.description.replace("\\", "")
+    assert "**violated: safety on corridor/tight (Reckless)**" in description
+    assert "\n\nNo role had objected; the run ended " in description
+    assert f"\n- GAP-1: 2 of 2 runs violate it: at worst {missed}." in description
+    assert "\n- replay: `pytest --dura-replay='corridor/tight#0'`" in result.description
     (worst,) = result.steps
     assert worst.name.startswith("Counterexample corridor/tight#0, seed ")
     assert worst.status == "failed"
-    assert "GAP-1 violated at t = 0.20 s" in worst.statusDetails["message"]
+    assert "No role had objected; the run ended " in worst.statusDetails["message"]
+    assert f" GAP-1: 2 of 2 runs violate it: at worst {missed}." in worst.statusDetails["message"]
     assert [one.name.partition(":")[0] for one in worst.steps] == LOOP
     assert worst.steps[0].name == "Update: t = 0.20 s"
     assert worst.steps[1].name == "Propose: 20.0"
@@ -216,15 +221,18 @@ def test_a_violation_on_pairs_has_its_event_and_picture_and_names_no_module(allu
     found = allure("intersection/ghost-obstacle::P-1", "--dura-runs=1", "--dura-generator=tactical")
     result = found.found["intersection.ghost-obstacle#P-1"]
     assert result.status == "failed"
-    assert "the fault ghost-obstacle" in result.description.partition("What happened: ")[2]
+    card = result.description.replace("\\", "").partition("**violated: security on ")[2]
+    assert "the fault ghost-obstacle" in card
     message = result.statusDetails["message"]
-    assert re.search(r": clearance time grows by \S+ s with the faults where 0 s is allowed", message)
+    assert re.search(
+        r": clearance time grows by \S+ s with the faults where 0 s is allowed", message
+    )
     assert "pytest_dura" not in result.description + result.statusDetails["message"]
     (worst,) = result.steps
     assert worst.name.startswith("Counterexample intersection/ghost-obstacle#0, ")
     picture = ET.fromstring(found.bodies(worst)["picture"])
     assert picture.tag == "{http://www.w3.org/2000/svg}svg"
-    assert "P-1: clearance time grows by" in picture.get("aria-label")
+    assert "clearance time grows by" in picture.get("aria-label")
 
 
 def test_our_functions_are_told_of_and_others_are_left_alone(allure, project):
@@ -376,7 +384,7 @@ def test_hostile_texts_come_out_harmless(allure, project, mode):
     (link,) = result.links
     assert link.url.startswith("javascript%3Aalert%281%29%2F%2F..%2F")
     # What stands between backticks is shown as it is written.
-    prose = re.sub(r"(`+)(?!`).*?(?<!`)\1(?!`)", "", result.description)
+    prose = re.sub(r"(`+)(?!`).*?(?<!`)\1(?!`)", "", result.description, flags=re.DOTALL)
     assert "<script>" not in prose.replace(r"\<script\>", "")
     files = [one.name for one in found.folder.iterdir()]
     assert all(name.count("-") == 5 and "/" not in name for name in files)

@@ -225,9 +225,9 @@ def test_junit_and_allure_carry_what_ended_the_episode(project):
     assert "  At t = 0.50 s ran into VICTIM." in output(result)
     assert "At t = 0.50 s ran into VICTIM" in output(result)
     junit = (project.path / "junit.xml").read_text()
-    assert '<property name="event" value="At t = 0.50 s ran into VICTIM.' in junit
+    assert '<property name="card_headline" value="At t = 0.50 s ran into VICTIM.' in junit
     (found,) = (project.path / "allure").glob("*-result.json")
-    assert "What happened: At t = 0.50 s ran into VICTIM" in found.read_text().replace("\\\\", "")
+    assert "At t = 0.50 s ran into VICTIM" in found.read_text().replace("\\\\", "")
 
 
 NOTHING = "undecided: the test ended without a verdict"

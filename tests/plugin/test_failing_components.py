@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import json
+from xml.etree import ElementTree as ET
+
 import pytest
 from corridors import IDLE, scenario
 
@@ -58,7 +61,7 @@ def judged(project, words, *mode):
 
 def test_the_whole_traceback_is_in_the_record_and_in_a_card_of_the_page(project, mode):
     scenario(project, "fails", generator="Raises")
-    project.run("corridor/fails", *mode)
+    project.run("corridor/fails", *mode, "--junit-xml=junit.xml", "--alluredir=allure")
     record = project.evidence()
     trace = record.episodes[0].events[0].traceback
     assert trace.startswith("Traceback (most recent call last):\n")
@@ -74,6 +77,13 @@ def test_the_whole_traceback_is_in_the_record_and_in_a_card_of_the_page(project,
         (trace, "code", Level.PAGE)
     ]
     assert verify_bundle(project.path / "dura-evidence").problems == []
+    properties = ET.parse(project.path / "junit.xml").iter("property")
+    shown = [each.get("value") for each in properties if each.get("name") == "card_traceback"]
+    assert shown == [trace, trace]
+    for file in (project.path / "allure").glob("*-result.json"):
+        description = json.loads(file.read_text())["description"]
+        assert f"traceback:\n\n```\n{trace}\n```" in description
+        assert ", in 2 of 2 runs" in description or "in each of 2 runs" in description
 
 
 def test_a_role_that_fails_is_infrastructure(project, mode):

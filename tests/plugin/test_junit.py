@@ -6,9 +6,10 @@ from collections import Counter
 import pytest
 from junitparser import JUnitXml, Properties
 
-from pytest_dura.evidence import LINE, junit_name
+from pytest_dura.evidence import LINE, junit_name, open_record
 from pytest_dura.evidence.conclusions.verdicts import test_function as function_of
 from pytest_dura.evidence.junit import junit_key, junit_outcomes, junit_verdicts
+from pytest_dura.reports.story import document_of
 
 RECKLESS = "--dura-generator=corridor:Reckless"
 ON_EPISODES = """
@@ -84,6 +85,12 @@ def junit(project):
     return run
 
 
+def card_of(project):
+    """The one card of the session."""
+    (card,) = document_of(open_record(project.path / "dura-evidence/evidence.json")).cards
+    return card
+
+
 def by_words(record):
     """The verdicts of the record as a JUnit file tells them, per-episode tests apart."""
     found = {}
@@ -99,8 +106,19 @@ def test_a_scenario_item_has_the_figures_of_its_verdict(junit, project):
     verdict = project.verdict("GAP-1", "corridor/tight")
     episode = project.evidence().episodes[0]
     assert told.pop("reason") == verdict.reason
-    missed = "GAP-1: gap is 0 where more than 0 is required, first at t = 0.20 s"
-    assert told.pop("event").startswith(f"{missed}, before any role had")
+    card = card_of(project)
+    assert told.pop("card") == card.title
+    assert told.pop("card_headline") == card.headline
+    entries = {each.label: each for each in card.entries}
+    finding = entries["GAP-1"]
+    assert told.pop("card_GAP-1") == f"{finding.text} [{finding.code}]"
+    assert told.pop("card_episode") == "corridor/tight#0"
+    assert told.pop("card_replay") == told["replay"]
+    assert (
+        told.pop("card_rerun")
+        == "pytest corridor/tight::GAP-1 --dura-generator=corridor:Reckless --dura-seed=7"
+    )
+    assert told.pop("card_next") == entries["next"].text
     assert told == {
         "item": "corridor/tight::GAP-1",
         "base_seed": "7",

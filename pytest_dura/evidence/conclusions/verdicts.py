@@ -311,7 +311,7 @@ class _Verdicts:
         )
         waivers = [self.lines.waivers[name] for name in attempts if name in self.lines.waivers]
         bad = {name for name, entry in counting.items() if entry.verdict != "supported"}
-        return _verdict(
+        return item_verdict(
             verdict,
             item,
             waiver=waivers[0] if waivers and bad <= self.lines.waivers.keys() else None,
@@ -351,12 +351,12 @@ class _Verdicts:
         attempts = [self._judge_test(seen) for seen in _outcomes_by_attempt(outcomes)]
         if verdict in attempts:
             attempts.remove(verdict)
-        return _verdict(
+        return item_verdict(
             verdict,
             test,
             waiver=self._waiver_of(final, verdict),
             attempts=attempts,
-            assertion=_assertion_summary(final),
+            assertion=assertion_summary(final),
         )
 
     def _judge_test(self, outcomes: Sequence[Judgement]) -> CampaignVerdict:
@@ -427,7 +427,7 @@ class _Verdicts:
             verdict = replace(verdict, reason=reason)
         waivers = self.lines.waivers
         waived = item if item in waivers else self._first_waived.get(item, "")
-        return _verdict(verdict, item, waiver=waivers.get(waived))
+        return item_verdict(verdict, item, waiver=waivers.get(waived))
 
     def _requirement(self, name: str) -> Requirement:
         return self.lines.requirements.get(name) or Requirement(name)
@@ -480,7 +480,7 @@ def _order(judgement: Judgement) -> tuple[str, int, str]:
     return judgement.item, judgement.attempt, json.dumps(encode(judgement.runs))
 
 
-def _verdict(
+def item_verdict(
     attempt: CampaignVerdict,
     item: str,
     *,
@@ -488,6 +488,7 @@ def _verdict(
     attempts: Sequence[CampaignVerdict] = (),
     assertion: AssertionSummary | None = None,
 ) -> ItemVerdict:
+    """Make the verdict of an item of one on a campaign."""
     return ItemVerdict(
         **{field.name: getattr(attempt, field.name) for field in fields(CampaignVerdict)},
         item=item,
@@ -536,7 +537,7 @@ def _outcomes_by_attempt(outcomes: Sequence[Judgement]) -> Iterator[list[Judgeme
         yield list(latest.values())
 
 
-def _assertion_summary(final: Sequence[Judgement]) -> AssertionSummary:
+def assertion_summary(final: Sequence[Judgement]) -> AssertionSummary:
     """Summarise the assertions of a test over all episodes that it looked at.
 
     Args:
