@@ -9,7 +9,7 @@ import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
@@ -80,6 +80,41 @@ class Action:
 
     def __post_init__(self) -> None:
         _check_quantity("action", self.name, self.unit)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Unit of a number of a world; it stands in the ``Annotated`` of the model's field."""
+
+    text: str
+
+
+def unit_in(model: Any, path: str) -> str:
+    """Find the unit that a model declares for a value at a dotted path; empty without one.
+
+    Args:
+        model: A pydantic model; ``None`` declares nothing.
+        path: Of fields, and of places or ids in lists, such as ``vehicles.0.speed``.
+    """
+    models, unit = [model], ""
+    for key in path.split("."):
+        fields = [each.model_fields[key] for each in models if key in _fields_of(each)]
+        if fields:  # else it is an entry of a list
+            marks = [mark for each in fields for mark in each.metadata if isinstance(mark, Unit)]
+            unit = marks[0].text if marks else ""
+            models = [part for each in fields for part in _parts_of(each.annotation)]
+    return unit
+
+
+def _fields_of(model: Any) -> Mapping[str, Any]:
+    fields: Mapping[str, Any] = getattr(model, "model_fields", {})
+    return fields
+
+
+def _parts_of(annotation: Any) -> list[Any]:
+    """A type, or those that it is made of: the alternatives of a union, the entries of a list."""
+    inner = get_args(annotation)
+    return [part for each in inner for part in _parts_of(each)] if inner else [annotation]
 
 
 def _check_quantity(kind: str, name: object, unit: object) -> None:

@@ -60,7 +60,7 @@ class DragOffParameters(FaultPart):
     """How quickly, whereto and how far the position is dragged."""
 
     # Faster than that it is a leap.
-    rate: Annotated[NotNegative, Span(0.0, 5.0)] = Field(
+    rate: Annotated[NotNegative, Span(0.0, 5.0, unit="m/s")] = Field(
         0.5, description="Growth of the offset, in m/s."
     )
     direction: Literal["ahead", "behind", "left", "right", "north", "east", "south", "west"] = (
@@ -147,7 +147,7 @@ class PromptTextParameters(FaultPart):
         max_length=2000,
         description="What can be read on it; without a text there is no sign.",
     )
-    ahead: Annotated[Positive, Span(2.0, 60.0, neutral=60.0)] = Field(
+    ahead: Annotated[Positive, Span(2.0, 60.0, neutral=60.0, unit="m")] = Field(
         20.0, description="Metres ahead of the ego's front along its route, when it appears."
     )
 

@@ -97,7 +97,7 @@ class PositionNoiseParameters(Selection):
     """How far positions scatter, and whose do."""
 
     # From then on an object is anywhere on the road but where it is.
-    sigma: Annotated[NotNegative, Span(0.0, 5.0)] = Field(
+    sigma: Annotated[NotNegative, Span(0.0, 5.0, unit="m")] = Field(
         0.5, description="Standard deviation of the normal error of x and of y, in m."
     )
 
@@ -232,11 +232,11 @@ class IdSwitch(ObjectFault):
 class MovedParameters(FaultPart):
     """By how much an object is misplaced, along which direction, and which one."""
 
-    dx: Annotated[Finite, Span(-20.0, 20.0)] = Field(
+    dx: Annotated[Finite, Span(-20.0, 20.0, unit="m")] = Field(
         0.0, description="Metres along the direction; negative is backward."
     )
     # Two lanes and a half to either side.
-    dy: Annotated[Finite, Span(-10.0, 10.0)] = Field(
+    dy: Annotated[Finite, Span(-10.0, 10.0, unit="m")] = Field(
         0.0, description="Metres across it; positive is to the right."
     )
     frame: Literal["route", "object"] = Field(
@@ -293,26 +293,26 @@ class GhostParameters(FaultPart):
         description="Where `ahead` is measured from: the ego's front, or the stop line before it.",
     )
     # Farther away a car at the speed limit of 10 m/s stops for it without any haste.
-    ahead: Annotated[Positive, Span(2.0, 60.0, neutral=60.0)] = Field(
+    ahead: Annotated[Positive, Span(2.0, 60.0, neutral=60.0, unit="m")] = Field(
         14.0,
         description="Metres on the ego's route, from `place` to the ghost's near end, when it"
         " appears.",
     )
     # Two lanes to either side. Of where and how it stands, and of its size, none is milder than
     # another: the simplest is a car on the route.
-    lateral: Annotated[Finite, Span(-8.0, 8.0)] = Field(
+    lateral: Annotated[Finite, Span(-8.0, 8.0, unit="m")] = Field(
         0.0, description="Metres beside that place on the route; positive is to the right."
     )
-    heading: Annotated[Finite, Span(-3.14, 3.14)] = Field(
+    heading: Annotated[Finite, Span(-3.14, 3.14, unit="rad")] = Field(
         0.0, description="Radians to the right of the route's heading there."
     )
-    speed: Annotated[NotNegative, Span(0.0, 10.0)] = Field(
+    speed: Annotated[NotNegative, Span(0.0, 10.0, unit="m/s")] = Field(
         0.0, description="Along its own heading, straight on, in m/s."
     )
-    length: Annotated[Positive, Span(0.5, 12.0, neutral=CAR_LENGTH)] = Field(
+    length: Annotated[Positive, Span(0.5, 12.0, neutral=CAR_LENGTH, unit="m")] = Field(
         CAR_LENGTH, description="In m."
     )
-    width: Annotated[Positive, Span(0.5, 3.0, neutral=CAR_WIDTH)] = Field(
+    width: Annotated[Positive, Span(0.5, 3.0, neutral=CAR_WIDTH, unit="m")] = Field(
         CAR_WIDTH, description="In m."
     )
 
@@ -373,11 +373,11 @@ class SpoofParameters(FaultPart):
         description="The false velocity in m/s, along the ego's route beside the vehicle and to"
         " the right of it; null: the one that leads it to where `lead` says.",
     )
-    lead: Annotated[Positive, Span(0.5, 5.0, neutral=5.0)] = Field(
+    lead: Annotated[Positive, Span(0.5, 5.0, neutral=5.0, unit="s")] = Field(
         2.0, description="The false path meets the ego's route this many seconds ahead of the ego."
     )
     # The longer it takes, the slower the vehicle seems to come.
-    duration: Annotated[Positive, Span(0.5, 10.0, neutral=10.0)] = Field(
+    duration: Annotated[Positive, Span(0.5, 10.0, neutral=10.0, unit="s")] = Field(
         4.0, description="Seconds until the false path ends."
     )
 

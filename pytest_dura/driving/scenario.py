@@ -23,6 +23,7 @@ from pydantic import (
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.seeding import stream
+from pytest_dura.domains import Unit
 from pytest_dura.driving.lanes import Route, route_between
 from pytest_dura.driving.roads import BUILT_IN, FOUR_WAY, Arm, Lanes, Road, Turn, named_road
 
@@ -32,6 +33,8 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 _EARLIEST = -9.0
 """Seconds; nobody is on the road for longer when an episode begins."""
+_Distance = Annotated[float, Field(ge=3, allow_inf_nan=False)]
+_Entry = Annotated[float, Field(ge=_EARLIEST, allow_inf_nan=False)]
 
 
 class _Model(BaseModel):
@@ -60,13 +63,13 @@ class ArmData(_Model):
     priority: Annotated[int, Field(ge=1, le=9)] = Field(
         1, description="Right of way: the greater goes first; a left turn counts as one less."
     )
-    length: Annotated[float, Field(ge=60, le=400)] = Field(
+    length: Annotated[float, Field(ge=60, le=400), Unit("m")] = Field(
         100.0, description="From its outer end to the stop line, in m."
     )
-    stop_line: Annotated[float, Field(ge=4, le=60)] = Field(
+    stop_line: Annotated[float, Field(ge=4, le=60), Unit("m")] = Field(
         11.0, description="From the centre to the stop line, in m."
     )
-    lane_width: Annotated[float, Field(ge=2.6, le=6)] = Field(
+    lane_width: Annotated[float, Field(ge=2.6, le=6), Unit("m")] = Field(
         4.0, description="Of each lane, in m."
     )
     lanes: Lanes = Field(
@@ -80,7 +83,9 @@ class RoadData(_Model):
     arms: Annotated[tuple[ArmData, ...], Field(strict=False, max_length=8)] = Field(
         description="At least two; the ego comes from the first one, unless it says otherwise."
     )
-    speed_limit: Annotated[float, Field(ge=3, le=20)] = Field(10.0, description="In m/s.")
+    speed_limit: Annotated[float, Field(ge=3, le=20), Unit("m/s")] = Field(
+        10.0, description="In m/s."
+    )
 
     @field_validator("arms")
     @classmethod
@@ -103,11 +108,13 @@ def _kind_of_road(value: object) -> str:
 class EgoStart(_Model):
     """Where the ego comes from and goes to."""
 
-    distance: Annotated[float, Field(gt=5, allow_inf_nan=False)] = Field(
+    distance: Annotated[float, Field(gt=5, allow_inf_nan=False), Unit("m")] = Field(
         50.0,
         description="From its centre to the stop line, in m; at most its arm's length less 5 m.",
     )
-    speed: Annotated[float, Field(ge=0, le=10)] = Field(8.0, description="At the start, in m/s.")
+    speed: Annotated[float, Field(ge=0, le=10), Unit("m/s")] = Field(
+        8.0, description="At the start, in m/s."
+    )
     turn: Turn = Field("straight", description="Where it goes.")
     arm: ArmName | None = Field(
         None, description="Where it comes from; by default the road's first arm, the south."
@@ -136,10 +143,10 @@ class Turns(_Model):
 class Traffic(_Model):
     """Random traffic: arrivals at the outer end of each arm."""
 
-    headway: Positive = Field(
+    headway: Annotated[Positive, Unit("s")] = Field(
         22.0, description="Mean time between two arrivals on one arm, in s (exponential, shifted)."
     )
-    minimum_headway: Positive = Field(
+    minimum_headway: Annotated[Positive, Unit("s")] = Field(
         2.5,
         description="Least time between two arrivals, in s; less than the mean.",
         validate_default=True,
@@ -147,8 +154,12 @@ class Traffic(_Model):
     arms: tuple[ArmName, ...] | None = Field(
         None, strict=False, description="Arms with traffic; by default all but the ego's."
     )
-    speed: Annotated[float, Field(gt=0, le=10)] = Field(8.0, description="Mean speed, in m/s.")
-    speed_deviation: Annotated[float, Field(ge=0, le=2)] = Field(0.7, description="In m/s.")
+    speed: Annotated[float, Field(gt=0, le=10), Unit("m/s")] = Field(
+        8.0, description="Mean speed, in m/s."
+    )
+    speed_deviation: Annotated[float, Field(ge=0, le=2), Unit("m/s")] = Field(
+        0.7, description="In m/s."
+    )
     turns: Turns = Turns()
 
     @field_validator("minimum_headway")
@@ -173,17 +184,17 @@ class ExplicitVehicle(_Model):
     arm: ArmName = Field(description="Where it comes from.")
     turn: Turn = Field("straight", description="Where it goes.")
     to: ArmName | None = Field(None, description="Instead of a turn: the arm on which it leaves.")
-    distance: Annotated[float, Field(ge=3, allow_inf_nan=False)] | None = Field(
+    distance: Annotated[_Distance | None, Unit("m")] = Field(
         None,
         description="From its centre to its stop line at the start, in m; at most its arm's length "
         "less 1 m.",
     )
-    enters: Annotated[float, Field(ge=_EARLIEST, allow_inf_nan=False)] | None = Field(
+    enters: Annotated[_Entry | None, Unit("s")] = Field(
         None,
         description="Instead of the distance: when it enters the road at the outer end of its arm, "
         "once there is room, in s. Before 0, it has driven on at its speed until the start.",
     )
-    speed: Annotated[float, Field(ge=0, le=10)] = Field(
+    speed: Annotated[float, Field(ge=0, le=10), Unit("m/s")] = Field(
         8.0, description="At the start, or when it enters, in m/s."
     )
     exponent: Annotated[float, Field(ge=1, le=10)] = Field(
@@ -218,14 +229,16 @@ class PedestrianStart(_Model):
 
     id: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")] = "P1"
     arm: ArmName = Field("south", description="The arm that is crossed.")
-    offset: Annotated[float, Field(ge=1, le=60)] = Field(
+    offset: Annotated[float, Field(ge=1, le=60), Unit("m")] = Field(
         3.0, description="From the stop line outwards, in m."
     )
     side: Literal["left", "right"] = Field(
         "right", description="Where it comes from, seen by a driver who nears the junction."
     )
-    start: NotNegative = Field(2.0, description="When it steps off the kerb, in s.")
-    speed: Annotated[float, Field(gt=0, le=3)] = Field(1.3, description="In m/s.")
+    start: Annotated[NotNegative, Unit("s")] = Field(
+        2.0, description="When it steps off the kerb, in s."
+    )
+    speed: Annotated[float, Field(gt=0, le=3), Unit("m/s")] = Field(1.3, description="In m/s.")
 
 
 class StaticObstacle(_Model):
@@ -239,11 +252,11 @@ class StaticObstacle(_Model):
         "1 m; its length lies along the arm."
     )
     arm: ArmName = "south"
-    offset: NotNegative = Field(
+    offset: Annotated[NotNegative, Unit("m")] = Field(
         description="From the stop line outwards to its centre, in m; at most the arm's length "
         "less 1 m."
     )
-    beside: Annotated[float, Field(ge=-15, le=15)] = Field(
+    beside: Annotated[float, Field(ge=-15, le=15), Unit("m")] = Field(
         description="From the middle of the road to its centre, in m; positive to the right of a "
         "driver who nears the junction. The lane towards it is 4 m wide."
     )
@@ -258,7 +271,7 @@ class Phase(_Model):
     """What a traffic light shows for some time."""
 
     state: Literal["red", "yellow", "green"]
-    lasts: Positive = Field(description="In s.")
+    lasts: Annotated[Positive, Unit("s")] = Field(description="In s.")
 
 
 class TrafficLight(_Model):
@@ -270,7 +283,9 @@ class TrafficLight(_Model):
 
     arms: tuple[ArmName, ...] = Field(strict=False, min_length=1)
     phases: tuple[Phase, ...] = Field(strict=False, min_length=1)
-    offset: NotNegative = Field(0.0, description="How far into its phases it begins, in s.")
+    offset: Annotated[NotNegative, Unit("s")] = Field(
+        0.0, description="How far into its phases it begins, in s."
+    )
 
     def state_at(self, time: float) -> str:
         """The state ``time`` s after the start."""

@@ -18,6 +18,8 @@ class RangeEntry(Entry):
     """Greatest value, in that unit."""
     pieces: Absent[Positive] = None
     """So many numbers, each drawn from the range: an input over time."""
+    unit: Absent[str] = None
+    """Unit of what varies, where the scenario states one."""
 
 
 class ChoicesEntry(Entry):

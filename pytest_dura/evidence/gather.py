@@ -363,6 +363,8 @@ class RecordBuilder:
             declared[each.signal].add(each.unit)
         checks = [each.check for each in self._all(Requirement)]
         checks += [each.check for each in self._all(Judgement)]
+        searched = (search.outcomes for search in self._all(RecordedSearch))
+        checks += [each.check for outcomes in searched for each in outcomes]
         named = {word for check in checks for word in re.findall(r"[A-Za-z_][\w.]*", check)}
         return {
             signal: unit

@@ -54,6 +54,7 @@ class Span:
         low: Least value.
         high: Greatest value.
         neutral: Value of least effect, between them: 0 of an offset, 1 of a factor.
+        unit: Such as ``m``; empty for a plain number, or where the target has it.
 
     Raises:
         ConfigurationError: If they are not in order.
@@ -62,6 +63,7 @@ class Span:
     low: float
     high: float
     neutral: float = 0.0
+    unit: str = ""
 
     def __post_init__(self) -> None:
         """Refuse a span that does not hold its neutral value, or has no width."""
@@ -75,9 +77,10 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """Values of a parameter that a search chooses from, the simplest first."""
+    """Values of a parameter that a search chooses from, the simplest first, and their unit."""
 
     values: tuple[Any, ...]
+    unit: str = ""
 
 
 def spans_of(kind: type[BaseModel]) -> Mapping[str, Span | Choices]:
@@ -135,7 +138,8 @@ def _whole(name: str, span: Span) -> Choices:
             expected="whole numbers",
         )
     low, high, neutral = map(int, ends)
-    return Choices(tuple(sorted(range(low, high + 1), key=lambda number: abs(number - neutral))))
+    nearest = sorted(range(low, high + 1), key=lambda number: abs(number - neutral))
+    return Choices(tuple(nearest), span.unit)
 
 
 def _choices(annotation: Any) -> tuple[Any, ...] | None:

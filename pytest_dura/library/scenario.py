@@ -88,6 +88,8 @@ class Range(Entry):
     """Greatest value, in the unit of the key that is varied."""
     pieces: int | None = Field(default=None, ge=1, le=1000)
     """The value is a list of so many numbers: an input that is constant in pieces of time."""
+    unit: str | None = Field(default=None, min_length=1)
+    """Unit of the key, such as `m/s`, for reports; default: what the domain's world states."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Range:

@@ -183,7 +183,8 @@ def failure_text(error: DuraError) -> str:
     from pytest_dura.reports.searches import failure_lines
 
     not_kept = [f"not kept: {reason}" for reason in getattr(error, "not_kept", ())]
-    return "\n".join([*failure_lines(falsification), *not_kept])
+    units = getattr(error, "units", {})
+    return "\n".join([*failure_lines(falsification, units), *not_kept])
 
 
 class usage_errors:  # noqa: N801 - reads like a statement

@@ -125,15 +125,21 @@ MOST_CHANGES = 12
 _KEPT_FOR = ", which --dura-scenarios runs from now on"
 
 
-def failure_lines(search: Falsification) -> Iterator[str]:
-    """Lines of the message of a test that fails by its search; the cards have the rest."""
+def failure_lines(search: Falsification, units: Mapping[str, str] = NOTHING) -> Iterator[str]:
+    """Lines of the message of a test that fails by its search; the cards have the rest.
+
+    Args:
+        search: What the test asked for.
+        units: Of signals, by name.
+    """
     where = f" on {name(search.case)} ({name(search.component)})"
     for outcome in search.outcomes:
         yield outcome_headline(search, outcome, where)
         if outcome.status == NOTHING_FOUND:
             continue
         example = outcome.counterexample
-        entries = [("worst", counterexample_text(example, outcome.check))] if example else []
+        worst = counterexample_text(example, outcome.check, units) if example else ""
+        entries = [("worst", worst)] if example else []
         if kept := kept_text(outcome):
             entries.append(("kept", f"{kept}{_KEPT_FOR}"))
         yield from map(_entry_line, entries)
@@ -215,9 +221,10 @@ def parameter_changes(counterexample: FoundCounterexample, most: int) -> Sequenc
 def _parameter_change(change: ParameterChange) -> str:
     if change.value is None:
         return "left out"
+    unit = f" {name(change.unit)}" if change.unit not in ("", "1") else ""
     if change.nominal is None:
-        return f"{_value_text(change.value)}, added"
-    return f"{_value_text(change.value)} instead of {_value_text(change.nominal)}"
+        return f"{_value_text(change.value)}{unit}, added"
+    return f"{_value_text(change.value)} instead of {_value_text(change.nominal)}{unit}"
 
 
 def _value_text(value: Any) -> str:

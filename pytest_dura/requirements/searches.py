@@ -42,6 +42,8 @@ class ParameterChange:
     """What it is; null for what was left out."""
     nominal: Any
     """What the case has there; null for nothing."""
+    unit: str = field(default="", metadata=LEFT_OUT)
+    """Unit of the value; absent where none is declared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +150,9 @@ class SearchParameter:
     """Numbers of an input over time; absent for a single one."""
     choice: list[Any] | None = field(default=None, metadata=LEFT_OUT)
     """The values of a choice."""
+    unit: str = field(default="", metadata=LEFT_OUT)
+    """Unit of its numbers, as the scenario, the domain's world or the fault type declares it;
+    absent where none does."""
     faults: Mapping[str, tuple[SearchParameter, ...]] | None = field(
         default=None, metadata=LEFT_OUT
     )

@@ -12,6 +12,7 @@ from pytest_dura.campaign.falsification import Limits
 from pytest_dura.campaign.runner import Runner
 from pytest_dura.core.errors import ConfigurationError, DuraError, did_you_mean
 from pytest_dura.core.seeding import derive_seed
+from pytest_dura.core.state import NOTHING
 from pytest_dura.library.cases import Case, SearchedCase
 from pytest_dura.library.fault_campaigns import FaultCampaign
 from pytest_dura.library.requirements import check_formula
@@ -228,12 +229,18 @@ class Falsified(DuraError):  # noqa: N818 - it is an outcome, not an error
         message: The outcomes in short.
         falsification: The report of the search.
         not_kept: Why counterexamples could not be kept.
+        units: Of signals, by name.
     """
 
     def __init__(
-        self, message: str, falsification: Falsification, not_kept: Sequence[str] = ()
+        self,
+        message: str,
+        falsification: Falsification,
+        not_kept: Sequence[str] = (),
+        units: Mapping[str, str] = NOTHING,
     ) -> None:
         self.falsification, self.not_kept = falsification, tuple(not_kept)
+        self.units = units
         super().__init__(message)
 
 
@@ -269,7 +276,9 @@ def falsify_case(
     if failed:
         on = f"{falsification.case} ({falsification.component})"
         texts = [f"{outcome.status}: {outcome.requirement} on {on}" for outcome in failed]
-        raise Falsified("; ".join(texts), falsification, [str(error) for error in store_errors])
+        not_kept, system = [str(error) for error in store_errors], case.scenario.system
+        units = {} if system is None else system.units
+        raise Falsified("; ".join(texts), falsification, not_kept, units)
     return falsification
 
 

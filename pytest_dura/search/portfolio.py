@@ -385,9 +385,11 @@ def parameter_report(parameter: Parameter) -> SearchParameter:
     """Report what a search may choose for a parameter."""
     path = parameter.path
     if isinstance(parameter, Interval):
-        return SearchParameter(path, parameter.low, parameter.high, parameter.pieces)
+        return SearchParameter(
+            path, parameter.low, parameter.high, parameter.pieces, unit=parameter.unit
+        )
     if isinstance(parameter, OneOf):
-        return SearchParameter(path, choice=list(parameter.values))
+        return SearchParameter(path, choice=list(parameter.values), unit=parameter.unit)
     assert isinstance(parameter, FaultSlot)
     faults = {
         choice.fault.id: tuple(map(parameter_report, choice.inner)) for choice in parameter.choices

@@ -24,6 +24,7 @@ from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
 from pytest_dura.library.planned_faults import parse_fault
 from pytest_dura.library.scenario import Choice, Range, check_world, world_checker
 from pytest_dura.requirements.searches import ParameterChange
+from pytest_dura.search.space import input_unit
 
 Keys = tuple[str | int, ...]
 """Where something is in plain data: keys of mappings, places of lists."""
@@ -272,9 +273,9 @@ def _fault_changes(
             yield ParameterChange(path, fault["type"], None)
         for key in [key for key in fault if key not in _NOT_PARAMETERS]:
             for keys, value, plain, _ in _differences(fault[key], nominal_fault.get(key), (key,)):
-                yield ParameterChange(
-                    f"{path}.{_dotted_path(keys)}", _or_none(value), _or_none(plain)
-                )
+                name = f"{path}.{_dotted_path(keys)}"
+                unit = input_unit(nominal.case.scenario, name, fault["type"])
+                yield ParameterChange(name, _or_none(value), _or_none(plain), unit)
     for name, fault in removed.items():
         yield ParameterChange(f"faults.{name}", None, fault)
 
@@ -313,7 +314,9 @@ def _reduced(nominal: Nominal, world: Mapping[str, Any], difference: Difference)
             for key, inner in value.items()
             if key == "id" or nominal.default(world, (*place, key)) != inner
         }
-    return ParameterChange(f"world.{_dotted_path(name)}", _or_none(value), _or_none(plain))
+    path = f"world.{_dotted_path(name)}"
+    unit = input_unit(nominal.case.scenario, path)
+    return ParameterChange(path, _or_none(value), _or_none(plain), unit)
 
 
 def _or_none(value: Any) -> Any:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.domains import unit_in
 from pytest_dura.faults.catalogue import fault_class
 from pytest_dura.faults.parts import Choices, spans_of
 from pytest_dura.library.cases import Case, SearchedCase, make_searched_case
@@ -164,6 +165,7 @@ class Interval(Parameter):
         high: Greatest value.
         nominal: The simplest value.
         pieces: Numbers of the list; ``None`` for a single number.
+        unit: Of the numbers; empty where none is declared.
     """
 
     path: str
@@ -171,6 +173,7 @@ class Interval(Parameter):
     high: float
     nominal: Any = None
     pieces: int | None = None
+    unit: str = ""
 
     @property
     def groups(self) -> tuple[Group, ...]:
@@ -194,11 +197,13 @@ class OneOf(Parameter):
         path: Its name.
         values: The values.
         nominal: The simplest value.
+        unit: Of numbers among them; empty where none is declared.
     """
 
     path: str
     values: tuple[Any, ...]
     nominal: Any = None
+    unit: str = ""
 
     @property
     def groups(self) -> tuple[Group, ...]:
@@ -264,10 +269,37 @@ class FaultSlot(Parameter):
         return choice.fault_with(values)
 
 
-def _parameter_of(path: str, spread: Range | Choice, nominal: Any) -> Parameter:
+def _parameter_of(path: str, spread: Range | Choice, nominal: Any, unit: str) -> Parameter:
     if isinstance(spread, Range):
-        return Interval(path, spread.min, spread.max, nominal, spread.pieces)
-    return OneOf(path, spread.choice, nominal)
+        return Interval(path, spread.min, spread.max, nominal, spread.pieces, unit)
+    return OneOf(path, spread.choice, nominal, unit)
+
+
+def input_unit(scenario: Scenario, path: str, fault_type: str = "") -> str:
+    """Find the unit of an input; empty where none is declared.
+
+    The scenario's ``variation`` states it, or else the domain's world, or the type of the fault.
+
+    Args:
+        scenario: The scenario.
+        path: Such as ``world.ego.speed``, or ``faults.delay.activation.at``.
+        fault_type: Of a path in a fault.
+    """
+    spread = scenario.variation.get(path)
+    if isinstance(spread, Range) and spread.unit:
+        return spread.unit
+    if path.startswith("world."):
+        system = scenario.system
+        return "" if system is None else unit_in(system.world, path.removeprefix("world."))
+    inner = path.split(".", 2)[-1]
+    if inner in _IN_SECONDS:
+        return "s"
+    spans = spans_of(fault_class(fault_type)) if fault_type else {}
+    return spans[inner].unit if inner in spans else ""
+
+
+_IN_SECONDS = ("activation.at", "duration")
+"""Keys of every fault."""
 
 
 def _size(choice: FaultChoice) -> int:
@@ -342,18 +374,18 @@ def _inner(
     """Yield a fault's parameters that the user did not fix, in the order of simplification."""
     latest = max(begin_within - step, step)
     if fault.planned_at is not None and "activation" not in given:
-        yield Interval("activation.at", 0.0, latest, latest)
+        yield Interval("activation.at", 0.0, latest, latest, unit="s")
     if isinstance(fault.duration, (int, float)) and "duration" not in given:
         longest = max(_MAX_DURATION_SHARE * begin_within, 2 * step)
-        yield Interval("duration", step, longest, step)
+        yield Interval("duration", step, longest, step, unit="s")
     fixed = given.get("parameters", {})
     for path, span in spans_of(fault_class(fault.type)).items():
         if path.rpartition(".")[2] in fixed:
             continue
         if isinstance(span, Choices):
-            yield OneOf(path, span.values, span.values[0])
+            yield OneOf(path, span.values, span.values[0], span.unit)
         else:
-            yield Interval(path, span.low, span.high, span.neutral)
+            yield Interval(path, span.low, span.high, span.neutral, unit=span.unit)
 
 
 SLOT = "faults.search-"
@@ -404,10 +436,10 @@ class SearchSpace:
         parameters: list[Parameter] = []
         for path, spread in scenario.variation.items():
             fault, inner = split_path(path)
-            if not fault:
-                parameters.append(_parameter_of(path, spread, _nominal(world, inner)))
-            elif fault in planned:
-                parameters.append(_parameter_of(path, spread, _nominal(planned[fault], inner)))
+            if not fault or fault in planned:
+                nominal = _nominal(planned[fault] if fault else world, inner)
+                unit = input_unit(scenario, path, planned[fault]["type"] if fault else "")
+                parameters.append(_parameter_of(path, spread, nominal, unit))
         choices = _fault_choices(scenario, faults, begin_within)
         if choices:
             parameters += [

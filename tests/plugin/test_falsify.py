@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import yaml
 from outputs import output, shown_of
 
@@ -57,6 +59,8 @@ def the_search(project):
 
 
 def test_what_is_found_is_confirmed_kept_and_run_from_then_on(project):
+    free = project.path / "scenarios/corridor/free.yaml"
+    free.write_text(free.read_text().replace("max: 11.0}", "max: 11.0, unit: m}"))
     result = project.run(*hasty(project))
     assert result.ret == 1
     (file,) = found_files(project)
@@ -64,6 +68,9 @@ def test_what_is_found_is_confirmed_kept_and_run_from_then_on(project):
     (outcome,) = search.outcomes
     counterexample = outcome.counterexample
     assert outcome.status == "falsified"
+    (wall,) = counterexample.changes[:1]
+    assert (wall.path, wall.unit, search.parameters[0].unit) == ("world.wall", "m", "m")
+    assert re.search(r"inputs: +world.wall: 10.[67]\d* instead of [\d.]+ m\n", output(result))
     assert counterexample.repeats == ReplayCount(1, 1, 1)
     assert counterexample.file == f"scenarios/found/{file.name}"
     assert (

@@ -33,10 +33,10 @@ def counterexample(**changes):
         "detail": "gap is -0.25 at 3.4 s",
         "repeats": ReplayCount(1, 1, 1),
         "changes": (
-            ParameterChange("world.ego.speed", 9.0, 8.0),
+            ParameterChange("world.ego.speed", 9.0, 8.0, "m/s"),
             ParameterChange("world.wall", 2.0, 4.0),
             ParameterChange("faults.delay", "delay", None),
-            ParameterChange("faults.delay.activation.at", 2.0, 0.0),
+            ParameterChange("faults.delay.activation.at", 2.0, 0.0, "s"),
         ),
         "shrinking": Shrinking(11, 4, 41, 200, finished=True),
         "file": "scenarios/found/a-clear-saf-1.yaml",

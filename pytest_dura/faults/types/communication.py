@@ -38,10 +38,10 @@ _MS = 1e-3
 class LatencyParameters(FaultPart):
     """Delay of a message."""
 
-    latency_ms: Annotated[NotNegative, Span(0.0, 3000.0)] = Field(
+    latency_ms: Annotated[NotNegative, Span(0.0, 3000.0, unit="ms")] = Field(
         300.0, description="Of every message, in ms."
     )
-    jitter_ms: Annotated[NotNegative, Span(0.0, 1000.0)] = Field(
+    jitter_ms: Annotated[NotNegative, Span(0.0, 1000.0, unit="ms")] = Field(
         0.0, description="On top, drawn evenly from 0 to this for each message, in ms."
     )
 

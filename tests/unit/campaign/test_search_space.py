@@ -11,11 +11,19 @@ import pytest
 
 from pytest_dura import ConfigurationError, Requirement, Runner, SearchedCase, SearchedEpisode
 from pytest_dura.campaign import EpisodeUsed, Limits, SearchEnded
-from pytest_dura.library import Case, Library, Scenario, case_with_faults, expand_cases
+from pytest_dura.library import (
+    Case,
+    Library,
+    Scenario,
+    case_with_faults,
+    expand_cases,
+    load_library,
+)
 from pytest_dura.requirements import CampaignJudge, SearchVerdict, judge_episode, judge_searched
 from pytest_dura.search import Group, Layout, Objective, SearchSpace, on_grid
 from pytest_dura.search.falsify import falsify
-from pytest_dura.search.space import CoverageCount
+from pytest_dura.search.portfolio import parameter_report
+from pytest_dura.search.space import CoverageCount, FaultSlot, input_unit
 
 WARM = Requirement("WARM", check="always (temperature > 10)")
 
@@ -226,3 +234,20 @@ def test_a_violation_that_only_a_baseline_met_is_confirmed_and_claimed() -> None
     assert by_middle.counterexample is not None
     assert by_middle.counterexample.repeats.confirmed
     assert told == [SearchEnded(case(), found)]
+
+
+def test_inputs_have_the_unit_that_scenario_domain_or_fault_declares() -> None:
+    own = room(variation={"world.start": {"min": 15.0, "max": 20.0, "unit": "degC"}})
+    space = SearchSpace.of(case_with_faults(own, "none"), [BIAS])
+    start, slot = map(parameter_report, space.parameters)
+    assert (start.path, start.unit) == ("world.start", "degC")
+    assert slot.faults is not None
+    assert {each.path: each.unit for each in slot.faults["bias"]}.get("parameters.offset") == ""
+    driving = load_library([]).scenarios["intersection/congested"]
+    assert input_unit(driving, "world.vehicles.CAR1.distance") == "m"
+    assert input_unit(driving, "world.ego.speed") == "m/s"
+    assert input_unit(driving, "world.vehicles.0.turn") == ""
+    (ghost,) = SearchSpace.of(case_with_faults(driving, "none"), ["ghost-obstacle"]).parameters[-1:]
+    assert isinstance(ghost, FaultSlot)
+    units = {each.path: getattr(each, "unit", "") for each in ghost.choices[0].inner}
+    assert (units["activation.at"], units["parameters.ahead"]) == ("s", "m")

@@ -96,7 +96,7 @@ def test_a_failing_test_says_what_was_violated_and_the_card_the_rest():
     )
     entries = [(entry.label, entry.text) for entry in card.entries]
     assert ("simpler", "from 11 to 4 parameters that differ (41 simulations)") in entries
-    assert ("inputs", "world.ego.speed: 9 instead of 8") in entries
+    assert ("inputs", "world.ego.speed: 9 instead of 8 m/s") in entries
     assert ("searched", f"{simulations_text(one)}; seed {one.seed}") in entries
     assert ("trivial", "random seeds none in 37; bang-bang at 30") in entries
     assert entries[-2][0] == "rerun"
@@ -112,9 +112,9 @@ def test_the_summary_has_a_row_for_each_requirement_with_the_baselines_beside_it
     assert "trivial baselines alone" in header
     assert first == (
         "| falsified | - | `SAF-1` | `a/clear` | `C` | 21 of 100 | -0.25 | cma-es | "
-        "random seeds none in 37; bang-bang at 30 | `world.ego.speed` 9 instead of 8, "
+        "random seeds none in 37; bang-bang at 30 | `world.ego.speed` 9 instead of 8 m/s, "
         "`world.wall` 2 instead of 4, `faults.delay` delay, added, "
-        "`faults.delay.activation.at` 2 instead of 0; kept in "
+        "`faults.delay.activation.at` 2 instead of 0 s; kept in "
         "`scenarios/found/a-clear-saf-1.yaml` |"
     )
     assert second.startswith("| nothing found | - | `SAF-1` | `a/clear` | `C` | 37 of 100 | 0.125 ")
@@ -129,7 +129,7 @@ def test_the_summary_names_what_a_search_found_among_what_is_not_supported():
     falsified = cards[-1]  # what is waived comes last
     assert falsified.startswith("falsified: SAF-1 on a/clear (C) \\[xfail\\]\n")
     assert "violated at simulation 21, by cma-es; confirmed by 1 equal replay" in falsified
-    assert "- inputs: world.ego.speed: 9 instead of 8" in falsified
+    assert "- inputs: world.ego.speed: 9 instead of 8 m/s" in falsified
 
 
 def test_a_session_without_searches_has_no_section_of_them():
@@ -142,7 +142,7 @@ def test_the_report_shows_who_violated_it_and_what_was_changed():
     page = Page(render(record_of(entry("falsified", waiver=WAIVER))))
     assert page.ids["searches"] == 1
     for told in (
-        "37 of 100 simulations", "falsified", "[xfail]", "world.ego.speed", "9 instead of 8",
+        "37 of 100 simulations", "falsified", "[xfail]", "world.ego.speed", "9 instead of 8 m/s",
         "from 11 to 4 parameters that differ (41 simulations)", "Trivial, each by itself:",
         "random seeds 37 none 0.5", "bang-bang 37 30 -0.25", "cma-es (learns) 25 9 -0.25",
         "kept in scenarios/found/a-clear-saf-1.yaml", "Waived ticket 7",
