@@ -73,6 +73,7 @@ from pytest_dura.reports.wording import (
     is_incomplete,
     limitation_sentences,
     look_sentences,
+    method_sentences,
     names_text,
     roles_off_lines,
     second_engine_text,
@@ -218,6 +219,7 @@ def _case_sections(record: SessionRecord) -> Iterator[Section]:
         for verdict in head.verdicts
         for sentence in reading_sentences(verdict)
     ]
+    readings += method_sentences(head.verdicts)
     yield Section("Verdicts", (verdict_table(record), *_terminal(readings, Level.SUMMARY)))
 
 

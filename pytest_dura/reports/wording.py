@@ -273,6 +273,21 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
     )
 
 
+def method_sentences(verdicts: Sequence[ItemVerdict]) -> Iterator[str]:
+    """Say by which method runs and bounds were decided, each once, and which runs that saved."""
+    groups: dict[tuple[str, str], dict[str, None]] = {}
+    for verdict in verdicts:
+        method = one_line(verdict.method), one_line(verdict.bound.method)
+        groups.setdefault(method, {})[verdict.requirement] = None
+    for (runs, bound), names in groups.items():
+        whose = f" of {names_text(list(names))}" if len(groups) > 1 else ""
+        yield f"method{whose}: {runs}; {bound}"
+    for verdict in verdicts:
+        if verdict.saved:
+            place = f"{name(verdict.requirement)} on {name(verdict.case)}"
+            yield f"{place}: {verdict.saved} of {counted(verdict.planned, 'run')} saved"
+
+
 def look_sentences(record: SessionRecord) -> Iterator[str]:
     """Name the verdicts on a rate before which earlier sessions looked at the same campaign."""
     for verdict, earlier in further_looks(record):

@@ -22,8 +22,11 @@ def write(project, runs=BUDGET, *, method="default", world="{wall: 4.0}", **keys
 
 
 def saved(project, result, verdict):
-    """How many runs were saved, by the evidence; the terminal shows how many are left."""
+    """How many runs were saved, by the evidence and by the terminal with ``-v``."""
     count = verdict.saved
+    shown = " ".join(result.stdout.str().split())
+    assert f"R-1 on corridor/it: {count} of 40 runs saved" in shown
+    assert f"method: {verdict.method}; {verdict.bound.method}" in shown
     assert count == verdict.planned - verdict.run
     assert f" {verdict.episodes}/40 " in result.stdout.str()
     assert len(project.evidence().episodes) == verdict.run
