@@ -1,11 +1,12 @@
-"""What a feature costs: adds it to a copy of the package, uses it, and prints the new file.
+"""What a feature costs: adds it to a copy of the package, uses it, and prints the change.
 
 Run: python benchmarks/prices.py
 
 Each feature is one file of ``benchmarks/prices/``, which is put into a copy of the package; no
 other file of the copy changes. Two shards of a session are run with it, verified and merged. The
 table says whether the feature's figures are in the terminal, in the page and in the merged record,
-and whether ``verify`` finds one that was changed.
+and whether ``verify`` finds one that was changed. A second table is of patches, each of one file
+of the package: of a column of a table and of an entry of a card, in each format.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ ROOT = Path(__file__).resolve().parents[1]
 FEATURES = Path(__file__).with_name("prices")
 SESSION = ("-m", "pytest", "--dura-scenarios", "--dura-select=intersection/[np]*",
            "--dura-runs=2", "-p", "no:cacheprovider", "-v")  # fmt: skip
+RED_SESSION = ("-m", "pytest", "--dura-scenarios", "--dura-select=intersection/congested",
+               "--dura-runs=2", "-p", "no:cacheprovider", "-v",
+               "--dura-generator=tactical")  # fmt: skip
+"""A session with a card that names an episode."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,13 @@ PRICES = (
 )
 
 
+PATCHES = (
+    ("column of a table", "ended_early.patch", ("early", "ended early", "ended early")),
+    ("entry of a card", "seed_of_a_card.patch", ("its seed", "its seed", "its seed")),
+)
+"""Feature, its patch, and its headings in the terminal, the summary and the page."""
+
+
 def run(package: Path, *command: str) -> str:
     """Run a command of Python with the copy of the package."""
     environment = {**os.environ, "PYTHONPATH": str(package), "COLUMNS": "120"}
@@ -73,16 +85,35 @@ def run(package: Path, *command: str) -> str:
     return done.stdout + done.stderr
 
 
+def copy_to(package: Path) -> None:
+    """Copy the package and its scenarios."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(ROOT / "pytest_dura", package / "pytest_dura", ignore=ignored)
+    shutil.copytree(ROOT / "scenarios", package / "scenarios")
+
+
+def patched(feature: str, file: str, headings: tuple[str, str, str]) -> list[str]:
+    """A row of the table of patches: where the feature shows."""
+    text = (FEATURES / file).read_text("utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        package = Path(folder)
+        copy_to(package)
+        subprocess.run(["git", "apply", FEATURES / file], cwd=package, check=True)
+        shown = run(package, *RED_SESSION)
+        files = [package / "dura-evidence" / name for name in ("summary.md", "report.html")]
+        texts = [shown, *(each.read_text("utf-8") for each in files)]
+    edited = re.findall(r"^\+\+\+ b/(\S+)", text, re.MULTILINE)
+    added = len(re.findall(r"^\+(?!\+\+)", text, re.MULTILINE))
+    found = [own.lower() in each.lower() for own, each in zip(headings, texts, strict=True)]
+    places = ["yes" if each else "no" for each in found]
+    return [feature, ", ".join(f"`{name}`" for name in edited), str(added), *places]
+
+
 def measured(price: Price) -> list[str]:
     """A row of the table: what one file brings."""
     with tempfile.TemporaryDirectory() as folder:
         package = Path(folder)
-        shutil.copytree(
-            ROOT / "pytest_dura",
-            package / "pytest_dura",
-            ignore=shutil.ignore_patterns("__pycache__"),
-        )
-        shutil.copytree(ROOT / "scenarios", package / "scenarios")
+        copy_to(package)
         shutil.copy(FEATURES / price.file, package / "pytest_dura" / price.folder)
         parts = [package / f"part-{number}" for number in (1, 2)]
         shown = [
@@ -121,7 +152,7 @@ def is_intact(output: str) -> bool:
 
 
 def main() -> None:
-    """Print the table, and each file."""
+    """Print the tables, and each file."""
     headers = [
         "feature",
         "new file; no other is edited",
@@ -132,6 +163,8 @@ def main() -> None:
         "merge",
     ]
     print(table(headers, [measured(price) for price in PRICES]))
+    columns = ["feature", "edited; no other is", "lines", "terminal", "summary", "page"]
+    print("\n" + table(columns, [patched(*each) for each in PATCHES]))
     for price in PRICES:
         print(f"\n```python\n{(FEATURES / price.file).read_text('utf-8')}```")
 
