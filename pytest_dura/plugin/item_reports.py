@@ -211,29 +211,11 @@ def card_of(context: SessionContext, event: ItemJudged, result: ItemResult) -> C
         event: The item has ended.
         result: One of its results.
     """
-    if result.status in (None, "supported", "satisfied"):
+    own = None if result.status == "supported" else _verdict_of(event, result)
+    if own is None or own.verdict == "supported":
         return None
-    from pytest_dura.evidence.conclusions.verdicts import assertion_summary, item_verdict
-    from pytest_dura.evidence.item_verdicts import Waiver
-    from pytest_dura.plugin.evidence import waiver_of
     from pytest_dura.reports.cards import JudgedItem, card_of_item
-    from pytest_dura.requirements.campaign_judge import judge_campaign
 
-    verdict, judged = result.verdict, result.judged
-    if verdict is None and judged is not None:
-        # A session has one verdict on all runs of the test: this item knows its own run.
-        alone = replace(result.requirement, at_most=None, method=None, p0=None)
-        case = judged.episode.rpartition("#")[0]
-        verdict = judge_campaign(alone, case, [judged], planned=1, component=judged.component)
-    if verdict is None or verdict.verdict == "supported":
-        return None
-    waiver = waiver_of(event.report)
-    own = item_verdict(
-        verdict,
-        event.item.nodeid,
-        waiver=None if waiver is None else Waiver(*waiver),
-        assertion=assertion_summary([result.judgement]) if result.judgement else None,
-    )
     system = None if result.case is None else result.case.scenario.system
     episodes = list(_episodes_of(context, result, own))
     ids = {each.id for each in episodes}
@@ -253,6 +235,30 @@ def card_of(context: SessionContext, event: ItemJudged, result: ItemResult) -> C
     )
     return replace(
         card, title=redact(card.title), headline=redact(card.headline), entries=tuple(entries)
+    )
+
+
+def _verdict_of(event: ItemJudged, result: ItemResult) -> ItemVerdict | None:
+    """Make the verdict of an item as the record has it, of what the item knows."""
+    from pytest_dura.evidence.conclusions.verdicts import assertion_summary, item_verdict
+    from pytest_dura.evidence.item_verdicts import Waiver
+    from pytest_dura.plugin.evidence import waiver_of
+    from pytest_dura.requirements.campaign_judge import judge_campaign
+
+    verdict, judged = result.verdict, result.judged
+    if verdict is None and judged is not None:
+        # A session has one verdict on all runs of the test: this item knows its own run.
+        alone = replace(result.requirement, at_most=None, method=None, p0=None)
+        case = judged.episode.rpartition("#")[0]
+        verdict = judge_campaign(alone, case, [judged], planned=1, component=judged.component)
+    if verdict is None:
+        return None
+    waiver = waiver_of(event.report)
+    return item_verdict(
+        verdict,
+        event.item.nodeid,
+        waiver=None if waiver is None else Waiver(*waiver),
+        assertion=assertion_summary([result.judgement]) if result.judgement else None,
     )
 
 
@@ -391,7 +397,7 @@ def _report_item(context: SessionContext, event: ItemJudged) -> None:
             # Allure's history tells tests apart by parameters: results must not be among them.
             allure.add_parameter(name=prefix + parameter, value=value, excluded=True, mode=None)
     cards = [card_of(context, event, result) for result in results]
-    description = _description(context, item, results, cards)
+    description = _description(context, event, cards)
     if description:
         allure.add_description(test_description=description)
     if results and not hasattr(getattr(item, "function", None), "__allure_display_name__"):
@@ -443,13 +449,11 @@ def _parameters(context: SessionContext, result: ItemResult) -> dict[str, Any]:
     }
 
 
-def _description(
-    context: SessionContext,
-    item: pytest.Item,
-    results: Sequence[ItemResult],
-    cards: Sequence[Card | None],
-) -> str:
+def _description(context: SessionContext, event: ItemJudged, cards: Sequence[Card | None]) -> str:
     """Write Markdown: the test's docstring, then each requirement with source and card."""
+    from pytest_dura.reports.verdicts import reading_sentences
+
+    item = event.item
     given = item.get_closest_marker("allure_description")
     if given:
         own = given.args[0]
@@ -458,7 +462,7 @@ def _description(
     else:
         own = item.function.__doc__ if hasattr(item, "function") else None
     parts = [inspect.cleandoc(own)] if own else []
-    for result, card in zip(results, cards, strict=True):
+    for result, card in zip(event.results, cards, strict=True):
         requirement = result.requirement
         parts.append(f"**{markdown(requirement.id)}** {markdown(requirement.text, 2000)}")
         reason = result.verdict.reason if result.verdict else result.judged and result.judged.detail
@@ -469,6 +473,8 @@ def _description(
         ):
             if text:
                 parts.append(f"{heading}: {markdown(text, 2000)}")
+        own = _verdict_of(event, result) if result.judgement is not None else None
+        parts += [markdown(text, 2000) for text in (reading_sentences(own) if own else ())]
         if card is not None:
             parts += card_markdown(card, _command_of(context))
     return "\n\n".join(parts)

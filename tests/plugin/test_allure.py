@@ -242,6 +242,7 @@ def test_our_functions_are_told_of_and_others_are_left_alone(allure, project):
     assert result.status == "failed"
     assert result.description.startswith("What the author says.\n\n**OWN-1** Stays.")
     assert r"a \[link\](x) \& \<b\>" in result.description
+    assert "by assertion: the test looked at collided" in result.description
     assert result.name.startswith("test_each[")
     assert result.name.endswith(": OWN-1 Stays.")
     labels = found.labels("test_it#test_each")
