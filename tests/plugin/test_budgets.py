@@ -25,7 +25,8 @@ def saved(project, result, verdict):
     """How many runs were saved, by the evidence and by the terminal with ``-v``."""
     count = verdict.saved
     shown = " ".join(result.stdout.str().split())
-    assert f"R-1 on corridor/it: {count} of 40 runs saved" in shown
+    place = f"{verdict.requirement} on {verdict.case}"
+    assert f"{place}: {count} of 40 runs saved" in shown
     assert f"method: {verdict.method}; {verdict.bound.method}" in shown
     assert count == verdict.planned - verdict.run
     assert f" {verdict.episodes}/40 " in result.stdout.str()
