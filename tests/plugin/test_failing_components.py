@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from html import unescape
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -76,6 +77,8 @@ def test_the_whole_traceback_is_in_the_record_and_in_a_card_of_the_page(project,
     assert [(each.text, each.kind, each.weight) for each in entries] == [
         (trace, "code", Level.PAGE)
     ]
+    page = unescape((project.path / "dura-evidence/report.html").read_text())
+    assert 'raise ValueError("out of ideas")' in page
     assert verify_bundle(project.path / "dura-evidence").problems == []
     properties = ET.parse(project.path / "junit.xml").iter("property")
     shown = [each.get("value") for each in properties if each.get("name") == "card_traceback"]
