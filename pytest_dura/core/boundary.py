@@ -57,6 +57,10 @@ class CallEnded(BaseException):
     """Raised by the loop in a call that takes too long; only the loop handles it."""
 
 
+class SessionWanted(BaseException):
+    """Raised in a call that needs what only the session's process has, such as its terminal."""
+
+
 class ExitRefusedError(BaseException):
     """Raised in place of ending or replacing the process in the middle of an episode."""
 
@@ -118,7 +122,7 @@ class Boundary:
             raise error
         if isinstance(error, KeyboardInterrupt) and not self._interruptible:
             raise error
-        if _is_of_debugger(error):
+        if isinstance(error, SessionWanted) or _is_of_debugger(error):
             raise error
 
     def raise_signalled(self) -> None:

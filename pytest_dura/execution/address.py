@@ -22,6 +22,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from pytest_dura.core.boundary import SessionWanted
 from pytest_dura.core.calls import current_calls
 from pytest_dura.core.codec import encode
 from pytest_dura.core.episode import canonical
@@ -242,48 +243,51 @@ def simulate(
 
     Raises:
         ConfigurationError: If a part cannot be built here, or is not the same here.
+        SessionWanted: If the episode needs what only the session's process has.
     """
     here = EpisodeTask.from_json(json.loads(task))
     _import((name, part.path) for name, part in here.parts.items())
     if conditions is not None:
         _check_conditions(**conditions)
+    return _simulated(here, surroundings)
+
+
+def simulate_copied(task: EpisodeTask, surroundings: Mapping[str, Any]) -> bytes:
+    """Simulate an episode in a copy of the session's process; see :func:`simulate`.
+
+    Args:
+        task: Its task.
+        surroundings: See there.
+    """
+    return _simulated(task, surroundings)
+
+
+def _simulated(task: EpisodeTask, surroundings: Mapping[str, Any] | None) -> bytes:
     begin()
     calls = _model_call_count()
     before = StateOfProcess()
     with applied(surroundings) as seen:
         attach(seen)
         try:
-            episode = here.run()
-        except BdbQuit:  # of a prompt that nobody can answer
-            raise ConfigurationError(
-                "a debugger was opened in another process, which has no terminal",
-                key="--dura-executor",
-                found=here.spec.component,
-                remedy="use --dura-executor=in-process to debug it, or --pdb",
-            ) from None
+            episode = task.run()
+        except BdbQuit:  # of a prompt that nothing can answer here
+            raise SessionWanted("it opens a debugger") from None
         left_behind = before.restore()
         if left_behind:
             give_way(left_behind)
             logging.getLogger("pytest_dura").warning(
                 "%s left behind in its process %s; the next episode gets another process",
-                here.spec.component, ", ".join(left_behind),
+                task.spec.component, ", ".join(left_behind),
             )  # fmt: skip
     if _model_call_count() != calls:
-        raise ConfigurationError(
-            "a component asks a language model, and its parameters do not say which",
-            key="--dura-executor",
-            found=here.spec.component,
-            expected="parameters `model` and `fingerprint`, which `Role.resolve_parameters` states",
-            remedy="derive it from pytest_dura.llm.planner.LlmGenerator, or use"
-            " --dura-executor=in-process",
-        )
+        raise SessionWanted("it asks a language model, which its parameters do not state")
     try:
         return pack(episode)
     except TypeError as error:
         raise ConfigurationError(
             f"an episode cannot be sent from the process that simulated it: {error}",
             key="--dura-executor",
-            found=here.spec.id,
+            found=task.spec.id,
             remedy="let events hold plain data alone, or use --dura-executor=in-process",
         ) from None
 

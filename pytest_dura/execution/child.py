@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import faulthandler
 import gc
 import importlib
 import json
+import logging
 import mmap
 import os
 import select
@@ -20,9 +22,9 @@ from collections.abc import Callable, Mapping, Sequence
 from multiprocessing import connection as connections
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, NoReturn, cast
+from typing import IO, Any, NoReturn, cast
 
-from pytest_dura.core.boundary import end_process
+from pytest_dura.core.boundary import SessionWanted, end_process
 from pytest_dura.core.calls import SIZE, Calls, use_calls
 from pytest_dura.execution.replies import gives_way, reply_of, take_attached, tell_begun
 
@@ -76,6 +78,45 @@ def main(
     _serve(connection, memory, calls.get)
 
 
+def be_template(control: socket.socket, output: IO[bytes], memory: int | None) -> NoReturn:
+    """Be a template, in a copy of the process of a session that has just been made."""
+    _leave_session([os.dup(output.fileno())] * 2)
+    given = _fork_children(control, is_clean=False)
+    _serve(_connection(given), memory)
+
+
+def carry_out(
+    call: Callable[[], bytes], connection: Any, outputs: Sequence[IO[bytes]], memory: int | None
+) -> NoReturn:
+    """Carry out one call, in a copy of the process of a session that has just been made."""
+    _leave_session([os.dup(each.fileno()) for each in outputs])
+    gc.freeze()
+    _serve(connection, memory, lambda: call, most=1)
+
+
+def _leave_session(outputs: Sequence[int]) -> None:
+    """Let go of what pytest and its plugins did to this process for its terminal and reports."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("SIGTERM", "SIGALRM", "SIGHUP"):
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
+    _begin_life(os.getppid(), outputs)
+    _replace(0, os.open(os.devnull, os.O_RDWR))
+    sys.stdin, sys.stdout, sys.stderr = (
+        os.fdopen(number, mode, closefd=False) for number, mode in enumerate(("r", "w", "w"))
+    )
+    faulthandler.cancel_dump_traceback_later()
+    faulthandler.enable(file=sys.stderr)
+    sys.unraisablehook = sys.__unraisablehook__
+    threading.excepthook = threading.__excepthook__
+    loggers = [logging.root, *map(logging.getLogger, tuple(logging.root.manager.loggerDict))]
+    for logger in loggers:  # records go to the session, which hands them to its own handlers
+        logger.handlers.clear()
+    coverage = sys.modules.get("coverage")
+    measured = None if coverage is None else coverage.Coverage.current()
+    if measured is not None:
+        measured.stop()
+
+
 def _connection(descriptor: int) -> Any:
     if sys.platform == "win32":
         import msvcrt
@@ -89,15 +130,16 @@ def _replace(number: int, descriptor: int) -> None:
     os.close(descriptor)
 
 
-def _fork_children(control: socket.socket) -> int:
+def _fork_children(control: socket.socket, *, is_clean: bool = True) -> int:
     """Fork a child for each request; returns in the child, with its connection."""
     woken, wakes = os.pipe()
     os.set_blocking(wakes, False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(wakes, warn_on_full_buffer=False)
-    gc.collect()
+    if is_clean:
+        gc.collect()  # of a session it would take long
     gc.freeze()  # a child that searches what was there before for garbage copies all of it
-    has_threads, statuses, template = _has_threads(), dict[int, int](), os.getpid()
+    has_threads, statuses, template = native_threads() > 1, dict[int, int](), os.getpid()
     while True:
         ready = select.select([control.fileno(), woken], [], [])[0]
         if woken in ready:
@@ -112,7 +154,7 @@ def _fork_children(control: socket.socket) -> int:
                     os.killpg(pid, signal.SIGKILL)
             os._exit(0)
         connection, status, *outputs = given
-        pid = THREADS if has_threads else _fork()
+        pid = THREADS if has_threads else fork()
         if pid == 0:
             for own in (control.detach(), woken, wakes, status, *statuses.values()):
                 os.close(own)
@@ -126,21 +168,29 @@ def _fork_children(control: socket.socket) -> int:
             os.close(number)
 
 
-def _fork() -> int:
+def fork() -> int:
+    """Fork this process, whose threads were looked at before."""
     with warnings.catch_warnings():
         # Of threads that libraries which compute end at a fork; others are looked for before.
         warnings.simplefilter("ignore", DeprecationWarning)
         return os.fork()
 
 
-def _has_threads() -> bool:
-    """Whether a fork leaves threads, which would be missing in the child."""
-    pid = _fork()
+def native_threads() -> int:
+    """How many threads this process has at a fork, those of libraries that compute left out."""
+    pid = fork()  # at which they end them
     if pid == 0:
         os._exit(0)
     os.waitpid(pid, 0)
-    tasks = Path("/proc/self/task")
-    return threading.active_count() > 1 or (tasks.exists() and len(list(tasks.iterdir())) > 1)
+    return number_of_threads()
+
+
+def number_of_threads() -> int:
+    """How many threads this process has, those of libraries included where the system says so."""
+    try:
+        return sum(1 for _ in Path("/proc/self/task").iterdir())
+    except OSError:
+        return threading.active_count()
 
 
 def _begin_life(template: int, outputs: Sequence[int]) -> None:
@@ -176,11 +226,15 @@ def _read(connection: Any, calls: SimpleQueue[bytes]) -> None:
 
 
 def _serve(
-    connection: Any, memory: int | None, receive: Callable[[], bytes] | None = None
+    connection: Any,
+    memory: int | None,
+    receive: Callable[[], bytes | Callable[[], bytes]] | None = None,
+    most: int = _MAX_CALLS,
 ) -> NoReturn:
-    """Carry out calls until the connection ends."""
+    """Carry out calls, so many at most, until the connection ends."""
     for stream in cast("tuple[Any, Any]", (sys.stdout, sys.stderr)):
         stream.reconfigure(encoding="utf-8", errors="backslashreplace", write_through=True)
+    sys.breakpointhook = _want_terminal
     own = _identity(connection)
 
     def check() -> None:
@@ -193,11 +247,11 @@ def _serve(
     first: int | None = None
     try:
         connection.send_bytes(READY)
-        for count in range(1, _MAX_CALLS + 1):
-            head, reply = _reply_to(json.loads((receive or connection.recv_bytes)()))
+        for count in range(1, most + 1):
+            head, reply = _reply_to((receive or connection.recv_bytes)())
             used = _memory()
             first = used if first is None else first
-            has_room = count < _MAX_CALLS and used - first <= MAX_MEMORY_GROWTH
+            has_room = count < most and used - first <= MAX_MEMORY_GROWTH
             stays = has_room and not gives_way()
             if not stays:
                 _close_simulators()
@@ -210,6 +264,10 @@ def _serve(
     os._exit(0)  # also with threads that roles left behind
 
 
+def _want_terminal(*_: Any, **__: Any) -> NoReturn:
+    raise SessionWanted("it opens a debugger")
+
+
 def _identity(connection: Any) -> tuple[int, int] | None:
     if sys.platform == "win32":
         return None
@@ -220,13 +278,17 @@ def _identity(connection: Any) -> tuple[int, int] | None:
     return status.st_dev, status.st_ino
 
 
-def _reply_to(request: dict[str, Any]) -> tuple[bytes, bytes]:
-    module, _, name = request["function"].partition(":")
+def _reply_to(request: bytes | Callable[[], bytes]) -> tuple[bytes, bytes]:
+    if callable(request):
+        reply = reply_of(request)
+        return json.dumps(take_attached()).encode(), reply
+    named = json.loads(request)
+    module, _, name = named["function"].partition(":")
 
     def call(*args: Any, **kwargs: Any) -> bytes:
         return cast("bytes", getattr(importlib.import_module(module), name)(*args, **kwargs))
 
-    reply = reply_of(call, *request["args"], **request["kwargs"])
+    reply = reply_of(call, *named["args"], **named["kwargs"])
     return json.dumps(take_attached()).encode(), reply
 
 

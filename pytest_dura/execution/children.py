@@ -1,8 +1,10 @@
-"""Children: processes that carry out calls, forked from a clean template process.
+"""Children: processes that carry out calls, forked from a template process with a single thread.
 
-The template imports once what children need, and has a single thread. Where the system does not
-fork, or what the template imported has threads, each child is started anew. A child that ends in
-the middle leaves to its parent how it ended, and in shared bytes whose call was under way.
+The template is a copy of this process, in which all holds that was changed here, such as by a
+``conftest.py``. Where this process has threads that a copy would lack, the template is started anew
+and imports what children need; where what it imports has threads, or the system does not fork, each
+child is started anew. A child that ends in the middle leaves to its parent how it ended, and in
+shared bytes whose call was under way.
 """
 
 from __future__ import annotations
@@ -16,9 +18,11 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
+from functools import lru_cache
 from multiprocessing import Pipe
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -26,7 +30,19 @@ from typing import IO, Any, cast
 
 from pytest_dura.core.calls import SIZE, read_call
 from pytest_dura.core.trust import Places, current_places
-from pytest_dura.execution.child import BEGUN, READY, RETIRES, STATUS, THREADS
+from pytest_dura.execution.child import (
+    BEGUN,
+    FORKS,
+    READY,
+    RETIRES,
+    STATUS,
+    THREADS,
+    be_template,
+    carry_out,
+    fork,
+    native_threads,
+    number_of_threads,
+)
 from pytest_dura.execution.replies import CallFailedError, Death
 from pytest_dura.execution.surroundings import Captured
 
@@ -41,6 +57,8 @@ _SECONDS_TO_END = 10.0
 """How long the pool waits for a process that was killed, or closed its connection."""
 _POLL_SECONDS = 1.0
 """Seconds from one check to the next whether a process still exists."""
+_WAIT_SECONDS = 0.002
+"""Seconds from one look at a copy that is to end to the next."""
 _MOST_OUTPUT = 100_000
 """Bytes of what a call prints that are kept, the last ones."""
 _WITH_TEMPLATE = "ended with its template, which "
@@ -129,20 +147,102 @@ def _inherited(connection: Any) -> int:
     return msvcrt.open_osfhandle(connection.fileno(), 0)
 
 
+OWN_THREADS = ("dura-pool", "dura-copy")
+"""Names of threads that a copy of this process does not need."""
+
+
+def may_be_copied(others: int = 0) -> bool:
+    """Whether a copy of this process lacks no thread that it might wait for.
+
+    Args:
+        others: How many further threads are known to hold nothing that a copy needs.
+    """
+    if not FORKS or threading.current_thread() is not threading.main_thread():
+        return False
+    known = threading.enumerate()
+    if sum(each.name not in OWN_THREADS for each in known) > 1:
+        return False
+    return _unknown_threads(number_of_threads(), len(known)) <= others
+
+
+@lru_cache(maxsize=64)
+def _unknown_threads(_: int, known: int) -> int:
+    """How many threads no module of Python knows; counted once for as many threads."""
+    return native_threads() - known
+
+
+class _Copy:
+    """Copy of this process, as far as it is used like a ``subprocess.Popen``.
+
+    Args:
+        live: What the copy does; it ends the copy.
+    """
+
+    def __init__(self, live: Callable[[], None]) -> None:
+        self._lock = threading.Lock()
+        self._code: int | None = None
+        self.pid = fork()
+        if self.pid == 0:
+            try:
+                live()
+            finally:
+                os._exit(1)
+
+    def poll(self) -> int | None:
+        """The exit code, or the negative number of the signal; ``None`` as long as it runs."""
+        with self._lock:
+            if self._code is None:
+                try:
+                    pid, status = os.waitpid(self.pid, os.WNOHANG)
+                except ChildProcessError:  # code of the user's has waited for all processes
+                    self._code = 255
+                else:
+                    self._code = os.waitstatus_to_exitcode(status) if pid else None
+            return self._code
+
+    def wait(self, seconds: float) -> int:
+        """The same, after at most so many seconds.
+
+        Raises:
+            subprocess.TimeoutExpired: If it still runs.
+        """
+        end = time.monotonic() + seconds
+        while (code := self.poll()) is None:
+            if time.monotonic() >= end:
+                raise subprocess.TimeoutExpired("copy", seconds)
+            time.sleep(_WAIT_SECONDS)
+        return code
+
+    def kill(self) -> None:
+        """End it."""
+        if self.poll() is None:
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+
+
 class Template:
     """The process from which children are forked.
 
     Args:
         settings: Of its children.
+        copied: Whether it is a copy of this process, see :func:`may_be_copied`.
     """
 
-    def __init__(self, settings: ChildSettings) -> None:
+    def __init__(self, settings: ChildSettings, *, copied: bool = False) -> None:
         self.output = _open_file()
         self._control, theirs = socket.socketpair()
         with theirs:
+            self.process: Any
+            if copied:
+                self.process = _Copy(lambda: self._live(theirs, settings.memory))
+                return
             self.process = _start(
                 settings, theirs.fileno(), subprocess.DEVNULL, self.output, forks=True
             )
+
+    def _live(self, control: socket.socket, memory: int | None) -> None:
+        self._control.close()
+        be_template(control, self.output, memory)
 
     def fork(self, descriptors: Sequence[int]) -> None:
         """Ask for a child, which gets these files."""
@@ -201,12 +301,18 @@ class Child:
     Args:
         settings: What it begins with.
         template: From which it is forked; ``None`` to start it anew.
+        call: What it carries out as a copy of this process, and nothing else.
 
     Raises:
         CallFailedError: If it cannot be started.
     """
 
-    def __init__(self, settings: ChildSettings, template: Template | None) -> None:
+    def __init__(
+        self,
+        settings: ChildSettings,
+        template: Template | None,
+        call: Callable[[], bytes] | None = None,
+    ) -> None:
         self.pid, self._over, self._ended_by = 0, False, ""
         self._signal: int | None = None
         self._template = template
@@ -217,13 +323,21 @@ class Child:
         self._shared = mmap.mmap(self._files[0].fileno(), SIZE)
         self._connection, theirs = Pipe()
         with theirs:
-            if template is None:
+            if call is not None:
+                self._process = _Copy(lambda: self._live(call, theirs, settings.memory))
+            elif template is None:
                 self._process = _start(settings, _inherited(theirs), *self._files, forks=False)
+            if self._process is not None:
                 self.pid = self._process.pid
                 return
+            assert template is not None
             self._status, status = os.pipe()
             template.fork([theirs.fileno(), status, *(file.fileno() for file in self._files)])
             os.close(status)
+
+    def _live(self, call: Callable[[], bytes], connection: Any, memory: int | None) -> None:
+        self._connection.close()
+        carry_out(call, connection, self._files, memory)
 
     def wait_until_ready(self) -> None:
         """Wait until it takes calls.
@@ -269,10 +383,16 @@ class Child:
             ChildEndedError: If there is no reply: the child ended, or was ended after so long.
         """
         request = {"function": function, "args": list(args), "kwargs": dict(kwargs)}
-        data, seconds = json.dumps(request).encode(), kwargs.get("seconds")
+        return self.reply(kwargs.get("seconds"), json.dumps(request).encode())
+
+    def reply(
+        self, seconds: float | None, request: bytes | None = None
+    ) -> tuple[bytes, Captured, bool]:
+        """The reply to a request, or that of a copy, see :meth:`call`."""
         with self._limited(None if seconds is None else SECONDS_TO_START, "its imports") as limit:
             try:
-                self._connection.send_bytes(data)  # a child that was stopped reads nothing
+                if request is not None:
+                    self._connection.send_bytes(request)  # a child that was stopped reads nothing
             except OSError:
                 raise self._ended(limit) from None
             reply = self._receive(limit)

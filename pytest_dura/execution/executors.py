@@ -9,13 +9,16 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from queue import Empty, SimpleQueue
-from typing import Any, ClassVar, ParamSpec, TypeVar
+from typing import Any, ClassVar, ParamSpec, TypeVar, cast
 
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.registry import Registry
-from pytest_dura.execution.address import conditions_of, simulate
+from pytest_dura.execution.address import conditions_of, simulate, simulate_copied
+from pytest_dura.execution.copies import Copies
+from pytest_dura.execution.replies import SessionWantedHereError
 from pytest_dura.execution.sources import LoadedModules
 from pytest_dura.execution.surroundings import surroundings
 from pytest_dura.execution.task import EpisodeTask, is_same_elsewhere, reason_not_portable
@@ -52,6 +55,8 @@ class ExecutorKind(ABC):
     """How it is written, for messages."""
     local_processes: int | None = None
     """How many processes of this machine simulate, if any do."""
+    makes_copies: ClassVar[bool] = False
+    """Whether episodes of tests are simulated in copies of the session's process."""
     memory: int | None = None
     """Bytes that a process may take beside what it begins with; ``None`` for any number."""
     where = "elsewhere"
@@ -142,7 +147,9 @@ class ExecutorChoice:
         """
         if self.kind is None:
             return Execution()
-        return Execution(self.name, self.kind.start(), self.seconds)
+        width = self.processes if self.kind.makes_copies else None
+        copies = None if width is None else Copies(width, self.kind.memory)
+        return Execution(self.name, self.kind.start(), self.seconds, copies=copies)
 
 
 T = TypeVar("T")
@@ -176,7 +183,7 @@ class InProcess(ExecutorKind):
         return InProcessExecutor()
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Execution:
     """Executor of episodes.
 
@@ -186,17 +193,23 @@ class Execution:
         seconds: Limit of an episode elsewhere, beside the time that its component is given.
         here: Episodes that were simulated in this process though there is another executor, by
             component and reason.
+        staying: Components whose episodes turned out to need this process, and why.
     """
 
     name: str = "in-process"
     executor: Executor = field(default_factory=InProcessExecutor)
     seconds: float = MAX_SECONDS
-    here: Counter[tuple[str, str]] = field(default_factory=Counter, compare=False)
+    here: Counter[tuple[str, str]] = field(default_factory=Counter)
+    staying: dict[str, str] = field(default_factory=dict)
     threads: Executor | None = None
     """Takes the episodes whose component asks a language model, if there is such an executor."""
+    copies: Copies | None = None
+    """Takes what only a copy of this process can simulate, such as a class of a test function."""
+    in_test: bool = False
+    """Whether a test asks, which may have replaced what is simulated."""
     alone: bool = True
     """Whether no other process of the session runs tests."""
-    modules: LoadedModules = field(default_factory=LoadedModules, compare=False)
+    modules: LoadedModules = field(default_factory=LoadedModules)
     """Modules of this process, which must be the same wherever an episode is simulated."""
 
     @property
@@ -212,6 +225,11 @@ class Execution:
         executor = self._executor_of(task)
         return 0 if executor is None else int(getattr(executor, "width", 1))
 
+    def most_of(self, task: EpisodeTask) -> int:
+        """How many episodes like this are under way at most, so that no worker waits."""
+        in_flight = getattr(self._executor_of(task), "in_flight", IN_FLIGHT)
+        return int(in_flight) * self.width_of(task)
+
     @property
     def is_lost(self) -> bool:
         """Whether the cluster is gone."""
@@ -222,11 +240,17 @@ class Execution:
         """Whether this process simulates, apart from its threads one episode at a time."""
         return isinstance(self.executor, InProcessExecutor)
 
-    def _executor_of(self, task: EpisodeTask) -> Executor | None:
+    def _executor_of(self, task: EpisodeTask) -> Executor | Copies | None:
         """Who simulates an episode; ``None`` for this thread."""
         if self.threads is not None and task.asks_model and not task.local:
             return self.threads
-        return None if self.inside or not task.portable else self.executor
+        if self.inside or task.stays or (task.spec.component in self.staying):
+            return None
+        is_copy = bool(getattr(self.executor, "is_copy", False))
+        is_portable = task.portable_to_copy if is_copy else task.portable
+        if is_portable and (self.copies is None or not self.in_test):
+            return self.executor
+        return self.copies if self.copies is not None and self.copies.is_possible else None
 
     def submit(self, task: EpisodeTask) -> Future[JudgedEpisode] | Future[bytes]:
         """Begin an episode; the future is of the episode, or of a packed one from elsewhere.
@@ -238,15 +262,40 @@ class Execution:
             task: The episode to simulate.
         """
         executor = self._executor_of(task)
-        if executor is None or executor is self.threads:
-            return (executor or InProcessExecutor()).submit(self.run_here, task)
+        if executor is None:
+            return InProcessExecutor().submit(self.run_here, task)
+        if executor is self.threads:
+            return self.threads.submit(self.run_here, task)
+        seconds = time_limit_of(task.spec, self.seconds)
+        if isinstance(executor, Copies):
+            return executor.submit(partial(simulate_copied, task, surroundings()), seconds)
+        is_copy = bool(getattr(executor, "is_copy", False))
         return executor.submit(
             simulate,
             json.dumps(replace(task, checks=self._checks_to_send(task)).to_json()),
-            conditions_of(self.modules),
+            None if is_copy else conditions_of(self.modules),
             surroundings(),
-            seconds=time_limit_of(task.spec, self.seconds),
+            seconds=seconds,
         )
+
+    def result_of(self, task: EpisodeTask, future: Future[Any]) -> JudgedEpisode | bytes:
+        """The result of :meth:`submit`, after what was printed elsewhere was shown here.
+
+        An episode that needs this process is simulated again, here.
+
+        Raises:
+            ProcessLostError: If its process ended.
+            CallFailedError: If there is no process for it.
+        """
+        try:
+            return cast("JudgedEpisode | bytes", future.result())
+        except SessionWantedHereError as error:
+            self.staying[task.spec.component] = str(error)
+        finally:
+            captured = vars(future).get("captured")
+            if captured is not None:
+                captured.show()
+        return self.run_here(task)
 
     def _checks_to_send(self, task: EpisodeTask) -> tuple[str, ...]:
         """Checks by which the executor can judge an episode; this process judges by the others.
@@ -276,7 +325,8 @@ class Execution:
                 remedy="run the session without -n",
             )
         inside = self.inside or self._executor_of(task) is not None
-        reason = None if inside else reason_not_portable(task)
+        staying = self.staying.get(task.spec.component)
+        reason = None if inside else staying or reason_not_portable(task)
         if reason is not None:
             self.here[task.spec.component, reason] += 1
         return task.run()
@@ -285,6 +335,8 @@ class Execution:
         """Give up episodes that are still under way, and end the processes that simulate."""
         if self.threads is not None:
             self.threads.shutdown(wait=False, cancel_futures=True)
+        if self.copies is not None:
+            self.copies.close()
         self.executor.shutdown(wait=False, cancel_futures=True)
 
 

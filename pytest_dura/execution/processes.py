@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from queue import Empty, SimpleQueue
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -20,6 +21,7 @@ from pytest_dura.execution.children import (
     ChildSettings,
     HasThreadsError,
     Template,
+    may_be_copied,
 )
 from pytest_dura.execution.executors import ExecutorKind, cancel_queued
 from pytest_dura.execution.replies import CallFailedError, ProcessLostError, result_of
@@ -30,7 +32,7 @@ memory, before it takes any call, which says nothing about the call."""
 _MAX_KILLED = 2
 """Children that a call may lose to a signal from outside before it is given up."""
 _IDLE_SECONDS = 60.0
-"""Seconds without a call after which a child ends; the next call starts another."""
+"""Seconds without a call after which a child ends; the next call gets another."""
 _SESSION_ENDED = "the session ended before the episode did"
 _FROM_OUTSIDE = {getattr(signal, name, None) for name in ("SIGKILL", "SIGTERM", "SIGHUP")}
 
@@ -68,15 +70,22 @@ class ProcessPool(Executor):
         width: How many children at most; they are started when they are needed.
         settings: What they begin with; by default as this process is at the first call.
         memory: See :class:`ChildSettings`.
+        copies: Whether children are forked from a copy of this process where one may be made.
     """
 
     imports_same_files = True
     """Whether an import path leads to the same file there as here."""
 
     def __init__(
-        self, width: int, settings: ChildSettings | None = None, memory: int | None = None
+        self,
+        width: int,
+        settings: ChildSettings | None = None,
+        memory: int | None = None,
+        *,
+        copies: bool = False,
     ) -> None:
         self.width = width
+        self._copies = copies
         self.preload: Sequence[str] = ()
         """Import paths of what calls will need, which the template imports."""
         self._settings, self._memory = settings, memory
@@ -94,6 +103,11 @@ class ProcessPool(Executor):
     def is_used(self) -> bool:
         """Whether it was given a call."""
         return self._settings is not None
+
+    @cached_property
+    def is_copy(self) -> bool:
+        """Whether its children are copies of this process as it is at the first call."""
+        return self._copies and may_be_copied()
 
     @property
     def pids(self) -> list[int]:
@@ -116,6 +130,8 @@ class ProcessPool(Executor):
                 raise RuntimeError("the pool is closed")
             if self._settings is None:
                 self._settings = ChildSettings.here(self._memory, self.preload)
+                if self.is_copy:  # here, since other threads may hold what is imported
+                    self._templates.append(Template(self._settings, copied=True))
             self._unfinished += 1
             self._calls.put(call)
             if len(self._threads) < min(self.width, self._unfinished):
@@ -156,8 +172,8 @@ class ProcessPool(Executor):
                 try:
                     call = self._calls.get(timeout=_IDLE_SECONDS)
                 except Empty:
-                    if self._retire():
-                        return
+                    self._end(child)
+                    child = None
                     continue
                 if call is None:
                     return
@@ -167,14 +183,6 @@ class ProcessPool(Executor):
                     self._unfinished -= 1
         finally:
             self._end(child)
-
-    def _retire(self) -> bool:
-        """Take this thread out of the pool if no call is left, under the lock of `submit`."""
-        with self._lock:
-            if self._closed or not self._calls.empty():
-                return False
-            self._threads.remove(threading.current_thread())
-            return True
 
     def _carry_out(self, call: _Call, child: Child | None) -> Child | None:
         """Carry out a call, and return the child that the next one may have."""
@@ -241,7 +249,7 @@ class ProcessPool(Executor):
             if self._forks and all(template.has_ended for template in self._templates[-1:]):
                 if self._templates:  # what it imported may have ended it
                     self._settings = replace(self._settings, preload=())
-                self._templates.append(Template(self._settings))
+                self._templates.append(Template(self._settings, copied=self.is_copy))
             template = self._templates[-1] if self._forks else None
         try:
             child = Child(self._settings, template)
@@ -264,6 +272,7 @@ class Processes(ExecutorKind):
     """Processes of this machine: as many as it has usable cores, or the number that is given."""
 
     form = "processes, or processes:N with N of 1 to 9999"
+    makes_copies = FORKS
 
     def __init__(self, argument: str) -> None:
         if argument and not re.fullmatch("[1-9][0-9]{0,3}", argument):
@@ -274,7 +283,7 @@ class Processes(ExecutorKind):
 
     def start(self) -> ProcessPool:
         """Make the pool."""
-        return ProcessPool(self._count, memory=self.memory)
+        return ProcessPool(self._count, memory=self.memory, copies=True)
 
 
 def _resolve(future: Future[bytes], reply: bytes) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pytest_dura.core.boundary import traceback_of
+from pytest_dura.core.boundary import SessionWanted, traceback_of
 from pytest_dura.core.calls import COMPONENT
 from pytest_dura.core.errors import (
     ConfigurationError,
@@ -17,7 +17,7 @@ from pytest_dura.core.errors import (
     shorten,
 )
 
-_RESULT, _CONFIGURATION, _LOST, _FAILED = b"r", b"c", b"l", b"f"
+_RESULT, _CONFIGURATION, _LOST, _FAILED, _WANTED = b"r", b"c", b"l", b"f", b"w"
 _OWN_FRAMES = 2
 """Lines of a traceback that are of the process that calls."""
 _FIELDS = ("problem", "file", "line", "key", "found", "expected", "remedy")
@@ -65,6 +65,10 @@ class CallFailedError(DuraError):
     """Error for a call in another process that raised anything unexpected there."""
 
 
+class SessionWantedHereError(DuraError):
+    """Error for an episode that needs the session's process, see :class:`SessionWanted`."""
+
+
 class _Shown:
     """Stand-in for a value of another process, with the same ``repr``."""
 
@@ -92,6 +96,8 @@ def _reply_of_error(error: BaseException) -> bytes:
     if isinstance(error, ProcessLostError):
         death = None if error.death is None else asdict(error.death)
         return _LOST + json.dumps([str(error), death]).encode()
+    if isinstance(error, SessionWanted):
+        return _WANTED + str(error).encode(errors="replace")
     if isinstance(error, CallFailedError):  # of a process behind that one
         return _FAILED + str(error).encode()
     trace = "".join(traceback.format_tb(traceback_of(error))[_OWN_FRAMES:])
@@ -104,6 +110,7 @@ def result_of(reply: bytes) -> bytes:
     Raises:
         ConfigurationError: As it was raised there; its ``found`` only looks like the value there.
         ProcessLostError: If the episode ended the process that it was given to.
+        SessionWantedHereError: If it needs the session's own process.
         CallFailedError: For anything else that was raised there, with the traceback of there.
     """
     kind, body = reply[:1], reply[1:]
@@ -117,6 +124,8 @@ def result_of(reply: bytes) -> bytes:
     if kind == _LOST:
         message, death = json.loads(body)
         raise ProcessLostError(message, None if death is None else Death(**death))
+    if kind == _WANTED:
+        raise SessionWantedHereError(body.decode())
     raise CallFailedError(f"a process that simulates failed: {body.decode(errors='replace')}")
 
 

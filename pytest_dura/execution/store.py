@@ -114,7 +114,7 @@ class EpisodeStore:
         alone = self.cache is None and not self.execution.width_of(task)
         address = None if alone else self._address(task)
         if address is None:
-            episode, cached = self.execution.run_here(task), False
+            episode, cached = self._landed(task, self.execution.submit(task)), False
             self.simulated += 1
         else:
             episode, cached = self._addressed(task, address, ahead)
@@ -124,7 +124,7 @@ class EpisodeStore:
     def begin_repeats(self, tasks: Iterable[EpisodeTask]) -> None:
         """Begin what :meth:`repeat` will be called for, as far as other processes simulate it."""
         for task in map(_repetition, tasks):
-            if task.portable and not (self.execution.inside or task.asks_model):
+            if not (self.execution.inside or task.stays) and self.execution.width_of(task):
                 self._repetitions[key_of(task)] = self.execution.submit(task)
 
     def repeat(self, task: EpisodeTask) -> JudgedEpisode:
@@ -139,10 +139,17 @@ class EpisodeStore:
         task = _repetition(task)
         future = self._repetitions.pop(key_of(task), None) or self.execution.submit(task)
         self._begin_certain()
+        return self._landed(task, future)
+
+    def _landed(self, task: EpisodeTask, future: Future[Any]) -> JudgedEpisode:
+        """Wait for an episode; one whose process ended is all that is known of it."""
         try:
-            result = _shown_result(future)
+            result = self.execution.result_of(task, future)
         except ProcessLostError as error:
-            result = lost_episode(task.spec, error)
+            return lost_episode(task.spec, error)
+        except CallFailedError:
+            self.lost = True
+            raise
         return unpack(result, task.spec) if isinstance(result, bytes) else result
 
     def _is_kept(self, task: EpisodeTask, address: Address) -> bool:
@@ -194,14 +201,14 @@ class EpisodeStore:
 
     def _begin_certain(self) -> None:
         """Begin what later items need, as long as an executor has room for it."""
-        if self.execution.inside:
+        if self.execution.inside or self.execution.in_test:
             return
         flights = self._flights.values()
         room = IN_FLIGHT * self.execution.width - sum(not each.future.done() for each in flights)
         room = min(room, _MAX_CERTAIN - sum(each.is_certain for each in flights))
         while room > 0 and (task := next(self._certain, None)) is not None:
             # A language model is asked where its answers are counted, and when they are needed.
-            address = self._address(task) if task.portable and not task.asks_model else None
+            address = None if task.stays else self._address(task)
             if address is None or self.memory.holds(task):
                 continue
             flight = self._flights.get(address.name)
@@ -217,7 +224,7 @@ class EpisodeStore:
             width = self.execution.width_of(task)
             if not width and not self.execution.inside:
                 continue
-            if self._begun_ahead() >= IN_FLIGHT * width:
+            if self._begun_ahead() >= self.execution.most_of(task):
                 break
             address = self._address(task)
             if address is None or address.name in self._flights or self.memory.holds(task):
@@ -248,19 +255,12 @@ class EpisodeStore:
     def _land(self, flight: _Flight) -> tuple[JudgedEpisode, bool]:
         """Wait for an episode; returns it, and whether it is in the cache."""
         try:
-            result = _shown_result(flight.future)
-        except ProcessLostError as error:
-            result = lost_episode(flight.task.spec, error)
-        except CallFailedError:
-            self.lost = True
-            raise
+            episode = self._landed(flight.task, flight.future)
         finally:
             self._flights.pop(flight.address.name, None)
         flight.put.wait(_SECONDS_TO_PUT)
         self.simulated += 1
-        if isinstance(result, bytes):
-            result = unpack(result, flight.task.spec)
-        return result, flight.cached
+        return episode, flight.cached
 
     def _address(self, task: EpisodeTask) -> Address | None:
         """The address of a task, made once: what lies ahead is looked at again and again."""
@@ -285,16 +285,6 @@ class EpisodeStore:
     def _note_text(self, text: str) -> None:
         if self.cache is not None and text not in self.problems:
             self.problems.append(text)
-
-
-def _shown_result(future: Future[Any]) -> Any:
-    """The result of an episode, after what it printed elsewhere was shown here."""
-    try:
-        return future.result()
-    finally:
-        captured = vars(future).get("captured")
-        if captured is not None:
-            captured.show()
 
 
 def _repetition(task: EpisodeTask) -> EpisodeTask:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary
+from pytest_dura.core.boundary import ROLE_TIMEOUT, Boundary, SessionWanted
 from pytest_dura.core.calls import current_calls
 from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.episode import LOST, Episode, EpisodeSpec
@@ -23,36 +23,50 @@ from pytest_dura.core.role_spec import RoleSpec
 from pytest_dura.core.simulator_process import simulating
 from pytest_dura.core.state import NOTHING, Event
 from pytest_dura.execution.replies import ProcessLostError
-from pytest_dura.library.roles import LocalRole, local_object
+from pytest_dura.library.roles import LocalRole, local_object, local_role
 from pytest_dura.library.scenario import simulator_class
 from pytest_dura.requirements.checks import RequirementJudge, load_function
 from pytest_dura.requirements.episode_verdicts import JudgedEpisode, judge_by_check
 from pytest_dura.requirements.model import Requirement
 
 
-def reason_not_portable(task: EpisodeTask) -> str | None:
+def reason_not_portable(task: EpisodeTask, *, to_copy: bool = False) -> str | None:
     """Reason why no other process can simulate an episode; ``None`` if one can.
 
-    A component that asks a language model stays where its exchanges are counted and recorded, and a
-    simulator of which one exists stays in one process.
+    Args:
+        task: Its task.
+        to_copy: Whether the other process is a copy of this one, which knows its classes.
     """
-    return next(_reasons(task), None)
+    reasons = (reason_to_stay(task), *(() if to_copy else _reasons_of_paths(task)))
+    return next((reason for reason in (*reasons, *_reasons_of_data(task)) if reason), None)
 
 
-def _reasons(task: EpisodeTask) -> Iterator[str]:
+def reason_to_stay(task: EpisodeTask) -> str | None:
+    """Reason why an episode is simulated in the session's own process, if it has to be.
+
+    A component that asks a language model stays where its exchanges are counted and recorded, a
+    simulator of which one exists in one process, and a bare instance where the test sees it.
+    """
+    for name, part in task.parts.items():
+        if part.opaque:
+            return f"its {name} is a bare instance"
+        if stated_model(part) is not None:
+            return f"its {name} asks a language model"
+    return "one instance of its simulator exists" if task.simulator_is_single else None
+
+
+def _reasons_of_paths(task: EpisodeTask) -> Iterator[str]:
     for name, part in task.parts.items():
         if isinstance(part, LocalRole) and is_named(part.target):
             yield f"the class of its {name} is in a conftest.py"
         elif isinstance(part, LocalRole) or part.path.partition(":")[0] in _PRIVATE:
             yield f"no import path leads to the class of its {name}"
-        elif part.opaque:
-            yield f"its {name} is a bare instance"
-        elif stated_model(part) is not None:
-            yield f"its {name} asks a language model"
-        elif not _is_plain(part.params):
+
+
+def _reasons_of_data(task: EpisodeTask) -> Iterator[str]:
+    for name, part in task.parts.items():
+        if not _is_plain(part.params):
             yield f"the parameters of its {name} are no plain data"
-    if task.simulator_is_single:
-        yield "one instance of its simulator exists"
     for name, metric in task.metrics.items():
         if not _is_importable(metric):
             yield f"no import path leads to the metric {name}"
@@ -192,6 +206,16 @@ class EpisodeTask:
         """Whether plain data holds all of it, so that another process can simulate it."""
         return reason_not_portable(self) is None
 
+    @cached_property
+    def portable_to_copy(self) -> bool:
+        """Whether a process can that has the classes of this one."""
+        return self.portable or reason_not_portable(self, to_copy=True) is None
+
+    @cached_property
+    def stays(self) -> bool:
+        """Whether the session's own process simulates it, see :func:`reason_to_stay`."""
+        return reason_to_stay(self) is not None
+
     def to_json(self) -> Data:
         """Plain data of a portable task, from which :meth:`from_json` makes an equal one."""
         paths = {
@@ -206,6 +230,11 @@ class EpisodeTask:
             "again": self.again,
             "role_timeout": self.role_timeout,
             "checks": list(self.checks),
+            "local": {
+                name: id(part.target)
+                for name, part in self.parts.items()
+                if isinstance(part, LocalRole)
+            },
         }
 
     @classmethod
@@ -214,9 +243,18 @@ class EpisodeTask:
 
         Raises:
             ConfigurationError: If a metric cannot be imported here.
+            SessionWanted: If a class is younger than this copy of the session's process.
         """
+        spec = EpisodeSpec.from_json(data["spec"])
+        parts = {"simulator": spec.simulator, **spec.roles}
+        for name, identity in data["local"].items():
+            known = local_role(parts[name], identity)
+            if known is None:
+                raise SessionWanted(f"the class of its {name} is younger than this process")
+            parts[name] = known
+        simulator = parts.pop("simulator")
         return cls(
-            EpisodeSpec.from_json(data["spec"]),
+            replace(spec, simulator=simulator, roles=parts),
             decode(tuple[Requirement, ...], data["judging"]),
             {name: RoleSpec(path).resolve() for name, path in data["metrics"].items()},
             data["recorded"],

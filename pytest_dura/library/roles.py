@@ -15,6 +15,10 @@ from pytest_dura.core.simulator import SIMULATORS, Simulator
 from pytest_dura.core.state import NOTHING
 from pytest_dura.domains import ROLES, names_of_role
 
+_TARGETS: dict[int, Callable[..., Any]] = {}
+"""Classes and factories that no import path leads to, by their identity, which a copy of this
+process shares. They are kept, so that no other object takes it."""
+
 
 class LocalRole(RoleSpec):
     """A RoleSpec that holds its class or factory, which no import path leads to.
@@ -30,6 +34,7 @@ class LocalRole(RoleSpec):
     ) -> None:
         super().__init__(path, dict(params))
         object.__setattr__(self, "target", target)
+        _TARGETS[id(target)] = target
 
     @property
     def label(self) -> str:
@@ -45,6 +50,17 @@ class LocalRole(RoleSpec):
     def with_params(self, params: Mapping[str, Any]) -> LocalRole:
         """Return the spec with other parameters."""
         return LocalRole(self.path, self.target, params)
+
+
+def local_role(spec: RoleSpec, identity: int) -> LocalRole | None:
+    """The role of a session again in a copy of its process; ``None`` for a younger class.
+
+    Args:
+        spec: Path and parameters.
+        identity: Of its class or factory in the session's process.
+    """
+    target = _TARGETS.get(identity)
+    return None if target is None else LocalRole(spec.path, target, spec.params)
 
 
 def local_object(spec: RoleSpec) -> Any:

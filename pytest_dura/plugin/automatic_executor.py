@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from pytest_dura.plugin.context import Planned, SessionContext
 
 MIN_EPISODES = 40
-"""Planned episodes from which on processes pay: a process takes about as long to start as eight
-episodes of ten seconds in traffic take."""
+"""Planned episodes from which on processes pay that are started anew: one takes about as long to
+start as eight episodes of ten seconds in traffic take."""
 _EPISODES_PER_PROCESS = 20
 _MOST_PROCESSES = 8
 """pytest's own process judges about so many episodes in the time in which each simulates one."""
@@ -63,20 +63,22 @@ def choose_executor(
     """
     if context.is_worker or getattr(context.config.option, "numprocesses", None):
         return AutomaticChoice(None, "auto: pytest-xdist's workers simulate", is_notable=False)
+    from pytest_dura.execution.child import FORKS
     from pytest_dura.execution.processes import usable_cores
 
-    runs = context.options.runs
-    episodes = sum(runs or planned.case.scenario.planned for planned in plan)
     cores = usable_cores()
-    size = f"auto: {counted(episodes, 'episode')} on {counted(cores, 'core')}"
-    if episodes < MIN_EPISODES:
-        less = f"auto: {counted(episodes, 'episode')}, processes pay from {MIN_EPISODES} on"
-        return AutomaticChoice(None, less, is_notable=False)
-    if cores < 2:
-        return AutomaticChoice(None, size, is_notable=False)
-    obstacle = _obstacle(context, others=others)
+    obstacle = _obstacle(context, others=others and not FORKS)
     if obstacle is not None:
         return AutomaticChoice(None, f"auto: {obstacle}")
+    if FORKS:
+        size = f"auto: {counted(cores, 'core')}"
+        return AutomaticChoice(min(cores, _MOST_PROCESSES), size, is_notable=False)
+    runs = context.options.runs
+    episodes = sum(runs or planned.case.scenario.planned for planned in plan)
+    size = f"auto: {counted(episodes, 'episode')} on {counted(cores, 'core')}"
+    if episodes < MIN_EPISODES or cores < 2:
+        less = f"{size}, processes pay from {MIN_EPISODES} episodes on, with more than one core"
+        return AutomaticChoice(None, less, is_notable=False)
     return AutomaticChoice(min(cores, _MOST_PROCESSES, episodes // _EPISODES_PER_PROCESS), size)
 
 

@@ -77,6 +77,7 @@ class SessionExecutor:
         self._threads = threads
         self._is_worker, self._collect_only = is_worker, collect_only
         self._execution: Execution | ConfigurationError | None = None
+        self._in_test = False
         self._simulated_here: Counter[tuple[str, str]] = Counter()
 
     def execution(self) -> Execution:
@@ -98,6 +99,7 @@ class SessionExecutor:
 
                     threads = EpisodeThreads(self._threads)
                     self._execution = replace(self._execution, threads=threads)
+                self._execution.in_test = self._in_test
             except ConfigurationError as error:
                 self._execution = error
         if isinstance(self._execution, ConfigurationError):
@@ -112,6 +114,12 @@ class SessionExecutor:
         """
         if self._choice is not None and not self._is_worker:
             self._choice.connect()
+
+    def item_begins(self, *, is_test: bool) -> None:
+        """Note whether the item that begins is a test, which may replace what is simulated."""
+        self._in_test = is_test
+        if not (self._execution is None or isinstance(self._execution, ConfigurationError)):
+            self._execution.in_test = is_test
 
     def choose(self, context: SessionContext, items: Sequence[pytest.Item]) -> None:
         """Choose an executor, where no option names it, once all is collected.

@@ -16,7 +16,7 @@ import pytest
 from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
 from pytest_dura.core.collector import MAX_KEPT_OBJECTS, make_old, rare_collections, set_aside
 from pytest_dura.core.errors import DuraError
-from pytest_dura.plugin.items import note_repetitions, scenario_items
+from pytest_dura.plugin.items import ScenarioItem, note_repetitions, scenario_items
 from pytest_dura.plugin.markers import (
     RefusedMarkerError,
     check_markers,
@@ -310,6 +310,7 @@ class SessionHooks:
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Begin an attempt; fail a test whose markers cannot be used before anything skips it."""
         self.session.recorder.attempt_begins(item)
+        self.session.executor.item_begins(is_test=not isinstance(item, ScenarioItem))
         refusal = self._refusal_of(item)
         if refusal is not None:
             if self.has_own_items:
