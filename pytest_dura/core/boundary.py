@@ -5,8 +5,8 @@ being raised by its code: those of signal handlers (the user's Ctrl-C, the time 
 plugin), and our own :class:`CallEnded`. While a :class:`Boundary` is open, handlers of signals are
 wrapped, which tells the first kind from an exception of the same type that the code itself raises.
 
-Called code does not end the process either: ``os._exit`` and ``os.exec*`` are refused where it
-runs, and a copy of the process that it makes by ``os.fork`` ends where the call would return.
+Called code may end its process, which is why episodes have processes of their own. Where pytest's
+process simulates, an end or replacement of it never reads as a success: see :func:`lasting_guard`.
 
 Every call has a wall-clock limit, so that nothing blocks for ever: the component its time budget
 (:func:`call_within`), everything else the limit of a :class:`CallTimer`. Both share one alarm. No
@@ -45,8 +45,6 @@ _INTERRUPTING = {
 session: then no call goes on after one of them."""
 _DEBUGGERS = ("bdb", "_pytest.debugging")
 """Modules that raise what ends a session when a user quits a debugger."""
-_STARTS_PROGRAMS = ("multiprocessing", "subprocess", "concurrent")
-"""Packages that copy the process for a program of its own: such a copy never returns here."""
 
 traceback_of: Any = vars(BaseException)["__traceback__"].__get__
 """Returns the traceback of an error, past what its class overrides."""
@@ -61,35 +59,24 @@ class SessionWanted(BaseException):
     """Raised in a call that needs what only the session's process has, such as its terminal."""
 
 
-class ExitRefusedError(BaseException):
-    """Raised in place of ending or replacing the process in the middle of an episode."""
-
-
 class Boundary:
     """Context in which code that is not ours is called.
 
-    ``pending`` is ``True`` once there is something that a call cannot hide by catching exceptions:
-    an exception of a signal handler, or an attempt to end or fork the process (``misuse``).
+    ``signalled`` is an exception of a signal handler, which a call does not hide by catching it.
     """
 
-    __slots__ = (
-        "_handlers", "_interruptible", "_passing", "_signalled", "_token", "misuse", "pending",
-        "pid",
-    )  # fmt: skip
+    __slots__ = ("_handlers", "_interruptible", "_passing", "_pid", "_token", "signalled")
 
     def __init__(self) -> None:
-        self.pid = os.getpid()
-        self.pending = False
-        self.misuse: str | None = None
-        self._signalled: BaseException | None = None
+        self._pid = os.getpid()
+        self.signalled: BaseException | None = None
         self._passing: BaseException | None = None
         self._interruptible = False
         self._handlers: dict[int, tuple[Any, Any]] = {}
         self._token: Token[Boundary | None] | None = None
 
     def __enter__(self) -> Self:
-        """Wrap the handlers of signals, and refuse to end the process."""
-        _install()
+        """Wrap the handlers of signals."""
         self._token = _CURRENT.set(self)
         if threading.current_thread() is threading.main_thread():
             for number, lasting in _INTERRUPTING.items():
@@ -99,13 +86,13 @@ class Boundary:
 
     def __exit__(self, *_: object) -> None:
         """Restore the handlers, but for those that were replaced meanwhile."""
-        self.end_copy()
+        if os.getpid() != self._pid:  # a copy that the called code has made of this process
+            end_process(EXIT_CODE)
         for number, (own, before) in self._handlers.items():
             if signal.getsignal(number) is own:
                 signal.signal(number, before)
         assert self._token is not None
         _CURRENT.reset(self._token)
-        _uninstall()
 
     def let_pass(self, error: BaseException) -> None:
         """Raise an exception again unless the called code raised it.
@@ -116,8 +103,7 @@ class Boundary:
         Args:
             error: The exception that came out of a call.
         """
-        if self._signalled is not None:
-            raise self._signalled
+        self.raise_signalled()
         if error is self._passing:
             raise error
         if isinstance(error, KeyboardInterrupt) and not self._interruptible:
@@ -127,29 +113,8 @@ class Boundary:
 
     def raise_signalled(self) -> None:
         """Raise the exception of a signal handler that a call has caught."""
-        if self._signalled is not None:
-            raise self._signalled
-
-    def take_misuse(self) -> str | None:
-        """Return, and forget, how the last call misused the process, if it did.
-
-        Raises:
-            BaseException: The exception of a signal handler in that call, if there was one.
-        """
-        self.raise_signalled()
-        self.pending = False
-        misuse, self.misuse = self.misuse, None
-        return misuse
-
-    def note_misuse(self, misuse: str) -> None:
-        """Note how the current call misuses the process; the first misuse of a call is kept."""
-        self.misuse = self.misuse or misuse
-        self.pending = True
-
-    def end_copy(self) -> None:
-        """End the process at once if it is a copy of the one that began the episode."""
-        if os.getpid() != self.pid:
-            end_process(EXIT_CODE)
+        if self.signalled is not None:
+            raise self.signalled
 
     def _wrap(self, number: int, *, lasting: bool) -> None:
         before = signal.getsignal(number)
@@ -166,7 +131,7 @@ class Boundary:
             handler(number, frame)
         except BaseException as error:
             if lasting:
-                self._signalled, self.pending = error, True
+                self.signalled = error
             else:
                 self._passing = error
             raise
@@ -203,16 +168,39 @@ def end_process(code: int) -> NoReturn:
 
 
 @contextmanager
-def lasting_guard() -> Iterator[None]:
+def lasting_guard(say: Callable[[str], object]) -> Iterator[None]:
     """Context in which ``os._exit(0)`` ends the process with :data:`EXIT_CODE`, at any time.
 
-    A thread or a finalizer that a component leaves behind may call it between episodes.
+    So does ``os.exec*``, after which the exit code would be that of another program. A thread or a
+    finalizer that a component leaves behind may call them between episodes.
+
+    Args:
+        say: Prints a line before the process ends.
     """
-    _install()
+    modules = [os, *filter(None, [sys.modules.get(os.name)])]
+    pid = os.getpid()
+
+    def guarded(name: str, real: Callable[..., NoReturn], *args: Any) -> NoReturn:
+        is_success = name != "_exit" or args[:1] == (0,)
+        if is_success and os.getpid() == pid:
+            say(f"dura: os.{name} was called while a session ran: exit code {EXIT_CODE}")
+            end_process(EXIT_CODE)
+        real(*args)
+
+    places = [
+        (module, name, getattr(module, name), partial(guarded, name, getattr(os, name)))
+        for module in modules
+        for name in ("_exit", "execv", "execve")
+        if hasattr(module, name)
+    ]
+    for module, name, _, stand_in in places:
+        setattr(module, name, stand_in)
     try:
         yield
     finally:
-        _uninstall()
+        for module, name, real, stand_in in places:
+            if getattr(module, name) is stand_in:
+                setattr(module, name, real)
 
 
 class HeldInterruptions:
@@ -252,88 +240,6 @@ class HeldInterruptions:
             self._before(number, frame)
         else:
             self._waiting = number, frame
-
-
-def _exit(status: int) -> NoReturn:
-    """Stand in for ``os._exit``."""
-    boundary = _CURRENT.get()
-    if boundary is not None and boundary.pid == os.getpid():
-        _refuse(boundary, f"os._exit({status})" if type(status) is int else "os._exit")
-    lasts = boundary is None and _GUARD.users > 0 and os.getpid() == _GUARD.pid
-    if lasts and status == 0:
-        text = f"dura: os._exit(0) was called while a session ran: exit code {EXIT_CODE}\n"
-        os.write(2, text.encode())
-        end_process(EXIT_CODE)
-    end_process(status)
-
-
-def _execute(name: str, real: Callable[..., NoReturn], *args: Any) -> NoReturn:
-    """Stand in for ``os.execv`` and ``os.execve``."""
-    boundary = _CURRENT.get()
-    if boundary is not None and boundary.pid == os.getpid():
-        _refuse(boundary, f"os.{name}")
-    real(*args)
-
-
-def _refuse(boundary: Boundary, what: str) -> NoReturn:
-    misuse = f"tried to end the process by {what}"
-    boundary.note_misuse(misuse)
-    raise ExitRefusedError(misuse)
-
-
-class _Guard:
-    """Stand-ins for functions of ``os``, installed as long as there are users.
-
-    It is one per process, as those functions are.
-    """
-
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self.users = self.pid = 0
-        modules = [os, *filter(None, [sys.modules.get(os.name)])]
-        stand_ins: dict[str, Callable[..., Any]] = {"_exit": _exit}
-        for name in ("execv", "execve"):
-            stand_ins[name] = partial(_execute, name, getattr(os, name))
-        self.places = [
-            (module, name, getattr(module, name), stand_in)
-            for module in modules
-            for name, stand_in in stand_ins.items()
-            if hasattr(module, name)
-        ]
-
-
-_GUARD = _Guard()
-
-
-def _install() -> None:
-    with _GUARD.lock:
-        _GUARD.users += 1
-        if _GUARD.users == 1:
-            _GUARD.pid = os.getpid()
-            for module, name, _, stand_in in _GUARD.places:
-                setattr(module, name, stand_in)
-
-
-def _uninstall() -> None:
-    with _GUARD.lock:
-        _GUARD.users -= 1
-        if _GUARD.users == 0:
-            for module, name, real, stand_in in _GUARD.places:
-                if getattr(module, name) is stand_in:
-                    setattr(module, name, real)
-
-
-def _after_fork() -> None:
-    boundary = _CURRENT.get()
-    if boundary is None or boundary.pid != os.getpid():
-        return
-    caller = sys._getframe(1).f_globals.get("__name__")  # noqa: SLF001 - who has called os.fork
-    if str(caller).partition(".")[0] not in _STARTS_PROGRAMS:
-        boundary.note_misuse("forked the process")
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_parent=_after_fork)
 
 
 ROLE_TIMEOUT = 60.0

@@ -296,7 +296,7 @@ class Component:
 
     def reset(self, context: RoleContext) -> str | None:
         """Begin an episode; returns the problem, if any, after which it is not called again."""
-        answer = self._with_misuse(self._caught(self._read_limit, None))
+        answer = self._caught(self._read_limit, None)
         if answer.problem is None:
             answer = self._limited(_IN_RESET, self._reset, context)
         if answer.problem is None:
@@ -329,8 +329,7 @@ class Component:
             self._boundary.let_pass(error)
             checked, problem = None, f"no valid action: to check it raised {describe_error(error)}"
             self._error = error
-        if self._boundary.pending:
-            problem = self._boundary.take_misuse() or problem
+        self._boundary.raise_signalled()
         return checked, problem
 
     def _read_limit(self, _: None) -> Answer:
@@ -350,13 +349,8 @@ class Component:
             answer = self._timed_call(number, self._caught, call, argument)
         except TimeBudgetExceeded:
             answer = Answer(None, "overran its wall-clock time budget")
-        return self._with_misuse(answer)
-
-    def _with_misuse(self, answer: Answer) -> Answer:
-        """Replace an answer whose call misused the process."""
-        self._boundary.end_copy()
-        misuse = self._boundary.take_misuse() if self._boundary.pending else None
-        return answer if misuse is None else Answer(None, misuse)
+        self._boundary.raise_signalled()
+        return answer
 
     def _caught(self, call: Callable[[Any], Answer], argument: Any) -> Answer:
         try:

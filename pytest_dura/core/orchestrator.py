@@ -362,11 +362,11 @@ class Orchestrator:
         start = perf_counter_ns()
         view = self.state.generator_view(feedback, self._messages.transmit)
         calls = self._calls
-        calls.shared[AT] = calls.numbers[COMPONENT]
+        number = calls.shared[AT] = calls.numbers[COMPONENT]
         with environment_errors() as errors, with_pauses() as pauses:
             proposal, problem, is_plain = self._component.propose(view)
         if calls.check is not None:
-            calls.check()
+            calls.check(number)
         calls.shared[AT] = 0
         elapsed = perf_counter_ns() - start - int(pauses.seconds * 1e9)
         seconds = None if proposal is None else declared_seconds(proposal.account)
@@ -483,7 +483,7 @@ class Orchestrator:
         timer, boundary, calls = self._timer, self._boundary, self._calls
         timer.calls += 1
         timer.role = role
-        calls.shared[AT] = calls.numbers[whose or role]
+        number = calls.shared[AT] = calls.numbers[whose or role]
         try:
             result = call(*args)
         except CallBlocked as blocked:
@@ -492,25 +492,18 @@ class Orchestrator:
             boundary.let_pass(error)
             if isinstance(error, ConfigurationError) and len(self.state.ticks) <= 1:
                 raise
-            cause = boundary.take_misuse() or describe_error(error)
-            raise self._failure_of(role, cause, traceback_text(error)) from error
+            raise self._failure_of(role, describe_error(error), traceback_text(error)) from error
         finally:
             timer.role = None
             if calls.check is not None:
-                calls.check()
+                calls.check(number)
             calls.shared[AT] = 0
-        if boundary.pending:
-            misuse = boundary.take_misuse()
-            if misuse is not None:
-                raise self._failure_of(role, misuse)
+        boundary.raise_signalled()
         return result
 
     def _check_overrun(self) -> None:
         """End the episode if a call overran, caught its interruption and went on."""
-        self._boundary.end_copy()
-        misuse = self._boundary.take_misuse() if self._boundary.pending else None
-        if misuse is not None:
-            raise self._failure_of("simulator", misuse)
+        self._boundary.raise_signalled()
         overran = self._timer.overran
         if overran is not None:
             raise self._failure_of(overran, self._timer.cause)

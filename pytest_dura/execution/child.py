@@ -42,7 +42,7 @@ _MAX_CALLS = 1000
 MAX_MEMORY_GROWTH = 512 * 2**20
 """Bytes by which its memory may grow before it gives way: roles may leak."""
 HARMED = 70
-"""Exit code of a child whose connection was closed by what it called."""
+"""Exit code of a child whose connection was closed by what it called, and of a copy of it."""
 _DIE_WITH_PARENT = 1
 """Of Linux: ``PR_SET_PDEATHSIG``."""
 
@@ -80,7 +80,7 @@ def main(
 
 def be_template(control: socket.socket, output: IO[bytes], memory: int | None) -> NoReturn:
     """Be a template, in a copy of the process of a session that has just been made."""
-    _leave_session([os.dup(output.fileno())] * 2)
+    _leave_session([os.dup(output.fileno()) for _ in range(2)])
     given = _fork_children(control, is_clean=False)
     _serve(_connection(given), memory)
 
@@ -97,7 +97,8 @@ def carry_out(
 def _leave_session(outputs: Sequence[int]) -> None:
     """Let go of what pytest and its plugins did to this process for its terminal and reports."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("SIGTERM", "SIGALRM", "SIGHUP"):
+    faulthandler.disable()  # it writes where pytest's process does
+    for name in ("SIGTERM", "SIGALRM", "SIGHUP", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL"):
         signal.signal(getattr(signal, name), signal.SIG_DFL)
     _begin_life(os.getppid(), outputs)
     _replace(0, os.open(os.devnull, os.O_RDWR))
@@ -235,13 +236,18 @@ def _serve(
     for stream in cast("tuple[Any, Any]", (sys.stdout, sys.stderr)):
         stream.reconfigure(encoding="utf-8", errors="backslashreplace", write_through=True)
     sys.breakpointhook = _want_terminal
-    own = _identity(connection)
+    own, pid = _identity(connection), os.getpid()
 
-    def check() -> None:
+    def check(number: int) -> None:
+        if os.getpid() != pid:  # a copy, of which only one may go on
+            calls.note_copy(number)
+            os.kill(pid, signal.SIGKILL)
+            end_process(HARMED)
         if _identity(connection) != own:
             end_process(HARMED)
 
-    use_calls(Calls(mmap.mmap(1, SIZE), check))
+    calls = Calls(mmap.mmap(1, SIZE), check)
+    use_calls(calls)
     tell_begun(lambda: connection.send_bytes(BEGUN))
     _limit_memory(memory)
     first: int | None = None

@@ -19,6 +19,7 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
@@ -28,7 +29,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import IO, Any, cast
 
-from pytest_dura.core.calls import SIZE, read_call
+from pytest_dura.core.calls import SIZE, CallUnderWay, read_call
 from pytest_dura.core.trust import Places, current_places
 from pytest_dura.execution.child import (
     BEGUN,
@@ -147,27 +148,31 @@ def _inherited(connection: Any) -> int:
     return msvcrt.open_osfhandle(connection.fileno(), 0)
 
 
-OWN_THREADS = ("dura-pool", "dura-copy")
-"""Names of threads that a copy of this process does not need."""
+_WAITING = frozenset({
+    "concurrent.futures.thread", "execnet.gateway_base", "multiprocessing.connection", "queue",
+    "selectors", "socket", "socketserver", "ssl", "subprocess", "threading", __name__,
+    "pytest_dura.execution.processes",
+})  # fmt: skip
+"""Modules of the innermost frame of a thread that waits for something to do."""
 
 
-def may_be_copied(others: int = 0) -> bool:
+def may_be_copied() -> bool:
     """Whether a copy of this process lacks no thread that it might wait for.
 
-    Args:
-        others: How many further threads are known to hold nothing that a copy needs.
+    Threads of Python that wait for something to do hold nothing, and libraries that compute end
+    theirs at a fork; with any other one this process is not copied.
     """
     if not FORKS or threading.current_thread() is not threading.main_thread():
         return False
-    known = threading.enumerate()
-    if sum(each.name not in OWN_THREADS for each in known) > 1:
-        return False
-    return _unknown_threads(number_of_threads(), len(known)) <= others
+    frames = sys._current_frames()  # noqa: SLF001 - of all threads, those of other packages too
+    own = threading.get_ident()
+    names = {frames[ident].f_globals.get("__name__") for ident in frames if ident != own}
+    return names <= _WAITING and _unknown_threads(number_of_threads(), len(frames)) <= 0
 
 
 @lru_cache(maxsize=64)
 def _unknown_threads(_: int, known: int) -> int:
-    """How many threads no module of Python knows; counted once for as many threads."""
+    """How many threads are not Python's; counted once for as many threads."""
     return native_threads() - known
 
 
@@ -185,6 +190,8 @@ class _Copy:
         if self.pid == 0:
             try:
                 live()
+            except BaseException:  # the session goes on in the process that was copied
+                os.write(2, traceback.format_exc().encode(errors="replace"))
             finally:
                 os._exit(1)
 
@@ -504,6 +511,10 @@ class Child:
         if limit.overrun.is_set():
             how = f"was ended, since {limit.what} took longer than {limit.seconds:g} s"
         # A template takes all its children along, of which at most one has ended it.
-        whose = ("", 0) if how.startswith(_WITH_TEMPLATE) else read_call(self._shared[:])
-        death = Death(how, *whose)
+        call = read_call(self._shared[:])
+        if call.copied:
+            how, self._signal = "was ended, since it made a copy of itself", None
+        elif how.startswith(_WITH_TEMPLATE):
+            call = CallUnderWay("", 0)
+        death = Death(how, call.name, call.tick)
         return ChildEndedError(death, self._signal, overran=limit.overrun.is_set())

@@ -61,17 +61,18 @@ def choose_executor(
         plan: The cases that scenario items look at.
         others: Whether other items ask for episodes, too.
     """
-    if context.is_worker or getattr(context.config.option, "numprocesses", None):
-        return AutomaticChoice(None, "auto: pytest-xdist's workers simulate", is_notable=False)
     from pytest_dura.execution.child import FORKS
     from pytest_dura.execution.processes import usable_cores
 
-    cores = usable_cores()
+    is_shared = context.is_worker or getattr(context.config.option, "numprocesses", None)
+    if is_shared and not (context.is_worker and FORKS):
+        return AutomaticChoice(None, "auto: pytest-xdist's workers simulate", is_notable=False)
+    cores = 1 if is_shared else usable_cores()
     obstacle = _obstacle(context, others=others and not FORKS)
     if obstacle is not None:
         return AutomaticChoice(None, f"auto: {obstacle}")
     if FORKS:
-        size = f"auto: {counted(cores, 'core')}"
+        size = "auto: a worker of pytest-xdist" if is_shared else f"auto: {counted(cores, 'core')}"
         return AutomaticChoice(min(cores, _MOST_PROCESSES), size, is_notable=False)
     runs = context.options.runs
     episodes = sum(runs or planned.case.scenario.planned for planned in plan)

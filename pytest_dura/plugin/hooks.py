@@ -478,7 +478,14 @@ class SessionHooks:
         """Keep any code from ending this process with a success; a second call does nothing."""
         if self._guard is None:
             self._guard = ExitStack()
-            self._guard.enter_context(lasting_guard())
+            self._guard.enter_context(lasting_guard(self._say_past_capture))
+
+    def _say_past_capture(self, line: str) -> None:
+        """Print a line that no report will show, since the process is about to end."""
+        capture = self.session.config.pluginmanager.getplugin("capturemanager")
+        if capture is not None:
+            capture.suspend_global_capture()
+        os.write(2, f"{line}\n".encode())
 
     def _end_forked_copy(self) -> None:
         """End a copy of this process that some code forked and that returned to pytest."""

@@ -1,4 +1,4 @@
-"""``--dura-executor=auto``, the default: processes where they pay, and equal results."""
+"""``--dura-executor=auto``, the default: copies of the session's process, and equal results."""
 
 from __future__ import annotations
 
@@ -10,17 +10,22 @@ import pytest
 
 from pytest_dura.execution import ProcessPool
 
-LONG = "--dura-runs=20"
-"""Of two cases, which is as many episodes as processes pay for."""
+LONG = "--dura-runs=5"
+"""Of two cases."""
+REASON = "auto: 2 cores"
 CONFTEST = """
 import pytest
 from corridor import Careful
 
-class Planner(Careful):
-    pass
+import speeds
+speeds.top = lambda: 2.0
 
 @pytest.fixture(scope="session")
 def generator():
+    class Planner(Careful):
+        def propose(self, view):
+            assert speeds.top() == 2.0
+            return super().propose(view)
     return Planner
 """
 
@@ -46,15 +51,14 @@ def chosen(project):
     return execution.executor, execution.processes, execution.chosen
 
 
-def test_a_long_session_is_simulated_by_processes_with_the_same_record(project):
+def test_a_session_is_simulated_by_processes_with_the_same_record(project):
     project.scenarios("--dura-executor=in-process", LONG)
     plain = record(project)
     assert chosen(project) == ("in-process", None, None)
-    result = project.scenarios(LONG)
-    reason = "auto: 40 episodes on 2 cores"
-    result.stdout.fnmatch_lines([f"dura: episodes are simulated in 2 processes ({reason})"])
+    result = project.scenarios(LONG, "-v")
+    result.stdout.fnmatch_lines([f"dura: episodes are simulated in 2 processes ({REASON})"])
     result.stdout.no_fnmatch_line("*simulated in pytest's own process*")
-    assert chosen(project) == ("processes", 2, reason)
+    assert chosen(project) == ("processes", 2, REASON)
     assert record(project) == plain
     assert project.evidence().gate.result == "passed"
 
@@ -164,43 +168,102 @@ def test_what_is_traced_stays_in_this_process(project):
     assert chosen(project)[2].startswith("auto: a debugger or profiler is on")
 
 
-def test_a_short_session_stays_in_this_process_and_says_why_if_asked(project):
-    reason = "auto: 38 episodes, processes pay from 40 on"
-    result = project.scenarios("--dura-runs=19")
-    result.stdout.no_fnmatch_line("dura: episodes are simulated*")
-    assert chosen(project) == ("in-process", None, reason)
-    result = project.scenarios("--dura-runs=19", "-v")
-    result.stdout.fnmatch_lines(
-        [f"dura: episodes are simulated in pytest's own process ({reason})"]
-    )
-
-
-def test_one_usable_core_is_left_to_this_process(project, monkeypatch):
+def test_one_usable_core_simulates_in_one_other_process(project, monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3}, raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    project.scenarios(LONG)
-    assert chosen(project) == ("in-process", None, "auto: 40 episodes on 1 core")
-
-
-def test_a_component_of_a_conftest_is_simulated_here_and_no_process_is_started(project):
-    project.write("conftest.py", CONFTEST)
     result = project.scenarios(LONG)
-    reason = "the class of its generator is in a conftest.py"
-    line = f"40 episodes of Planner simulated in pytest's own process: {reason}"
-    result.stdout.fnmatch_lines([f"*{line.removeprefix('40 episodes')}"])
-    assert chosen(project) == ("in-process", None, f"auto: {reason}")
+    result.stdout.no_fnmatch_line("dura: episodes are simulated*")
+    assert chosen(project) == ("processes", 1, "auto: 1 core")
 
 
-def test_test_functions_that_ask_for_episodes_keep_the_session_in_this_process(project):
-    project.write(
-        "test_it.py",
-        "import pytest\n"
-        '@pytest.mark.dura(scenario="corridor/free", runs=1)\n'
-        "def test_it(episode):\n"
-        "    assert episode.valid\n",
-    )
-    project.scenarios(LONG, "test_it.py")
-    assert chosen(project)[2].startswith("auto: test functions ask for episodes")
+def test_a_component_of_a_conftest_is_simulated_by_copies_with_what_that_file_changes(project):
+    """Also a class in a function, and a function of a module that the conftest replaces."""
+    project.write("speeds.py", "def top():\n    return 0.0\n")
+    project.write("conftest.py", CONFTEST)
+    project.scenarios("--dura-executor=in-process", LONG)
+    plain = record(project)
+    project.scenarios(LONG)
+    assert chosen(project) == ("processes", 2, REASON)
+    assert record(project) == plain
+    events = [event["kind"] for each in plain["episodes"] for event in each["events"]]
+    assert not [kind for kind in events if "failure" in kind]
+
+
+OWN = """
+import os, pytest
+import corridor, speeds
+
+HERE = os.getpid()
+
+class Own(corridor.Careful):
+    seen = []
+    def propose(self, view):
+        self.seen.append(os.getpid())
+        assert os.getpid() != HERE and speeds.top() == 2.0
+        return super().propose(view)
+
+@pytest.fixture(scope="session")
+def generator():
+    return Own
+
+def test_by_hand(orchestrator, monkeypatch):
+    monkeypatch.setattr(speeds, "top", lambda: 2.0)
+    episode = orchestrator.run("corridor/free")
+    assert not [event for event in episode.events if "failure" in event.kind], episode.events
+    assert not Own.seen
+    monkeypatch.undo()
+    episode = orchestrator.run("corridor/free", seed=1)
+    assert [event for event in episode.events if "failure" in event.kind]
+"""
+ENDS = """
+import ctypes, pytest
+import corridor
+
+class Ends(corridor.Careful):
+    def propose(self, view):
+        ctypes.CDLL(None)._exit(0)
+
+@pytest.fixture(scope="session")
+def generator():
+    return Ends
+
+def test_that_ends_its_process(orchestrator):
+    (event,) = orchestrator.run("corridor/free").events
+    assert (event.kind, event.detail) == ("component_failure", "its process ended with exit code 0")
+"""
+BARE = """
+import os, pytest
+from corridor import Careful
+
+HERE = os.getpid()
+
+class Own(Careful):
+    def propose(self, view):
+        assert os.getpid() == HERE
+        self.seen = view.index
+        return super().propose(view)
+
+@pytest.fixture(scope="session")
+def generator():
+    return Own()
+
+def test_by_hand(orchestrator, generator):
+    episode = orchestrator.run("corridor/free")
+    assert not [event for event in episode.events if "failure" in event.kind]
+    assert generator.seen > 0
+"""
+
+
+@pytest.mark.parametrize("test", [OWN, ENDS, BARE], ids=["patched", "ends", "bare"])
+def test_episodes_of_a_test_are_simulated_by_copies_in_which_its_patches_hold(project, test):
+    """What the component keeps is gone with the copy; a bare instance stays in this process."""
+    project.write("speeds.py", "def top():\n    return 0.0\n")
+    project.write("test_it.py", test)
+    result = project.run("test_it.py")
+    assert result.parseoutcomes().get("passed") == 1, result.stdout.str()
+    note = "*Own simulated in pytest's own process: its generator is a bare instance*"
+    if test is BARE:
+        result.stdout.fnmatch_lines([note])
 
 
 @pytest.mark.parametrize("executor", ["auto", "processes"])
