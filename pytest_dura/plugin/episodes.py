@@ -137,8 +137,12 @@ class SessionExecutor:
         if choice.processes is not None:
             from pytest_dura.execution.executors import ExecutorChoice
 
-            self._choice = ExecutorChoice.parse(f"processes:{choice.processes}")
-            self._execution = None
+            chosen = ExecutorChoice.parse(f"processes:{choice.processes}")
+            if (limit := context.options.episode_timeout) is not None:
+                chosen = replace(chosen, seconds=limit)
+            if chosen.kind is not None:
+                chosen.kind.memory = context.options.episode_memory
+            self._choice, self._execution = chosen, None
 
     def start(self, plan: Sequence[Planned], chosen: Mapping[str, RoleSpec | None]) -> None:
         """Start the executor once all is collected: processes find what is found by then.

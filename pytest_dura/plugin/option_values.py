@@ -376,14 +376,13 @@ def memory_limit(setting: Setting) -> int:
 
 def _check_elsewhere(setting: Setting, limit: str) -> None:
     """Refuse a limit of a process where episodes are simulated by pytest's own."""
-    if setting.other("--dura-executor") in (None, AUTO, "in-process"):
+    if setting.other("--dura-executor") == "in-process":
         raise _unusable(
             f"{setting.key} {limit}, and that is pytest's own",
             key=setting.key,
-            found=f"{setting.value} without another executor",
-            expected="--dura-executor=processes, or a Dask cluster",
-            remedy=f"add --dura-executor=processes, or leave out {setting.key}; each call into a"
-            " role has --dura-role-timeout",
+            found=f"{setting.value} beside --dura-executor=in-process",
+            expected="one of them",
+            remedy="leave out one of them; each call into a role has --dura-role-timeout",
         )
 
 

@@ -346,9 +346,10 @@ class Options:
     )
     executor: Option[ExecutorChoice | Literal["auto"] | None] = Option(
         "--dura-executor",
-        "where episodes are simulated: auto, which takes processes where they pay; in-process; "
-        "processes or processes:N on this machine; the workers of a Dask cluster, "
-        "dask://HOST:PORT; or another executor that is registered",
+        "where episodes are simulated: auto, one process for each core, or pytest's own process "
+        "where it does not fork and few episodes are planned; in-process; processes or "
+        "processes:N; the workers of a Dask cluster, dask://HOST:PORT; or another executor that "
+        "is registered",
         executor_choice,
         default=AUTO,
         metavar="EXECUTOR",

@@ -134,6 +134,29 @@ def test_a_component_that_ends_its_process_is_named_and_its_run_is_open(project)
     assert verify_bundle(project.path / "dura-evidence").problems == []
 
 
+MODES = {"default": [], "uncaptured": ["-s"], "workers": ["-n", "2"]}
+FEW = {deed: ENDS[deed] for deed in ("exits", "crashes", "forks")}
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    "role, kind, named",
+    [("generator", "Component", ""), ("simulator", "Plant", "simulator")],
+    ids=["component", "simulator"],
+)
+def test_deaths_are_named_in_every_mode_of_a_session(project, mode, role, kind, named):
+    result, episodes = run(project, role, kind, FEW, *MODES[mode])
+    assert result.ret == 1
+    for deed, how in FEW.items():
+        episode = episodes[case(deed)]
+        if named:
+            where = f"in a call of the {named} at tick 2"
+            assert episode.failure == f"infrastructure: its process {how} {where}"
+        else:
+            assert [each.detail for each in episode.events] == [f"its process {how}"]
+        assert project.verdict("GAP-1", f"corridor/{case(deed)}").verdict == "undecided"
+
+
 @pytest.mark.parametrize(
     "kind, how",
     [
