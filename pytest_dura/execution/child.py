@@ -140,7 +140,8 @@ def _fork_children(control: socket.socket, *, is_clean: bool = True) -> int:
     if is_clean:
         gc.collect()  # of a session it would take long
     gc.freeze()  # a child that searches what was there before for garbage copies all of it
-    has_threads, statuses, template = native_threads() > 1, dict[int, int](), os.getpid()
+    has_threads = is_clean and native_threads() > 1  # a copy has the thread that made it
+    statuses, template = dict[int, int](), os.getpid()
     while True:
         ready = select.select([control.fileno(), woken], [], [])[0]
         if woken in ready:
