@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from pytest_dura.evidence import verify_bundle
 from pytest_dura.execution import ProcessPool
 
 LONG = "--dura-runs=5"
@@ -277,3 +278,31 @@ def test_processes_that_do_not_start_fail_the_session(project, monkeypatch, exec
     result = project.scenarios(LONG, f"--dura-executor={executor}")
     result.stdout.fnmatch_lines(["*no process can be started: no memory*"])
     assert result.ret == 1
+
+
+SLOW_ONCE = """
+import time
+from pathlib import Path
+from corridor import Careful
+
+class SlowOnce(Careful):
+    def propose(self, view):
+        marker = Path("slow")
+        if view.index == 2 and not marker.exists():
+            marker.touch()
+            time.sleep(0.6)
+        return super().propose(view)
+"""
+
+
+@pytest.mark.parametrize("executor, overruns", [("processes:2", 0), ("in-process", 1)])
+def test_an_overrun_beside_others_is_repeated_alone(project, executor, overruns):
+    """Nothing else had the processor where only one episode was simulated at a time."""
+    project.write("slow_once.py", SLOW_ONCE)
+    project.run(
+        "corridor/tight", f"--dura-executor={executor}", "--dura-generator=slow_once:SlowOnce",
+        "--dura-runs=2", "--dura-time-budget=0.3",
+    )  # fmt: skip
+    episodes = project.evidence().episodes
+    assert sum(len(each.spec.timeouts) for each in episodes) == overruns
+    assert verify_bundle(project.path / "dura-evidence").problems == []
