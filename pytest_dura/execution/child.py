@@ -7,6 +7,7 @@ import ctypes
 import faulthandler
 import gc
 import importlib
+import io
 import json
 import logging
 import mmap
@@ -102,8 +103,9 @@ def _leave_session(outputs: Sequence[int]) -> None:
         signal.signal(getattr(signal, name), signal.SIG_DFL)
     _begin_life(os.getppid(), outputs)
     _replace(0, os.open(os.devnull, os.O_RDWR))
-    sys.stdin, sys.stdout, sys.stderr = (
-        os.fdopen(number, mode, closefd=False) for number, mode in enumerate(("r", "w", "w"))
+    sys.stdin = os.fdopen(0, closefd=False)
+    sys.stdout, sys.stderr = (
+        io.TextIOWrapper(os.fdopen(number, "wb", 0, closefd=False)) for number in (1, 2)
     )
     faulthandler.cancel_dump_traceback_later()
     faulthandler.enable(file=sys.stderr)

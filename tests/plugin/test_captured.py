@@ -119,16 +119,8 @@ class Stops(Careful):
 """
 
 
-def test_a_debugger_in_another_process_is_refused_with_the_remedy(project):
-    project.write("stops.py", STOPS)
-    scenario(project, generator="stops:Stops", runs=2, requirements="[GAP-1]")
-    result = project.run("corridor/it", PROCESSES)
-    assert result.ret == 1
-    assert "use --dura-executor=in-process to debug it, or --pdb" in output(result)
-
-
-@pytest.mark.parametrize("how", [["--dura-executor=in-process"], ["--pdb"]], ids=" ".join)
-def test_to_quit_a_debugger_in_a_component_ends_the_session(project, how):
+@pytest.mark.parametrize("how", [[], ["--dura-executor=in-process"], ["--pdb"]], ids=" ".join)
+def test_a_breakpoint_opens_in_pytests_process_and_to_quit_it_ends_the_session(project, how):
     project.write("stops.py", STOPS)
     scenario(project, generator="stops:Stops", runs=2, requirements="[GAP-1]")
     command = project.workers.command("-m", "pytest", "-p", "no:cacheprovider", "corridor/it", *how)

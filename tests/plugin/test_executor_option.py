@@ -20,7 +20,7 @@ def told(project):
 
 
 def test_a_pool_of_processes_leaves_the_same_record(project):
-    project.scenarios()
+    project.scenarios("--dura-executor=in-process")
     plain = told(project)
     assert project.evidence().execution.executor == "in-process"
     before = psutil.Process(os.getpid()).children()
@@ -38,14 +38,12 @@ def test_what_is_simulated_here_all_the_same_is_said(project):
         "conftest.py",
         "import pytest\n"
         "from corridor import Careful\n"
-        "class Planner(Careful):\n"
-        "    pass\n"
         "@pytest.fixture(scope='session')\n"
         "def generator():\n"
-        "    return Planner\n",
+        "    return Careful()\n",
     )
     result = project.scenarios("--dura-executor=processes:1")
-    line = "* of Planner simulated in pytest's own process: the class of its generator is in a *"
+    line = "* of Careful simulated in pytest's own process: its generator is a bare instance"
     result.stdout.fnmatch_lines([line])
 
 
@@ -55,7 +53,6 @@ def test_what_is_simulated_here_all_the_same_is_said(project):
         (["--dura-executor=threads"], "there is no such executor"),
         (["--dura-executor=processes", "-n", "2"], "the workers of pytest-xdist would each start"),
         (["--dura-executor=processes", "--dura-llm=record"], "a cassette is of this process"),
-        (["--dura-episode-timeout=9"], "--dura-episode-timeout is held by ending the process"),
         (
             ["--dura-executor=in-process", "--dura-episode-timeout=9"],
             "--dura-episode-timeout is held by ending the process",
