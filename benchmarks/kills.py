@@ -89,8 +89,9 @@ class Kill:
 POOL, XDIST, DASK = ("--dura-executor=processes:2",), ("-n", "2"), ("dask",)
 KILLS = (
     Kill("worker of pytest-xdist", (XDIST,)),
-    Kill("executor process, starting", (POOL,)),
-    Kill("executor process", (POOL,)),
+    Kill("child, starting", ((), POOL)),
+    Kill("child", ((), POOL)),
+    Kill("template", ((), POOL)),
     Kill("Dask worker", (DASK,)),
     Kill("Dask scheduler", (DASK,)),
     Kill("controller", ((), XDIST, POOL)),
@@ -211,7 +212,7 @@ class Trial:
                 resumed = f"{taken} of {RUNS} taken over"
             self._compare(expected, last)
             twice = sum(Counter(seed for seed, _ in self.project.simulations()).values()) - RUNS
-        cells = [self.number, self.kill.name, " ".join(self.mode) or "in-process", self.name, when]
+        cells = [self.number, self.kill.name, " ".join(self.mode) or "default", self.name, when]
         cells += [code, f"{wait:.1f}", resumed, last, twice, before]
         return [*map(str, cells[:-1]), "; ".join(self.problems) or "yes"]
 
@@ -235,7 +236,7 @@ class Trial:
 
     def _killed(self, process: subprocess.Popen[bytes]) -> str:
         """Kill what is to be killed; when that was, in words."""
-        if self.kill.name == "executor process, starting":
+        if self.kill.name == "child, starting":
             which = self.draw.randint(1, 2)
             delay = self.draw.uniform(0.0, 0.15)
             seen: list[int] = []
@@ -246,7 +247,7 @@ class Trial:
 
             if until(appeared, process):
                 time.sleep(delay)
-                # The template forks once to see whether it can, and that copy is gone at once.
+                # A process forks once to see whether it can, and that copy is gone at once.
                 there = list(self._children(process)) or seen
                 self._end(there[min(which, len(there)) - 1])
             return f"start {which} + {delay * 1000:.0f} ms"
@@ -263,14 +264,24 @@ class Trial:
                 assert self.cluster is not None
                 self.cluster.kill(self.workers[worker])
             else:
-                self._end(self.project.simulations()[episode - 1][1])
+                self._end(self._process_of(process.pid, self.project.simulations()[episode - 1][1]))
         return f"episode {episode} + {delay * 1000:.0f} ms"
+
+    def _process_of(self, controller: int, child: int) -> int:
+        """The process to kill of those from the one that simulated up to the session's."""
+        try:
+            line = [child, *(each.pid for each in psutil.Process(child).parents())]
+        except psutil.NoSuchProcess:
+            return child
+        if self.kill.name == "child" or controller not in line:
+            return child
+        place = line.index(controller)
+        return line[place - 1] if self.kill.name.startswith("worker") else line[1]
 
     def _children(self, process: subprocess.Popen[bytes]) -> Iterator[int]:
         try:
             for child in psutil.Process(process.pid).children(recursive=True):
-                if "pytest_dura.execution.child" in " ".join(child.cmdline()):
-                    yield child.pid
+                yield child.pid
         except psutil.Error:  # it ended in between
             return
 
