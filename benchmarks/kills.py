@@ -248,7 +248,9 @@ class Trial:
             if until(appeared, process):
                 time.sleep(delay)
                 # A process forks once to see whether it can, and that copy is gone at once.
-                there = list(self._children(process)) or seen
+                there: list[int] = []
+                until(lambda: there.extend(self._children(process)) or there, process)
+                there = there or seen
                 self._end(there[min(which, len(there)) - 1])
             return f"start {which} + {delay * 1000:.0f} ms"
         episode, delay = self.draw.randint(1, RUNS - 1), self.draw.uniform(0.0, 0.04)
