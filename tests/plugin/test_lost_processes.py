@@ -58,7 +58,7 @@ def counted(project, request):
     """A case, a role of which notes each simulation, what it comes to, and its third seed."""
     project.write("counted.py", COUNTED)
     scenario(project, runs=5, requirements="[GAP-1]", **request.param)
-    assert project.run("corridor/it").ret == 0
+    assert project.run("corridor/it", "--dura-executor=in-process").ret == 0
     third = simulations(project)[2]
     (project.path / "log").unlink()
     return project, digests(project), third
@@ -101,16 +101,20 @@ def check_kept_episodes_are_no_difference(bundle):
     stranger.unlink()
 
 
+WORKER = ["-n", "1", "--dura-executor=in-process"]
+"""A worker of pytest-xdist that simulates itself."""
+
+
 def test_a_session_that_lost_a_worker_keeps_its_episodes_and_goes_on(counted):
     project, whole, third = counted
     project.write("kills", f"{third} 1")
-    result = project.run("corridor/it", "-n", "1")
+    result = project.run("corridor/it", *WORKER)
     assert result.ret == 1
     record = project.evidence()
     assert (record.status, record.gate.result) == ("complete", "failed")
-    assert "to go on: pytest corridor/it -n 1 --dura-resume" in output(result)
+    assert f"to go on: pytest corridor/it {' '.join(WORKER)} --dura-resume" in output(result)
     check_kept_episodes_are_no_difference(project.path / "dura-evidence")
-    result = project.run("corridor/it", "-n", "1", "--dura-resume")
+    result = project.run("corridor/it", *WORKER, "--dura-resume")
     assert "dura: resuming: 2 episodes of the session of 20" in output(result)
     check_whole(project, whole, result, 6)
 
@@ -118,7 +122,7 @@ def test_a_session_that_lost_a_worker_keeps_its_episodes_and_goes_on(counted):
 def test_a_session_that_is_not_resumed_says_what_it_drops_of_a_lost_worker(counted):
     project, _, third = counted
     project.write("kills", f"{third} 1")
-    project.run("corridor/it", "-n", "1")
+    project.run("corridor/it", *WORKER)
     result = project.run("corridor/it")
     assert result.ret == 0
     assert "dura: dropped: 2 episodes of the session of 20" in output(result)

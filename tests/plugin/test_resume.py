@@ -488,6 +488,7 @@ def test_what_searches_take_over_is_told_and_what_they_find_is_replayed_all_the_
     project.write("test_it.py", SEARCHES)
     project.write("broken", "")
     given = ["test_it.py", "--dura-generator=fast:Fast", "--maxfail=2", *mode]
+    given.append("--dura-executor=in-process")  # which begins nothing that no search asks for
 
     def session(*arguments):
         (project.path / "log").write_text("")

@@ -174,7 +174,7 @@ def test_a_replay_without_a_trace_says_that_it_cannot_compare(simulators):
 def test_a_class_is_opened_once_in_each_process_and_closed_at_its_end(simulators):
     given = ("--dura-simulator=simulators:Served", "--dura-runs=4")
     log = simulators.path / "served.log"
-    simulators.scenarios(*given)
+    simulators.scenarios(*given, "--dura-executor=in-process")
     opened, closed = log.read_text().splitlines()
     assert opened.replace("open", "close") == closed
     log.unlink()

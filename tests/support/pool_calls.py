@@ -10,6 +10,7 @@ import sys
 import time
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any, NoReturn
 
 import pytest
 
@@ -38,6 +39,13 @@ class KilledStarts:
             "and os.kill(os.getpid(), signal.SIGKILL); "
         )
         monkeypatch.setattr(children, "_START", deed + children._START)
+        serve = child._serve
+
+        def begin(*arguments: Any, **more: Any) -> NoReturn:  # of a child that is forked
+            exec(deed)
+            serve(*arguments, **more)
+
+        monkeypatch.setattr(child, "_serve", begin)
 
     @property
     def count(self) -> int:
