@@ -264,9 +264,9 @@ class Runner:
             self.events.emit(running.reach(done, budget, self.store.simulated))
 
         try:
-            yield reach
+            with self.store.steady():
+                yield reach
         finally:
-            self.store.cancel()
             self.events.emit(running.end())
 
     def search_task(self, case: Case, run: int = 0, again: int = 0) -> EpisodeTask:
@@ -345,7 +345,8 @@ class Runner:
                 remedy="take the runner from the fixture `orchestrator`, or make it with "
                 "Runner(..., falsifier=pytest_dura.search.falsify_case)",
             )
-        return self.falsifier(self, case, own, requirement, **limits)
+        with self.store.steady():
+            return self.falsifier(self, case, own, requirement, **limits)
 
     def trace_faults(self, case: Case, runs: Sequence[int]) -> None:
         """Emit the causal chains of episodes that were run before, each once.

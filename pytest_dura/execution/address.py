@@ -207,6 +207,8 @@ def _import(paths: Iterable[tuple[str, str]]) -> None:
                 import_module(module)
 
 
+_SIMULATED: set[str] = set()
+"""Components of episodes that this process has simulated for another one."""
 _LOADED = LoadedModules()
 """Modules of a process that simulates for others. As long as it lives, as the modules do that it
 has imported: calls from other processes reach it by the names of functions, and share no object."""
@@ -269,6 +271,9 @@ def _simulated(task: EpisodeTask, surroundings: Mapping[str, Any] | None) -> byt
     with applied(surroundings) as seen:
         attach(seen)
         try:
+            if task.again and task.spec.component not in _SIMULATED:
+                task.run()  # for what it leaves behind: its episode is to be the same all the same
+            _SIMULATED.add(task.spec.component)
             episode = task.run()
         except BdbQuit:  # of a prompt that nothing can answer here
             raise SessionWanted("it opens a debugger") from None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Executor, Future
 
 from pytest_dura.execution.children import (
     Child,
@@ -27,14 +27,15 @@ class Copies:
 
     Args:
         width: How many copies work at the same time where calls are begun ahead.
+        pool: Makes an executor whose children are forked from one copy.
         memory: Bytes that a copy may take beside those that it begins with.
     """
 
     in_flight = 1
     """Calls per copy that are under way, since each begins at once."""
 
-    def __init__(self, width: int, memory: int | None = None) -> None:
-        self.width, self._memory = width, memory
+    def __init__(self, width: int, pool: Callable[[], Executor], memory: int | None = None) -> None:
+        self.width, self.pool, self._memory = width, pool, memory
         self._lock = threading.Lock()
         self._running: set[Child] = set()
         self._closed = False

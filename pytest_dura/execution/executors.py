@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from queue import Empty, SimpleQueue
@@ -148,7 +148,7 @@ class ExecutorChoice:
         if self.kind is None:
             return Execution()
         width = self.processes if self.kind.makes_copies else None
-        copies = None if width is None else Copies(width, self.kind.memory)
+        copies = None if width is None else Copies(width, self.kind.start, self.kind.memory)
         return Execution(self.name, self.kind.start(), self.seconds, copies=copies)
 
 
@@ -207,6 +207,8 @@ class Execution:
     """Takes what only a copy of this process can simulate, such as a class of a test function."""
     in_test: bool = False
     """Whether a test asks, which may have replaced what is simulated."""
+    _steady: Executor | None = None
+    """Takes the episodes of a test while it waits for several."""
     alone: bool = True
     """Whether no other process of the session runs tests."""
     modules: LoadedModules = field(default_factory=LoadedModules)
@@ -250,7 +252,27 @@ class Execution:
         is_portable = task.portable_to_copy if is_copy else task.portable
         if is_portable and (self.copies is None or not self.in_test):
             return self.executor
+        if self._steady is not None and task.portable_to_copy:
+            return self._steady
         return self.copies if self.copies is not None and self.copies.is_possible else None
+
+    @contextmanager
+    def steady(self) -> Iterator[None]:
+        """Context of several episodes that a test waits for, so that it changes nothing meanwhile.
+
+        Children are forked from one copy of this process then, in place of a copy an episode.
+        """
+        copies = self.copies if self.in_test and self._steady is None else None
+        pool = copies.pool() if copies is not None and copies.is_possible else None
+        if pool is None or not getattr(pool, "is_copy", False):
+            yield
+            return
+        self._steady = pool
+        try:
+            yield
+        finally:
+            self._steady = None
+            pool.shutdown(wait=False, cancel_futures=True)
 
     def submit(self, task: EpisodeTask) -> Future[JudgedEpisode] | Future[bytes]:
         """Begin an episode; the future is of the episode, or of a packed one from elsewhere.

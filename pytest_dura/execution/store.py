@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from logging import getLogger
 from threading import Event
@@ -168,6 +169,15 @@ class EpisodeStore:
             if not flight.is_certain:
                 flight.future.cancel()  # one that runs already ends by itself, and is kept
                 del self._flights[name]
+
+    @contextmanager
+    def steady(self) -> Iterator[None]:
+        """Context of a campaign or a search; in the end, what was begun ahead is given up."""
+        with self.execution.steady():
+            try:
+                yield
+            finally:
+                self.cancel()
 
     def _addressed(
         self, task: EpisodeTask, address: Address, ahead: Iterable[EpisodeTask]

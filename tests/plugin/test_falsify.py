@@ -183,7 +183,9 @@ class Moody(Careful):
 """,
     )
     project.write("test_search.py", SEARCH.format(arguments="budget=30"))
-    result = project.run("test_search.py", "--dura-generator=moody:Moody")
+    # One process counts, which is asked for one simulation after the other.
+    given = ["--dura-generator=moody:Moody", "--dura-executor=in-process"]
+    result = project.run("test_search.py", *given)
     assert result.ret == 1
     (outcome,) = the_search(project).outcomes
     repeats = outcome.counterexample.repeats
@@ -328,7 +330,9 @@ def test_a_file_that_brings_up_another_margin_is_not_kept(project):
     project.write("fading.py", FADING)
     check = "'always (x < 5)', budget=60, shrink=0"
     project.write("test_search.py", SEARCH.format(arguments=check))
-    result = project.run("test_search.py", "--dura-generator=fading:Fading")
+    # One process counts how often it was asked.
+    given = ["--dura-generator=fading:Fading", "--dura-executor=in-process"]
+    result = project.run("test_search.py", *given)
     assert result.ret == 1
     (outcome,) = the_search(project).outcomes
     assert (outcome.status, outcome.counterexample.file) == ("falsified", None)
