@@ -1,4 +1,4 @@
-"""What ``--dura-executor=auto`` chooses: processes where they pay, or pytest's own process."""
+"""What ``--dura-executor=auto`` chooses: processes where they are forked or pay, or pytest's own."""
 
 from __future__ import annotations
 
