@@ -1,4 +1,4 @@
-"""What ``--dura-executor=auto`` chooses: processes where they are forked or pay, or pytest's own."""
+"""What ``--dura-executor=auto`` chooses: processes of this machine, or pytest's own."""
 
 from __future__ import annotations
 
