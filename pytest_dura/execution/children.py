@@ -58,6 +58,9 @@ _SECONDS_TO_END = 10.0
 """How long the pool waits for a process that was killed, or closed its connection."""
 _POLL_SECONDS = 1.0
 """Seconds from one check to the next whether a process still exists."""
+MAX_KILLED = 2
+"""Children that a call may lose to a signal from outside before it is given up."""
+_FROM_OUTSIDE = {getattr(signal, name, None) for name in ("SIGKILL", "SIGTERM", "SIGHUP")}
 _WAIT_SECONDS = 0.002
 """Seconds from one look at a copy that is to end to the next."""
 _MOST_OUTPUT = 100_000
@@ -285,7 +288,8 @@ class ChildEndedError(Exception):
     """
 
     def __init__(self, death: Death, signal: int | None = None, *, overran: bool = False) -> None:
-        self.death, self.signal, self.overran = death, signal, overran
+        self.death = death
+        self.may_be_from_outside = signal in _FROM_OUTSIDE and not overran
         super().__init__(death.how)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 
 from pytest_dura.execution.children import (
+    MAX_KILLED,
     Child,
     ChildEndedError,
     ChildSettings,
@@ -54,46 +55,53 @@ class Copies:
         """
         future: Future[bytes] = Future()
         future.set_running_or_notify_cancel()
-        settings = ChildSettings((), "", memory=self._memory)
         try:
-            child = Child(settings, None, call)
-        except OSError as error:
-            future.set_exception(CallFailedError(f"no process can be started: {error}"))
+            child = self._copy(call)
+        except CallFailedError as error:
+            future.set_exception(error)
             return future
-        with self._lock:
-            self._running.add(child)
-        wait = threading.Thread(
-            target=self._wait, args=(child, seconds, future), name="dura-copy", daemon=True
-        )
-        wait.start()
+
+        def wait() -> None:
+            try:
+                future.set_result(self._result(child, call, seconds, future))
+            except Exception as error:
+                future.set_exception(error)
+
+        threading.Thread(target=wait, name="dura-copy", daemon=True).start()
         return future
 
-    def _wait(self, child: Child, seconds: float | None, future: Future[bytes]) -> None:
-        """Wait for the reply of a copy, in a thread of its own."""
-        error: Exception | None = None
-        reply = b""
+    def _copy(self, call: Callable[[], bytes]) -> Child:
         try:
-            child.wait_until_ready()
-            reply, captured, _ = child.reply(seconds)
-        except ChildEndedError as ended:
-            captured = child.captured()
-            error = ProcessLostError(str(ended.death), ended.death)
-            if self._closed:
-                error = CallFailedError("the session ended before the episode did")
-        except Exception as failed:
-            captured, error = None, failed
+            child = Child(ChildSettings((), "", memory=self._memory), None, call)
+        except OSError as error:
+            raise CallFailedError(f"no process can be started: {error}") from None
         with self._lock:
-            self._running.discard(child)
-        child.end()
-        vars(future)["captured"] = captured
-        try:
-            result = result_of(reply) if error is None else b""
-        except Exception as raised:
-            error = raised
-        if error is None:
-            future.set_result(result)
-        else:
-            future.set_exception(error)
+            self._running.add(child)
+        return child
+
+    def _result(
+        self, child: Child, call: Callable[[], bytes], seconds: float | None, future: Future[bytes]
+    ) -> bytes:
+        """Wait for the result of a copy; one that may have been killed from outside is replaced."""
+        for left in reversed(range(MAX_KILLED)):
+            try:
+                child.wait_until_ready()
+                reply, captured, _ = child.reply(seconds)
+            except ChildEndedError as ended:
+                vars(future)["captured"] = child.captured()
+                if self._closed:
+                    raise CallFailedError("the session ended before the episode did") from None
+                if not (left and ended.may_be_from_outside):
+                    raise ProcessLostError(str(ended.death), ended.death) from None
+            else:
+                vars(future)["captured"] = captured
+                return result_of(reply)
+            finally:
+                with self._lock:
+                    self._running.discard(child)
+                child.end()
+            child = self._copy(call)
+        raise AssertionError("the last copy was replaced")
 
     def close(self) -> None:
         """End the copies, whatever they are at."""

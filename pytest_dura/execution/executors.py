@@ -32,6 +32,9 @@ MAX_SECONDS = 3600.0
 """Limit of an episode in another process, beside the time that its component is given."""
 
 
+_NO_COPY = "a test asks for them, and a copy of this process would lack its threads"
+
+
 def cancel_queued(calls: SimpleQueue[Any]) -> None:
     """Cancel the futures of all calls that are queued; ``None`` stands for the end of a thread."""
     with suppress(Empty):
@@ -348,7 +351,7 @@ class Execution:
             )
         inside = self.inside or self._executor_of(task) is not None
         staying = self.staying.get(task.spec.component)
-        reason = None if inside else staying or reason_not_portable(task)
+        reason = None if inside else staying or reason_not_portable(task) or _NO_COPY
         if reason is not None:
             self.here[task.spec.component, reason] += 1
         return task.run()

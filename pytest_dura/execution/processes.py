@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
@@ -16,6 +15,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 from pytest_dura.core.errors import DuraError
 from pytest_dura.execution.child import FORKS
 from pytest_dura.execution.children import (
+    MAX_KILLED,
     Child,
     ChildEndedError,
     ChildSettings,
@@ -29,12 +29,9 @@ from pytest_dura.execution.replies import CallFailedError, ProcessLostError, res
 MAX_STARTS = 3
 """How often a child is started for a call before the call fails: it may be killed, or get no
 memory, before it takes any call, which says nothing about the call."""
-_MAX_KILLED = 2
-"""Children that a call may lose to a signal from outside before it is given up."""
 _IDLE_SECONDS = 60.0
 """Seconds without a call after which a child ends; the next call gets another."""
 _SESSION_ENDED = "the session ended before the episode did"
-_FROM_OUTSIDE = {getattr(signal, name, None) for name in ("SIGKILL", "SIGTERM", "SIGHUP")}
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -196,10 +193,9 @@ class ProcessPool(Executor):
                 vars(call.future)["captured"] = child.captured()
                 self._end(child)
                 child, killed = None, killed + 1
-                from_outside = ended.signal in _FROM_OUTSIDE and not ended.overran
                 if self._killing:
                     call.future.set_exception(CallFailedError(_SESSION_ENDED))
-                elif from_outside and killed < _MAX_KILLED:
+                elif ended.may_be_from_outside and killed < MAX_KILLED:
                     continue
                 else:
                     lost = ProcessLostError(str(ended.death), ended.death)

@@ -306,3 +306,33 @@ def test_an_overrun_beside_others_is_repeated_alone(project, executor, overruns)
     episodes = project.evidence().episodes
     assert sum(len(each.spec.timeouts) for each in episodes) == overruns
     assert verify_bundle(project.path / "dura-evidence").problems == []
+
+
+THREADED = """
+import threading, time
+import pytest
+
+@pytest.fixture(autouse=True)
+def busy():
+    stop = threading.Event()
+    def work():
+        while not stop.is_set():
+            time.sleep(0.001)
+    thread = threading.Thread(target=work)
+    thread.start()
+    yield
+    stop.set()
+    thread.join()
+
+def test_by_hand(orchestrator):
+    assert not orchestrator.run("corridor/free").collided
+"""
+
+
+def test_a_test_whose_threads_work_is_simulated_in_pytests_process_which_is_said(project):
+    project.write("test_it.py", THREADED)
+    result = project.run("test_it.py")
+    assert result.parseoutcomes().get("passed") == 1, result.stdout.str()
+    result.stdout.fnmatch_lines(
+        ["*pytest's own process: a test asks for them, and a copy of this *"]
+    )
