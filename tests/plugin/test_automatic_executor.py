@@ -11,6 +11,8 @@ import pytest
 from pytest_dura.evidence import verify_bundle
 from pytest_dura.execution import ProcessPool
 
+EXECUTOR = "auto"
+
 LONG = "--dura-runs=5"
 """Of two cases."""
 REASON = "auto: 2 cores"

@@ -9,6 +9,8 @@ import pytest
 from corridors import scenario
 from outputs import output
 
+EXECUTOR = "auto"
+
 PROCESSES = "--dura-executor=processes:2"
 TALKS = """
 import logging, sys, warnings

@@ -15,6 +15,8 @@ from outputs import output
 
 from pytest_dura.__main__ import main
 
+EXECUTOR = "auto"
+
 PARTS = """
 import asyncio, ctypes, os, signal, sys
 import numpy as np

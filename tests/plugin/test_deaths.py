@@ -15,6 +15,8 @@ from outputs import output
 
 from pytest_dura.evidence import verify_bundle
 
+EXECUTOR = "auto"
+
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="deeds and limits are Linux's")
 PARTS = """
 import ctypes, os

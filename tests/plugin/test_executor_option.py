@@ -10,6 +10,8 @@ import psutil
 import pytest
 from corridors import scenario
 
+EXECUTOR = "auto"
+
 
 def told(project):
     keys = {"cases", "episodes", "verdicts", "requirements"}

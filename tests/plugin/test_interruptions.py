@@ -8,6 +8,8 @@ from outputs import output
 
 from pytest_dura.evidence import verify_bundle
 
+EXECUTOR = "auto"
+
 CONFTEST = """
 import os, signal
 import pytest

@@ -12,6 +12,8 @@ from pool_calls import KilledStarts
 from pytest_dura.evidence import verify_bundle
 from pytest_dura.execution import MAX_STARTS
 
+EXECUTOR = "auto"
+
 COUNTED = """
 import os, signal, time
 from pathlib import Path

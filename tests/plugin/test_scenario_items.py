@@ -6,6 +6,8 @@ import pytest
 
 from pytest_dura.evidence.item_verdicts import Waiver
 
+EXECUTOR = "auto"
+
 plain_and_n2 = pytest.mark.parametrize("mode", ["plain", "n2"], indirect=True)
 ITEMS = ["corridor/free::GAP-1", "corridor/free::GO-1", "corridor/tight::GAP-1"]
 

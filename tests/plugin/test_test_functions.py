@@ -3,6 +3,8 @@ from __future__ import annotations
 import pytest
 from outputs import shown_of
 
+EXECUTOR = "auto"
+
 EPISODE_TEST = """
 import pytest
 

@@ -9,6 +9,8 @@ import pytest
 from corridors import requirement, scenario
 from outputs import output
 
+EXECUTOR = "auto"
+
 TESTS = """
 import pytest
 
