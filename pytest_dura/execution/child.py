@@ -239,13 +239,16 @@ def _serve(
     for stream in cast("tuple[Any, Any]", (sys.stdout, sys.stderr)):
         stream.reconfigure(encoding="utf-8", errors="backslashreplace", write_through=True)
     sys.breakpointhook = _want_terminal
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_parent=_note_fork)
     own, pid = _identity(connection), os.getpid()
 
     def check(number: int) -> None:
-        if os.getpid() != pid:  # a copy, of which only one may go on
+        if os.getpid() != pid:  # a copy, also one that was made in C
+            end_process(HARMED)
+        if _forks_of_calls:
             calls.note_copy(number)
             os.kill(pid, signal.SIGKILL)
-            end_process(HARMED)
         if _identity(connection) != own:
             end_process(HARMED)
 
@@ -271,6 +274,18 @@ def _serve(
         _close_simulators()
         os._exit(1)
     os._exit(0)  # also with threads that roles left behind
+
+
+_STARTS_PROGRAMS = ("multiprocessing", "subprocess", "concurrent")
+"""Packages that fork for a program of its own: such a copy never returns to the loop."""
+_forks_of_calls: list[int] = []
+"""Forks of this process that what it called has made, other than by these packages."""
+
+
+def _note_fork() -> None:
+    caller = str(sys._getframe(1).f_globals.get("__name__"))  # noqa: SLF001 - calls os.fork
+    if caller.partition(".")[0] not in _STARTS_PROGRAMS:
+        _forks_of_calls.append(os.getpid())
 
 
 def _want_terminal(*_: Any, **__: Any) -> NoReturn:

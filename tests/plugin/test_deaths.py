@@ -89,7 +89,6 @@ ENDS = {
     "closes": "ended with exit code 70",
     "kills": "was ended by SIGKILL",
     "waits": "was ended, since it took longer than 1.6 s",
-    "forks": "was ended, since it made a copy of itself",
     "forks by Python": "was ended, since it made a copy of itself",
     "runs a program": "ended with exit code 0",
 }
@@ -137,7 +136,7 @@ def test_a_component_that_ends_its_process_is_named_and_its_run_is_open(project)
 
 
 MODES = {"default": [], "uncaptured": ["-s"], "workers": ["-n", "2"]}
-FEW = {deed: ENDS[deed] for deed in ("exits", "crashes", "forks")}
+FEW = {deed: ENDS[deed] for deed in ("exits", "crashes", "forks by Python")}
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -206,6 +205,13 @@ def test_a_component_that_wants_more_memory_than_it_may_take_fails(project):
     (event, *_) = [each for each in episodes["d-allocates"].events if "failure" in each.kind]
     assert (event.tick, event.detail[:18]) == (2, "raised MemoryError")
     assert result.ret == 0, "it fell back at one tick"
+
+
+def test_a_copy_of_its_process_that_a_component_makes_in_c_goes_no_further(project):
+    result, episodes = run(project, "generator", "Component", ["forks"], *PROCESSES)
+    assert result.ret == 0
+    episode = episodes["d-forks"]
+    assert (episode.validity, episode.termination) == ("valid", "time")
 
 
 LASTING = """
