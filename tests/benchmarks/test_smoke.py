@@ -38,7 +38,7 @@ SMALLEST = {
         *("--seeds", "1", "--budget", "1", "--jobs", "1"),
         *("--planners", "reactive", "--scenarios", "conflicting-traffic"),
     ],
-    "kills.py": ["--trials", "1", "--only", "executor process"],
+    "kills.py": ["--trials", "1", "--only", "child"],
     "layered.py": ["--pairs", "1"],
     "llm_defects.py": [
         *("--runs", "1", "--jobs", "1", "--only"),

@@ -262,7 +262,7 @@ def test_episodes_of_a_test_are_simulated_by_copies_in_which_its_patches_hold(pr
     """What the component keeps is gone with the copy; a bare instance stays in this process."""
     project.write("speeds.py", "def top():\n    return 0.0\n")
     project.write("test_it.py", test)
-    result = project.run("test_it.py")
+    result = project.run_apart("test_it.py")  # where no other test has left a thread
     assert result.parseoutcomes().get("passed") == 1, result.stdout.str()
     note = "*Own simulated in pytest's own process: its generator is a bare instance*"
     if test is BARE:

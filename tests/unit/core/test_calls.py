@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from pytest_dura.core.calls import COMPONENT, SIZE, Calls, read_call
+from pytest_dura.core.calls import COMPONENT, SIZE, Calls, CallUnderWay, read_call
 
 
 def read(calls, name):
     with calls.calling(name):
-        return read_call(bytes(calls.shared))
+        return place(calls)
+
+
+def place(calls):
+    call = read_call(bytes(calls.shared))
+    return call.name, call.tick
 
 
 def test_names_are_read_as_they_were_written_as_far_as_there_is_room():
@@ -19,5 +24,15 @@ def test_names_are_read_as_they_were_written_as_far_as_there_is_room():
         assert read(calls, f"check {number}")[0] in (f"check {number}", "")
     assert read(calls, "safety_monitor") == ("safety_monitor", 7)
     assert read(calls, COMPONENT) == (COMPONENT, 7)
-    assert read_call(bytes(calls.shared)) == ("", 7)
+    assert place(calls) == ("", 7)
     assert len(calls.shared) == SIZE
+
+
+def test_the_call_in_which_a_process_copied_itself_stays_whatever_follows():
+    calls = Calls()
+    calls.at(2)
+    with calls.calling("safety_monitor"):
+        calls.note_copy(calls.numbers["safety_monitor"])
+    calls.at(3)
+    with calls.calling(COMPONENT):
+        assert read_call(bytes(calls.shared)) == CallUnderWay("safety_monitor", 2, copied=True)
