@@ -295,9 +295,10 @@ class Execution:
         if isinstance(executor, Copies):
             return executor.submit(partial(simulate_copied, task, surroundings()), seconds)
         is_copy = bool(getattr(executor, "is_copy", False))
+        checks = task.checks if is_copy else self._checks_to_send(task)
         return executor.submit(
             simulate,
-            json.dumps(replace(task, checks=self._checks_to_send(task)).to_json()),
+            json.dumps(replace(task, checks=checks).to_json()),
             None if is_copy else conditions_of(self.modules),
             surroundings(),
             seconds=seconds,

@@ -302,14 +302,14 @@ requirements:
     "mode, is_here",
     [
         (["--dura-executor=in-process"], {"counted": True, "conftest": True}),
-        (["--dura-executor=processes:2"], {"counted": False, "conftest": True}),
+        (["--dura-executor=processes:2"], {"counted": False, "conftest": False}),
         (["-n", "2"], {"counted": False, "conftest": False}),
     ],
     ids=["in-process", "processes", "xdist"],
 )
 @pytest.mark.parametrize("module", ["counted", "conftest"])
 def test_an_own_check_is_called_once_an_episode(project, module, mode, is_here):
-    """However many items ask, and where it was simulated, unless only this process can reach it."""
+    """However many items ask, and where it was simulated."""
     check = f"is_clear_in_{module}"
     project.write(f"{module}.py", COUNTED.format(name=check))
     project.write("test_asked.py", ASKED_THRICE)
