@@ -157,8 +157,10 @@ def simulated_once(project):
     lines = {one.id: f"{one.case} {one.seed}" for one in evidence.episodes}
     repeated = [lines[case.repeat.episode] for case in evidence.cases]
     assert (len(lines), len(repeated)) == (5, 2)
-    simulated = (project.path / "log").read_text().splitlines()
-    return Counter(simulated) == Counter([*lines.values(), *repeated])
+    simulated = Counter((project.path / "log").read_text().splitlines())
+    expected = Counter([*lines.values(), *repeated])
+    # In a process that has simulated nothing of the component, a repetition follows another one.
+    return expected <= simulated <= expected + Counter(repeated)
 
 
 def test_an_episode_is_simulated_once_however_many_items_look_at_it(project, monkeypatch):
