@@ -133,7 +133,8 @@ def _judge(request: pytest.FixtureRequest, _dura_roles: None, dura_orchestrator:
 
     context, planned = request.node.context, request.node.planned
     requirement = context.library().requirements[request.node.name]
-    if dura_orchestrator.store.lacks_plan:
+    # A worker of pytest-xdist does not know which of the later items are its own.
+    if dura_orchestrator.store.lacks_plan and not context.is_worker:
         dura_orchestrator.store.plan(_later_tasks(dura_orchestrator, request.node))
     campaign = dura_orchestrator.campaign(planned.case, requirement=requirement)
     try:
