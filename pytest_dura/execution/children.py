@@ -152,9 +152,9 @@ def _inherited(connection: Any) -> int:
 
 
 _WAITING = frozenset({
-    "concurrent.futures.thread", "execnet.gateway_base", "multiprocessing.connection", "queue",
-    "selectors", "socket", "socketserver", "ssl", "subprocess", "threading", __name__,
-    "pytest_dura.execution.processes",
+    "asyncio.unix_events", "concurrent.futures.thread", "execnet.gateway_base",
+    "multiprocessing.connection", "queue", "selectors", "socket", "socketserver", "ssl",
+    "subprocess", "threading", __name__, "pytest_dura.execution.processes",
 })  # fmt: skip
 """Modules of the innermost frame of a thread that waits for something to do."""
 

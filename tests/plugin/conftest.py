@@ -157,7 +157,8 @@ KEPT = {name: _kept(name) for name in ("entry_points", "files", "metadata")}
 def fast_sessions(request, monkeypatch, forked_workers):
     # A process that has run thousands of tests takes long to fork. What is about processes says so.
     executor = getattr(request.module, "EXECUTOR", "in-process")
-    monkeypatch.setenv("PYTEST_ADDOPTS", f"{WITHOUT_RETRIES} --dura-executor={executor}")
+    given = f" --dura-executor={executor}" if executor else ""
+    monkeypatch.setenv("PYTEST_ADDOPTS", WITHOUT_RETRIES + given)
     # Milliseconds each, for what no test can see: that files survive a loss of power.
     monkeypatch.setattr(os, "fsync", lambda _: None)
     monkeypatch.setattr(sources, "_is_own", IS_OWN)

@@ -7,6 +7,9 @@ import sys
 
 import pytest
 
+EXECUTOR = ""
+"""Sessions that may not know the option."""
+
 HEAVY = [
     "numpy", "highway_env", "rtamt", "pydantic", "yaml", "scipy", "gymnasium", "hypothesis",
     "jinja2", "jsonschema", "mcap", "sqlite3", "lazy_loader",

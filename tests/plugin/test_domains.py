@@ -10,6 +10,9 @@ import pytest
 
 from pytest_dura.evidence.files import file_entry, manifest_text
 
+EXECUTOR = ""
+"""Sessions that may not know the option."""
+
 CAR = """
 name: car/blinded
 simulator: driving

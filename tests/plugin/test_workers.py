@@ -9,8 +9,6 @@ import pytest
 from corridors import requirement, scenario
 from outputs import output
 
-EXECUTOR = "auto"
-
 TESTS = """
 import pytest
 
