@@ -25,6 +25,7 @@ from traces import simple_trace
 
 from pytest_dura.core import Line, Scene, Tracks, derive_seed
 from pytest_dura.core.codec import decode, encode
+from pytest_dura.core.state import Event
 from pytest_dura.evidence import (
     Baseline,
     Cases,
@@ -299,6 +300,11 @@ def session(real, directory, spoil):
     plain = json.loads(json.dumps(told))
     told = spoil.record(plain, record_schema())
     _keep_details(plain, told)
+    for one in told["episodes"]:
+        for event in one["events"]:
+            if "traceback" in event:  # the page folds what has several lines
+                event["traceback"] = f"Traceback\n{event['traceback']}"
+        one["events"] = [encode(decode(Event, event)) for event in one["events"]]  # as long as kept
     _digest_sources(told["component_under_test"])
     for one, reason in zip(told["verdicts"], reasons, strict=True):
         one["reason"] = re.sub(r"\bbias\b", lambda _: spoil("bias"), reason)
