@@ -40,6 +40,8 @@ class _Flight:
     changed: tuple[str, ...] | None = None
     is_certain: bool = False
     """Whether a later item needs it, whatever becomes of the present campaign."""
+    is_beside_others: bool = False
+    """Whether another episode was under way as well, at the cost of the wall clock of this one."""
     cached: bool = False
     put: Event = field(default_factory=Event)
     """Set when the episode is in the cache, or never will be."""
@@ -205,9 +207,12 @@ class EpisodeStore:
 
     def _begin(self, task: EpisodeTask, address: Address) -> _Flight:
         """Begin to simulate an episode."""
+        others = [each for each in self._flights.values() if not each.future.done()]
         future = self.execution.submit(task)
         changed = self.earlier.miss(task, address)
         flight = self._flights[address.name] = _Flight(task, address, future, changed)
+        for each in (flight, *others) if others else ():
+            each.is_beside_others = True
         future.add_done_callback(lambda _: self._put(flight))
         return flight
 
@@ -272,7 +277,7 @@ class EpisodeStore:
             self._flights.pop(flight.address.name, None)
         flight.put.wait(_SECONDS_TO_PUT)
         self.simulated += 1
-        if episode.timeouts and not flight.task.stays and self.execution.width > 1:
+        if episode.timeouts and flight.is_beside_others and not flight.task.stays:
             episode = self._repeated_alone(flight)
         return episode, flight.cached
 
