@@ -291,7 +291,8 @@ class Execution:
             return InProcessExecutor().submit(self.run_here, task)
         if executor is self.threads:
             return self.threads.submit(self.run_here, task)
-        seconds = time_limit_of(task.spec, self.seconds)
+        # A repetition may follow another episode in its process.
+        seconds = time_limit_of(task.spec, self.seconds) * (2 if task.again else 1)
         if isinstance(executor, Copies):
             return executor.submit(partial(simulate_copied, task, surroundings()), seconds)
         is_copy = bool(getattr(executor, "is_copy", False))

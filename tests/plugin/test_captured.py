@@ -130,3 +130,13 @@ def test_a_breakpoint_opens_in_pytests_process_and_to_quit_it_ends_the_session(p
     assert result.ret == 2, output(result)
     assert output(result).count("(Pdb)") == 2, "the one that was left, and the one that was quit"
     assert project.evidence().status == "interrupted"
+
+
+def test_breakpoints_that_the_environment_switches_off_stop_nothing(project, monkeypatch):
+    monkeypatch.setenv("PYTHONBREAKPOINT", "0")
+    project.write("stops.py", STOPS)
+    scenario(project, generator="stops:Stops", runs=2, requirements="[GAP-1]")
+    result = project.run("corridor/it", PROCESSES)
+    assert "(Pdb)" not in output(result)
+    assert result.ret == 0
+    assert "pytest's own process" not in output(result)
