@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
 from corridors import expect, requirement, scenario
 
@@ -276,6 +274,14 @@ def {name}(episode):
         calls.write(f"{{os.getpid()}} {{episode.id}}\\n")
     return float(episode.signals["gap"].min())
 """
+NOTING = """
+import os
+from pathlib import Path
+
+def pytest_configure(config):
+    if not hasattr(config, "workerinput"):
+        Path("session.txt").write_text(str(os.getpid()))
+"""
 ASKED_THRICE = """
 import os
 
@@ -315,14 +321,17 @@ def test_an_own_check_is_called_once_an_episode(project, module, mode, is_here):
     project.write("test_asked.py", ASKED_THRICE)
     project.write("scenarios/requirements_own.yaml", OWN.format(check=f"{module}:{check}"))
     scenario(project, runs=4, requirements="[OWN-1, OWN-2, GAP-1]", recovery_planner="Brake")
-    result = project.run("corridor/it", "test_asked.py", "--alluredir=allure", *mode)
+    project.write("noting.py", NOTING)
+    # In a process where no earlier test has left a thread that a copy would lack.
+    given = ["-p", "noting", "--alluredir=allure", *mode]
+    result = project.run_apart("corridor/it", "test_asked.py", *given)
     result.assert_outcomes(passed=8)
     calls = [line.split() for line in (project.path / "calls.txt").read_text().splitlines()]
     cases = ("corridor/it", "corridor/it~recovery_planner")
     expected = [f"{case}#{run}" for case in cases for run in range(4)]
     assert sorted(episode for _, episode in calls) == expected
-    # Another test may have left a thread here that a copy would lack: then tests simulate here.
-    assert any(process != str(os.getpid()) for process, _ in calls) != is_here[module]
+    session = (project.path / "session.txt").read_text()
+    assert {process == session for process, _ in calls} == {is_here[module]}
 
 
 def test_a_check_that_changed_is_called_again_on_episodes_that_a_session_takes_over(project):
