@@ -184,7 +184,7 @@ def test_tokens_and_price_of_decisions_cases_and_session_are_the_same_in_a_repla
         summary = (project.path / folder / "summary.md").read_text()
         assert f"{spent[0]} | {spent[1]} | {per_decision} | 1 | {cost} |" in summary
         page = (project.path / folder / "report.html").read_text()
-        assert page.count(cost) == 3
+        assert page.count(cost) == 2
         assert verify_bundle(project.path / folder).problems == []
     one, two = (project.evidence(name).episodes[0] for name in ("dura-evidence", "two"))
     assert one.digest == two.digest

@@ -25,7 +25,6 @@ from pytest_dura.reports.incidents import KINDS
 from pytest_dura.reports.tables import (
     VERDICT_COLUMNS,
 )
-from pytest_dura.reports.usage import spending_text
 from pytest_dura.requirements.model import Requirement
 
 Data = Mapping[str, Any]
@@ -118,7 +117,5 @@ def provenance_section(
     """Components under test, and language models; the rest is in the record as it is shown."""
     return {
         "components": components_under_test(record),
-        "models": [
-            (model, spending_text(model, record.head.llm_price)) for model in record.head.models
-        ],
+        "models": record.head.models,
     }
