@@ -257,8 +257,8 @@ def _serve(
     tell_begun(lambda: connection.send_bytes(BEGUN))
     _limit_memory(memory)
     first: int | None = None
+    connection.send_bytes(READY)
     try:
-        connection.send_bytes(READY)
         for count in range(1, most + 1):
             head, reply = _reply_to((receive or connection.recv_bytes)())
             used = _memory()

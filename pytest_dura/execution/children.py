@@ -23,7 +23,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from multiprocessing import Pipe
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -130,6 +130,22 @@ def _open_file() -> IO[bytes]:
     return file
 
 
+def _open_shared_file() -> tuple[IO[bytes], mmap.mmap]:
+    """Open one whose first bytes are shared with each process that has it.
+
+    Raises:
+        CallFailedError: If they cannot be written.
+    """
+    file, why = _open_file(), "the disk of temporary files is full"
+    try:
+        if file.write(bytes(SIZE)) == SIZE:
+            return file, mmap.mmap(file.fileno(), SIZE)
+    except OSError as error:
+        why = str(error)
+    file.close()
+    raise CallFailedError(f"no process can be started: {why}")
+
+
 def _take(file: IO[bytes], begin: int = 0) -> str:
     """Take what was written behind this place, the end of it."""
     size = file.seek(0, os.SEEK_END)
@@ -184,9 +200,10 @@ class _Copy:
 
     Args:
         live: What the copy does; it ends the copy.
+        errors: Where it writes what it raised before that.
     """
 
-    def __init__(self, live: Callable[[], None]) -> None:
+    def __init__(self, live: Callable[[], None], errors: IO[bytes]) -> None:
         self._lock = threading.Lock()
         self._code: int | None = None
         self.pid = fork()
@@ -194,7 +211,7 @@ class _Copy:
             try:
                 live()
             except BaseException:  # the session goes on in the process that was copied
-                os.write(2, traceback.format_exc().encode(errors="replace"))
+                errors.write(traceback.format_exc().encode(errors="replace"))
             finally:
                 os._exit(1)
 
@@ -244,7 +261,7 @@ class Template:
         with theirs:
             self.process: Any
             if copied:
-                self.process = _Copy(lambda: self._live(theirs, settings.memory))
+                self.process = _Copy(lambda: self._live(theirs, settings.memory), self.output)
                 return
             self.process = _start(
                 settings, theirs.fileno(), subprocess.DEVNULL, self.output, forks=True
@@ -329,13 +346,13 @@ class Child:
         self._template = template
         self._process: Any = None
         self._status: int | None = None
-        self._files = _open_file(), _open_file()
-        self._files[0].write(bytes(SIZE))
-        self._shared = mmap.mmap(self._files[0].fileno(), SIZE)
+        shared, self._shared = _open_shared_file()
+        self._files = shared, _open_file()
         self._connection, theirs = Pipe()
         with theirs:
             if call is not None:
-                self._process = _Copy(lambda: self._live(call, theirs, settings.memory))
+                live = partial(self._live, call, theirs, settings.memory)
+                self._process = _Copy(live, self._files[1])
             elif template is None:
                 self._process = _start(settings, _inherited(theirs), *self._files, forks=False)
             if self._process is not None:

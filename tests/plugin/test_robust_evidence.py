@@ -159,21 +159,25 @@ def pytest_runtest_call():
 
 
 @pytest.mark.parametrize(
-    "conftest, told, code",
+    "conftest, executor, told, code",
     [
-        (FULL_AT_THE_END, b"the evidence cannot be written: File too large", 1),
-        (FULL_MEANWHILE, b"the episodes of the session cannot be kept", 2),
+        (FULL_AT_THE_END, "auto", b"the evidence cannot be written: File too large", 1),
+        (FULL_MEANWHILE, "in-process", b"the episodes of the session cannot be kept", 2),
+        (FULL_MEANWHILE, "auto", b"no process can be started: the disk of temporary files", 1),
     ],
-    ids=["at the end", "meanwhile"],
+    ids=["at the end", "meanwhile", "before a process"],
 )
 def test_a_full_disk_fails_the_session_and_leaves_no_half_record(
-    project, conftest, told, code, forked_workers
+    project, conftest, executor, told, code, forked_workers
 ):
     scenario(project, requirements="[GAP-1]")
     project.write("conftest.py", conftest)
     kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
     done = subprocess.run(
-        [*forked_workers.command("-m", "pytest"), "-p", "no:cacheprovider", "corridor/it"],
+        [
+            *forked_workers.command("-m", "pytest"), "-p", "no:cacheprovider", "corridor/it",
+            f"--dura-executor={executor}",
+        ],
         cwd=project.path, env=kept, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         check=False, timeout=WAIT,
     )  # fmt: skip
