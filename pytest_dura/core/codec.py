@@ -35,6 +35,7 @@ from typing import (
     overload,
 )
 
+from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import DuraError
 from pytest_dura.core.mismatches import (
     KINDS,
@@ -347,7 +348,7 @@ def shape_of(type_: Any) -> Shape:
     if known is not None:
         return known
     made_by = _MADE_BY.get(get_origin(type_) or type_)
-    if made_by is None and isinstance(type_, type) and issubclass(type_, str):
+    if made_by is None and is_subclass(type_, str):
         return _text_class(type_)
     if made_by is None:
         raise TypeError(f"a codec cannot read values of the type {type_!r}")

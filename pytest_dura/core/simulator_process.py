@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from pytest_dura.core.calls import current_calls
+from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.simulator import Simulator
 
@@ -64,7 +65,7 @@ def simulating(factory: Callable[..., Any]) -> Iterator[None]:
     Raises:
         ConfigurationError: If the class cannot be opened, or is in use by this thread.
     """
-    if not (isinstance(factory, type) and issubclass(factory, Simulator)):
+    if not is_subclass(factory, Simulator):
         yield
         return
     open_class(factory)

@@ -13,6 +13,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, ClassVar, ParamSpec, TypeVar, cast
 
+from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.episode import EpisodeSpec
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.registry import Registry
@@ -92,7 +93,7 @@ class ExecutorKind(ABC):
 EXECUTORS: Registry[type[ExecutorKind]] = Registry(
     "pytest_dura.executors",
     "executor",
-    lambda value: isinstance(value, type) and issubclass(value, ExecutorKind),
+    lambda value: is_subclass(value, ExecutorKind),
     "a subclass of pytest_dura.ExecutorKind",
 )
 

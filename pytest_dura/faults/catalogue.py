@@ -9,6 +9,7 @@ from typing import Any, ClassVar, get_args
 
 from pydantic import BaseModel, Field, ValidationError, create_model
 
+from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.fault import Fault
 from pytest_dura.core.registry import Registry
@@ -133,7 +134,7 @@ def _holder(kind: type[BaseModel], path: Sequence[Any]) -> type[BaseModel] | Non
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
     """Models that an annotation mentions."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if is_subclass(annotation, BaseModel):
         yield annotation
     for inner in get_args(annotation):
         yield from _models(inner)
@@ -142,7 +143,7 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 FAULT_TYPES: Registry[type[FaultEffect]] = Registry(
     "pytest_dura.faults",
     "fault",
-    lambda value: isinstance(value, type) and issubclass(value, FaultEffect),
+    lambda value: is_subclass(value, FaultEffect),
     "a subclass of pytest_dura.FaultEffect",
     reserved=("none", "catalogue"),
 )

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
 
+from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.core.metrics import COMMAND
 from pytest_dura.core.state import Lazy
@@ -107,7 +108,7 @@ def parameters_of(kind: type[BaseModel]) -> type[BaseModel] | None:
     """Model of a type's parameters; ``None`` for a user's own type without any."""
     field = kind.model_fields.get(PARAMETERS)
     model = None if field is None else field.annotation
-    return model if isinstance(model, type) and issubclass(model, BaseModel) else None
+    return model if is_subclass(model, BaseModel) else None
 
 
 def declared_span(field: FieldInfo) -> Span | None:

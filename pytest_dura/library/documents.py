@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
+from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import ConfigurationError, combine_errors, did_you_mean
 
 MAX_BYTES = 1024 * 1024
@@ -444,7 +445,7 @@ def _model_at(model: type[BaseModel], parts: list[str]) -> type[BaseModel]:
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
     """Yield the models that an annotation mentions."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if is_subclass(annotation, BaseModel):
         yield annotation
     elif get_origin(annotation) in (Union, types.UnionType) or get_args(annotation):
         for inner in get_args(annotation):

@@ -15,6 +15,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
+from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.errors import describe_error
 from pytest_dura.evidence.text import counted
 from pytest_dura.execution.task import EpisodeTask, stated_model
@@ -121,7 +122,7 @@ def _estimate(session: DuraSession, case: Case, episodes: int) -> _CaseEstimate 
     with using(_session(_StandIn("model"))):
         task = session.runner.task(case)
     generator = task.spec.roles["generator"]
-    if not (isinstance(target, type) and issubclass(target, LlmGenerator)):
+    if not is_subclass(target, LlmGenerator):
         return stated_model(generator) is not None
     return _estimated(task, Settings.of(generator.params, target.MANEUVERS), episodes)
 

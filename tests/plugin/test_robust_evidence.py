@@ -159,16 +159,16 @@ def pytest_runtest_call():
 
 
 @pytest.mark.parametrize(
-    "conftest, executor, told, code",
+    "conftest, executor, ends",
     [
-        (FULL_AT_THE_END, "auto", b"the evidence cannot be written: File too large", 1),
-        (FULL_MEANWHILE, "in-process", b"the episodes of the session cannot be kept", 2),
-        (FULL_MEANWHILE, "auto", b"no process can be started: the disk of temporary files", 1),
+        (FULL_AT_THE_END, "auto", (1, b"the evidence cannot be written: File too large")),
+        (FULL_MEANWHILE, "in-process", (2, b"the episodes of the session cannot be kept")),
+        (FULL_MEANWHILE, "auto", (1, b"no process can be started: the disk of temporary files")),
     ],
     ids=["at the end", "meanwhile", "before a process"],
 )
 def test_a_full_disk_fails_the_session_and_leaves_no_half_record(
-    project, conftest, executor, told, code, forked_workers
+    project, conftest, executor, ends, forked_workers
 ):
     scenario(project, requirements="[GAP-1]")
     project.write("conftest.py", conftest)
@@ -181,8 +181,9 @@ def test_a_full_disk_fails_the_session_and_leaves_no_half_record(
         cwd=project.path, env=kept, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         check=False, timeout=WAIT,
     )  # fmt: skip
+    code, message = ends
     assert done.returncode == code, done.stdout
-    assert told in done.stdout
+    assert message in done.stdout
     assert b"Traceback" not in done.stdout
     assert b"INTERNALERROR" not in done.stdout
     record = project.evidence()

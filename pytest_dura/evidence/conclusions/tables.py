@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
+from pytest_dura.core.classes import is_subclass
 from pytest_dura.core.registry import Registry, modules_below
 from pytest_dura.evidence.conclusions.conclusion import Conclusion
 from pytest_dura.evidence.episode_model import EpisodeEntry
@@ -53,7 +54,7 @@ class Table(Conclusion):
 TABLES: Registry[type[Table]] = Registry(
     "pytest_dura.conclusions",
     "table of a session",
-    lambda value: isinstance(value, type) and issubclass(value, Table),
+    lambda value: is_subclass(value, Table),
     "a subclass of pytest_dura.evidence.Table",
 )
 """Tables of other packages by their names."""
@@ -63,7 +64,7 @@ def all_tables() -> Iterator[type[Table]]:
     """Import the tables, those of this package first."""
     for module in modules_below(__package__ or ""):
         for value in vars(module).values():
-            if isinstance(value, type) and issubclass(value, Table) and value is not Table:
+            if is_subclass(value, Table) and value is not Table:
                 yield value
     yield from (table for _, table in TABLES.items())
 
