@@ -12,7 +12,6 @@ import json
 import logging
 import mmap
 import os
-import select
 import signal
 import socket
 import struct
@@ -145,11 +144,11 @@ def _fork_children(control: socket.socket, *, is_clean: bool = True) -> int:
     has_threads = is_clean and native_threads() > 1  # a copy has the thread that made it
     statuses, template = dict[int, int](), os.getpid()
     while True:
-        ready = select.select([control.fileno(), woken], [], [])[0]
+        ready = connections.wait([control, woken])  # any number of open files, unlike select
         if woken in ready:
             os.read(woken, 4096)
             _reap(statuses)
-        if control.fileno() not in ready:
+        if control not in ready:
             continue
         _, given, _, _ = socket.recv_fds(control, 1, 4)
         if not given:  # whatever children are at: the parent is gone

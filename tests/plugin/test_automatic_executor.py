@@ -338,3 +338,25 @@ def test_a_test_whose_threads_work_is_simulated_in_pytests_process_which_is_said
     result.stdout.fnmatch_lines(
         ["*pytest's own process: a test asks for them, and a copy of this *"]
     )
+
+
+MANY_FILES = """
+import os, resource
+FILES = []
+
+def pytest_sessionstart():
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 2000)), hard))
+    FILES.extend(os.open(os.devnull, os.O_RDONLY) for _ in range(1100))
+
+def pytest_sessionfinish():
+    while FILES:
+        os.close(FILES.pop())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="raises a limit of Linux")
+def test_a_session_with_a_great_many_open_files_is_simulated_by_processes(project):
+    project.write("conftest.py", MANY_FILES)
+    assert project.run_apart("corridor/free", "--dura-executor=processes:2").ret == 0
+    assert chosen(project) == ("processes", 2, None)

@@ -220,7 +220,7 @@ def test_flaky(campaign):
     campaign.require(holds_later)
 """,
     )
-    found = junit("test_it.py", "--reruns=1")
+    found = junit("test_it.py", "-p", "rerunfailures", "--reruns=1")
     told = found.of("test_it::test_flaky[corridor/tight]")
     assert told["verdict"] == "violated"
     assert junit_verdicts(found.text) == by_words(project.evidence())

@@ -129,6 +129,9 @@ def test_a_session_whose_controller_was_killed_goes_on_where_it_was(project, mod
         assert process.poll() is None, process.communicate()[0].decode()
         assert time.monotonic() < deadline
         time.sleep(0.02)
+    while len([*(project.path / "dura-evidence/.episodes").rglob("*.episode")]) < 3:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
     workers = {int(line.split()[2]) for line in (project.path / "log").read_text().splitlines()}
     process.send_signal(signal.SIGKILL)
     with process:

@@ -125,12 +125,12 @@ def test_a_skip_after_a_verdict_does_not_hide_it(project):
     expect(project, result, "violated", requirement="GAP-1", ret=1)
 
 
-RERUN = ["--reruns", "1", "-p", "no:xdist"]
+RERUN = ["-p", "rerunfailures", "--reruns", "1", "-p", "no:xdist"]
 RETRIED = make(Waiver, kind="rerun", reason="the item was run again")
 PLUGINS = {
-    "rerunfailures": ["--reruns", "2"],
+    "rerunfailures": ["-p", "rerunfailures", "--reruns", "2"],
     "flaky": ["-p", "flaky", "--force-flaky", "--max-runs", "3"],
-    "pytest-retry": ["-p", "no:rerunfailures", "-p", "pytest-retry", "--retries", "2"],
+    "pytest-retry": ["-p", "pytest-retry", "--retries", "2"],
 }
 """Options with which each of these plugins runs a test at most three times."""
 FAILS_FIRST = """
@@ -224,7 +224,7 @@ def test_a_test_that_is_run_again_after_its_worker_died_is_a_waiver(project):
         "        pathlib.Path('died').touch()\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n",
     )
-    result = project.run_apart("test_it.py", "--reruns", "1", "-n", "1", "--dist", "worksteal")
+    result = project.run_apart("test_it.py", *RERUN[:4], "-n", "1", "--dist", "worksteal")
     assert result.ret == 0
     verdict = project.verdict("GAP-1")
     assert (verdict.verdict, verdict.waiver.kind) == ("supported", "rerun")

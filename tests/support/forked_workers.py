@@ -36,9 +36,9 @@ AVAILABLE = sys.platform == "linux"
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Threads of a numeric library are not there in a copy."""
 
-WITHOUT_RETRIES = "-p no:flaky -p no:pytest-retry"
-"""Options without which these plugins change how each session runs its tests; a session that is to
-have one asks for it: ``-p flaky``."""
+WITHOUT_RETRIES = "-p no:flaky -p no:pytest-retry -p no:rerunfailures"
+"""Options without which these plugins change how each session runs its tests, or leave a thread and
+a socket of each session behind; a session that is to have one asks for it: ``-p flaky``."""
 
 CI_VARIABLES = (
     "CI", "TF_BUILD", "GITHUB_ACTIONS", "GITLAB_CI", "JENKINS_URL", "TEAMCITY_VERSION",
