@@ -43,6 +43,9 @@ from pytest_dura.requirements.episode_verdicts import JudgedEpisode, SearchedEpi
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.searches import Falsification
 
+_MOST_SPECS = 1000
+"""Specs that are kept, those used last."""
+
 
 @dataclass(repr=False)
 class Runner:
@@ -85,6 +88,7 @@ class Runner:
     falsifier: Falsifier | None = None
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
     _traced: set[EpisodeKey] = field(default_factory=set, init=False)
+    _specs: dict[tuple[Any, ...], tuple[Any, EpisodeSpec]] = field(default_factory=dict, init=False)
 
     def __repr__(self) -> str:
         return f"Runner(base_seed={self.base_seed})"
@@ -281,20 +285,34 @@ class Runner:
             run: Number of the run.
             seed: Seed of the episode; by default that of the run within the case.
         """
-        spec = case.spec(
-            run,
-            self.base_seed,
-            self.roles,
-            simulator=self.simulator,
-            seed=seed,
-            resolver=self.resolver,
-        )
-        if self.end_when_decided is not None:
-            end = replace(spec.termination, decided=self.end_when_decided)
-            spec = replace(spec, termination=end)
-        if self.time_budget is not None:
-            spec = replace(spec, time_budget=self.time_budget)
-        return self._task(case, spec)
+        return self._task(case, self._spec(case, run, seed))
+
+    def _spec(self, case: Case, run: int, seed: int | None) -> EpisodeSpec:
+        """The spec of a run, drawn once for all requirements that look at it."""
+        parts = (*self.roles.values(), self.simulator)
+        instances = [id(part.instance) for part in parts if part is not None]  # equal, not the same
+        given = case, parts, self.roles, self.end_when_decided, self.time_budget, instances
+        key = case.id, run, seed
+        known = self._specs.pop(key, None)
+        if known is None or known[0] != given:
+            spec = case.spec(
+                run,
+                self.base_seed,
+                self.roles,
+                simulator=self.simulator,
+                seed=seed,
+                resolver=self.resolver,
+            )
+            if self.end_when_decided is not None:
+                end = replace(spec.termination, decided=self.end_when_decided)
+                spec = replace(spec, termination=end)
+            if self.time_budget is not None:
+                spec = replace(spec, time_budget=self.time_budget)
+            known = given, spec
+        self._specs[key] = known
+        if len(self._specs) > _MOST_SPECS:
+            del self._specs[next(iter(self._specs))]
+        return known[1]
 
     def _task(self, case: Case, spec: EpisodeSpec) -> EpisodeTask:
         requirements = self.requirements_of(case)

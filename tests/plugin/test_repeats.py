@@ -92,6 +92,19 @@ def test_verdicts_on_a_component_that_does_not_repeat_itself_are_undecided(shaky
     assert main(["verify", str(bundle)]) == 0
 
 
+def test_state_of_a_class_shows_where_a_process_of_its_own_repeats(planned, project):
+    planned("Remembers")
+    project.write(
+        "test_it.py",
+        "import pytest\n"
+        "@pytest.mark.dura(scenario='corridor/it')\n"
+        "@pytest.mark.requirement('GAP-1')\n"
+        "def test_it(episode): pass\n",
+    )
+    assert project.run("test_it.py", "--dura-executor=processes:2").ret == 1
+    assert repeat(project).result == "different"
+
+
 def test_a_violation_stays_one_where_the_repetition_differs(planned, project):
     requirement(project, "always (gap > 8.95)")
     planned("Remembers", requirements="[R-1]", world="{wall: 9.0}")
