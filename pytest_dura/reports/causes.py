@@ -12,7 +12,7 @@ Texts are bounded and printable; each format still has to escape them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -34,11 +34,13 @@ from pytest_dura.reports.incidents import (
     Violation,
     amount_text,
     event_clause,
+    own_failure_key,
+    own_failure_step,
     twin_outcomes,
     what_happened,
 )
 from pytest_dura.reports.next_steps import next_step
-from pytest_dura.reports.undecided import Obstacle, obstacle_of
+from pytest_dura.reports.undecided import Obstacle, obstacle_of, own_failures_text
 from pytest_dura.reports.wording import is_incomplete, names_text
 from pytest_dura.requirements.model import Requirement
 
@@ -223,7 +225,7 @@ class _Causes:
                 place = places[key]
                 causes[place] = self._joined(causes[place], verdicts)
             else:
-                causes.append(self._of_obstacle(obstacle, verdicts))
+                causes.append(self._of_obstacle(obstacle, verdicts, places))
         return causes
 
     def _incidents(self) -> dict[EpisodeKey, Incident]:
@@ -321,16 +323,34 @@ class _Causes:
         requirement = self._requirements[verdict.requirement]
         return Finding(requirement, verdict, verdict.check or requirement.check)
 
-    def _of_obstacle(self, obstacle: Obstacle, verdicts: Sequence[ItemVerdict]) -> Cause:
-        """The cause of undecided verdicts that no violation explains."""
-        text = obstacle.headline
-        brief = self._episodes.get(obstacle.episode or "", verdicts[0].component)
-        if brief is not None and brief.grave is not None and obstacle.shows_event:
-            text += f": {event_clause(brief.grave, brief)}"
+    def _of_obstacle(
+        self, obstacle: Obstacle, verdicts: Sequence[ItemVerdict], known: Container[tuple[str, str]]
+    ) -> Cause:
+        """The cause of undecided verdicts that no violation explains.
+
+        Args:
+            obstacle: Why they are undecided.
+            verdicts: At least one.
+            known: Components and their own failures of which a cause tells.
+        """
+        text, component = obstacle.headline, verdicts[0].component
+        brief = self._episodes.get(obstacle.episode or "", component)
+        shown = brief.grave if brief is not None and obstacle.shows_event else None
+        if brief is not None and shown is not None:
+            text += f": {event_clause(shown, brief)}"
         elif len(verdicts) > 1 and not obstacle.cause:
             names = names_text(list(dict.fromkeys(each.requirement for each in verdicts)))
             text += f" (the worst of {len(verdicts)} verdicts: {names})"
         step, episode = obstacle.next_step, obstacle.episode
+        for verdict in verdicts[:1] if not obstacle.cause else ():
+            # What a component raised comes before everything that more runs would show.
+            failures = self._episodes.raised[verdict.case, component]
+            event = failures.event
+            if event is not None and (component, own_failure_key(event)) not in known:
+                if shown is None or shown.kind != OWN_FAILURE:
+                    text += f"; {own_failures_text(verdict, failures)}"
+                step = own_failure_step(name(component), event.detail)
+                episode = failures.episode
         return self._of_verdicts("undecided", f"{text}.", verdicts, step, episode)
 
     def _of_verdicts(

@@ -14,6 +14,7 @@ from pytest_dura.reports.incidents import (
     own_failure_step,
 )
 from pytest_dura.requirements.campaign_verdicts import (
+    FEW_PROPOSALS,
     REPEATED,
     SITUATIONS,
     TEST_FAILED,
@@ -82,19 +83,27 @@ def _missing(verdict: ItemVerdict) -> Obstacle | None:
 
 
 def _own_failure(verdict: ItemVerdict, failures: OwnFailures) -> Obstacle | None:
-    """The component failed in each run, so that nothing that it did was judged."""
+    """The component failed in each run, or so often that too little that it did was judged."""
     event = failures.event
-    if event is None or not failures.everywhere:
+    if event is None or not (failures.everywhere or FEW_PROPOSALS in verdict.reason):
         return None
     return Obstacle(
         own_failure_key(event),
-        f"{own_failure_clause(name(verdict.component), one_line(event.detail, _MAX_DETAIL))} at "
-        f"t = {event.time:.2f} s, in each of {counted(failures.runs, 'run')} of "
-        f"{name(verdict.case)}",
+        own_failures_text(verdict, failures),
         own_failure_step(name(verdict.component), event.detail),
         failures.episode,
         cause=own_failure_key(event),
     )
+
+
+def own_failures_text(verdict: ItemVerdict, failures: OwnFailures) -> str:
+    """What the component did by itself, when first, and in how many runs of the case."""
+    event = failures.event
+    assert event is not None, "of a component that failed"
+    what = own_failure_clause(name(verdict.component), one_line(event.detail, _MAX_DETAIL))
+    count = "each" if failures.everywhere else str(failures.failed)
+    runs = f"{count} of {counted(failures.runs, 'run')} of {name(verdict.case)}"
+    return f"{what} at t = {event.time:.2f} s, in {runs}"
 
 
 def _not_repeatable(verdict: ItemVerdict) -> Obstacle | None:

@@ -192,7 +192,8 @@ def supported_sentence(verdicts: list[ItemVerdict]) -> str:
     """How many of a session's verdicts are supported, their weakest bound, weak requirements."""
     supported = [verdict for verdict in verdicts if verdict.verdict == "supported"]
     if not supported:
-        return f"None of {len(verdicts)} verdicts is supported.{_weak_requirements(verdicts)}"
+        none = f"None of {len(verdicts)} verdicts is" if verdicts[1:] else "The one verdict is not"
+        return f"{none} supported.{_weak_requirements(verdicts)}"
     return (
         f"{_share(supported, verdicts)} supported.{_weakest_bound(supported)}"
         f"{_weak_requirements(verdicts)}"

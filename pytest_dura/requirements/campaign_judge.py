@@ -10,6 +10,7 @@ from typing import Literal
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.requirements.campaign_verdicts import (
     EVERY_EPISODE,
+    FEW_PROPOSALS,
     REPEATED,
     SITUATIONS,
     TEST_FAILED,
@@ -444,7 +445,7 @@ class CampaignJudge:
         valid_proposals = sum(verdict.valid_proposals for verdict in self.verdicts)
         if valid_proposals < _MIN_VALID_PROPOSALS * proposals:
             ticks = f"{valid_proposals} of {proposals} ticks"
-            flaws.append(f"the component made a valid proposal at only {ticks}")
+            flaws.append(f"{FEW_PROPOSALS}{ticks}")
         return flaws
 
     def _early_ends(self) -> list[str]:

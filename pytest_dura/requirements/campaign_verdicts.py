@@ -249,6 +249,7 @@ class UncountedEpisode:
     """Why, in words."""
 
 
+FEW_PROPOSALS = "the component made a valid proposal at only "
 TEST_FAILED = "the test failed: "
 """Beginning of the detail of an episode that a test did not judge, by an error of its own."""
 

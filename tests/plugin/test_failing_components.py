@@ -5,7 +5,7 @@ from html import unescape
 from xml.etree import ElementTree as ET
 
 import pytest
-from corridors import IDLE, scenario
+from corridors import IDLE, requirement, scenario
 
 from pytest_dura.evidence import open_record, verify_bundle
 from pytest_dura.reports.document import Level
@@ -270,3 +270,50 @@ def test_the_gate_fails_on_a_verdict_for_which_no_test_failed(project):
     project.write("test_it.py", TEST.format("tight"))
     assert project.run("test_it.py").ret == 0
     assert project.run("test_it.py", "-k", "tight and 0").ret == 1
+
+
+SOMETIMES = """
+from corridor import Careful
+from pytest_dura import stream
+
+class Sometimes(Careful):
+    def reset(self, context):
+        self.fails = stream(context.seed, "mood").random() < 0.4
+
+    def propose(self, view):
+        if self.fails:
+            raise ValueError("out of ideas")
+        return super().propose(view)
+"""
+
+
+@pytest.mark.parametrize(
+    ("seed", "asked", "runs", "because"),
+    [
+        (0, "GAP-1", 2, ""),
+        (0, "GAP-1, GO-1", 2, ""),
+        (1, "OFTEN-1", 1, "Too few runs to tell: 1 of 3 violate OFTEN-1 on corridor/fails"),
+    ],
+)
+def test_a_card_names_what_a_component_raised_in_some_runs(project, seed, asked, runs, because):
+    project.write("sometimes.py", SOMETIMES)
+    requirement(
+        project, "eventually (cleared >= 1)", "OFTEN-1", at_most="0.4", confidence="0.95"
+    )  # fmt: skip
+    scenario(
+        project, "fails", generator="sometimes:Sometimes", runs=3, duration=2.0,
+        requirements=f"[{asked}]",
+    )  # fmt: skip
+    _, text = failing(project, "fails", f"--dura-seed={seed}")
+    assert project.verdicts()["corridor/fails", asked.partition(",")[0]] == "undecided"
+    assert " (1 of 1 cause)" in text, "what the same exception leaves undecided has no second card"
+    (card,) = document_of(open_record(project.path / "dura-evidence/evidence.json")).cards
+    assert because in card.headline
+    assert "Sometimes raised ValueError: out of ideas (sometimes.py:" in card.headline
+    assert f"in {runs} of 3 runs" in card.headline
+    entries = {entry.label: entry.text for entry in card.entries}
+    assert entries["next"].startswith("Repair Sometimes first, at sometimes.py:")
+    assert 'raise ValueError("out of ideas")' in entries["traceback"]
+    first = entries["episode"].partition(";")[0]
+    (replayed,) = (each for each in project.evidence().episodes if each.id == first)
+    assert replayed.events[0].kind == "component_failure"

@@ -34,7 +34,7 @@ def test_what_is_violated_and_supported_comes_with_the_weakest_bound_and_its_n()
 def test_a_session_that_supports_nothing_says_so():
     assert told(conclusion_sentences, verdicts=[]) == "No requirement led to a verdict."
     text = told(conclusion_sentences, verdicts=[UNDECIDED])
-    assert text == "None of 1 verdicts is supported."
+    assert text == "The one verdict is not supported."
     assert "no violation" not in told(limitation_sentences, verdicts=[UNDECIDED])
 
 
