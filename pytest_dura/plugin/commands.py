@@ -7,9 +7,12 @@ violates a requirement.
 
 from __future__ import annotations
 
+from bdb import BdbQuit
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import counted
@@ -38,8 +41,12 @@ def run_command(session: DuraSession) -> int:
             session.roles.check()
             session.make_plan()
             return _show_list(session)
-        with session.models:
-            return reduce(session) if options.replay is None else replay(session)
+        try:
+            with session.models:
+                return reduce(session) if options.replay is None else replay(session)
+        except BdbQuit:  # of a prompt, where pytest has not yet put its own in place
+            print_lines(["Exit: Quitting debugger"], session.redact)
+            return pytest.ExitCode.INTERRUPTED
 
 
 def _fault_line(name: str) -> str:

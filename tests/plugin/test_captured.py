@@ -132,6 +132,21 @@ def test_a_breakpoint_opens_in_pytests_process_and_to_quit_it_ends_the_session(p
     assert project.evidence().status == "interrupted"
 
 
+def test_to_quit_a_debugger_in_a_replay_ends_it_as_it_ends_a_session(project, monkeypatch):
+    project.write("stops.py", STOPS)
+    scenario(project, generator="stops:Stops", runs=1, requirements="[GAP-1]")
+    with monkeypatch.context() as context:
+        context.setenv("PYTHONBREAKPOINT", "0")
+        project.run("corridor/it")
+    episode = project.evidence().episodes[0].id
+    command = ("-m", "pytest", "-p", "no:cacheprovider", f"--dura-replay={episode}", "-s")
+    result = project.pytester.run(*project.workers.command(*command), stdin=b"c\nq\n")
+    assert result.ret == 2, output(result)
+    assert output(result).count("(Pdb)") == 2
+    assert result.outlines[-1].endswith("Exit: Quitting debugger")
+    assert "Traceback" not in output(result)
+
+
 def test_breakpoints_that_the_environment_switches_off_stop_nothing(project, monkeypatch):
     monkeypatch.setenv("PYTHONBREAKPOINT", "0")
     project.write("stops.py", STOPS)
