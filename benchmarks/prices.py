@@ -4,9 +4,10 @@ Run: python benchmarks/prices.py
 
 Each feature is one file of ``benchmarks/prices/``, which is put into a copy of the package; no
 other file of the copy changes. Two shards of a session are run with it, verified and merged. The
-table says whether the feature's figures are in the terminal, in the page and in the merged record,
+table says whether the feature's figures are in the terminal, in the page and in the merged bundle,
 and whether ``verify`` finds one that was changed. A second table is of patches, each of one file
-of the package: of a column of a table and of an entry of a card, in each format.
+of the package: of a column of a table and of an entry of a card, in each format. A third one is of
+a report format, which a project registers by a file of its own.
 """
 
 from __future__ import annotations
@@ -55,13 +56,18 @@ class Price:
         """The object that holds a figure of it in a record, and the key there."""
         if self.file == "near_misses.py":
             return record["conclusions"]["near_misses"]["rows"][0], 2
+        if self.file == "simulated_time.py":  # it draws what each record has
+            return record["episodes"][0]["timings"], "simulated_seconds"
         return record["episodes"][0]["outcome"]["measures"], "hardest_braking"
 
 
 PRICES = (
     Price("figure of an episode", "hardest_braking.py", "driving/measures", "braking"),
     Price("table of the session", "near_misses.py", "evidence/conclusions", "Near misses"),
+    Price("plot", "simulated_time.py", "reports/plots", "Simulated time by case"),
 )
+FORMAT = "verdicts_csv.py"
+"""Of a file of the bundle, beside the project's tests."""
 
 
 PATCHES = (
@@ -131,10 +137,16 @@ def measured(price: Price) -> list[str]:
             run(package, "-m", "pytest_dura", "verify", str(whole))
         )
         page = price.heading.lower() in (whole / "report.html").read_text("utf-8").lower()
+        if price.folder == "reports/plots":
+            page = page and f'id="simulated-time-title">{price.heading}<' in (
+                (whole / "report.html").read_text("utf-8")
+            )
         place[key] += 1
         (whole / "evidence.json").write_text(json.dumps(record), encoding="utf-8")
         forged = run(package, "-m", "pytest_dura", "verify", str(whole))
-        found = bool(re.search(r"evidence.json: /|its hardest_braking is", forged))
+        found = bool(
+            re.search(r"evidence.json: /|its hardest_braking is|report.html: not as", forged)
+        )
     return [
         price.feature,
         f"`pytest_dura/{price.folder}/{price.file}`",
@@ -144,6 +156,29 @@ def measured(price: Price) -> list[str]:
         "yes" if intact and found else "no",
         "yes" if merged else "no",
     ]
+
+
+def registered() -> list[str]:
+    """The row of the report format: whether a session writes, lists and checks its file."""
+    with tempfile.TemporaryDirectory() as folder:
+        package = Path(folder)
+        copy_to(package)
+        shutil.copy(FEATURES / FORMAT, package)
+        loaded = ("-p", Path(FORMAT).stem)
+        shown = run(package, *SESSION, *loaded)
+        verify = ("-m", "pytest_dura", *loaded, "verify", str(package / "dura-evidence"))
+        listed = "verdicts.csv" in run(package, "-m", "pytest", "--dura-list", *loaded)
+        bundle = package / "dura-evidence"
+        manifest = json.loads((bundle / "manifest.json").read_text("utf-8"))
+        written = "verdicts.csv" in manifest["files"] and "evidence: " in shown
+        intact = is_intact(run(package, *verify))
+        file = bundle / "verdicts.csv"
+        file.write_text(file.read_text("utf-8").replace("intersection/", "another/"), "utf-8")
+        changed = run(package, *verify)
+        found = intact and "verdicts.csv: not as it is rendered" in changed
+    lines = str(len((FEATURES / FORMAT).read_text("utf-8").splitlines()))
+    places = ["yes" if each else "no" for each in (written, listed, found)]
+    return ["report format", f"`{FORMAT}`", lines, *places]
 
 
 def is_intact(output: str) -> bool:
@@ -165,8 +200,10 @@ def main() -> None:
     print(table(headers, [measured(price) for price in PRICES]))
     columns = ["feature", "edited; no other is", "lines", "terminal", "summary", "page"]
     print("\n" + table(columns, [patched(*each) for each in PATCHES]))
-    for price in PRICES:
-        print(f"\n```python\n{(FEATURES / price.file).read_text('utf-8')}```")
+    columns = ["feature", "new file of a project", "lines", "bundle", "--dura-list", "verify"]
+    print("\n" + table(columns, [registered()]))
+    for file in (*(price.file for price in PRICES), FORMAT):
+        print(f"\n```python\n{(FEATURES / file).read_text('utf-8')}```")
 
 
 if __name__ == "__main__":

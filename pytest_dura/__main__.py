@@ -7,12 +7,13 @@ import json
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TextIO
 
 from pytest_dura import __version__
-from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.errors import ConfigurationError, import_error
 from pytest_dura.evidence.text import one_line, visible, without_commands
 
 _USAGE_ERROR = 2
@@ -30,6 +31,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     that could be compared is equal, but the formats could not be rendered again.
     """
     parser = argparse.ArgumentParser(prog="python -m pytest_dura", description=__doc__)
+    parser.add_argument(
+        "-p",
+        dest="modules",
+        metavar="MODULE",
+        action="append",
+        default=[],
+        help="import this module first, as pytest does: what it registers is then known",
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     init = commands.add_parser(
         "init", help="make a project: a planner, a scenario, a requirement, a CI file"
@@ -139,6 +148,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     try:
         options = parser.parse_args(arguments)
+        for module in options.modules:
+            _import(module)
         return _COMMANDS[options.command](options)
     except BrokenPipeError:  # the reader, such as `head`, has ended
         # Flushing at exit would raise it again.
@@ -147,6 +158,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ConfigurationError as error:
         _print(visible(str(error), _MAX_LENGTH), file=sys.stderr)
         return _USAGE_ERROR
+
+
+def _import(module: str) -> None:
+    """Import a module that the caller names.
+
+    Raises:
+        ConfigurationError: If it cannot be imported.
+    """
+    try:
+        import_module(module)
+    except Exception as error:
+        raise import_error(
+            error, "a module cannot be imported", module=module, found=module,
+            expected="the name of a module on the import path", remedy="correct -p",
+        ) from None  # fmt: skip
 
 
 def _init(options: argparse.Namespace) -> int:

@@ -169,12 +169,14 @@ def _registered_lines() -> Iterator[str]:
     from pytest_dura.evidence.conclusions.tables import TABLES
     from pytest_dura.execution.executors import EXECUTORS
     from pytest_dura.faults.catalogue import FAULT_TYPES
+    from pytest_dura.reports.plots.plot import PLOTS
 
     listed: dict[str, Registry[Any]] = {
         "simulators (for `simulator` in a scenario)": SIMULATORS,
         "executors (for --dura-executor)": EXECUTORS,
         "report formats (files of each bundle)": FORMATS,
         "tables of a session": TABLES,
+        "plots of a session": PLOTS,
     }
     for title, registry in listed.items():
         yield from ("", title)

@@ -159,15 +159,17 @@ def summary(
         notes: Where episodes were simulated against what an option says.
         shared: What was taken over, and what can be.
     """
+    from pytest_dura.reports.document import Level
     from pytest_dura.reports.pens.terminal import MOST_ROWS, TerminalPen, indent_if_reserved
     from pytest_dura.reports.story import document_of
 
-    document = document_of(record)
+    verbose = context.config.option.verbose > 0
+    document = document_of(record, Level.SUMMARY if verbose else Level.TERMINAL)
 
     def command(entry: Entry) -> str:
         return (replay_command if entry.kind == "replay" else rerun_command)(context, entry.text)
 
-    pen = TerminalPen(document, command, verbose=context.config.option.verbose > 0)
+    pen = TerminalPen(document, command, verbose=verbose)
     lines = list(pen.lines())
     if not lines and not record.head.shard:
         return

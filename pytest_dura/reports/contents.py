@@ -21,7 +21,7 @@ from pytest_dura.evidence.case_model import (
 )
 from pytest_dura.evidence.episode_model import EpisodeEntry, OutcomeEntry, TraceEntry
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.model import RecordHead, SessionRecord
 
 _MAX_READABLE = 80
 """Readable characters of an anchor."""
@@ -103,7 +103,7 @@ MAX_PLAIN_CASES = 1000
 """Cases without anything to report that have rows of their own."""
 
 
-def folded_cases(record: SessionRecord) -> frozenset[CaseKey]:
+def folded_cases(head: RecordHead) -> frozenset[CaseKey]:
     """The cases that have no rows of their own, by id and component: the last of too many.
 
     Only cases without anything to report are folded: each of their requirements is judged, and
@@ -112,13 +112,11 @@ def folded_cases(record: SessionRecord) -> frozenset[CaseKey]:
     shown, however much it is.
     """
     judged: dict[CaseKey, list[ItemVerdict]] = defaultdict(list)
-    for verdict in record.head.verdicts:
+    for verdict in head.verdicts:
         judged[verdict_key(verdict)].append(verdict)
-    grave = [measure.name for measure in record.head.measures if measure.severity == "grave"]
+    grave = [measure.name for measure in head.measures if measure.severity == "grave"]
     plain = [
-        key
-        for case in record.head.cases
-        if _is_plain(case, judged.get(key := case_key(case), []), grave)
+        key for case in head.cases if _is_plain(case, judged.get(key := case_key(case), []), grave)
     ]
     return frozenset(plain[MAX_PLAIN_CASES:])
 
@@ -302,7 +300,7 @@ class ReportContents:
                     turn = len(turns) + sampled[of_case]
                     sampled[of_case] += 1
                 _keep_lowest(candidates, turn, shown, _MAX_CANDIDATES)
-        return cls(cases, _in_order(listed), _in_order(candidates), folded_cases(record))
+        return cls(cases, _in_order(listed), _in_order(candidates), folded_cases(record.head))
 
 
 def _violations_by_episode(record: SessionRecord) -> dict[CaseKey, list[str]]:

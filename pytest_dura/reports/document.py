@@ -12,6 +12,7 @@ from enum import IntEnum
 from typing import Any, Literal
 
 from pytest_dura.reports.columns import Column, Shown
+from pytest_dura.reports.svg import Svg
 
 
 class Level(IntEnum):
@@ -142,7 +143,64 @@ class Table:
     view: str = ""
 
 
-Part = Text | Card | Table
+@dataclass(frozen=True)
+class Picture:
+    """A picture of a plot.
+
+    Args:
+        title: What it shows.
+        svg: The picture.
+        about: Goes on from its title, in sentences.
+        numbers: What it shows as a table; ``None`` without one.
+        left_out: What is not drawn, of :func:`not_drawn`.
+        mark: Stands behind its title, smaller.
+        opened: Whether the page unfolds it, where it is one of several below a heading; ``None``
+            where it is never folded.
+    """
+
+    title: str
+    svg: Svg
+    about: str = ""
+    numbers: Table | None = None
+    left_out: str = ""
+    mark: str = ""
+    opened: bool | None = None
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Pictures of one kind; in formats without pictures what they show, in words.
+
+    Args:
+        title: Its heading; empty for none.
+        pictures: In order of importance.
+        about: Sentences below the heading.
+        lines: The words, each on lines of its own.
+        left_out: Pictures that are not drawn, of :func:`not_drawn`.
+        small: Whether they stand side by side.
+        weight: From which level on it is shown.
+        shown: Formats that have it; those without pictures where there are words.
+        view: The page's view that has it.
+    """
+
+    title: str = ""
+    pictures: tuple[Picture, ...] = ()
+    about: str = ""
+    lines: tuple[str, ...] = ()
+    left_out: str = ""
+    small: bool = False
+    weight: Level = Level.SUMMARY
+    shown: Shown = Shown.ALL
+    status: str = ""
+    view: str = "plots"
+
+
+def not_drawn(number: int, what: str) -> str:
+    """Say how much is not drawn, such as ``3 more cases are``; empty for nothing."""
+    return f"{number} more {what} not drawn." if number else ""
+
+
+Part = Text | Card | Table | Plot
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ from pytest_dura.reports.failure_modes import (
     uncovered_lines,
 )
 from pytest_dura.reports.hazards import hazard_line
+from pytest_dura.reports.operating_domain import pair_parts
+from pytest_dura.reports.plots.plot import plots_of
 from pytest_dura.reports.searches import (
     NOTHING_SUPPORTED,
     is_notable_outcome,
@@ -92,8 +94,13 @@ _MOST_MODES = 3
 _CANNOT_BE_TOLD = "cannot be told"
 
 
-def document_of(record: SessionRecord) -> Document:
-    """Make the document of a session's record."""
+def document_of(record: SessionRecord, level: Level = Level.PAGE) -> Document:
+    """Make the document of a session's record.
+
+    Args:
+        record: The record.
+        level: Up to which level of detail plots are drawn.
+    """
     sections = [
         Section("Causes", tuple(cards_of(record))),
         Section("Shown", (Text(tuple(conclusion_sentences(record)), shown=Shown.FILES),)),
@@ -101,6 +108,8 @@ def document_of(record: SessionRecord) -> Document:
         *_case_sections(record),
         Section("Searches", tuple(_search_parts(record))),
         *_file_sections(record),
+        Section("Coverage of the operating domain", tuple(pair_parts(record.head))),
+        *_plot_sections(record, level),
         Section("", tuple(_note_parts(record))),
         Section("Baseline", tuple(_baseline_parts(record))),
     ]
@@ -235,6 +244,14 @@ def _file_sections(record: SessionRecord) -> Iterator[Section]:
     for title, table in files.items():
         if table is not None:
             yield Section(title, (table,))
+
+
+def _plot_sections(record: SessionRecord, level: Level) -> Iterator[Section]:
+    """Plots; formats without pictures have the title and the words of those with words."""
+    for plot in plots_of(record, level) if level > Level.TERMINAL else ():
+        words = _terminal([one_line(plot.title)], plot.weight) if plot.lines else ()
+        shown = plot.shown if plot.lines else Shown.PAGE
+        yield Section(plot.title, (*words, replace(plot, shown=shown)))
 
 
 def _terminal(

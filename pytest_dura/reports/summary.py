@@ -10,7 +10,7 @@ from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import LanguageModelEntry, PriceEntry
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.reports.columns import measure_label
-from pytest_dura.reports.document import Entry
+from pytest_dura.reports.document import Entry, Level
 from pytest_dura.reports.failure_modes import (
     NULL_NOTE,
     decision_age_lines,
@@ -20,7 +20,6 @@ from pytest_dura.reports.failure_modes import (
     unavailability_text,
     uncovered_lines,
 )
-from pytest_dura.reports.operating_domain import combination_text, pair_text
 from pytest_dura.reports.pens.markdown import MAX_BYTES, MarkdownPen
 from pytest_dura.reports.story import document_of
 from pytest_dura.reports.usage import spending_text
@@ -107,7 +106,7 @@ _MAX_CELLS = 10
 
 def render(record: SessionRecord) -> str:
     """The page as text, of at most :data:`MAX_BYTES` bytes in UTF-8."""
-    document = document_of(record)
+    document = document_of(record, Level.SUMMARY)
     pen = MarkdownPen(document, lambda entry: _command(record, entry))
     lines = [
         *_head_lines(record),
@@ -220,18 +219,3 @@ def _coverage_lines(record: SessionRecord) -> Iterator[str]:
         yield f"- untested: {_name(cell.requirement)} on {_name(cell.case)}"
     if len(untested) + left_out > _MAX_CELLS:
         yield f"- and {len(untested[_MAX_CELLS:]) + left_out} more"
-    yield from _operating_domain_lines(record)
-
-
-_MAX_PAIRS = 5
-
-
-def _operating_domain_lines(record: SessionRecord) -> Iterator[str]:
-    """Pairs of parameters, those least covered by name."""
-    combinations = record.head.coverage.combinations
-    if combinations is not None:
-        yield from ["", combination_text(combinations)]
-        for pair in combinations.worst[:_MAX_PAIRS]:
-            names = f"{_name(pair.first)} with {_name(pair.second)} of {_name(pair.scenario)}"
-            if pair.covered < 1:
-                yield f"- {names}: {pair_text(pair)}"

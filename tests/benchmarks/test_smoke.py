@@ -121,7 +121,7 @@ HEADERS = {
         "prevented",
     ],
     "plugin_cost.py": ["unused plugin"],
-    "prices.py": ["new file; no other is edited", "edited; no other is"],
+    "prices.py": ["new file; no other is edited", "edited; no other is", "new file of a project"],
     "recoveries.py": ["unnecessary", "us/call"],
     "report_page.py": ["height, px"],
     "residual_limits.py": ["noise of odometry", "threshold found"],

@@ -71,7 +71,7 @@ def python(installed, tmp_path_factory, forked_workers):
 @pytest.fixture(scope="module")
 def session(python):
     """A session whose episodes are simulated by the package's executor."""
-    chosen = ["--dura-select=shaft/*", "--dura-executor=fresh", "--dura-runs=1"]
+    chosen = ["--dura-select=shaft/*", "--dura-executor=fresh", "--dura-runs=1", "-v"]
     return python("pytest", "-p", "no:cacheprovider", "--dura-scenarios", *chosen, afresh=True)
 
 
@@ -101,6 +101,7 @@ def test_what_the_package_registers_is_listed(python):
         "  fresh: lift_dura.outputs:Fresh (lift-dura 1.2)",
         "  verdicts.csv: lift_dura.outputs (lift-dura 1.2)",
         "  heights: lift_dura.outputs:Heights (lift-dura 1.2)",
+        "  travel: lift_dura.outputs:Travel (lift-dura 1.2)",
     ):
         assert line in done.stdout.splitlines(), done.stdout
 
@@ -171,6 +172,23 @@ def test_a_table_of_the_package_is_shown_everywhere_and_verified(python, session
     # Where the package is not installed, what it concluded cannot be concluded again.
     assert main(["verify", str(bundle)]) == 1
     assert "the table 'heights' cannot be concluded again" in capsys.readouterr().out
+
+
+def test_a_plot_of_the_package_is_shown_everywhere_and_verified(python, session, capsys):
+    bundle = python.project / "dura-evidence"
+    lines = session.stdout.splitlines()
+    start = lines.index("Time of travel")
+    assert lines[start + 1].startswith("shaft/up: at most ")
+    assert "**Time of travel**" in (bundle / "summary.md").read_text()
+    page = (bundle / "report.html").read_text()
+    plots = page.partition('<section id="plots"')[2].partition("</section>")[0]
+    assert '<title id="travel-title">Time of travel by case</title>' in plots
+    assert "<b>All &lt;runs&gt;</b>" in plots
+    assert plots.index("Arrival time by scenario") < plots.index("Time of travel")
+    assert python("pytest_dura", "verify", str(bundle)).returncode == 0
+    # Where the package is not installed, its pictures cannot be drawn again.
+    assert main(["verify", str(bundle)]) == 1
+    assert "report.html: not as it is rendered from the record" in capsys.readouterr().out
 
 
 def test_the_catalogue_of_a_domain_has_the_package_s_faults(python):

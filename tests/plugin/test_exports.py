@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 
 import pytest
 from corridors import scenario
@@ -137,3 +138,25 @@ def test_a_format_of_a_project_costs_a_class_with_a_name(project, request):
     session(project, "--dura-export=csv")
     assert files(bundle) == DEFAULT | {"verdicts.csv"}
     assert (bundle / "verdicts.csv").read_text() == "GAP-1,supported\n"
+
+
+def test_commands_know_what_a_module_registers_that_is_named(project, request, monkeypatch, capsys):
+    def forget():
+        FORMATS._registered.pop("verdicts.csv", None)
+        sys.modules.pop("own_format", None)
+
+    request.addfinalizer(forget)
+    project.write("own_format.py", OWN.replace('EXPORT = "csv"', ""))
+    monkeypatch.syspath_prepend(project.path)
+    bundle, _ = session(project, "-p", "own_format")
+    assert files(bundle) == DEFAULT | {"verdicts.csv"}
+    forget()
+    assert main(["verify", str(bundle)]) == 1
+    assert "verdicts.csv: in the manifest, and no file of this bundle" in capsys.readouterr().out
+    assert main(["-p", "own_format", "verify", str(bundle)]) == 0
+    (bundle / "verdicts.csv").write_text("GAP-1,violated\n")
+    assert main(["-p", "own_format", "verify", str(bundle)]) == 1
+    shown = capsys.readouterr().out
+    assert "verdicts.csv: not as it is rendered from the record" in shown
+    assert main(["-p", "no_such_format", "verify", str(bundle)]) == 2
+    assert "No module named 'no_such_format'" in capsys.readouterr().err

@@ -288,7 +288,7 @@ class Sometimes(Careful):
 
 
 @pytest.mark.parametrize(
-    ("seed", "asked", "runs", "because"),
+    "seed, asked, runs, because",
     [
         (0, "GAP-1", 2, ""),
         (0, "GAP-1, GO-1", 2, ""),

@@ -32,12 +32,11 @@ from pytest_dura.reports.contents import (
     requirement_anchor,
     verdict_anchor,
 )
-from pytest_dura.reports.document import Card, Document, Entry, Level, Table, Text
+from pytest_dura.reports.document import Card, Document, Entry, Level, Part, Plot, Table
 from pytest_dura.reports.html import (
     bundle_sections,
     episode_sections,
     hazard_section,
-    plot_sections,
     verdict_sections,
 )
 from pytest_dura.reports.html.cards import OPEN_CARDS, shown_cards
@@ -181,7 +180,7 @@ VIEWS: Sequence[View] = (
     View("episodes", "Episodes", episode_sections.episode_section),
     View("matrix", "Matrix", episode_sections.matrix_section),
     View("argument", "Assurance case", bundle_sections.argument_section),
-    View("plots", "Plots", plot_sections.plot_section, printed=True),
+    View("plots", "Plots", printed=True),
     View("searches", "Searches"),
     View("monitors", "Monitors"),
     View("faults", "Faults", episode_sections.fault_section),
@@ -238,14 +237,14 @@ _HEAD_SCRIPT = 'document.documentElement.classList.add("js");'
 """Before anything is drawn: one view at a time, where scripts run."""
 
 
-def _parts_by_view(document: Document) -> dict[str, list[tuple[str, Text | Table]]]:
+def _parts_by_view(document: Document) -> dict[str, list[tuple[str, Part]]]:
     """Parts of the document with the titles of their sections, but for cards and empty ones."""
-    parts: dict[str, list[tuple[str, Text | Table]]] = defaultdict(list)
+    parts: dict[str, list[tuple[str, Part]]] = defaultdict(list)
     for section in document.sections:
         for part in section.parts_for(Shown.PAGE, Level.PAGE):
             if isinstance(part, Card):
                 continue
-            if part.rows if isinstance(part, Table) else part.lines:
+            if part.rows if isinstance(part, Table) else isinstance(part, Plot) or part.lines:
                 parts[part.view].append((section.title, part))
     return parts
 
@@ -275,6 +274,7 @@ def _environment() -> Environment:
     environment.globals.update(svg=tag, most_examples=MAX_COUNTEREXAMPLES)
     environment.tests["pair_table"] = lambda pairs: isinstance(pairs, PairTable)
     environment.tests["table"] = lambda part: isinstance(part, Table)
+    environment.tests["plot"] = lambda part: isinstance(part, Plot)
     return environment
 
 

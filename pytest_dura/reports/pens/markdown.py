@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from pytest_dura.evidence.text import code, markdown
 from pytest_dura.reports.columns import Shown, shown_in
-from pytest_dura.reports.document import Card, Document, Entry, Level, Table, Text
+from pytest_dura.reports.document import Card, Document, Entry, Level, Table
 
 MAX_BYTES = 1024 * 1024
 """Bytes that GitHub takes."""
@@ -72,7 +72,7 @@ class MarkdownPen:
             for part in section.parts_for(Shown.SUMMARY, Level.SUMMARY):
                 if isinstance(part, Table):
                     yield from _table(section.title, part)
-                elif isinstance(part, Text):
+                elif not isinstance(part, Card):
                     yield from ["", f"**{section.title}**"] if section.title else []
                     yield ""
                     yield from (f"- {markdown(line, 600)}" for line in part.lines)

@@ -1,4 +1,4 @@
-"""An executor with a fresh process for each episode, a table, and one of the verdicts as a file."""
+"""An executor with a process for each episode, a table, a plot, and the verdicts as a file."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from typing import Any
 
 from pytest_dura import ExecutorKind
 from pytest_dura.evidence import ConcludedColumn, Table
+from pytest_dura.reports.document import Picture, Plot
+from pytest_dura.reports.plots.plot import PlotKind
+from pytest_dura.reports.plots.strips import Frame, Strip, dots_of, five_numbers, strip_plot
 
 CALL = (
     "import importlib, json, sys; module, name, args = json.load(sys.stdin); "
@@ -85,3 +88,24 @@ class Heights(Table):
         """Return a row for each case."""
         for case, seconds in sorted(self.seconds.items()):
             yield case, len(seconds), sum(seconds)
+
+
+class Travel(PlotKind):
+    """How long the cabin travelled in each case."""
+
+    def __init__(self, head: Any) -> None:
+        """Begin to count."""
+        super().__init__(head)
+        self.seconds: dict[str, list[float]] = {}
+
+    def add(self, episode: Any) -> None:
+        """Add an episode."""
+        self.seconds.setdefault(episode.case, []).append(episode.timings.simulated_seconds)
+
+    def plots(self) -> Any:
+        """Draw a row for each case."""
+        rows = sorted(self.seconds.items())
+        strips = [Strip(case, five_numbers(times), dots_of(times)) for case, times in rows]
+        picture = strip_plot(strips, Frame("travel", "Time of travel by case", "time in s"))
+        words = tuple(f"{case}: at most {max(times):.1f} s" for case, times in rows)
+        yield Plot("Time of travel", (Picture("All <runs>", picture),), lines=words)

@@ -12,20 +12,14 @@ from session_records import episode, session_data, session_record, verdict
 
 from pytest_dura.core.metrics import TracedFault
 from pytest_dura.evidence import SessionRecord
-from pytest_dura.reports import plot_data
-from pytest_dura.reports.html import plot_sections
+from pytest_dura.evidence.case_model import PairEntry
 from pytest_dura.reports.html.page import render
-from pytest_dura.reports.plot_data import Arm, PlotData, chain_of
-from pytest_dura.reports.plots import (
-    Flow,
-    Frame,
-    PairMap,
-    Strip,
-    five_numbers,
-    flow_plot,
-    pair_plot,
-    strip_plot,
-)
+from pytest_dura.reports.plots import margins, measures
+from pytest_dura.reports.plots.faults import CHAIN, FaultPlots, Flow, chain_of, flow_plot
+from pytest_dura.reports.plots.margins import MarginPlots
+from pytest_dura.reports.plots.measures import MeasurePlots
+from pytest_dura.reports.plots.operating_domain import pair_plot
+from pytest_dura.reports.plots.strips import Frame, Strip, five_numbers, strip_plot
 
 FRAME = Frame("p", "Title", "time in s", zero=True, against="violated")
 
@@ -106,7 +100,7 @@ WAYS = {
 
 
 def test_a_flow_counts_states_and_ways_and_ends_where_nothing_follows():
-    flow = Flow(plot_data.CHAIN, WAYS, ("planned", "changed", "no effect"), frozenset({"violated"}))
+    flow = Flow(CHAIN, WAYS, ("planned", "changed", "no effect"), frozenset({"violated"}))
     assert flow.nodes()[:2] == [{"planned": 10}, {"changed": 7, "no effect": 3}]
     assert flow.links()[0, "planned", "changed"] == 7
     assert not [key for key in flow.links() if key[1] == "no effect"]
@@ -134,8 +128,14 @@ def test_the_chain_of_a_fault():
 
 
 def test_maps_of_pairs_mark_cells_that_were_never_drawn():
-    maps = [PairMap("a", "b", [[2, 0], [0, 1]], 2), PairMap("a", "c", [[1], [1]], 2),
-            PairMap("b", "c", [[0], [3]], 1)]  # fmt: skip
+    maps = [
+        PairEntry(
+            scenario="s", first=first, second=second, drawn=3, met=met, counts=counts, covered=0.5
+        )
+        for first, second, counts, met in (
+            ("a", "b", [[2, 0], [0, 1]], 2), ("a", "c", [[1], [1]], 2), ("b", "c", [[0], [3]], 1),
+        )
+    ]  # fmt: skip
     svg = pair_plot(["a", "b", "c"], maps, "m", "Pairs")
     assert len(elements(svg, "polyline", "stroke")) == 3
     assert {"2 of 4", "2 of 2", "1 of 2"} <= set(texts(svg))
@@ -168,16 +168,15 @@ def arms_record(**changes):
     return SessionRecord.of({**data, **changes}, Path("nowhere"))
 
 
-def gathered(record):
-    arms = [Arm.of(case) for case in record.head.cases]
-    data = PlotData(arms, ["clearance_time"], [arm.key for arm in arms])
+def gathered(kind, record):
+    made = kind(record.head)
     for each in record.episodes():
-        data.add(each)
-    return data
+        made.add(each)
+    return made
 
 
 def test_pairs_of_equal_seeds_differ_by_the_fault_and_by_the_role():
-    fault, role = gathered(arms_record()).differences("clearance_time")
+    fault, role = gathered(MeasurePlots, arms_record()).differences("clearance_time")
     assert (fault.change, fault.arm.case, fault.twin.case) == ("ghost", "a/clear+ghost", "a/clear")
     assert (list(fault.numbers), fault.lost, fault.gained, fault.neither) == ([2.0, 0.0], 0, 1, 0)
     assert (role.change, role.twin.without) == ("recovery planner", ("recovery_planner",))
@@ -185,14 +184,14 @@ def test_pairs_of_equal_seeds_differ_by_the_fault_and_by_the_role():
 
 
 def test_numbers_are_those_of_valid_planned_runs():
-    known = gathered(arms_record()).measures["clearance_time"]
+    known = gathered(MeasurePlots, arms_record()).numbers["clearance_time"]
     assert known["a/clear", "C"].of_seed == {1000: 1.0, 1001: 2.0}
     assert known["a/clear", "C"].seeds == {1002}
     assert known["a/clear+ghost", "C"].of_seed == {1000: 3.0, 1001: 2.0, 1002: 4.0}
 
 
 def test_faults_are_followed_where_no_role_lacks():
-    data = gathered(arms_record())
+    data = gathered(FaultPlots, arms_record())
     assert dict(data.chains["ghost"]) == {
         ("planned", "changed", "changed", "alert", "did not act", "tolerated"): 3,
         ("planned", "no effect"): 1,
@@ -235,7 +234,7 @@ def test_margins_have_a_cross_for_each_violating_run_and_the_violated_ones_come_
         ]
     )
     html = section(record)
-    order = re.findall(r'<details class="margins"( open)?><summary><b>([^<]*)<', html)
+    order = re.findall(r'<details class="folded-plot"( open)?><summary><b>([^<]*)<', html)
     assert order == [(" open", "SAF-1"), (" open", "PERF-1"), ("", "SEC-1")]
     violated = sum(each.violations for each in record.head.verdicts)
     assert html.count('class="cross"') == violated > 0
@@ -259,13 +258,13 @@ def test_a_session_without_numbers_has_no_plots():
 
 
 def test_what_is_too_many_is_counted(monkeypatch):
-    monkeypatch.setattr(plot_sections, "MAX_ROWS", 2)
-    monkeypatch.setattr(plot_sections, "MAX_MARGIN_PLOTS", 1)
+    monkeypatch.setattr(measures, "MAX_ROWS", 2)
+    monkeypatch.setattr(margins, "MAX_PLOTS", 1)
     html = section(arms_record())
     assert "1 more cases are not drawn" in html
     two = [*two_cases("SAF-1", "violated"), *two_cases("PERF-1", "violated")]
     assert "1 more requirements are not drawn" in section(session_record(verdicts=two))
-    monkeypatch.setattr(plot_data, "MAX_RUNS", 2)
+    monkeypatch.setattr(measures, "MAX_RUNS", 2)
     assert "1 more runs" in section(arms_record())
 
 
@@ -277,9 +276,8 @@ def test_thousands_of_verdicts_give_a_page_of_bounded_size():
     )
 
     def size(record):
-        contents = plot_sections.ReportContents({}, [], [], frozenset())
-        made = plot_sections.plot_section(record, contents, None)
-        return sum(len(plot["svg"]) for plot in made["margins"]), made["margins"][0]["left_out"]
+        (plot,) = MarginPlots(record.head).plots()
+        return sum(len(each.svg) for each in plot.pictures), plot.pictures[0].left_out
 
     assert size(few)[0] == pytest.approx(size(many)[0], rel=0.05)
-    assert size(many)[1] == 2_000 - plot_sections.MAX_MARGIN_ROWS
+    assert size(many)[1] == f"{2_000 - margins.MAX_MARGIN_ROWS} more cases are not drawn."

@@ -1,0 +1,1 @@
+"""Plots of a session: one module for each kind of picture."""
