@@ -226,6 +226,10 @@ class _Causes:
                 causes[place] = self._joined(causes[place], verdicts)
             else:
                 causes.append(self._of_obstacle(obstacle, verdicts, places))
+                failed = self._episodes.raised[verdicts[0].case, verdicts[0].component].event
+                if failed is not None:  # one card tells of it
+                    own = verdicts[0].component, own_failure_key(failed)
+                    places.setdefault(own, len(causes) - 1)
         return causes
 
     def _incidents(self) -> dict[EpisodeKey, Incident]:
@@ -313,9 +317,10 @@ class _Causes:
             for each in verdicts
             if each.requirement not in known
         }
+        gravest = sorted(added.values(), key=lambda each: KINDS.index(each.requirement.kind))
         return replace(
             cause,
-            findings=(*cause.findings, *added.values()),
+            findings=(*cause.findings, *gravest),
             verdicts=(*cause.verdicts, *verdicts),
         )
 

@@ -30,6 +30,7 @@ from pytest_dura.reports.columns import (
     seconds_text,
     share_text,
 )
+from pytest_dura.reports.contents import verdict_anchor
 from pytest_dura.reports.failure_modes import failure_mode_text
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import Change, ChangeTable, PairCounts, PairTable
@@ -52,22 +53,19 @@ class PairRow:
         verdict: On the pairs; ``None`` for the sums over several cases.
         pairs: Their counts.
         switching: Of the case.
-        anchor: Of the verdict in the page.
         title: What is summed, without a verdict.
     """
 
     verdict: ItemVerdict | None
     pairs: PairTable
     switching: SwitchingFigures | None = None
-    anchor: str | None = None
     title: str = ""
 
 
 PAIR_COLUMNS: Sequence[Column[PairRow]] = (
     Column(
         "requirement",
-        lambda row: given(row.verdict, lambda own: name_cell(own.requirement, anchor=row.anchor))
-        or row.title,
+        lambda row: given(row.verdict, _requirement_of_pairs) or row.title,
         shown=Shown.PAGE, kind="",
     ),
     Column("case", lambda row: given(row.verdict, _case_of_pairs), shown=Shown.PAGE, kind=""),
@@ -121,6 +119,11 @@ def summed_pairs(pairs: Sequence[PairTable]) -> PairTable:
     return replace(pairs[0], **counts, p_value=None)
 
 
+def _requirement_of_pairs(verdict: ItemVerdict) -> Cell:
+    anchor = verdict_anchor(verdict.requirement, verdict.case)
+    return name_cell(verdict.requirement, anchor=anchor)
+
+
 def _case_of_pairs(verdict: ItemVerdict) -> Cell:
     without = verdict.pairs.without if verdict.pairs else RECOVERY_ROLE
     notes = () if without == RECOVERY_ROLE else (f"without {role_name(without)}",)
@@ -159,43 +162,26 @@ def _time_to_safe(switching: SwitchingFigures) -> Cell:
     return Cell(text, text, seconds_text(safe.median, 1), (note,) if note else ())
 
 
-@dataclass(frozen=True)
-class AttackRow:
-    """What faults did in the pairs of a verdict.
-
-    Args:
-        verdict: On the pairs.
-        anchor: Of the verdict in the page.
-    """
-
-    verdict: ItemVerdict
-    anchor: str | None = None
-
-    @property
-    def counts(self) -> PairTable | None:
-        """Violations in the pairs, if they are counted."""
-        pairs = self.verdict.pairs
-        return pairs if isinstance(pairs, PairTable) else None
-
-    @property
-    def change(self) -> Change | None:
-        """Change of a measure in the pairs, if that is judged."""
-        pairs = self.verdict.pairs
-        return pairs.change if isinstance(pairs, ChangeTable) else None
-
-    @property
-    def figures(self) -> PairTable | Change:
-        """Whichever of them there is."""
-        figures = self.counts or self.change
-        assert figures is not None, "a row of verdicts on pairs"
-        return figures
+def _counts(verdict: ItemVerdict) -> PairTable | None:
+    """Violations in the pairs of a verdict, if they are counted."""
+    return verdict.pairs if isinstance(verdict.pairs, PairTable) else None
 
 
-def _complete_attacks(row: AttackRow) -> Cell:
-    if row.counts is not None:
-        return _complete(row.counts.pairs - row.counts.incomplete, row.counts.incomplete)
-    change = row.change
+def _change(verdict: ItemVerdict) -> Change | None:
+    """Change of a measure in the pairs of a verdict, if that is judged."""
+    return verdict.pairs.change if isinstance(verdict.pairs, ChangeTable) else None
+
+
+def _complete_attacks(verdict: ItemVerdict) -> Cell:
+    counts, change = _counts(verdict), _change(verdict)
+    if counts is not None:
+        return _complete(counts.pairs - counts.incomplete, counts.incomplete)
     return _complete(change.n, len(change.incomplete)) if change else EMPTY
+
+
+def _p_of_attack(verdict: ItemVerdict) -> Cell | None:
+    figures = _counts(verdict) or _change(verdict)
+    return None if figures is None else _p_value(verdict, figures)
 
 
 def _growth(value: float | None) -> Cell | None:
@@ -203,39 +189,38 @@ def _growth(value: float | None) -> Cell | None:
     return None if value is None else Cell(text, text, number_text(value, 2))
 
 
-ATTACK_COLUMNS: Sequence[Column[AttackRow]] = (
+ATTACK_COLUMNS: Sequence[Column[ItemVerdict]] = (
     Column(
-        "requirement", lambda row: name_cell(row.verdict.requirement, anchor=row.anchor),
-        shown=Shown.PAGE, kind="",
+        "requirement", _requirement_of_pairs, shown=Shown.PAGE, kind="",
     ),
-    Column("case", lambda row: name_cell(row.verdict.case), shown=Shown.PAGE, kind=""),
+    Column("case", lambda row: name_cell(row.case), shown=Shown.PAGE, kind=""),
     Column(
         "pairs", _complete_attacks,
         meaning="runs of equal seeds, with the faults and without them",
     ),
     Column(
-        "caused", lambda row: given(row.counts, lambda own: own.only_with),
+        "caused", lambda row: given(_counts(row), lambda own: own.only_with),
         meaning="violated only with the faults",
     ),
     Column(
-        "spared", lambda row: given(row.counts, lambda own: own.only_without),
+        "spared", lambda row: given(_counts(row), lambda own: own.only_without),
         meaning="violated only without the faults",
     ),
-    Column("both", lambda row: given(row.counts, lambda own: own.both)),
+    Column("both", lambda row: given(_counts(row), lambda own: own.both)),
     Column(
-        "cost", lambda row: given(row.change, lambda own: _growth(own.mean)),
+        "cost", lambda row: given(_change(row), lambda own: _growth(own.mean)),
         meaning="mean growth of the requirement's measure, in its unit",
     ),
     Column(
-        "greatest", lambda row: given(row.change, lambda own: _growth(own.max)), short="max",
+        "greatest", lambda row: given(_change(row), lambda own: _growth(own.max)), short="max",
         meaning="the greatest of a pair",
     ),
     Column(
-        "never", lambda row: given(row.change, lambda own: len(own.lost)),
+        "never", lambda row: given(_change(row), lambda own: len(own.lost)),
         meaning="pairs whose measure has no value, only with the faults",
     ),
     Column(
-        "p", lambda row: _p_value(row.verdict, row.figures), heading="p",
+        "p", _p_of_attack, heading="p",
         small="McNemar, sign test", meaning="exact test of McNemar, for a measure the sign test",
     ),
 )  # fmt: skip

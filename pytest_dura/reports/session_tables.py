@@ -8,15 +8,14 @@ from dataclasses import replace
 
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.evidence.case_model import CaseEntry, FailureModeEntry, OverallEntry
+from pytest_dura.evidence.conclusions.coverage import WORST_FIRST
 from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.conclusions.totals import verdict_counts
 from pytest_dura.evidence.item_verdicts import ItemVerdict
-from pytest_dura.evidence.model import SessionRecord
+from pytest_dura.evidence.model import CellValue, ConcludedTable, SessionRecord
 from pytest_dura.evidence.session_model import PriceEntry
 from pytest_dura.evidence.text import counted, name, one_line
-from pytest_dura.reports.columns import Shown, number_text, shown_in
-from pytest_dura.reports.concluded import concluded_tables
-from pytest_dura.reports.contents import verdict_anchor
+from pytest_dura.reports.columns import Column, Shown, Value, number_text, prose_cell, shown_in
 from pytest_dura.reports.document import Level, Table
 from pytest_dura.reports.failure_modes import (
     FAILURE_MODE_HEADINGS,
@@ -34,7 +33,6 @@ from pytest_dura.reports.role_tables import (
     FAULT_COLUMNS,
     MONITOR_COLUMNS,
     PAIR_COLUMNS,
-    AttackRow,
     FailureModeRow,
     FaultRow,
     MonitorRow,
@@ -64,7 +62,6 @@ from pytest_dura.requirements.pairs import PairTable
 from pytest_dura.requirements.searches import Falsification
 
 Rows = list[tuple[str, CaseRow]]
-VERDICT_RANK = {"violated": 0, "undecided": 1, "supported": 2}
 _MEAN_NOTE = "9.1 +- 0.4 (3): mean +- standard deviation over so many runs"
 _BEYOND_NOTE = "3*: so many more runs that are invalid or missing, which are in no rate"
 
@@ -108,8 +105,8 @@ def case_ranks(cases: Sequence[CaseEntry], verdicts: Iterable[ItemVerdict]) -> l
     for verdict in verdicts:
         for case in (verdict.case, *([verdict.pairs.case] if verdict.pairs else ())):
             key = case, verdict.component
-            rank[key] = min(rank.get(key, len(VERDICT_RANK)), VERDICT_RANK[verdict.verdict])
-    return [rank.get((case.id, case.component), len(VERDICT_RANK)) for case in cases]
+            rank[key] = min(rank.get(key, len(WORST_FIRST)), WORST_FIRST.index(verdict.verdict))
+    return [rank.get((case.id, case.component), len(WORST_FIRST)) for case in cases]
 
 
 def _case_rows(cases: Sequence[CaseEntry], overall: Sequence[OverallEntry]) -> Rows:
@@ -159,10 +156,7 @@ def fault_table(cases: Sequence[CaseEntry]) -> Table | None:
 def attack_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Table | None:
     """Make the table of what faults did: a row per case and requirement on pairs without them."""
     rows = [
-        (
-            f"{verdict.requirement} on {verdict.case}",
-            AttackRow(verdict, verdict_anchor(verdict.requirement, verdict.case)),
-        )
+        (f"{verdict.requirement} on {verdict.case}", verdict)
         for verdict in _by_case(verdicts, cases)
         if verdict.pairs and verdict.pairs.without == FAULTS
     ]
@@ -186,7 +180,7 @@ def pair_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> T
         if not isinstance(pairs, PairTable) or pairs.without != RECOVERY_ROLE:
             continue
         switching = metrics[verdict.case, verdict.component].switching
-        row = PairRow(verdict, pairs, switching, verdict_anchor(verdict.requirement, verdict.case))
+        row = PairRow(verdict, pairs, switching)
         rows.append((f"{verdict.requirement} on {verdict.case}", row))
         sums.setdefault((verdict.requirement, verdict.component), []).append(pairs)
     for (requirement, component), pairs_of_cases in sums.items():
@@ -383,7 +377,7 @@ def mode_table_of_files(record: SessionRecord) -> Table | None:
 def urgency(verdict: ItemVerdict) -> tuple[bool, int]:
     """Sort key: what makes the gate fail comes first, violations before what is undecided."""
     status = verdict.verdict
-    return status == "supported" or verdict.waiver is not None, VERDICT_RANK[status]
+    return status == "supported" or verdict.waiver is not None, WORST_FIRST.index(status)
 
 
 def comparison_table(comparisons: Sequence[BaselineComparison]) -> Table | None:
@@ -440,8 +434,33 @@ def searcher_table(search: Falsification, requirement: str) -> Table:
 
 def further_tables(record: SessionRecord) -> Iterator[tuple[str, Table]]:
     """Yield the further tables of a session with their titles."""
-    for table in concluded_tables(record):
-        first = table.columns[0]
-        rows = [(first.cell(row).terminal, row) for row in table.rows]
+    for table in record.head.conclusions.values():
+        columns = [_concluded_column(number, table) for number in range(len(table.columns))]
+        rows = [(columns[0].cell(row).terminal, row) for row in table.rows]
         about = table.about.rstrip(".")
-        yield table.title, Table(first.name, table.columns, rows, about, weight=Level.TERMINAL)
+        yield table.title, Table(columns[0].name, columns, rows, about, weight=Level.TERMINAL)
+
+
+def _concluded_column(number: int, table: ConcludedTable) -> Column[Sequence[CellValue]]:
+    """A column of a further table; the first one names the row, beside which the others stand."""
+    column = table.columns[number]
+    texts = any(isinstance(row[number], str) for row in table.rows)
+    unit = f" {column.unit}" if column.unit else ""
+
+    def cell(row: Sequence[CellValue]) -> Value:
+        value = row[number]
+        if isinstance(value, str):
+            return prose_cell(value)
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return None if value is None else number_text(value)
+
+    return Column(
+        column.name + unit,
+        cell,
+        heading=column.name,
+        small=column.unit,
+        meaning=column.meaning,
+        shown=Shown.ALL if number else Shown.FILES,
+        kind="" if texts else "n",
+    )

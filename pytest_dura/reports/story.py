@@ -108,8 +108,8 @@ def document_of(record: SessionRecord, level: Level = Level.PAGE) -> Document:
         *_case_sections(record),
         Section("Searches", tuple(_search_parts(record))),
         *_file_sections(record),
-        Section("Coverage of the operating domain", tuple(pair_parts(record.head))),
         *_plot_sections(record, level),
+        Section("Coverage of the operating domain", tuple(pair_parts(record.head))),
         Section("", tuple(_note_parts(record))),
         Section("Baseline", tuple(_baseline_parts(record))),
     ]
@@ -429,7 +429,8 @@ def _reliance_lines(record: SessionRecord) -> Iterator[str]:
             time = "" if share is None else f" ({percent_text(share)} % of the time)"
             parts.append(f"recovery in {metrics.rescued.valid} of {metrics.valid} runs{time}")
         if metrics.comfort_failed is not None and metrics.comfort_failed.valid:
-            parts.append(f"comfort failed in {metrics.comfort_failed.valid}")
+            failed = metrics.comfort_failed.valid
+            parts.append(f"comfort failed in {failed} of {counted(metrics.valid, 'run')}")
         reactions = [f"{count} {reaction}" for reaction, count in metrics.reactions.items()]
         parts += [f"reactions: {', '.join(reactions)}"] if reactions else []
         if parts:

@@ -134,11 +134,12 @@ def _not_run(verdict: ItemVerdict) -> Obstacle | None:
     left = verdict.planned - verdict.run - verdict.saved
     if left <= 0:
         return None
+    was = "was" if left == 1 else "were"
     return Obstacle(
         "not run",
-        f"Only {verdict.run} of {counted(verdict.planned, 'planned run')} of {name(verdict.case)} "
-        "were run",
-        f"Run the other {left}: `--dura-resume` goes on with what was simulated.",
+        f"{left} of {counted(verdict.planned, 'planned run')} of {name(verdict.case)} {was} not "
+        "run",
+        "Run what is missing: `--dura-resume` goes on with what was simulated.",
     )
 
 

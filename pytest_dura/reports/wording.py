@@ -227,7 +227,8 @@ def limitation_sentences(record: SessionRecord) -> Iterator[str]:
     if undecided:
         without_valid = sum(verdict.episodes == 0 for verdict in undecided)
         rest = f", {without_valid} of them without a single valid episode" if without_valid else ""
-        yield f"{_share(undecided, verdicts)} undecided{rest}: they show neither."
+        they = "it shows" if len(undecided) == 1 else "they show"
+        yield f"{_share(undecided, verdicts)} undecided{rest}: {they} neither."
     yield from _one_situation(verdicts)
     yield from look_sentences(record)
     yield from beyond_plan_sentences(record)

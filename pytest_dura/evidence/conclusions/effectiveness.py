@@ -151,7 +151,7 @@ def _monitor_finding(targets: Mapping[str, Counter[str]]) -> tuple[str, str]:
         return "warned", f"warned in time of {in_words}"
     if any(target["false_positives"] for target in targets.values()):
         return "warned of none", f"flagged other runs, and warned of none: {in_words}"
-    return "silent", f"was silent in time: {in_words}"
+    return "silent", f"warned in time of no violation: {in_words}"
 
 
 def _entry(

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from pytest_dura.evidence.conclusions.coverage import WORST_FIRST
 from pytest_dura.evidence.hazards import HazardEvidence
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.reports.contents import EpisodeLinks, ReportContents, split_folded, verdict_key
@@ -18,7 +19,6 @@ from pytest_dura.reports.hazards import (
 
 _MAX_STEPS = 12
 """Verdicts of a requirement that are shown under a hazard; the table of requirements has more."""
-_WORST_FIRST = ("violated", "undecided", "supported")
 
 Data = Mapping[str, Any]
 
@@ -44,11 +44,11 @@ def _requirements(evidence: HazardEvidence, contents: ReportContents) -> Iterato
         verdicts = evidence.verdicts_on(requirement)
         # Rows that the page does not have cannot be linked; they are counted.
         shown, _ = split_folded(verdicts, contents.folded, verdict_key)
-        shown.sort(key=lambda verdict: _WORST_FIRST.index(verdict.verdict))
+        shown.sort(key=lambda verdict: WORST_FIRST.index(verdict.verdict))
         counts = Counter[str](verdict.verdict for verdict in verdicts)
         yield {
             "requirement": requirement,
-            "counts": [(status, counts[status]) for status in _WORST_FIRST if counts[status]],
+            "counts": [(status, counts[status]) for status in WORST_FIRST if counts[status]],
             "verdicts": shown[:_MAX_STEPS],
             "more": len(verdicts) - len(shown[:_MAX_STEPS]),
         }

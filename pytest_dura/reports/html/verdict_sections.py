@@ -8,6 +8,7 @@ from dataclasses import fields
 from typing import Any
 
 from pytest_dura.core.codec import encode
+from pytest_dura.evidence.conclusions.coverage import WORST_FIRST
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.reports.columns import Shown, shown_in
@@ -28,9 +29,6 @@ from pytest_dura.reports.tables import (
 from pytest_dura.requirements.model import Requirement
 
 Data = Mapping[str, Any]
-
-
-WORST_FIRST = ("violated", "undecided", "supported")
 
 
 def requirement_section(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
+from pytest_dura.evidence.conclusions.coverage import WORST_FIRST
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.text import counted, name
 from pytest_dura.reports.columns import Shown
@@ -26,7 +27,6 @@ MAX_PLOTS = 40
 MAX_MARGIN_ROWS = 16
 MAX_OPEN = 6
 """Plots that are unfolded."""
-_STATUS_ORDER = ("violated", "undecided", "supported")
 
 
 class MarginPlots(PlotKind):
@@ -48,7 +48,7 @@ class MarginPlots(PlotKind):
 
         def worst(requirement: str) -> tuple[int, bool, int]:
             own = by_requirement[requirement]
-            status = min(_STATUS_ORDER.index(verdict.verdict) for verdict in own)
+            status = min(WORST_FIRST.index(verdict.verdict) for verdict in own)
             clean = not any(verdict.violations for verdict in own)
             return status, clean, kinds.get(requirement, len(KINDS))
 
