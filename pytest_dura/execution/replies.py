@@ -18,6 +18,7 @@ from pytest_dura.core.errors import (
 )
 
 _RESULT, _CONFIGURATION, _LOST, _FAILED, _WANTED = b"r", b"c", b"l", b"f", b"w"
+_FAILURE = "a process that simulates failed: "
 _OWN_FRAMES = 2
 """Lines of a traceback that are of the process that calls."""
 _FIELDS = ("problem", "file", "line", "key", "found", "expected", "remedy")
@@ -96,10 +97,10 @@ def _reply_of_error(error: BaseException) -> bytes:
     if isinstance(error, ProcessLostError):
         death = None if error.death is None else asdict(error.death)
         return _LOST + json.dumps([str(error), death]).encode()
-    if isinstance(error, SessionWanted):
+    if isinstance(error, (SessionWanted, SessionWantedHereError)):
         return _WANTED + str(error).encode(errors="replace")
     if isinstance(error, CallFailedError):  # of a process behind that one
-        return _FAILED + str(error).encode()
+        return _FAILED + str(error).removeprefix(_FAILURE).encode(errors="replace")
     trace = "".join(traceback.format_tb(traceback_of(error))[_OWN_FRAMES:])
     return _FAILED + f"{describe_error(error)}\n{trace}".encode(errors="replace")
 
@@ -126,7 +127,7 @@ def result_of(reply: bytes) -> bytes:
         raise ProcessLostError(message, None if death is None else Death(**death))
     if kind == _WANTED:
         raise SessionWantedHereError(body.decode())
-    raise CallFailedError(f"a process that simulates failed: {body.decode(errors='replace')}")
+    raise CallFailedError(_FAILURE + body.decode(errors="replace"))
 
 
 _BEGUN: list[Callable[[], None]] = []

@@ -10,6 +10,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from dask_clusters import Cluster
 from forked_workers import AVAILABLE, WITHOUT_RETRIES, ForkedWorkers, decide_once, import_all
 
 from pytest_dura.evidence import all_formats
@@ -185,6 +186,16 @@ def reference(tmp_path_factory, forked_workers):
 @pytest.fixture
 def project(pytester, fast_sessions, forked_workers):
     return Project(pytester, forked_workers)
+
+
+@pytest.fixture(scope="session")
+def dask_worker(tmp_path_factory):
+    """The only worker of a Dask cluster; its ``executor`` is the option that names the cluster."""
+    cluster = Cluster(tmp_path_factory.mktemp("dask"))
+    worker = cluster.worker()
+    worker.executor = f"--dura-executor=dask://127.0.0.1:{cluster.port}"
+    yield worker
+    cluster.close()
 
 
 @pytest.fixture(params=list(MODES))

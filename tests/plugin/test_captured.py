@@ -52,7 +52,16 @@ def talking(project):
     return project
 
 
-@pytest.mark.parametrize("executor", ["--dura-executor=in-process", PROCESSES])
+@pytest.fixture(params=["--dura-executor=in-process", PROCESSES, "dask"])
+def executor(request):
+    """Option that chooses who simulates."""
+    return executor_of(request, request.param)
+
+
+def executor_of(request, option):
+    return request.getfixturevalue("dask_worker").executor if option == "dask" else option
+
+
 def test_what_a_component_says_is_shown_with_the_item_that_asked_for_its_episode(talking, executor):
     text = output(talking.scenarios(executor, select="corridor/it"))
     pattern = r"^-+ Captured (\w+) call -+\n((?:(?!---|===).*\n)*)"
@@ -65,7 +74,6 @@ def test_what_a_component_says_is_shown_with_the_item_that_asked_for_its_episode
     assert "UserWarning: careless, says the component" in text
 
 
-@pytest.mark.parametrize("executor", ["--dura-executor=in-process", PROCESSES])
 def test_capsys_caplog_and_warns_of_a_test_see_it(talking, executor):
     talking.write("test_it.py", TEST)
     talking.run(executor, "test_it.py").assert_outcomes(passed=1)
@@ -93,22 +101,27 @@ class Measured(Careful):
 """
 
 
-def test_coverage_counts_what_other_processes_execute(project):
+def test_coverage_counts_what_other_processes_execute(project, dask_worker):
     pytest.importorskip("pytest_cov")
     project.write("measured.py", MEASURED)
     scenario(project, generator="measured:Measured", requirements="[GAP-1]")
     counted = {}
-    for executor in ("in-process", "processes:2"):
+    executors = ["--dura-executor=in-process", PROCESSES, dask_worker.executor]
+    for executor in executors:
         result = project.run_apart(
-            "corridor/it", f"--dura-executor={executor}", "-p", "pytest_cov", "--cov=measured",
+            "corridor/it", executor, "-p", "pytest_cov", "--cov=measured",
             "--cov-branch", "--cov-report=json",
         )  # fmt: skip
         assert result.ret == 0, output(result)
         (file,) = json.loads((project.path / "coverage.json").read_text())["files"].values()
         counted[executor] = file["executed_lines"], file["missing_branches"]
         assert not list(project.path.glob(".coverage.*")), "nothing is left to combine"
-    assert counted["processes:2"] == counted["in-process"]
-    assert len(counted["in-process"][0]) == 9
+    result.stdout.fnmatch_lines(
+        ["dura: * by Dask, *; coverage counts its workers on this machine only"]
+    )
+    here, *elsewhere = (counted[each] for each in executors)
+    assert elsewhere == [here, here]
+    assert len(here[0]) == 9
 
 
 STOPS = """
@@ -121,11 +134,16 @@ class Stops(Careful):
 """
 
 
-@pytest.mark.parametrize("how", [[], ["--dura-executor=in-process"], ["--pdb"]], ids=" ".join)
-def test_a_breakpoint_opens_in_pytests_process_and_to_quit_it_ends_the_session(project, how):
+@pytest.mark.parametrize("how", ["", "--dura-executor=in-process", "--pdb", "dask"])
+def test_a_breakpoint_opens_in_pytests_process_and_to_quit_it_ends_the_session(
+    project, how, request
+):
     project.write("stops.py", STOPS)
     scenario(project, generator="stops:Stops", runs=2, requirements="[GAP-1]")
-    command = project.workers.command("-m", "pytest", "-p", "no:cacheprovider", "corridor/it", *how)
+    options = executor_of(request, how).split()
+    command = project.workers.command(
+        "-m", "pytest", "-p", "no:cacheprovider", "corridor/it", *options
+    )
     result = project.pytester.run(*command, stdin=b"c\nq\n")
     assert result.ret == 2, output(result)
     assert output(result).count("(Pdb)") == 2, "the one that was left, and the one that was quit"

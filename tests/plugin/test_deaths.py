@@ -158,6 +158,28 @@ def test_deaths_are_named_in_every_mode_of_a_session(project, mode, role, kind, 
         assert project.verdict("GAP-1", f"corridor/{case(deed)}").verdict == "undecided"
 
 
+def test_deaths_on_a_dask_worker_are_named_as_those_of_processes(project, dask_worker):
+    scenario(project, "d-plant", simulator=name("Plant", "exits"), requirements="[GAP-1]", runs=1)
+    deeds = ["exits", "crashes", "waits", "allocates"]
+    began = time.monotonic()
+    result, episodes = run(project, "generator", "Component", deeds, dask_worker.executor, *LIMITS)
+    assert time.monotonic() - began < 60.0
+    for deed in deeds[:3]:
+        assert (episodes[case(deed)].validity, episodes[case(deed)].termination) == (
+            "valid",
+            "lost",
+        )
+        events = [(each.kind, each.tick, each.detail) for each in episodes[case(deed)].events]
+        assert events == [("component_failure", 2, f"its process {ENDS[deed]}")]
+        assert project.verdict("GAP-1", f"corridor/{case(deed)}").verdict == "undecided"
+    (event, *_) = [each for each in episodes["d-allocates"].events if "failure" in each.kind]
+    assert (event.tick, event.detail[:18]) == (2, "raised MemoryError")
+    where = "in a call of the simulator at tick 2"
+    assert episodes["d-plant"].failure == f"infrastructure: its process {ENDS['exits']} {where}"
+    assert (result.ret, project.evidence().gate.result) == (1, "failed")
+    assert dask_worker.poll() is None
+
+
 @pytest.mark.parametrize(
     "kind, how",
     [

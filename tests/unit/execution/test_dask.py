@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import signal
@@ -22,7 +23,10 @@ from pytest_dura.execution import (
     ProcessLostError,
     dask,
 )
+from pytest_dura.execution.address import conditions_of, simulate
 from pytest_dura.execution.dask import DaskExecutor
+from pytest_dura.execution.sources import LoadedModules
+from pytest_dura.execution.surroundings import surroundings
 from pytest_dura.library import load_library
 from pytest_dura.requirements import Requirement
 
@@ -119,6 +123,31 @@ def test_an_episode_that_ends_its_process_is_missing_and_its_worker_stays(store,
     assert store.get(shaky(2, tmp_path)).failure is None
     assert begun(tmp_path) == [1, 1, 2]
     assert [one.poll() for one in workers] == [None, None]
+
+
+@pytest.mark.parametrize("is_here", [True, False])
+def test_coverage_counts_on_this_machine_only(executor, monkeypatch, is_here):
+    """A worker elsewhere has files of the same names, which the session does not measure."""
+    if not is_here:
+        monkeypatch.setitem(executor._session, "place", ["another machine", 1, 2])
+    measured = {
+        "branch": False,
+        "source": None,
+        "include": None,
+        "omit": None,
+        "config_file": False,
+    }
+    future = executor.submit(
+        simulate,
+        json.dumps(shaky(1).to_json()),
+        conditions_of(LoadedModules()),
+        {**surroundings(), "coverage": measured},
+        seconds=60.0,
+    )
+    assert future.result(timeout=60.0)
+    captured = vars(future)["captured"]
+    assert "a simulator that prints" in captured.stdout
+    assert ("coverage" in captured.seen) is is_here
 
 
 def test_a_campaign_that_is_decided_cancels_what_is_queued(store, tmp_path):
