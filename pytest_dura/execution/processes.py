@@ -157,7 +157,11 @@ class ProcessPool(Executor):
                     child.kill()
         for thread in threads:
             thread.join()  # what has been killed ends at once
-        for template in self._templates:
+        self._end_templates()
+
+    def _end_templates(self) -> None:
+        while self._templates:
+            template = self._templates.pop()
             template.end()
             template.output.close()
 
@@ -171,6 +175,9 @@ class ProcessPool(Executor):
                 except Empty:
                     self._end(child)
                     child = None
+                    with self._lock:
+                        if not (self._unfinished or self._children or self.is_copy):
+                            self._end_templates()  # of a session that a cluster has lost, too
                     continue
                 if call is None:
                     return

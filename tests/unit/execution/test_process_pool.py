@@ -23,6 +23,7 @@ from pytest_dura.execution import (
     ProcessLostError,
     ProcessPool,
     children,
+    processes,
 )
 from pytest_dura.execution.children import ChildSettings
 
@@ -50,6 +51,13 @@ def until(condition, seconds=20.0):
         assert time.monotonic() < end
         time.sleep(0.01)
     return found
+
+
+def test_a_pool_without_calls_has_no_process_until_the_next_one(pool, monkeypatch, tmp_path):
+    monkeypatch.setattr(processes, "_IDLE_SECONDS", 0.5)
+    for name in ("first", "second"):
+        pool.submit(pool_calls.noted, str(tmp_path), name, 0.1).result(timeout=60.0)
+        until(lambda: not psutil.Process().children())
 
 
 def test_a_process_killed_in_the_middle_loses_nothing(pool, tmp_path):
