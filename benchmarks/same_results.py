@@ -2,10 +2,13 @@
 
 Run: python benchmarks/same_results.py run TREE OUT [--only NAME]
      python benchmarks/same_results.py compare OUT OTHER
+     python benchmarks/same_results.py executors [--runs 20]
 
 ``run`` runs sessions of the built-in scenarios with the package of a checkout and keeps their
 evidence in OUT: the default gate, ``aggressive``, the catalogue of faults, and 480 runs by four
-planners. ``compare`` reads two such directories. Masked is what differs between two runs of one
+planners. ``compare`` reads two such directories. ``executors`` runs the latter in pytest's own
+process, in children, by two workers of pytest-xdist and by two workers of Dask, and compares
+digests and verdicts. Masked is what differs between two runs of one
 checkout: times, durations, ids of sessions, digests of code and of files that hold such. What is
 masked is replaced and not left out, so that a missing line shows, but for events of a component
 that was slow on the clock. Traces and the player's data hold such times as well; the digests of
@@ -21,8 +24,16 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
+from collections import Counter
 from pathlib import Path
 from typing import Any
+
+from machine import machine, table
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT / "tests/support"))
+from dask_clusters import Cluster  # noqa: E402 - it lies there
 
 SESSIONS = {
     "default": (),
@@ -81,6 +92,66 @@ def run(tree: Path, out: Path, only: str | None) -> None:
             )
             (out / f"{name}.out").write_text(done.stdout + done.stderr)
             print(f"{name}: exit code {done.returncode}", flush=True)
+
+
+def executors(runs: int) -> bool:
+    """Compare digests and verdicts of sessions that differ in who simulates, and print a table."""
+    rows, equal = [], True
+    with tempfile.TemporaryDirectory(prefix="dura-same-") as name:
+        folder = Path(name)
+        (folder / "pytest.ini").write_text("[pytest]\n")
+        cluster = Cluster(folder, {"PYTHONPATH": str(ROOT)})
+        try:
+            for _ in range(2):
+                cluster.worker({"PYTHONPATH": str(ROOT)})
+            modes = {
+                "in-process": ("--dura-executor=in-process",),
+                "children": ("--dura-executor=processes:2",),
+                "pytest-xdist": ("-n", "2"),
+                "Dask": (f"--dura-executor=dask://127.0.0.1:{cluster.port}",),
+            }
+            for planner in [each for each in SESSIONS if each.startswith("digests-")]:
+                first: tuple[Any, Any] | None = None
+                for mode, arguments in modes.items():
+                    _run_session(folder, planner, mode, *arguments, f"--dura-runs={runs}")
+                    found = _outcome(record(folder, mode))
+                    first = first or found
+                    equal &= found == first
+                    rows.append(_row(planner, mode, found, first))
+                    print(*rows[-1], file=sys.stderr, flush=True)
+        finally:
+            cluster.close()
+    print(f"Measured on: {machine()}\n")
+    headers = ["planner", "who simulates", "episodes", "digests", "verdicts"]
+    print(table(headers, rows))
+    return equal
+
+
+def _run_session(folder: Path, planner: str, mode: str, *arguments: str) -> None:
+    options = [each for each in SESSIONS[planner] if not each.startswith("--dura-runs")]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--dura-scenarios"]
+    done = subprocess.run(
+        [*command, f"--dura-evidence={mode}", *options, *arguments], check=False, cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+    )  # fmt: skip
+    if done.returncode > 1:
+        raise SystemExit(done.stdout + done.stderr)
+
+
+def _outcome(data: Any) -> tuple[Any, Any]:
+    digests = sorted((each["id"], each["digest"]) for each in data["episodes"])
+    return digests, [
+        [row[key] for key in ("requirement", "case", "verdict", "violations", "run")]
+        for row in data["verdicts"]
+    ]
+
+
+def _row(planner: str, mode: str, found: tuple[Any, Any], first: tuple[Any, Any]) -> list[str]:
+    cells = []
+    for own, other in zip(found, first, strict=True):
+        shared = sum((Counter(map(str, own)) & Counter(map(str, other))).values())
+        cells.append(f"{shared} of {max(len(own), len(other))} equal")
+    return [planner.partition("-")[2], mode, str(len(found[0])), *cells]
 
 
 def record(out: Path, name: str) -> Any:
@@ -192,7 +263,11 @@ def main() -> None:
     comparing = actions.add_parser("compare")
     comparing.add_argument("own", type=Path)
     comparing.add_argument("other", type=Path)
+    running = actions.add_parser("executors")
+    running.add_argument("--runs", type=int, default=20)
     given = parser.parse_args()
+    if given.action == "executors":
+        sys.exit(0 if executors(given.runs) else 1)
     if given.action == "run":
         run(given.tree, given.out, given.only)
         return
