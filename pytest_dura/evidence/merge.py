@@ -174,7 +174,7 @@ def _add_heads(record: RecordBuilder, parts: Sequence[Part]) -> None:
     record.add(sorted(monitors, key=attrgetter("episodes", "invalid", "missing", "untimed")))
 
 
-_SAME = ("tool", "base_seed", "evidence_level", "require_repeatable", "execution", "llm_price",
+_SAME = ("tool", "base_seed", "evidence_level", "require_repeatable", "execution",
          "options")  # fmt: skip
 """Keys of the header that are those of the first part."""
 

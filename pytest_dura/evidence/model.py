@@ -26,7 +26,6 @@ from pytest_dura.evidence.session_model import (
     InputEntry,
     LanguageModelEntry,
     MergedShard,
-    PriceEntry,
     ResumeEntry,
     SecondEngineEntry,
     SelectionEntry,
@@ -152,8 +151,6 @@ class RecordHead(Entry):
     and `--dura-runs` left of the plan. Of a shard, that of the whole session."""
     component_under_test: ComponentUnderTest
     """The component under test."""
-    llm_price: Absent[PriceEntry] = None
-    """Price of a million tokens of language models; absent where nobody stated one."""
     models: list[LanguageModelEntry]
     """The language models that components asked; empty if none did."""
     measures: list[MeasureInfo]

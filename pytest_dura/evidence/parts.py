@@ -264,7 +264,7 @@ def _compared(part: Part) -> Iterator[tuple[str, Any, str]]:
     """Yield what has to be equal in all parts that have it: key, value and remedy."""
     head = part.head
     options = "give all parts the same options"
-    for name in ("base_seed", "evidence_level", "require_repeatable", "llm_price"):
+    for name in ("base_seed", "evidence_level", "require_repeatable"):
         yield name, getattr(head, name), options
     yield "second_engine.version", head.second_engine and head.second_engine.version, options
     yield "gate.warn_undecided", head.gate.warn_undecided, options

@@ -359,17 +359,6 @@ class TokensEntry(Entry):
     """Answers for which the server counted nothing."""
 
 
-class PriceEntry(Entry):
-    """Price of a million tokens (`--dura-llm-price`), as the user stated it."""
-
-    prompt: Amount
-    """Of requests."""
-    completion: Amount
-    """Of answers."""
-    currency: str
-    """In the user's words; may be empty."""
-
-
 class LanguageModelEntry(Entry):
     """A language model that a component asked."""
 

@@ -35,7 +35,6 @@ from pytest_dura.evidence.episode_model import EpisodeEntry
 from pytest_dura.evidence.files import file_entry, files_below
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import SessionRecord
-from pytest_dura.evidence.session_model import PriceEntry
 from pytest_dura.evidence.text import one_line
 from pytest_dura.evidence.verify import hash_problems, resume_files
 from pytest_dura.requirements.comparison import BaselineComparison, holm, mcnemar
@@ -125,7 +124,6 @@ class Side:
         status: ``complete`` or ``interrupted``.
         gate: Result of the session's gate, which may be on further components.
         base_seed: The session's.
-        price: Of a million tokens, as the session was given it; ``None`` without.
         verdicts: All of the component, in the record's order.
         figures: Over the shared cases.
     """
@@ -138,7 +136,6 @@ class Side:
     status: str
     gate: str
     base_seed: int
-    price: PriceEntry | None
     verdicts: Sequence[VerdictShown]
     figures: Figures
 
@@ -307,7 +304,6 @@ class _Read:
             status=head.status,
             gate=head.gate.result,
             base_seed=head.base_seed,
-            price=head.llm_price,
             verdicts=[_shown_verdict(verdict) for verdict in own],
             figures=_figures([run for case in cases for run in self.runs[case].values()], measures),
         )

@@ -20,7 +20,7 @@ from pytest_dura.llm.port import Answer, Delivery, Message, Request
 from pytest_dura.llm.prompts import Prompt
 from pytest_dura.llm.prose import Memory, Shown, Vocabulary, read_prose
 from pytest_dura.llm.settings import KnownServer, Settings
-from pytest_dura.llm.spending import usage_of
+from pytest_dura.llm.usage import usage_of
 
 _PENDING = "pending"
 """Outcome of a decision that has not landed yet."""

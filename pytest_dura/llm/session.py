@@ -35,7 +35,7 @@ from pytest_dura.llm.servers import (
     choose_description,
     latest_descriptions,
 )
-from pytest_dura.llm.spending import Spending, Tokens, estimate_tokens
+from pytest_dura.llm.usage import Meter, Tokens, estimate_tokens
 
 if TYPE_CHECKING:
     from pytest_dura.llm.client import OpenAiClient
@@ -102,7 +102,7 @@ class ModelSession:
         retries: How requests are repeated whose server is not available; by default as the
             environment says.
         concurrency: Requests that are under way at the same time, at most.
-        spending: Counts the requests to servers; by default without a limit.
+        meter: Counts the requests to servers; by default without a limit.
 
     Raises:
         ConfigurationError: If the cassette, or the environment's number of retries, cannot be used.
@@ -119,7 +119,7 @@ class ModelSession:
         connect: Connect = OpenAiServer,
         retries: Retries | None = None,
         concurrency: int = 1,
-        spending: Spending | None = None,
+        meter: Meter | None = None,
     ) -> None:
         self.mode = mode
         self._environ = os.environ if environ is None else environ
@@ -141,7 +141,7 @@ class ModelSession:
         and ``uncounted`` answers, behind ``asked`` or ``reused`` and a blank."""
         self.limit_reached = ""
         """The limit that kept a request from its server, in words; empty if none did."""
-        self._spending = spending or Spending()
+        self._meter = meter or Meter()
         self._places = Places(concurrency)
         self._under_way: dict[str, Event] = {}
         """Requests that are being recorded, by key, each with the event of their end."""
@@ -398,7 +398,7 @@ class ModelSession:
         with self._lock:
             self._check_goes_on()
             if not self.limit_reached:
-                self.limit_reached = self._spending.begin() or ""
+                self.limit_reached = self._meter.begin() or ""
             reached = self.limit_reached
         if reached:
             raise report_environment_error(
@@ -413,7 +413,7 @@ class ModelSession:
         if tokens.uncounted:  # so that a limit holds all the same
             texts = (message.text for message in request.messages)
             tokens = Tokens(estimate_tokens(*texts), estimate_tokens(answer.text))
-        self._spending.end(tokens)
+        self._meter.end(tokens)
 
     def _check_goes_on(self) -> None:
         if self._stopped:

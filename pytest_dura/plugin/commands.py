@@ -63,7 +63,7 @@ def _fault_line(name: str) -> str:
 
 def _show_list(session: DuraSession) -> int:
     from pytest_dura.faults.catalogue import FAULT_TYPES
-    from pytest_dura.plugin.estimates import estimate_lines
+    from pytest_dura.plugin.request_counts import request_lines
     from pytest_dura.requirements.model import describe_check
 
     library, options = session.library(), session.options
@@ -97,7 +97,7 @@ def _show_list(session: DuraSession) -> int:
         lines.append(f"      {number} episodes")
     items = sum(len(planned.requirements) for planned in session.plan)
     lines.append(f"{items} items, {len(session.plan)} cases, {episodes} episodes")
-    lines += estimate_lines(session)
+    lines += request_lines(session)
     lines += [f"warning: {warning}" for warning in library.warnings]
     lines += [
         f"warning: {place}: no scenario uses the requirement {name!r}"

@@ -256,7 +256,6 @@ class SessionEvidence:
                     "merged_from": None,
                     "selection": self._selection.to_json(),
                     **({"options": given} if (given := compared_options(self.context)) else {}),
-                    **self._models.price_json(),
                     **({"looks": looks} if looks else {}),
                 },
                 options.evidence,

@@ -14,7 +14,6 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.roles import root_conftest_with
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.llm.servers import ModelDescription
     from pytest_dura.llm.session import ModelSession
-    from pytest_dura.llm.spending import Spending
+    from pytest_dura.llm.usage import Meter
     from pytest_dura.plugin.context import SessionContext
     from pytest_dura.plugin.inputs import SessionInputs
     from pytest_dura.plugin.roles import SessionRoles
@@ -96,31 +95,19 @@ class LanguageModels:
             session.know(described)
             self._activate(session)
 
-    def _spending(self) -> Spending | None:
-        """What all processes of the session ask of servers, if there is a limit of it.
-
-        Raises:
-            ConfigurationError: For the limit of a price that nobody stated.
-        """
-        options = self.context.options
-        if options.llm_limit is None:
+    def _meter(self) -> Meter | None:
+        """What all processes of the session ask of servers, if there is a limit of it."""
+        limits = self.context.options.llm_limit
+        if limits is None:
             return None
-        if options.llm_limit.price is not None and options.llm_price is None:
-            raise ConfigurationError(
-                "the limit of a price needs the price of a token",
-                key="--dura-llm-limit",
-                found=f"price={options.llm_limit.price:g} without --dura-llm-price",
-                expected="--dura-llm-price, or the ini setting dura_llm_price",
-                remedy="for example --dura-llm-price='0.15/0.60 USD'",
-            )
-        from pytest_dura.llm.spending import Spending
+        from pytest_dura.llm.usage import Meter
 
-        return Spending(options.llm_limit, options.llm_price, self._spending_file)
+        return Meter(limits, self._meter_file)
 
     @property
-    def _spending_file(self) -> Path:
+    def _meter_file(self) -> Path:
         """File in which the processes of the session add up what they ask."""
-        return Path(tempfile.gettempdir()) / f"pytest-dura-spending-{self._name}"
+        return Path(tempfile.gettempdir()) / f"pytest-dura-meter-{self._name}"
 
     @property
     def limit_reached(self) -> str:
@@ -150,7 +137,7 @@ class LanguageModels:
             session=self._name,
             retries=retries,
             concurrency=self.context.options.llm_concurrency,
-            spending=self._spending(),
+            meter=self._meter(),
             **named,
         )
 
@@ -172,7 +159,7 @@ class LanguageModels:
             session.close()
         if not self.context.is_worker:
             with suppress(OSError):  # what is left in the folder for such files does no harm
-                self._spending_file.unlink(missing_ok=True)
+                self._meter_file.unlink(missing_ok=True)
 
     def _activate(self, session: ModelSession | None) -> ModelSession | None:
         """Put a model session to use; returns the one that was in use."""
@@ -343,11 +330,6 @@ class LanguageModels:
             },
         }
         return UsedModel(str(self.context.worker_input.get("workerid", "main")), counts)
-
-    def price_json(self) -> JsonObject:
-        """The record's key ``llm_price``, which is absent without a price."""
-        price = self.context.options.llm_price
-        return {} if price is None else {"llm_price": vars(price)}
 
     def completed(self, record: SessionRecord, inputs: SessionInputs) -> SessionRecord:
         """Return the record of a finished session with the cassette as it is now."""

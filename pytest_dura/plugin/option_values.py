@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from pytest_dura.core.errors import ConfigurationError
     from pytest_dura.execution.executors import ExecutorChoice
-    from pytest_dura.llm.spending import Limits, Price
+    from pytest_dura.llm.usage import Limits
 
 
 BUILTIN_DOMAIN = "driving"
@@ -304,16 +304,9 @@ def cassette_file(setting: Setting) -> Path | None:
 
 def llm_limits(setting: Setting) -> Limits | None:
     """Read what a session may ask of language models at most."""
-    from pytest_dura.llm.spending import Limits
+    from pytest_dura.llm.usage import Limits
 
     return Limits.parse(str(setting.value), setting.key)
-
-
-def llm_price(setting: Setting) -> Price | None:
-    """Read the price of a million tokens."""
-    from pytest_dura.llm.spending import Price
-
-    return Price.parse(str(setting.value), setting.key)
 
 
 _MOST_RETRIES = 20

@@ -33,7 +33,6 @@ from pytest_dura.plugin.option_values import (
     folder,
     is_choice,
     llm_limits,
-    llm_price,
     llm_retries,
     memory_limit,
     off_switch,
@@ -50,7 +49,7 @@ from pytest_dura.plugin.option_values import (
 if TYPE_CHECKING:
     from pytest_dura.execution.executors import ExecutorChoice
     from pytest_dura.llm.session import Mode
-    from pytest_dura.llm.spending import Limits, Price
+    from pytest_dura.llm.usage import Limits
 
 T = TypeVar("T")
 Level = Literal["summary", "violations", "all"]
@@ -581,27 +580,18 @@ class Options:
         default="1",
         metavar="N",
         example="8",
-        details="See [many requests at once](llm/cost.md#many-requests-at-once).",
+        details="See [many requests at once](llm/tokens.md#many-requests-at-once).",
         same_in_shards=False,
     )
     llm_limit: Option[Limits | None] = Option(
         "--dura-llm-limit",
-        "requests to the servers of language models, tokens, or price, after which the session "
+        "requests to the servers of language models, or tokens, after which the session "
         "ends as interrupted; --dura-resume goes on with it",
         llm_limits,
         metavar="LIMITS",
         example="requests=5000,tokens=2e6",
-        details="All processes of the session share it. A price needs `--dura-llm-price`.",
+        details="All processes of the session share it.",
         same_in_shards=False,
-    )
-    llm_price: Option[Price | None] = Option(
-        "--dura-llm-price",
-        "price of a million tokens of prompts and of answers, with a currency if you like",
-        llm_price,
-        ini="dura_llm_price",
-        metavar="PRICE",
-        example="0.15/0.60 USD",
-        details="There is no list of prices: what a session costs is said only where this is.",
     )
     llm_retries: Option[int | None] = Option(
         "--dura-llm-retries",

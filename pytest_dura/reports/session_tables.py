@@ -13,7 +13,6 @@ from pytest_dura.evidence.conclusions.effectiveness import RECOVERY_ROLE
 from pytest_dura.evidence.conclusions.totals import verdict_counts
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import CellValue, ConcludedTable, SessionRecord
-from pytest_dura.evidence.session_model import PriceEntry
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.columns import Column, Shown, Value, number_text, prose_cell, shown_in
 from pytest_dura.reports.document import Level, Table
@@ -303,13 +302,13 @@ def _mode_table(
                  view="failure_modes")  # fmt: skip
 
 
-def usage_table(cases: Sequence[CaseEntry], price: PriceEntry | None) -> Table | None:
+def usage_table(cases: Sequence[CaseEntry]) -> Table | None:
     """Make a row per case and component on the tokens that decisions used."""
-    rows = usage_rows(cases, price)
+    rows = usage_rows(cases)
     several = len({row.case.component for row in rows}) > 1
     named = [(row.case.id + (f" ({row.case.component})" if several else ""), row) for row in rows]
     caption = "Tokens of language models by case"
-    columns = usage_columns(price)
+    columns = usage_columns()
     table = Table("tokens", columns, named, caption=caption, view="failure_modes")
     return table if rows else None
 

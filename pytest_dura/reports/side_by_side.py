@@ -23,7 +23,6 @@ from pytest_dura.reports.failure_modes import (
     failure_mode_text,
     percent_text,
 )
-from pytest_dura.reports.usage import price_text
 from pytest_dura.requirements.comparison import BaselineComparison
 
 _WIDTH = 100
@@ -141,7 +140,7 @@ def _figures(result: SideBySide) -> Iterator[str]:
             rows.append([f"{failure_mode_text(name(mode))} %{which}", *cells])
     rows += _times("answers s", [own.answer_times for own in figures])
     rows += _times("age of decisions s", [own.answer_ages for own in figures])
-    rows += _spending(sides)
+    rows += _usage_rows(sides)
     about = counted(len(result.cases), "shared case")
     yield from _aligned([about, *(side.letter for side in sides)], rows)
     if any(own.failure_modes for own in figures):
@@ -185,8 +184,8 @@ def _times(label: str, spreads: Sequence[Mapping[str, Any] | None]) -> list[list
     ]
 
 
-def _spending(sides: Sequence[Side]) -> list[list[str]]:
-    """Rows with requests, tokens and price, where any component's runs tell of them."""
+def _usage_rows(sides: Sequence[Side]) -> list[list[str]]:
+    """Rows with requests and tokens, where any component's runs tell of them."""
     usages = [side.figures.usage for side in sides]
     if not any(usages):
         return []
@@ -194,16 +193,11 @@ def _spending(sides: Sequence[Side]) -> list[list[str]]:
         "requests": "requests to models", "prompt": "tokens of prompts",
         "completion": "tokens of answers", "uncounted": "answers without a count of tokens",
     }  # fmt: skip
-    rows = [
+    return [
         [label, *("-" if usage is None else str(getattr(usage, key)) for usage in usages)]
         for key, label in labels.items()
         if key != "uncounted" or any(usage and usage.uncounted for usage in usages)
     ]
-    prices = [
-        "-" if side.price is None or usage is None else price_text(side.price, usage)
-        for side, usage in zip(sides, usages, strict=True)
-    ]
-    return [*rows, ["price of them", *prices]] if {*prices} != {"-"} else rows
 
 
 def _contrast_lines(contrast: Contrast, result: SideBySide, *, everything: bool) -> Iterator[str]:

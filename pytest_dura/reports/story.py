@@ -67,7 +67,7 @@ from pytest_dura.reports.session_tables import (
     usage_table,
     verdict_table,
 )
-from pytest_dura.reports.usage import spending_text, usage_rows
+from pytest_dura.reports.usage import usage_rows, usage_text
 from pytest_dura.reports.verdicts import reading_sentences
 from pytest_dura.reports.wording import (
     beyond_plan_sentences,
@@ -239,7 +239,7 @@ def _file_sections(record: SessionRecord) -> Iterator[Section]:
         "Requirements": requirement_table(record),
         "Failure modes": mode_table_of_files(record),
         "Failure modes by case": mode_table_of_cases(record.head.cases),
-        "Tokens": _in(usage_table(record.head.cases, record.head.llm_price), Shown.FILES),
+        "Tokens": _in(usage_table(record.head.cases), Shown.FILES),
     }
     for title, table in files.items():
         if table is not None:
@@ -311,12 +311,12 @@ def _taken_over(
 def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator[Part]:
     head = record.head
     modes = tuple(failure_mode_tables(cases))
-    uncovered, price = list(_uncovered_lines(record)), head.llm_price
+    uncovered = list(_uncovered_lines(record))
     roles = head.effectiveness
     models = list(_model_lines(record))
     groups: list[tuple[list[str], Sequence[Table | None], str]] = [
         ([*_failure_mode_lines(cases), *uncovered], modes, "failure_modes"),
-        ([*_usage_lines(cases), *models], [_in(usage_table(cases, price), Shown.TERMINAL)],
+        ([*_usage_lines(cases), *models], [_in(usage_table(cases), Shown.TERMINAL)],
          "failure_modes" if modes else ""),
         ([*_reliance_lines(record)], [reliance_table(cases, head.overall)], ""),
         ([*_fault_lines(cases)], [fault_table(cases)], "faults"),
@@ -404,13 +404,13 @@ def _uncovered_lines(record: SessionRecord) -> Iterator[str]:
 def _model_lines(record: SessionRecord) -> Iterator[str]:
     """What each language model was asked, and whether it was available."""
     for model in record.head.models:
-        for text in (spending_text(model, record.head.llm_price), unavailability_text(model)):
+        for text in (usage_text(model), unavailability_text(model)):
             if text:
                 yield f"language model {name(model.model)}: {text}"
 
 
 def _usage_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:
-    rows = [row.usage for row in usage_rows(cases, None)]
+    rows = [row.usage for row in usage_rows(cases)]
     if rows:
         requests, prompt = sum(row.requests for row in rows), sum(row.prompt for row in rows)
         answers = sum(row.completion for row in rows)

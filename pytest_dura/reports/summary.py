@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from pytest_dura.evidence.case_model import ShareEntry
 from pytest_dura.evidence.model import SessionRecord, components_under_test
-from pytest_dura.evidence.session_model import LanguageModelEntry, PriceEntry
+from pytest_dura.evidence.session_model import LanguageModelEntry
 from pytest_dura.evidence.text import code, markdown, name
 from pytest_dura.reports.columns import measure_label
 from pytest_dura.reports.document import Entry, Level
@@ -22,7 +22,7 @@ from pytest_dura.reports.failure_modes import (
 )
 from pytest_dura.reports.pens.markdown import MAX_BYTES, MarkdownPen
 from pytest_dura.reports.story import document_of
-from pytest_dura.reports.usage import spending_text
+from pytest_dura.reports.usage import usage_text
 from pytest_dura.reports.wording import (
     evidence_option,
     is_incomplete,
@@ -46,12 +46,12 @@ def _model_lines(record: SessionRecord, most: int) -> Iterator[str]:
         most: The greatest number of lines; a last line says how many entries are left out.
     """
     models = record.head.models
-    yield from (_model_line(model, record.head.llm_price) for model in models[:most])
+    yield from (_model_line(model) for model in models[:most])
     if len(models) > most:
         yield f"- and {len(models) - most} more language models"
 
 
-def _model_line(model: LanguageModelEntry, price: PriceEntry | None) -> str:
+def _model_line(model: LanguageModelEntry) -> str:
     capabilities = model.capabilities or {}
     level = _name(str(capabilities.get("structured", "unknown")))
     enforcement = "enforced" if capabilities.get("enforced") else "not enforced"
@@ -63,8 +63,8 @@ def _model_line(model: LanguageModelEntry, price: PriceEntry | None) -> str:
         f"{model.reused} from the cassette, {model.injected} injected faults, "
         f"{model.missed} missed"
     )
-    if spending := spending_text(model, price):
-        text += f"; {markdown(spending, 400)}"
+    if usage := usage_text(model):
+        text += f"; {markdown(usage, 400)}"
     if unavailability := unavailability_text(model, _name):
         text += f"; {unavailability}"
     cassette = model.cassette

@@ -1,4 +1,4 @@
-"""Tokens and price of language models: figures and columns that reports and terminal share."""
+"""Tokens of language models: figures and columns that reports and terminal share."""
 
 from __future__ import annotations
 
@@ -7,43 +7,30 @@ from dataclasses import dataclass
 
 from pytest_dura.core.metrics import Usage
 from pytest_dura.evidence.case_model import CaseEntry, CaseUsage
-from pytest_dura.evidence.session_model import LanguageModelEntry, PriceEntry, TokensEntry
-from pytest_dura.evidence.text import counted, name
-from pytest_dura.reports.columns import Cell, Column, Shown, given, name_cell
+from pytest_dura.evidence.session_model import LanguageModelEntry, TokensEntry
+from pytest_dura.evidence.text import counted
+from pytest_dura.reports.columns import Cell, Column, Shown, name_cell
 
-_MILLION = 1_000_000
 Tokens = TokensEntry | CaseUsage | Usage
 """Counts of tokens, ``prompt``, ``completion`` and ``uncounted``."""
 
 
-def price_text(price: PriceEntry, tokens: Tokens) -> str:
-    """The price of some tokens, such as ``0.0312 USD``."""
-    amount = (tokens.prompt * price.prompt + tokens.completion * price.completion) / _MILLION
-    currency = name(price.currency)
-    return f"{amount:.4g}{f' {currency}' if currency else ''}"
-
-
-def tokens_text(tokens: Tokens, price: PriceEntry | None) -> str:
-    """Tokens and their price in words; empty where there is nothing to say."""
+def tokens_text(tokens: Tokens) -> str:
+    """Tokens in words; empty where there is nothing to say."""
     if not (tokens.prompt or tokens.completion or tokens.uncounted):
         return ""
     text = f"{tokens.prompt} + {tokens.completion} tokens (prompts + answers)"
-    if price is not None:
-        text += f", {price_text(price, tokens)}"
     if tokens.uncounted:
         text += f"; the server counted none for {counted(tokens.uncounted, 'answer')}"
     return text
 
 
-def spending_text(model: LanguageModelEntry, price: PriceEntry | None) -> str:
+def usage_text(model: LanguageModelEntry) -> str:
     """What a session asked of a model and took from the cassette, in words; empty for nothing."""
     calls = model.asked + model.repeated
     texts = (
-        (f"{counted(calls, 'request')} to the server", tokens_text(model.asked_tokens, price)),
-        (
-            f"{counted(model.reused, 'answer')} from the cassette",
-            tokens_text(model.reused_tokens, price),
-        ),
+        (f"{counted(calls, 'request')} to the server", tokens_text(model.asked_tokens)),
+        (f"{counted(model.reused, 'answer')} from the cassette", tokens_text(model.reused_tokens)),
     )
     return "; ".join(f"{what}: {text}" for what, text in texts if text)
 
@@ -55,24 +42,20 @@ class UsageRow:
     Args:
         case: The case.
         usage: Its figures.
-        price: Of a million tokens, where the user stated one.
     """
 
     case: CaseEntry
     usage: CaseUsage
-    price: PriceEntry | None
 
 
-def usage_rows(cases: Sequence[CaseEntry], price: PriceEntry | None) -> list[UsageRow]:
+def usage_rows(cases: Sequence[CaseEntry]) -> list[UsageRow]:
     """Rows of the cases whose episodes tell what they used."""
+    return [UsageRow(case, usage) for case in cases if (usage := case.metrics.usage) is not None]
+
+
+def usage_columns() -> list[Column[UsageRow]]:
+    """The columns of the table."""
     return [
-        UsageRow(case, usage, price) for case in cases if (usage := case.metrics.usage) is not None
-    ]
-
-
-def usage_columns(price: PriceEntry | None) -> list[Column[UsageRow]]:
-    """The columns of the table, with the price where there is one."""
-    columns: list[Column[UsageRow]] = [
         Column("case", lambda row: name_cell(row.case.id), shown=Shown.FILES, kind=""),
         Column("component", lambda row: name_cell(row.case.component), shown=Shown.FILES, kind=""),
         Column("episodes", lambda row: row.usage.episodes, short="n", meaning="episodes that tell"),
@@ -90,15 +73,6 @@ def usage_columns(price: PriceEntry | None) -> list[Column[UsageRow]]:
         Column("uncounted", lambda row: row.usage.uncounted, short="uncnt",
                meaning="answers for which the server counted no tokens"),
     ]  # fmt: skip
-    if price is not None:
-        columns.append(
-            Column(
-                "price",
-                lambda row: given(row.price, lambda own: _plain(price_text(own, row.usage))),
-                meaning="by the price that the session was given",
-            )
-        )
-    return columns
 
 
 def _per_decision(row: UsageRow) -> Cell | None:

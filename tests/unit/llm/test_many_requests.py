@@ -13,7 +13,7 @@ import pytest
 from pytest_dura.core import ComponentEnvironmentError, ConfigurationError, environment_errors
 from pytest_dura.llm import Answer, Message, ModelSession, Request
 from pytest_dura.llm.session import uncounted
-from pytest_dura.llm.spending import Limits, Price, Spending, Tokens, estimate_tokens
+from pytest_dura.llm.usage import Limits, Meter, Tokens, estimate_tokens
 
 SECONDS = 0.1
 USAGE = {"prompt_tokens": 100, "completion_tokens": 20}
@@ -140,12 +140,11 @@ def test_requests_of_a_repetition_enter_no_count_in_any_thread(server) -> None:
     [
         (Limits(requests=5), 5, "5 requests"),
         (Limits(tokens=360), 3, "360 tokens"),
-        (Limits(price=0.5), 4, "a price of 0.5"),
     ],
 )
 def test_a_limit_keeps_the_next_request_from_its_server(server, limits, asked, reached) -> None:
     # 100 and 20 tokens at 1,000 and 2,000 a million: 0.14 a request
-    session = made(server, spending=Spending(limits, Price(1000.0, 2000.0)))
+    session = made(server, meter=Meter(limits))
     for each in requests(asked):
         session.ask(each, 5.0)
     assert session.limit_reached == ""
@@ -158,7 +157,7 @@ def test_a_limit_keeps_the_next_request_from_its_server(server, limits, asked, r
 
 
 def test_a_limit_of_requests_is_kept_also_by_many_at_once(server) -> None:
-    session = made(server, concurrency=8, spending=Spending(Limits(requests=5)))
+    session = made(server, concurrency=8, meter=Meter(Limits(requests=5)))
     with environment_errors(), pytest.raises(ComponentEnvironmentError):
         session.ask_all(requests(12), 5.0)
     time.sleep(2 * SECONDS)
@@ -166,7 +165,7 @@ def test_a_limit_of_requests_is_kept_also_by_many_at_once(server) -> None:
 
 
 def test_what_the_cassette_answers_counts_against_no_limit(server, tmp_path) -> None:
-    session = made(server, "record", tmp_path / "tape", spending=Spending(Limits(requests=1)))
+    session = made(server, "record", tmp_path / "tape", meter=Meter(Limits(requests=1)))
     for _ in range(3):
         assert session.ask(request("a"), 5.0).text == "to a"
     assert session.limit_reached == ""
@@ -174,7 +173,7 @@ def test_what_the_cassette_answers_counts_against_no_limit(server, tmp_path) -> 
 
 def test_processes_share_a_limit_by_a_file(server, tmp_path) -> None:
     limits, file = Limits(requests=3), tmp_path / "spent"
-    sessions = [made(server, spending=Spending(limits, None, file)) for _ in range(2)]
+    sessions = [made(server, meter=Meter(limits, file)) for _ in range(2)]
     for number in range(3):
         sessions[number % 2].ask(request("a"), 5.0)
     for session in sessions:
@@ -185,7 +184,7 @@ def test_processes_share_a_limit_by_a_file(server, tmp_path) -> None:
 
 def test_tokens_that_no_server_counts_are_estimated_for_the_limit() -> None:
     server = WaitingServer(usage={})
-    session = made(server, spending=Spending(Limits(tokens=300)))
+    session = made(server, meter=Meter(Limits(tokens=300)))
     session.ask(request("x" * 1200), 5.0)
     with environment_errors(), pytest.raises(ComponentEnvironmentError):
         session.ask(request("a"), 5.0)
@@ -215,7 +214,7 @@ def test_a_session_that_has_ended_asks_and_records_nothing_more(server, tmp_path
     "text, limits",
     [
         ("requests=5000", Limits(requests=5000)),
-        ("requests=5000, tokens=2e6,price=0.5", Limits(5000, 2_000_000, 0.5)),
+        ("requests=5000, tokens=2e6", Limits(5000, 2_000_000)),
     ],
 )
 def test_limits_are_read(text, limits) -> None:
@@ -230,21 +229,6 @@ def test_limits_are_read(text, limits) -> None:
 def test_limits_that_cannot_be_read_are_one_error(text) -> None:
     with pytest.raises(ConfigurationError, match="--x limits what a session asks"):
         Limits.parse(text, "--x")
-
-
-def test_a_price_is_read_and_put_into_words() -> None:
-    price = Price.parse("0.15/0.60 USD", "--x")
-    assert price == Price(0.15, 0.6, "USD")
-    tokens = Tokens(1_000_000, 500_000)
-    assert price.of(tokens) == pytest.approx(0.45)
-    assert price.text(tokens) == "0.45 USD"
-    assert Price.parse("1/2", "--x").text(Tokens(10_000)) == "0.01"
-
-
-@pytest.mark.parametrize("text", ["", "1", "1/", "a/b", "-1/2", "1/nan", "1/2 " + "x" * 20])
-def test_a_price_that_cannot_be_read_is_one_error(text) -> None:
-    with pytest.raises(ConfigurationError, match="--x states the price"):
-        Price.parse(text, "--x")
 
 
 def test_tokens_are_those_that_the_server_counted() -> None:

@@ -1,4 +1,4 @@
-"""Spending: requests and tokens of a session, their price, and the limits at which it ends."""
+"""Usage: requests and tokens of a session, and the limits at which it ends."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from threading import Lock
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.llm.port import Answer
 
-_MILLION = 1_000_000
 _CHARACTERS_PER_TOKEN = 4
-_LONGEST_CURRENCY = 12
 
 
 def estimate_tokens(*texts: str) -> int:
@@ -73,52 +71,6 @@ def usage_of(answers: Iterable[Answer]) -> dict[str, int]:
     return {"requests": requests, **asdict(tokens)}
 
 
-@dataclass(frozen=True)
-class Price:
-    """Price of a million tokens, as the user states it.
-
-    Args:
-        prompt: Of the requests.
-        completion: Of the answers.
-        currency: Such as ``USD``; empty where nothing is said.
-    """
-
-    prompt: float
-    completion: float
-    currency: str = ""
-
-    @classmethod
-    def parse(cls, text: str, key: str) -> Price:
-        """Parse ``0.15/0.60``, or ``0.15/0.60 USD``.
-
-        Raises:
-            ConfigurationError: For anything else.
-        """
-        numbers, _, currency = text.strip().partition(" ")
-        prompt, _, completion = (_number(part) for part in numbers.partition("/"))
-        currency = currency.strip()
-        usable = prompt is not None and completion is not None
-        fits = len(currency) <= _LONGEST_CURRENCY and currency.isprintable()
-        if prompt is None or completion is None or not (usable and fits):
-            raise ConfigurationError(
-                f"{key} states the price of a million tokens",
-                key=key,
-                found=text,
-                expected="PROMPT/COMPLETION, and a currency if you like",
-                remedy=f"for example {key}='0.15/0.60 USD'",
-            )
-        return cls(prompt, completion, currency)
-
-    def of(self, tokens: Tokens) -> float:
-        """The price of some tokens."""
-        spent = tokens.prompt * self.prompt + tokens.completion * self.completion
-        return spent / _MILLION
-
-    def text(self, tokens: Tokens) -> str:
-        """The price of some tokens, in words such as ``0.0312 USD``."""
-        return f"{self.of(tokens):.4g}{f' {self.currency}' if self.currency else ''}"
-
-
 def _number(text: str) -> float | None:
     try:
         number = float(text)
@@ -134,52 +86,45 @@ class Limits:
     Args:
         requests: Number of requests.
         tokens: Of prompts and answers.
-        price: In the currency of the price.
     """
 
     requests: int | None = None
     tokens: int | None = None
-    price: float | None = None
 
     @classmethod
     def parse(cls, text: str, key: str) -> Limits:
-        """Parse ``requests=5000,tokens=2e6,price=5``, or some of these.
+        """Parse ``requests=5000,tokens=2e6``, or one of these.
 
         Raises:
             ConfigurationError: For anything else.
         """
         names = [each.name for each in fields(cls)]
-        values: dict[str, float] = {}
+        values: dict[str, int] = {}
         for part in text.split(","):
             name, _, amount = (each.strip() for each in part.partition("="))
             number = _number(amount)
-            whole = name == "price" or (number is not None and number == int(number))
-            if name not in names or name in values or not number or not whole:
+            if name not in names or name in values or not number or number != int(number):
                 raise ConfigurationError(
                     f"{key} limits what a session asks of language models",
                     key=key,
                     found=text,
-                    expected=f"{', '.join(names)}, each at most once and with a number above 0",
+                    expected=f"{', '.join(names)}, each once at most, with a whole number above 0",
                     remedy=f"for example {key}=requests=5000,tokens=2e6",
                 )
-            values[name] = number
-        whole_numbers = {name: int(values[name]) for name in names[:2] if name in values}
-        return cls(**whole_numbers, price=values.get("price"))
+            values[name] = int(number)
+        return cls(**values)
 
 
-class Spending:
+class Meter:
     """What the processes of a session have asked of servers so far, against its limits.
 
     Args:
         limits: Those of the session.
-        price: For the limit of a price.
         file: Shared by the processes of the session, each of which adds what it asks.
     """
 
-    def __init__(
-        self, limits: Limits = Limits(), price: Price | None = None, file: Path | None = None
-    ) -> None:
-        self.limits, self.price = limits, price
+    def __init__(self, limits: Limits = Limits(), file: Path | None = None) -> None:
+        self.limits = limits
         self._file, self._read = file, 0
         self._requests, self._tokens = 0, Tokens()
         self._lock = Lock()
@@ -194,14 +139,11 @@ class Spending:
             return None
         with self._lock:
             self._add(1, Tokens())
-            limits, price = self.limits, self.price
+            limits = self.limits
             if limits.requests is not None and self._requests > limits.requests:
                 return f"{limits.requests} requests"
             if limits.tokens is not None and self._tokens.total >= limits.tokens:
                 return f"{limits.tokens} tokens"
-            spent = None if price is None else price.of(self._tokens)
-            if limits.price is not None and spent is not None and spent >= limits.price:
-                return f"a price of {limits.price:g}"
             return None
 
     def end(self, tokens: Tokens) -> None:

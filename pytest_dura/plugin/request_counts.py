@@ -1,0 +1,154 @@
+"""Count of the requests that a session makes of language models at most, for ``--dura-list``.
+
+One decision of each case is simulated with a stand-in for the server, which shows how many requests
+a decision makes; no server is asked.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from pytest_dura.core.classes import is_subclass
+from pytest_dura.core.errors import describe_error
+from pytest_dura.evidence.text import counted
+from pytest_dura.execution.task import EpisodeTask, stated_model
+from pytest_dura.plugin.context import Planned
+from pytest_dura.requirements.model import FAULTS
+
+if TYPE_CHECKING:
+    from pytest_dura.library.cases import Case
+    from pytest_dura.llm.port import Answer, Request
+    from pytest_dura.llm.settings import Settings
+    from pytest_dura.plugin.session import DuraSession
+
+_MODULES = frozenset({"pytest_dura.llm.planner", "pytest_dura.llm.session"})
+
+
+@dataclass
+class _StandIn:
+    """Stand-in for a server: answers nothing, and keeps what it is asked."""
+
+    model: str
+    base_url: str = "http://127.0.0.1/v1"
+    asked: list[Request] = field(default_factory=list)
+
+    def ask(self, request: Request, budget: float) -> Answer:  # noqa: ARG002 - it is no server
+        from pytest_dura.llm.port import Answer
+
+        self.asked.append(request)
+        return Answer(failure="empty")
+
+    def probe(self) -> tuple[str, Mapping[str, Any]]:
+        return "0" * 64, {"structured": "none", "vision": False, "seed": False}
+
+    def scrub(self, text: str) -> str:
+        return text
+
+
+@dataclass(frozen=True)
+class _CaseCount:
+    """Requests of a case.
+
+    Args:
+        episodes: Its episodes, those of pairs and fault-free twins included.
+        requests: Of the longest episode.
+    """
+
+    episodes: int
+    requests: int
+
+
+def request_lines(session: DuraSession) -> Iterator[str]:
+    """Lines on the requests of the planned cases to language models; none where no case asks.
+
+    Args:
+        session: The session, whose plan is made.
+    """
+    counts: list[_CaseCount] = []
+    reasons: dict[str, None] = {}
+    unknown = 0
+    for planned in session.plan:
+        case = planned.case
+        runs = session.options.runs or case.scenario.planned
+        episodes = runs * _arms(session, planned)
+        try:
+            count = _count(session, case, episodes)
+        except Exception as error:  # whatever user code raises; a list is shown all the same
+            reasons[describe_error(error)] = None
+        else:
+            counts += [] if isinstance(count, bool) else [count]
+            unknown += episodes if count is True else 0
+    if counts:
+        yield from _lines(session, counts)
+    if unknown:
+        yield f"{counted(unknown, 'episode')} ask a language model; how often is not known"
+    for reason in reasons:
+        yield f"warning: requests to language models cannot be counted: {reason}"
+
+
+def _arms(session: DuraSession, planned: Planned) -> int:
+    """How many episodes each run of a case makes: its own, its twins', and those of pairs."""
+    known = session.library().requirements
+    pairs = (known[name].paired for name in planned.requirements)
+    without = {pair.without for pair in pairs if pair is not None}
+    if planned.case.faults and session.options.twins:
+        without.add(FAULTS)
+    return 1 + len(without)
+
+
+def _count(session: DuraSession, case: Case, episodes: int) -> _CaseCount | bool:
+    """Count the requests of a case; of others, whether its component asks a language model."""
+    target = case.roles(session.runner.roles)["generator"].resolve()
+    if _MODULES.isdisjoint(sys.modules):  # whoever asks has imported one of them
+        return False
+    from pytest_dura.llm.planner import LlmGenerator
+    from pytest_dura.llm.session import using
+    from pytest_dura.llm.settings import Settings
+
+    with using(_session(_StandIn("model"))):
+        task = session.runner.task(case)
+    generator = task.spec.roles["generator"]
+    if not is_subclass(target, LlmGenerator):
+        return stated_model(generator) is not None
+    return _counted(task, Settings.of(generator.params, target.MANEUVERS), episodes)
+
+
+def _session(server: _StandIn) -> Any:
+    from pytest_dura.llm.session import ModelSession
+
+    return ModelSession(environ={}, connect=lambda *_: server)
+
+
+def _counted(task: EpisodeTask, settings: Settings, episodes: int) -> _CaseCount:
+    from pytest_dura.llm.session import using
+
+    end = task.spec.termination
+    ticks = end.last_index(task.spec.time_step)
+    if end.iterations is not None:
+        ticks = min(ticks, end.iterations)
+    decisions = math.ceil(ticks / settings.decide_every)
+    server = _StandIn(settings.model or "model")
+    with using(_session(server)):
+        spec = replace(task.spec, termination=replace(end, iterations=1))
+        replace(task, spec=spec, recorded=False).run()
+    if not server.asked:
+        raise ValueError(f"{task.spec.case}: the component asked nothing at its first tick")
+    beside = math.ceil(decisions / settings.beside_every) * (len(server.asked) - 1)
+    return _CaseCount(episodes, decisions + beside)
+
+
+def _lines(session: DuraSession, counts: Sequence[_CaseCount]) -> Iterator[str]:
+    episodes = sum(each.episodes for each in counts)
+    requests = sum(each.episodes * each.requests for each in counts)
+    yield (
+        f"language model: at most {counted(requests, 'request')} in {counted(episodes, 'episode')},"
+        " pairs and twins included, if each episode lasts its whole time"
+    )
+    if session.options.llm == "record":
+        yield "    what the cassette has by now is not asked again"
+    elif session.options.llm == "replay":
+        yield "    a replay asks no server"
