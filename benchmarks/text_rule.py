@@ -247,7 +247,7 @@ class Rule:
     def __init__(self, manner: str = "keen") -> None:
         self._manner = manner
 
-    def ask(self, request: Request, _budget: float) -> Answer:
+    def ask(self, request: Request, _budget: float, _repeats: Any = None) -> Answer:
         """Answer like a model."""
         read_ = read(request.messages[0].text, request.messages[-1].text)
         maneuver, ids = decide(read_, self._manner)

@@ -19,15 +19,17 @@ from pytest_dura.llm.answers import read_answer
 from pytest_dura.llm.client import import_extra
 from pytest_dura.llm.endpoint import KEY, MODEL, URL, Endpoint
 from pytest_dura.llm.port import (
+    LONGEST_PAUSE,
+    ONCE,
     Answer,
     ChatPort,
     Image,
     Message,
+    Repeats,
     Request,
     Structured,
     TokensField,
 )
-from pytest_dura.llm.retries import Retries
 
 LEVELS: tuple[Structured, ...] = get_args(Structured)
 """From the strongest to the weakest."""
@@ -267,7 +269,7 @@ class ProbeCalls:
         self, port: ProbePort, endpoint: Endpoint, budget: float, pause: float, retries: int
     ) -> None:
         self._port, self._endpoint, self._budget, self._pause = port, endpoint, budget, pause
-        self._retries = Retries(max(retries, _ATTEMPTS - 1))
+        self._repeats = Repeats(max(retries, _ATTEMPTS - 1), allowed=self._repeated)
         self.requests = 0
         self.attempts = 0
         self.dialect = Dialect()
@@ -285,11 +287,7 @@ class ProbeCalls:
         """
         while True:
             adapted = self.dialect.applied(request)
-
-            def call(_: float, made: Request = adapted) -> Answer:
-                return self._call(made)
-
-            answer = self._retries.ask(call, self._budget, counted=False)
+            answer = self._call(adapted, self._repeats)
             if answer.cause in _BUSY:
                 self.attempts = answer.attempts
                 raise self._no_answer_error(answer, _status_of(answer))
@@ -298,10 +296,14 @@ class ProbeCalls:
                 return answer
             self.dialect = dialect
 
-    def _call(self, request: Request) -> Answer:
+    def _repeated(self, _cause: str) -> bool:
+        self.requests += 1
+        return True
+
+    def _call(self, request: Request, repeats: Repeats = ONCE) -> Answer:
         """Make one call, and count it."""
         self.requests += 1
-        answer = self._port.ask(request, self._budget)
+        answer = self._port.ask(request, self._budget, repeats=repeats)
         if answer.fingerprint:
             self.fingerprints.add(answer.fingerprint)
         return answer
@@ -328,9 +330,9 @@ class ProbeCalls:
                 self.dialect = dialect
                 continue
             unanswered += 1
-            if status in _PERMANENT or unanswered > self._retries.most:
+            if status in _PERMANENT or unanswered > self._repeats.most:
                 raise self._no_answer_error(answer, status)
-            time.sleep(max(self._pause * unanswered, self._retries.pause(answer, 1) or 0.0))
+            time.sleep(max(self._pause * unanswered, min(answer.retry_after or 0.0, LONGEST_PAUSE)))
 
     def server(self) -> ServerListing:
         """The server's listing; called last, it covers the fingerprints of all answers."""

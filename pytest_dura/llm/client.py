@@ -1,15 +1,17 @@
 """The client of OpenAI-compatible servers: one call of the openai SDK, turned into an answer.
 
-It never repeats a call; :mod:`pytest_dura.llm.retries` does where that is wanted. Packages of the
-extra ``llm`` are imported at first use.
+Packages of the extra ``llm`` are imported at first use.
 """
 
 from __future__ import annotations
 
 import base64
 import io
+import json
+import os
 import time
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
@@ -18,9 +20,16 @@ from typing import Any
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.llm.completions import BadBodyError, read_completion, refusal_of, short_text
 from pytest_dura.llm.endpoint import Endpoint
-from pytest_dura.llm.port import Answer, Image, Message, Request, ServerFault, WireFailure
-from pytest_dura.llm.retries import retry_after
-from pytest_dura.llm.streams import EventStream, is_stream
+from pytest_dura.llm.port import (
+    ONCE,
+    Answer,
+    Image,
+    Message,
+    Repeats,
+    Request,
+    ServerFault,
+    WireFailure,
+)
 
 
 def import_extra(name: str) -> Any:
@@ -97,9 +106,10 @@ def data_url(image: Image) -> str:
 class OpenAiClient:
     """Client of an OpenAI-compatible server; it may be called from many threads.
 
-    Every call goes to the base URL alone, ends within its budget and is never repeated; connections
-    are kept for the next call. Nothing but the endpoint, proxies and certificates is taken from the
-    environment: no other key, no other header. Secrets are taken out of all that comes back.
+    Every call goes to the base URL alone and ends within its budget; connections are kept for the
+    next call, apart in each process. Nothing but the endpoint, proxies and certificates is taken
+    from the environment: no other key, no other header. Secrets are taken out of all that comes
+    back.
 
     Args:
         endpoint: The server and the key.
@@ -112,40 +122,47 @@ class OpenAiClient:
         self._openai, self._http = import_extra("openai"), import_extra("httpx2")
         if find_spec("PIL") is None:
             import_extra("PIL")
-        self._transport = import_extra("pytest_dura.llm.transport")
+        self._wire = import_extra("pytest_dura.llm.wire")
         self.endpoint = endpoint
-        proxy = self._transport.environment_proxy(endpoint.base_url)
-        self._live = self._sdk(self._transport.Network(), proxy)
+        self._sdks = {os.getpid(): self._sdk()}
+        weakref.finalize(self, _close, self._sdks)
 
-    def ask(self, request: Request, budget: float, fault: ServerFault = "") -> Answer:
+    def ask(
+        self, request: Request, budget: float, fault: ServerFault = "", repeats: Repeats = ONCE
+    ) -> Answer:
         """Make one call; see :class:`~pytest_dura.llm.port.ChatPort`. A fault takes 0 s."""
 
-        def call(sdk: Any) -> Any:
+        def call(sdk: Any, timeout: float) -> Any:
             body = body_of(request)
             return sdk.chat.completions.with_streaming_response.create(
                 model=body.pop("model"),
                 messages=body.pop("messages"),
                 extra_body=body,
-                timeout=budget,
+                timeout=timeout,
             )
 
         if not fault:
-            return self._timed(call, self._live, budget, read_completion)
-        sdk = self._sdk(self._transport.failing(fault))
-        return replace(self._timed(call, sdk, budget, read_completion), seconds=0.0)
+            return self._asked(call, self._live, budget, repeats, read_completion)
+        sdk = self._sdk(self._wire.failing(fault))
+        return replace(self._asked(call, sdk, budget, ONCE, read_completion), seconds=0.0)
 
     def listing(self, budget: float) -> Answer:
         """The server's list of models: the text is the body of ``GET /models``."""
 
-        def call(sdk: Any) -> Any:
-            return sdk.models.with_streaming_response.list(timeout=budget)
+        def call(sdk: Any, timeout: float) -> Any:
+            return sdk.models.with_streaming_response.list(timeout=timeout)
 
         def read(body: bytes) -> Answer:
             return Answer(body.decode(errors="replace"))
 
-        return self._timed(call, self._live, budget, read)
+        return self._asked(call, self._live, budget, ONCE, read)
 
-    def _sdk(self, network: Any, proxy: Any = None) -> Any:
+    @property
+    def _live(self) -> Any:
+        """The SDK of this process: one that was forked shares no connection with the other."""
+        return self._sdks.get(os.getpid()) or self._sdks.setdefault(os.getpid(), self._sdk())
+
+    def _sdk(self, network: Any = None) -> Any:
         """The SDK on a network. All that it would read from the environment is given to it."""
         return self._openai.OpenAI(
             api_key=self.endpoint.key,
@@ -156,79 +173,105 @@ class OpenAiClient:
             base_url=self.endpoint.address,
             default_query=dict(self.endpoint.query),
             max_retries=0,
-            http_client=self._http.Client(
-                transport=self._transport.Wire(self.endpoint.sent_headers, network, proxy),
-                trust_env=False,
-                follow_redirects=False,
-            ),
+            http_client=self._wire.Wire(self.endpoint.sent_headers, network),
         )
 
-    def _timed(
-        self, call: Callable[[Any], Any], sdk: Any, budget: float, read: Callable[[bytes], Answer]
+    def _asked(
+        self,
+        make: Callable[[Any, float], Any],
+        sdk: Any,
+        budget: float,
+        repeats: Repeats,
+        read: Callable[[bytes], Answer],
     ) -> Answer:
+        """The answer of one call, whatever happens in it."""
         if not budget > 0.0:
             return Answer(failure="timeout", detail="there is no time left for a call")
-        start = time.perf_counter()
-        answer = self._called(call, sdk, read, start)
-        seconds = time.perf_counter() - start
+        call = self._wire.Call(budget, repeats)
+        sdk = sdk.with_options(max_retries=repeats.most) if repeats.most else sdk
+        try:
+            # A step of the client may last longer than the call, whose deadline counts.
+            answer: Answer = call.run(lambda: self._read(make(sdk, call.budget + 1.0), read, call))
+        except self._wire.LateError:
+            answer = self._late(call)
+        except BadBodyError as error:
+            answer = Answer(failure=error.failure, detail=error.detail)
+        except self._openai.APIStatusError as error:
+            refusal = refusal_of(error.status_code, self._without_key(error.response.content))
+            pause = self._wire.retry_after(error.response.headers)
+            answer = replace(refusal, retry_after=pause)
+        except Exception as error:
+            # A call never raises: its failure is an answer.
+            failure, detail, cause = self._failed(error)
+            answer = Answer(failure=failure, detail=detail, cause=cause)
+        begun = call.begun if call.attempts <= 1 else call.started
+        seconds = time.monotonic() - begun
         scrub = self.endpoint.scrub
         return replace(
             answer,
             text=scrub(answer.text),
             thoughts=scrub(answer.thoughts),
-            detail=scrub(answer.detail),
+            detail=short_text(scrub(answer.detail)),
             finish=scrub(answer.finish),
             fingerprint=scrub(answer.fingerprint),
-            seconds=seconds,
+            seconds=min(seconds, call.budget) if answer.failure == "unavailable" else seconds,
+            attempts=max(call.attempts, 1),
+            waited=begun - call.begun,
         )
 
-    def _called(
-        self, call: Callable[[Any], Any], sdk: Any, read: Callable[[bytes], Answer], start: float
-    ) -> Answer:
-        """The answer of one call, whatever happens in it."""
-        try:
-            with call(sdk) as response:
-                if is_stream(response.headers.get("content-type", "")):
-                    return self._streamed(response, read, start)
-                body = b"".join(response.iter_bytes())
-            limit = self._transport.LONGEST_BODY
-            if len(body) > limit:
-                return Answer(failure="malformed", detail=f"a body of more than {limit} bytes")
-            return read(self._without_key(body))
-        except BadBodyError as error:
-            return Answer(failure=error.failure, detail=error.detail)
-        except self._openai.APIStatusError as error:
-            refusal = refusal_of(error.status_code, self._without_key(error.response.content))
-            return replace(refusal, retry_after=retry_after(error.response.headers))
-        except Exception as error:
-            # A call never raises: its failure is an answer.
-            failure, detail, cause = self._failed(error)
-            shown = short_text(self.endpoint.scrub(detail))
-            return Answer(failure=failure, detail=shown, cause=cause)
+    def _read(self, response: Any, read: Callable[[bytes], Answer], call: Any) -> Answer:
+        """The answer in a response."""
+        with response as opened:
+            if self._wire.is_event_stream(opened):
+                return self._streamed(opened, read, call)
+            body = b"".join(opened.iter_bytes())
+        return read(self._without_key(body))
 
-    def _streamed(self, response: Any, read: Callable[[bytes], Answer], start: float) -> Answer:
-        """The answer of a response that comes in parts."""
-        stream, size, limit = EventStream(), 0, self._transport.LONGEST_STREAM
-        chunked = "transfer-encoding" in response.headers
-        for chunk in response.iter_bytes():
-            size += len(chunk)
-            if size > limit:
-                return Answer(failure="malformed", detail=f"a stream of more than {limit} bytes")
-            stream.feed(chunk, time.perf_counter() - start)
-            if stream.ended and not chunked:
-                break  # the end of the connection, which some servers leave open, tells no more
-        return replace(read(self._without_key(stream.body())), first_token=stream.first_token)
+    def _streamed(self, response: Any, read: Callable[[bytes], Answer], call: Any) -> Answer:
+        """The answer of a response that comes in parts, put together to one completion."""
+        whole: dict[str, Any] = {}
+        message: dict[str, str] = {}
+        first_token = finish = None
+        events = self._openai.Stream(
+            cast_to=object, response=response.http_response, client=self._live
+        )
+        try:
+            for event in events:
+                first, ends = _add_part(event, whole, message)
+                if first and first_token is None:
+                    first_token = time.monotonic() - call.started
+                finish = ends or finish
+        except self._openai.APIError as error:
+            if isinstance(error, self._openai.APIConnectionError):
+                raise error.__cause__ or error from None
+            return read(self._without_key(json.dumps({"error": error.body}).encode()))
+        except (ValueError, RecursionError):
+            raise BadBodyError("malformed", "an event is no JSON") from None
+        if finish is None:
+            raise BadBodyError("truncated", "the stream ends in the middle")
+        arguments = message.pop("arguments", "")
+        calls = {"tool_calls": [{"function": {"arguments": arguments}}]} if arguments else {}
+        choice = {"message": {**message, **calls}, "finish_reason": finish}
+        body = json.dumps({**whole, "choices": [choice]}).encode()
+        return replace(read(self._without_key(body)), first_token=first_token)
 
     def _without_key(self, body: bytes) -> bytes:
         """A body before any of it is cut: half a key is one, too."""
         text = body.decode(errors="surrogateescape")
         return self.endpoint.scrub(text).encode(errors="surrogateescape")
 
+    def _late(self, call: Any) -> Answer:
+        """The answer of a call that has ended without one."""
+        if call.status:
+            return refusal_of(call.status, b"")
+        if call.failure is not None:
+            detail = f"{type(call.failure).__name__}: {call.failure}"
+            return Answer(failure="unavailable", detail=detail, cause="connection")
+        return Answer(failure="timeout", detail="no whole answer within the budget")
+
     def _failed(self, error: Exception) -> tuple[WireFailure, str, str]:
         """Class, message and cause of an error that came instead of a response, or within it."""
         openai, http = self._openai, self._http
-        if isinstance(error, openai.APITimeoutError | http.TimeoutException):
-            return "timeout", "no whole answer within the budget", ""
         if isinstance(error, openai.APIConnectionError):
             cause = error.__cause__ or error
             return "unavailable", f"{type(cause).__name__}: {cause}", "connection"
@@ -236,3 +279,43 @@ class OpenAiClient:
             return "truncated", f"the body ends in the middle: {error}", ""
         detail = f"the request could not be made: {type(error).__name__}: {error}"
         return "unavailable", detail, "request"
+
+
+def _close(sdks: Mapping[int, Any]) -> None:
+    """Close the connections of this process."""
+    if os.getpid() in sdks:
+        sdks[os.getpid()].close()
+
+
+_TEXTS = ("content", "refusal", "reasoning_content", "reasoning")
+
+
+def _add_part(event: Any, whole: dict[str, Any], message: dict[str, str]) -> tuple[bool, Any]:
+    """Add an event of a stream to the message; whether it has a text, and its finish reason.
+
+    Raises:
+        BadBodyError: For an event that is none of a chat completion.
+    """
+    if not isinstance(event, Mapping):
+        raise BadBodyError("malformed", "an event is no object")
+    for name in ("system_fingerprint", "usage"):
+        if event.get(name) is not None:
+            whole[name] = event[name]
+    choice = _first(event.get("choices"))
+    delta = choice.get("delta")
+    delta = delta if isinstance(delta, Mapping) else {}
+    function = _first(delta.get("tool_calls")).get("function")
+    arguments = function.get("arguments") if isinstance(function, Mapping) else None
+    parts = {name: delta.get(name) for name in _TEXTS} | {"arguments": arguments}
+    for name, part in parts.items():
+        if part is not None and not isinstance(part, str):
+            raise BadBodyError("malformed", "a part of the answer is no text")
+        if part:
+            message[name] = message.get(name, "") + part
+    return any(parts.values()), choice.get("finish_reason")
+
+
+def _first(items: Any) -> Mapping[str, Any]:
+    """The first of a list of objects; empty where there is none."""
+    first = items[0] if isinstance(items, list) and items else None
+    return first if isinstance(first, Mapping) else {}

@@ -317,6 +317,28 @@ def _check_extra(extra: Mapping[str, Any]) -> None:
         )
 
 
+RETRIES, MOST_RETRIES = "DURA_LLM_RETRIES", 20
+"""The environment variable with the number of retries of a request, and its greatest value."""
+
+
+def retries_of(environ: Mapping[str, str]) -> int:
+    """The greatest number of retries that an environment allows; 0 if it does not say.
+
+    Raises:
+        ConfigurationError: If it is not a number from 0 to 20.
+    """
+    text = environ.get(RETRIES, "").strip() or "0"
+    if not re.fullmatch(r"[0-9]{1,3}", text) or int(text) > MOST_RETRIES:
+        raise ConfigurationError(
+            "the number of retries cannot be used",
+            key=RETRIES,
+            found=text[:80],
+            expected=f"a whole number from 0 to {MOST_RETRIES}",
+            remedy=f"correct it, or unset {RETRIES}",
+        )
+    return int(text)
+
+
 def model_about(environ: Mapping[str, str]) -> str:
     """The description of the model in ``DURA_LLM_ABOUT``; empty if it is not set.
 

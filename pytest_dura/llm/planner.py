@@ -16,7 +16,7 @@ from pytest_dura.llm import session
 from pytest_dura.llm.answers import Reading, read_answer
 from pytest_dura.llm.judge import SCHEMA as JUDGE_SCHEMA
 from pytest_dura.llm.judge import judge_request, judgement
-from pytest_dura.llm.port import Answer, Delivery, Message, Request
+from pytest_dura.llm.port import Answer, Delivery, Message, Repeats, Request
 from pytest_dura.llm.prompts import Prompt
 from pytest_dura.llm.prose import Memory, Shown, Vocabulary, read_prose
 from pytest_dura.llm.settings import KnownServer, Settings
@@ -200,9 +200,8 @@ class LlmGenerator(Generator):
             return None
         requests = self.settings.samples + len(self.settings.variants(self.ATTACKS))
         requests += bool(self.settings.judge)
-        if not self.settings.count_retries:
-            deadline = session.current().retries.time_for(deadline)
-        return requests * deadline + 1.0
+        repeats = Repeats(session.current().retries, self.settings.count_retries)
+        return requests * repeats.time_for(deadline) + 1.0
 
     def reset(self, context: RoleContext) -> None:
         """Begin an episode."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Protocol
@@ -146,7 +146,7 @@ class Answer:
         cause: Why it was ``unavailable``: ``HTTP 429`` and the like, ``connection``, or ``request``
             for one that could not be made.
         retry_after: Seconds after which the server wants to be asked again, where it says so.
-        attempts: Calls that were made; see :mod:`pytest_dura.llm.retries`.
+        attempts: Requests that were made; see :class:`Repeats`.
         waited: Wall-clock seconds before the last of these calls began; not in ``seconds``.
         thoughts: What a reasoning model thought before it answered, as far as the server tells, of
             bounded length.
@@ -213,14 +213,45 @@ class Delivery:
     delay: float = 0.0
 
 
+LONGEST_PAUSE = 60.0
+"""Seconds; a server that wants to be left alone for longer is not asked again."""
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Rule for repeating a request whose server answers 429 or 503, or takes no connection.
+
+    Nothing else is repeated: what a model answers counts, whatever it is.
+
+    Args:
+        most: Greatest number of repetitions.
+        counted: Whether requests that were repeated, and the pauses, are part of the budget.
+        allowed: Says whether a request may be made again after one that failed for this cause.
+    """
+
+    most: int = 0
+    counted: bool = False
+    allowed: Callable[[str], bool] = lambda _cause: True
+
+    def time_for(self, limit: float) -> float:
+        """Longest time in s that a request takes whose every attempt may take ``limit`` seconds."""
+        return limit if self.counted else (self.most + 1) * limit + self.most * 2 * LONGEST_PAUSE
+
+
+ONCE = Repeats()
+
+
 class ChatPort(Protocol):
     """A language model behind some wire."""
 
-    def ask(self, request: Request, budget: float, fault: ServerFault = "") -> Answer:
-        """Make one call, without retries, that ends within the budget.
+    def ask(
+        self, request: Request, budget: float, fault: ServerFault = "", repeats: Repeats = ONCE
+    ) -> Answer:
+        """Make one call that ends within the budget.
 
         Args:
             request: The request.
             budget: Seconds of wall-clock time.
             fault: How the server is made to fail; then nothing is sent to the real one.
+            repeats: Whether the request is repeated where its server is not available.
         """

@@ -7,9 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.llm.endpoint import MODEL
-from pytest_dura.llm.port import Answer, Request
-from pytest_dura.llm.retries import retries_of
+from pytest_dura.llm.endpoint import MODEL, retries_of
+from pytest_dura.llm.port import ONCE, Answer, Repeats, Request
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ class ModelServer(Protocol):
     base_url: str
     """Without user, password and query."""
 
-    def ask(self, request: Request, budget: float) -> Answer:
+    def ask(self, request: Request, budget: float, repeats: Repeats = ONCE) -> Answer:
         """Make one call within so many seconds; a failure is an answer."""
 
     def probe(self) -> tuple[str, Mapping[str, Any]]:
@@ -147,9 +146,9 @@ class OpenAiServer:
         self.client = OpenAiClient(self.endpoint)
         self._retries = retries_of(environ)
 
-    def ask(self, request: Request, budget: float) -> Answer:
+    def ask(self, request: Request, budget: float, repeats: Repeats = ONCE) -> Answer:
         """See :class:`ModelServer`."""
-        return self.client.ask(request, budget)
+        return self.client.ask(request, budget, repeats=repeats)
 
     def probe(self) -> tuple[str, Mapping[str, Any]]:
         """See :class:`ModelServer`."""

@@ -22,11 +22,10 @@ from pytest_dura.core.errors import (
     report_environment_error,
 )
 from pytest_dura.llm.cassette import Cassette, Exchange
-from pytest_dura.llm.endpoint import MODEL, model_about
+from pytest_dura.llm.endpoint import MODEL, model_about, retries_of
 from pytest_dura.llm.misses import CassetteMissError, explain_miss
 from pytest_dura.llm.places import Places
-from pytest_dura.llm.port import Answer, Delivery, Request
-from pytest_dura.llm.retries import Retries, retries_of
+from pytest_dura.llm.port import Answer, Delivery, Repeats, Request
 from pytest_dura.llm.servers import (
     Connect,
     ModelDescription,
@@ -99,8 +98,8 @@ class ModelSession:
         scrub: Takes secrets out of plain data, beside the key of the server: out of answers before
             they are used, and out of all that is stored.
         connect: Makes the connection to the server of an environment.
-        retries: How requests are repeated whose server is not available; by default as the
-            environment says.
+        retries: How often a request is repeated at most whose server is not available; by default
+            as the environment says.
         concurrency: Requests that are under way at the same time, at most.
         meter: Counts the requests to servers; by default without a limit.
 
@@ -117,13 +116,13 @@ class ModelSession:
         session: str = "",
         scrub: Scrub = _unchanged,
         connect: Connect = OpenAiServer,
-        retries: Retries | None = None,
+        retries: int | None = None,
         concurrency: int = 1,
         meter: Meter | None = None,
     ) -> None:
         self.mode = mode
         self._environ = os.environ if environ is None else environ
-        self.retries = Retries(retries_of(self._environ)) if retries is None else retries
+        self.retries = retries_of(self._environ) if retries is None else retries
         self.cassette: Cassette | None = None
         if mode != "live":
             if cassette is None:
@@ -372,19 +371,28 @@ class ModelSession:
         fingerprint: str,
         count_retries: bool,
     ) -> Answer:
-        calls = iter(("asked",))
+        refused: list[str] = []
 
-        def call(budget: float) -> Answer:
-            self._begin_request()
-            self._count(request, fingerprint, next(calls, "repeated"))
-            answer = server.ask(request, budget)
-            self._end_request(request, answer)
-            self._count_tokens(request, fingerprint, "asked", answer)
-            self._count_cause(request, fingerprint, answer)
-            return answer
+        def allowed(cause: str) -> bool:
+            """Count a request that is made again."""
+            self._count(request, fingerprint, f"unavailable: {cause}")
+            if self._stopped or self._limit():
+                refused.append(cause)
+                return False
+            self._count(request, fingerprint, "repeated")
+            return True
 
+        repeats = Repeats(self.retries, count_retries, allowed)
         with self._places.taken():
-            answer = self.retries.ask(call, limit, counted=count_retries)
+            self._begin_request()
+            self._count(request, fingerprint, "asked")
+            answer = server.ask(request, limit, repeats)
+            self._end_request(request, answer)
+        if refused:
+            self._check_goes_on()
+            self._check_limit()
+        self._count_tokens(request, fingerprint, "asked", answer)
+        self._count_cause(request, fingerprint, answer)
         names = ("text", "detail", "finish", "fingerprint", "thoughts")
         scrubbed = {name: self._scrubbed(server.scrub(getattr(answer, name))) for name in names}
         return replace(answer, **scrubbed)
@@ -397,9 +405,18 @@ class ModelSession:
         """
         with self._lock:
             self._check_goes_on()
+            self._limit()
+        self._check_limit()
+
+    def _limit(self) -> str:
+        """Count a request against the limits; the one that is reached, in words, or empty."""
+        with self._lock:
             if not self.limit_reached:
                 self.limit_reached = self._meter.begin() or ""
-            reached = self.limit_reached
+            return self.limit_reached
+
+    def _check_limit(self) -> None:
+        reached = self.limit_reached
         if reached:
             raise report_environment_error(
                 ComponentEnvironmentError(

@@ -127,15 +127,12 @@ class LanguageModels:
 
     def _session(self, *given: Any, **named: Any) -> ModelSession:
         """A model session with the id, the retries and the limits of this session."""
-        from pytest_dura.llm.retries import Retries
         from pytest_dura.llm.session import ModelSession
 
-        most = self.context.options.llm_retries
-        retries = None if most is None else Retries(most)
         return ModelSession(
             *given,
             session=self._name,
-            retries=retries,
+            retries=self.context.options.llm_retries,
             concurrency=self.context.options.llm_concurrency,
             meter=self._meter(),
             **named,

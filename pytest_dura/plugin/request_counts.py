@@ -21,7 +21,7 @@ from pytest_dura.requirements.model import FAULTS
 
 if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
-    from pytest_dura.llm.port import Answer, Request
+    from pytest_dura.llm.port import Answer, Repeats, Request
     from pytest_dura.llm.settings import Settings
     from pytest_dura.plugin.session import DuraSession
 
@@ -36,7 +36,7 @@ class _StandIn:
     base_url: str = "http://127.0.0.1/v1"
     asked: list[Request] = field(default_factory=list)
 
-    def ask(self, request: Request, budget: float) -> Answer:  # noqa: ARG002 - it is no server
+    def ask(self, request: Request, budget: float, repeats: Repeats | None = None) -> Answer:  # noqa: ARG002 - it is not a server
         from pytest_dura.llm.port import Answer
 
         self.asked.append(request)

@@ -42,7 +42,7 @@ class Model:
         self.requests: list[Request] = []
         self.budgets: list[float] = []
 
-    def ask(self, request: Request, budget: float) -> Answer:
+    def ask(self, request: Request, budget: float, repeats: Any = None) -> Answer:
         self.requests.append(request)
         self.budgets.append(budget)
         answer = self.answers(request, len(self.requests) - 1)

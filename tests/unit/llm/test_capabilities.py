@@ -35,7 +35,7 @@ class Model:
         self.failure_of_listing = None
         self.fingerprints = ["fp_1"]
 
-    def ask(self, request, budget, fault=""):
+    def ask(self, request, budget, fault="", repeats=None):
         self.asked.append(request)
         if self.refusals:
             return self.refusals.pop(0)

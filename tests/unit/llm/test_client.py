@@ -183,7 +183,7 @@ CLASSES = {
                          "HTTP 200: no such model"),
     "an error as vLLM": (script.sends({"object": "error", "message": "too long", "code": 400}),
                          "unavailable", "HTTP 200: too long"),
-    "reset before the headers": (script.resets(), "unavailable", "RemoteProtocolError: "),
+    "reset before the headers": (script.resets(), "unavailable", "ReadError: "),
     "reset in the body": (script.resets(after_headers=True), "truncated", "ends in the middle"),
     "cut": (script.cuts("a long answer", after=40), "truncated", "ends in the middle"),
     "cut without a length": (

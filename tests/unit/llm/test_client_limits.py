@@ -18,7 +18,7 @@ from llm_servers import KEY
 import pytest_dura.llm.client as chat_module
 from pytest_dura.core import ConfigurationError
 from pytest_dura.llm import Endpoint, Image, Message, OpenAiClient, Request
-from pytest_dura.llm.transport import RESPONSES
+from pytest_dura.llm.wire import RESPONSES
 
 REQUEST = Request("m1", (Message("system", "Be brief."), Message("user", "Where?")))
 BUDGET = 10.0
@@ -64,7 +64,7 @@ def test_an_error_whose_body_dribbles_is_told_by_its_status_in_time(client) -> N
 
     answer = client(dribble).ask(REQUEST, 0.3)
     assert answer.failure == "unavailable"
-    assert answer.detail.startswith("HTTP 500: xxx")
+    assert answer.detail.startswith("HTTP 500: ")
     assert answer.seconds < 0.3 + BUSY
 
 
@@ -136,7 +136,13 @@ def test_a_compressed_body_is_not_blown_up(client) -> None:
 
 @pytest.mark.parametrize("fault", RESPONSES)
 def test_an_injected_failure_is_read_as_that_of_a_server_which_fails_so(client, fault) -> None:
-    one = client(lambda exchange: exchange.write(RESPONSES[fault]))
+    status, body = RESPONSES[fault]
+
+    def fail(exchange):
+        exchange.start(status, length=len(body) * (4 if fault == "cut" else 1))
+        exchange.write(body)
+
+    one = client(fail)
     real = one.ask(REQUEST, BUDGET)
     injected = one.ask(REQUEST, BUDGET, fault)
     assert real.failure

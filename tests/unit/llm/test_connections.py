@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import socket
 import ssl
-import sys
 import threading
 
 import pytest
@@ -15,7 +14,6 @@ from tls_servers import certificate, tunnel
 
 from pytest_dura.core import ConfigurationError
 from pytest_dura.llm import Endpoint, Message, OpenAiClient, Request
-from pytest_dura.llm.transport import environment_proxy
 
 __all__ = ["certificate", "tunnel"]
 
@@ -47,13 +45,6 @@ def test_calls_share_a_connection(kept) -> None:
     assert [one.ask(REQUEST, BUDGET).text for _ in range(5)] == ["ok"] * 5
     assert one.listing(BUDGET).failure == ""
     assert (len(one.server.requests), one.server.accepted) == (5, 1)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="others acknowledge otherwise")
-def test_an_answer_in_two_parts_is_not_late_on_a_connection_that_is_kept(kept) -> None:
-    one = kept(otherwise=script.answers("ok"))
-    seconds = sorted(one.ask(REQUEST, BUDGET).seconds for _ in range(20))
-    assert seconds[5] < 0.035, "each answer that waits takes 40 ms"
 
 
 def test_threads_share_a_pool_and_do_not_meet(kept) -> None:
@@ -166,49 +157,32 @@ def test_no_proxy_is_respected(client, monkeypatch, no_proxy) -> None:
     assert len(proxy.requests) == len(one.server.requests) == 1
 
 
-@pytest.mark.parametrize(
-    "url, no_proxy, direct",
-    [
-        ("http://127.0.0.1:11434/v1", "", True),
-        ("http://[::1]:11434/v1", "", True),
-        ("http://localhost:11434/v1", "", True),
-        ("http://10.1.2.3/v1", "", False),
-        ("http://10.1.2.3/v1", "10.0.0.0/8", True),
-        ("http://10.1.2.3/v1", "192.168.0.0/16,10.1.2.3", True),
-        ("http://11.1.2.3/v1", "10.0.0.0/8", False),
-        ("http://[fd00::1]/v1", "fd00::/8", True),
-        ("http://gpu.example.org/v1", "example.org", True),
-        ("http://gpu.example.org/v1", "ample.org", False),
-        ("http://gpu.example.org:81/v1", "gpu.example.org:80", False),
-        ("https://gpu.example.org/v1", "", False),
-    ],
-)
-def test_whom_the_environment_exempts_from_proxies(monkeypatch, url, no_proxy, direct) -> None:
-    monkeypatch.setenv("HTTP_PROXY", "http://proxy.example.org:3128")
-    monkeypatch.setenv("HTTPS_PROXY", "proxy.example.org:3128")
-    monkeypatch.setenv("NO_PROXY", no_proxy)
-    proxy = environment_proxy(url)
-    assert (proxy is None) == direct
-    assert direct or (proxy.url.host, proxy.url.port) == (b"proxy.example.org", 3128)
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_this_machine_is_reached_without_a_proxy(client, monkeypatch, host) -> None:
+    one = client(otherwise=script.answers("directly"))
+    proxy = client(otherwise=script.answers("from the proxy")).server
+    monkeypatch.setenv("HTTP_PROXY", through(proxy))
+    monkeypatch.setenv("ALL_PROXY", through(proxy))
+    url = one.server.base_url.replace("127.0.0.1", host)
+    assert OpenAiClient(Endpoint(url, "m")).ask(REQUEST, BUDGET).text == "directly"
 
 
 @pytest.mark.parametrize(
-    "address, found",
+    "address",
     [
-        ("http://me:secret@host:port", None),
-        ("http://me:secret@[::1", None),
-        ("http://me:secret@", None),
-        ("ftp://me:secret@host", "ftp://host"),
-        ("socks5://me:secret@host:1080", "socks5://host:1080"),
+        "http://me:secret@host:port",
+        "http://me:secret@[::1",
+        "ftp://me:secret@host",
+        "socks5://me:secret@host:1080",
     ],
 )
 def test_a_proxy_that_cannot_be_used_is_refused_and_its_password_not_shown(
-    monkeypatch, address, found
+    monkeypatch, address
 ) -> None:
     monkeypatch.setenv("HTTPS_PROXY", address)
-    with pytest.raises(ConfigurationError, match="the proxy ") as caught:
+    with pytest.raises(ConfigurationError, match="a proxy ") as caught:
         OpenAiClient(Endpoint("https://model.invalid/v1", "m", KEY))
-    assert (caught.value.key, caught.value.found) == ("HTTPS_PROXY", found)
+    assert "HTTPS_PROXY" in caught.value.key
     assert "secret" not in str(caught.value)
 
 

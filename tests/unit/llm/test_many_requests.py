@@ -30,7 +30,7 @@ class WaitingServer:
         self.at_once = self.most = 0
         self._lock = threading.Lock()
 
-    def ask(self, request: Request, budget: float) -> Answer:
+    def ask(self, request: Request, budget: float, repeats: Any = None) -> Answer:
         text = request.messages[-1].text
         with self._lock:
             self.asked.append(text)
@@ -103,8 +103,8 @@ def test_an_equal_request_that_is_under_way_is_asked_once_where_it_is_recorded(
 
 def test_whoever_waits_for_an_equal_request_that_fails_asks_itself(tmp_path) -> None:
     class Fails(WaitingServer):
-        def ask(self, request: Request, budget: float) -> Answer:
-            answer = super().ask(request, budget)
+        def ask(self, request: Request, budget: float, repeats: Any = None) -> Answer:
+            answer = super().ask(request, budget, repeats)
             if len(self.asked) == 1:
                 raise KeyError("as a time limit ends it")
             return answer

@@ -31,7 +31,7 @@ class CountingServer:
         self.asked: list[Request] = []
         self.probes = 0
 
-    def ask(self, request, budget):
+    def ask(self, request, budget, repeats=None):
         self.asked.append(request)
         text = f"{self.text} {len(self.asked)}"
         return Answer(text=text, seconds=self.seconds, usage={"total_tokens": 7})
