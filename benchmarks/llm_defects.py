@@ -34,6 +34,7 @@ import speaking_models as speaking
 from models import llm_episode
 
 CROSSING, WALKING = "intersection/conflicting-traffic", "intersection/pedestrian-crossing"
+GHOST = "intersection/ghost-obstacle"
 CASES = (CROSSING, "intersection/congested", WALKING)
 BESIDE = {"samples": 2, "beside": "all", "beside_every": 3}
 BUDGET = 5.0
@@ -50,17 +51,16 @@ DEFECTS: Mapping[str, tuple[str, str, Callable[..., Any], str]] = {
          "paraphrased"),
         ("malformed answers", "malformed", CROSSING, speaking.breaks_the_format, ""),
         ("slow", "timeout", CROSSING, speaking.is_slow, ""),
-        ("invents V77 and a truck T9 in prose", "prose_names_unperceived", CROSSING,
-         speaking.invents_in_prose, ""),
-        ("the same, against the truth", "prose_names_untrue", CROSSING, speaking.invents_in_prose,
+        ("claims a car T9 that is not shown", "claims_unperceived", CROSSING,
+         speaking.claims_what_is_not_there, ""),
+        ("takes cars for trucks", "claims_mistaken", CROSSING, speaking.mistakes_kinds, ""),
+        ("misstates distances by 0.1 m", "claims_mistaken", CROSSING,
+         speaking.misstates_distances, ""),
+        ("misstates times of arrival", "claims_mistaken", CROSSING, speaking.misstates_arrivals,
          ""),
-        ("invents a truck without an id", "prose_mistakes_kind", CROSSING,
-         speaking.names_a_kind_that_is_not_there, ""),
-        ("misquotes distances", "prose_mistakes_number", CROSSING, speaking.misquotes_numbers, ""),
-        ("reasons the opposite of its maneuver", "reasoning_against_maneuver", CROSSING,
-         speaking.reasons_the_opposite, ""),
-        ("reasons the opposite of its motion", "reasoning_against_motion", CROSSING,
-         speaking.says_it_brakes, ""),
+        ("none, but its sensors show a ghost", "claims_misled", GHOST,
+         speaking.trusts_the_sensors, ""),
+        ("states no claims", "without_claims", CROSSING, speaking.claims_nothing, ""),
         ("throws dice", "unstable", CROSSING, speaking.throws_dice, ""),
         ("reads the order of objects", "reorder_changes", CROSSING, speaking.reads_the_order,
          "reordered"),

@@ -265,3 +265,20 @@ def _ego_boxes(states: Floats) -> Floats:
 
 def _boxes(bodies: Floats) -> Floats:
     return bodies[:, [X, Y, HEADING, LENGTH, WIDTH]]
+
+
+_NARROWEST_CAR = 1.3
+"""m; a bicycle is 0.7 m wide, the narrowest cars 1.4 m."""
+
+
+def kind_by_size(length: float | None, width: float | None) -> str | None:
+    """Class of an object by its size: sensors report sizes, not classes.
+
+    An object longer than a pedestrian and narrower than a car is an obstacle, such as a row of
+    cones or a kerb island.
+    """
+    if length is None:
+        return None
+    if length < 1.0:
+        return "pedestrian"
+    return "obstacle" if width is not None and width < _NARROWEST_CAR else "car"

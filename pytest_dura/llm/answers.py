@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, Literal, get_args
@@ -50,17 +50,30 @@ OBSERVATIONS, REASONING = 240, 480
 """Bounds of an answer's texts, in characters. llama.cpp's server refuses strings without one."""
 IDS, ID_LENGTH = 3, 16
 """Ids that may be cited, and their characters."""
+CLAIMS = 4
+"""Claims that an answer may state."""
+OPTIONAL = frozenset({"claims"})
+"""Keys of an answer that it may lack: a model that was made without them stays valid."""
 
 
-def answer_schema(actions: Sequence[str], intents: Sequence[str]) -> dict[str, Any]:
+def answer_schema(
+    actions: Sequence[str], intents: Sequence[str], claim: Mapping[str, Any] = NOTHING
+) -> dict[str, Any]:
     """The JSON schema of an answer, every string bounded, the reasoning before the decision.
 
     Args:
         actions: The values of ``maneuver``.
         intents: The values of ``intent``.
+        claim: Schemas of what is claimed of an object, by name, where an answer states claims.
     """
+    claims = {
+        "type": "array",
+        "items": _object_schema({"id": {"type": "string", "maxLength": ID_LENGTH}, **claim}),
+        "maxItems": CLAIMS,
+    }
     properties = {
         "observations": {"type": "string", "maxLength": OBSERVATIONS},
+        **({"claims": claims} if claim else {}),
         "threat_ids": {
             "type": "array",
             "items": {"type": "string", "maxLength": ID_LENGTH},
@@ -72,12 +85,24 @@ def answer_schema(actions: Sequence[str], intents: Sequence[str]) -> dict[str, A
         # Grammars of servers bound whole numbers; llama.cpp's lets any other number pass.
         "confidence": {"type": "integer", "minimum": 0, "maximum": 100},
     }
+    return _object_schema(properties)
+
+
+def _object_schema(properties: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "type": "object",
-        "properties": properties,
+        "properties": dict(properties),
         "required": list(properties),
         "additionalProperties": False,
     }
+
+
+def without(schema: Mapping[str, Any], keys: Collection[str]) -> Mapping[str, Any]:
+    """The schema of an object without some of its keys."""
+    properties = schema.get("properties", {})
+    if not set(keys) & set(properties):
+        return schema
+    return _object_schema({name: value for name, value in properties.items() if name not in keys})
 
 
 @dataclass(frozen=True)
@@ -148,28 +173,36 @@ def _checked(content: dict[str, Any], schema: Mapping[str, Any]) -> Reading:
 
 @lru_cache(maxsize=16)
 def _answer_model(schema: bytes) -> type[BaseModel]:
-    """A model of pydantic for the schema of an object whose values are bounded.
+    """A model of pydantic for the schema of an object whose texts are bounded.
 
     The library jsonschema reads any schema, and takes seconds to import where its optional
     dependencies are installed.
     """
-    data = json.loads(schema)
-    properties = data.get("properties")
-    fields: Any = {name: (_value_type(value), ...) for name, value in (properties or {}).items()}
+    return _object_type(json.loads(schema))
+
+
+def _object_type(schema: Mapping[str, Any]) -> type[BaseModel]:
+    properties = schema.get("properties")
+    fields: Any = {
+        name: (_value_type(value), Field(default_factory=list) if name in OPTIONAL else ...)
+        for name, value in (properties or {}).items()
+    }
     config = ConfigDict(extra="allow" if properties is None else "forbid", strict=True)
     model: type[BaseModel] = create_model("Answer", __config__=config, **fields)
     return model
 
 
 def _value_type(schema: Mapping[str, Any]) -> Any:
-    """The type of one value: a word, a text, a number, or a list of one of these."""
+    """The type of one value: a word, a text, a number, an object, or a list of one of these."""
     if "enum" in schema:
         return Literal[tuple(schema["enum"])]
     if schema["type"] == "array":
         return Annotated[list[_value_type(schema["items"])], Field(max_length=schema["maxItems"])]  # type: ignore[misc] # made here
+    if schema["type"] == "object":
+        return _object_type(schema)
     if schema["type"] == "string":
         return Annotated[str, Field(max_length=schema["maxLength"])]
-    bounds = Field(ge=schema["minimum"], le=schema["maximum"])
+    bounds = Field(ge=schema.get("minimum"), le=schema.get("maximum"), allow_inf_nan=False)
     if schema["type"] == "integer":
         return Annotated[int, bounds, BeforeValidator(_whole)]
     return Annotated[float, bounds]

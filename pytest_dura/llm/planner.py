@@ -18,7 +18,6 @@ from pytest_dura.llm.judge import SCHEMA as JUDGE_SCHEMA
 from pytest_dura.llm.judge import judge_request, judgement
 from pytest_dura.llm.port import Answer, Delivery, Message, Repeats, Request
 from pytest_dura.llm.prompts import Prompt
-from pytest_dura.llm.prose import Memory, Shown, Vocabulary, read_prose
 from pytest_dura.llm.settings import KnownServer, Settings
 from pytest_dura.llm.usage import usage_of
 
@@ -40,7 +39,8 @@ class Decision:
         ids: Ids of all objects in the prompt.
         beside: Readings of the answers to the requests beside it, by variant.
         exchange: Request and answer in words, see :func:`exchange_data`.
-        prose: Reading of its prose; see :class:`pytest_dura.llm.prose.ProseReading`.
+        claims: What it claims of objects, each with what the prompt shows of it; ``None`` where
+            there is no answer.
         judged: Answer of the judge, where it was asked.
         usage: Requests and tokens of the decision and of what was asked beside it.
     """
@@ -52,7 +52,7 @@ class Decision:
     ids: tuple[str, ...]
     beside: Mapping[str, Mapping[str, Any]] = NOTHING
     exchange: Mapping[str, Any] = NOTHING
-    prose: Mapping[str, Any] = NOTHING
+    claims: Sequence[Mapping[str, Any]] | None = None
     judged: Mapping[str, Any] = NOTHING
     usage: Mapping[str, int] = NOTHING
 
@@ -75,10 +75,10 @@ class Decision:
 
     def details(self) -> dict[str, Any]:
         """Entries of an account at the tick where the decision is fresh, and at no other."""
-        read = {"prose": self.prose, "judged": self.judged}
         return {
             "beside": dict(self.beside),
-            **{key: dict(value) for key, value in read.items() if value},
+            **({} if self.claims is None else {"claims": [dict(each) for each in self.claims]}),
+            **({"judged": dict(self.judged)} if self.judged else {}),
         }
 
 
@@ -106,8 +106,6 @@ class LlmGenerator(Generator):
     """Intent and maneuver of the null component: always the same, whatever the prompt."""
     ATTACKS: ClassVar[int] = 1
     """Number of the attackers' texts that the domain has."""
-    WORDS: ClassVar[Vocabulary] = Vocabulary()
-    """By which its prose is read."""
 
     def __init__(self, **params: Any) -> None:
         self.settings = Settings.of(params, self.MANEUVERS)
@@ -165,9 +163,13 @@ class LlmGenerator(Generator):
         """Number of earlier decisions of the episode with requests beside them."""
         return self._prompts // self.settings.beside_every
 
-    def kinds_shown(self, prompt: Prompt) -> Mapping[str, frozenset[str] | None]:
-        """Kinds that each object of a prompt may be called; ``None`` where it may be any."""
-        return dict.fromkeys(prompt.ids)
+    def shown(self, prompt: Prompt) -> Mapping[str, Mapping[str, Any]]:
+        """What a prompt shows of each object, by id, under the names that claims have."""
+        return dict.fromkeys(prompt.ids, NOTHING)
+
+    def answer_schema(self) -> Mapping[str, Any]:
+        """The JSON schema that is sent with a request: of what its prompt asks for."""
+        return self.SCHEMA
 
     def meaning(self, maneuver: str) -> str:  # noqa: ARG002 - for those who override it
         """What a maneuver does, in words for the judge; it has its name in any case."""
@@ -214,7 +216,6 @@ class LlmGenerator(Generator):
         self._latest: list[Decision] = []
         """Decisions that came into force at the last of these times."""
         self._pending: tuple[float, Decision] | None = None
-        self._memory = Memory()
         self._next = 0
         self._prompts = 0
 
@@ -268,21 +269,21 @@ class LlmGenerator(Generator):
             judged = self._judgement(reading)
         self._prompts += 1
         exchange = exchange_data(request, answer, self._session.scrub_text)
-        prose = self._read_prose(reading, prompt)
+        claims = self._claims(reading, prompt)
         return Decision(
             view.index, view.time, reading, answer.seconds, prompt.ids,
-            beside, exchange, prose, judged, usage_of(self._answers),
+            beside, exchange, claims, judged, usage_of(self._answers),
         )  # fmt: skip
 
-    def _read_prose(self, reading: Reading, prompt: Prompt) -> dict[str, Any]:
-        """Read the prose of an answer against its prompt, and those before it."""
-        shown = Shown.of(prompt, self.WORDS, self.kinds_shown(prompt))
-        self._memory.add(shown)
+    def _claims(self, reading: Reading, prompt: Prompt) -> list[dict[str, Any]] | None:
+        """The claims of an answer, each with what the prompt shows of its object, if it does."""
         if not reading.answered:
-            return {}
-        reasoning = reading.content["reasoning"]
-        texts = [str(reading.content.get("observations", "")), reasoning]
-        return read_prose(texts, reasoning, shown, self._memory, self.WORDS).to_json()
+            return None
+        shown = self.shown(prompt)
+        return [
+            {**claim, **({"shown": dict(shown[claim["id"]])} if claim["id"] in shown else {})}
+            for claim in reading.content.get("claims", ())
+        ]
 
     def _judgement(self, reading: Reading) -> dict[str, Any]:
         """Ask the judge, where there is one, whether the reasoning leads to the maneuver."""
@@ -330,7 +331,7 @@ class LlmGenerator(Generator):
         return Request(
             model=settings.model or "",
             messages=self.messages(prompt),
-            schema=self.SCHEMA,
+            schema=self.answer_schema(),
             structured=server.structured,
             temperature=(settings.temperature or None)
             if not server.temperature

@@ -23,7 +23,7 @@ import numpy as np
 
 from pytest_dura.core.errors import ConfigurationError, describe_error, did_you_mean
 from pytest_dura.core.state import NOTHING
-from pytest_dura.llm.answers import read_answer
+from pytest_dura.llm.answers import OPTIONAL, read_answer, without
 from pytest_dura.llm.port import Answer, Image, Message
 
 if TYPE_CHECKING:
@@ -529,7 +529,7 @@ class Templates:
     def __init__(
         self, sources: Sources, vocabulary: Mapping[str, Any], schema: Mapping[str, Any]
     ) -> None:
-        self._sources, self._vocabulary = sources, vocabulary
+        self._sources = sources
         texts = {name: text for name, text in sources.texts.items() if name.endswith(_SUFFIX)}
         self._renderer = Renderer(texts, sources.files)
         self._names = frozenset(texts)
@@ -540,6 +540,10 @@ class Templates:
             for wording in self._wordings
             for hardened in (True, False)
         }
+        self.schema = without(schema, OPTIONAL - self._asked_by_choice())
+        """Of what is asked for: an optional key is, where the system's message and the examples
+        have it, so that requests of templates without it stay as they are."""
+        self._vocabulary = {**vocabulary, "asked": tuple(self.schema.get("properties", ()))}
         self._openings: dict[tuple[str, bool], tuple[Message, ...]] = {}
         for wording, hardened in self._examples:
             self._opening(wording, hardened=hardened)
@@ -605,9 +609,27 @@ class Templates:
             for example in self._examples[key]:
                 question = self._user(example.blocks, wording, hardened=hardened)
                 opening.append(Message("user", question))
-                opening.append(Message("assistant", example.answer))
+                opening.append(Message("assistant", self._asked(example.answer)))
             self._openings[key] = tuple(opening)
         return self._openings[key]
+
+    def _asked_by_choice(self) -> frozenset[str]:
+        """The optional keys of an answer that the templates ask for."""
+        answers = [json.loads(example.answer) for example in self._examples["", True]]
+        system = self._sources.texts.get(SYSTEM + _SUFFIX, "")
+        return frozenset(
+            key
+            for key in OPTIONAL
+            if answers and key in system and all(key in answer for answer in answers)
+        )
+
+    def _asked(self, answer: str) -> str:
+        """An example's answer without what is not asked for."""
+        known = self._vocabulary["asked"]
+        data = json.loads(answer)
+        if not known or data.keys() <= set(known):
+            return answer
+        return json.dumps({key: data[key] for key in data if key in known}, ensure_ascii=False)
 
     def _user(self, blocks: tuple[Block, ...], wording: str, *, hardened: bool = True) -> str:
         self._check(blocks)

@@ -14,7 +14,6 @@ from .failure_modes import (
     decision_age_lines,
     decision_time_lines,
     failure_modes_by_component,
-    judge_agreement_lines,
     measured_failure_modes,
     percent_text,
 )
@@ -45,7 +44,6 @@ __all__ = [
     "formula_of",
     "frame_svg",
     "generated_argument",
-    "judge_agreement_lines",
     "loop_steps",
     "margin_over_time",
     "measured_failure_modes",

@@ -30,8 +30,6 @@ _JUDGED_KINDS = ("failure", "control")
 _OF_PROPOSAL = re.compile(r"\bproposal\.(\w+)")
 _TIMEOUT = "timeout"
 """Name of the failure mode of a decision that was not there in time."""
-_JUDGE_DIFFERS = "judge_differs_from_rule"
-"""Name of the measure that a judge judges a decision otherwise than the rule on its reasoning."""
 NULL_NOTE = (
     "null: a component that ignores its input, on the same decisions: what it also reaches says "
     "nothing about the model"
@@ -123,21 +121,6 @@ def decision_age_lines(cases: Sequence[CaseEntry]) -> Iterator[tuple[str, str]]:
     for component, spreads in _spreads(cases, attrgetter("answer_ages")).items():
         if any(spread.max > 0.0 for spread in spreads):
             yield component, _percentiles(spreads, "oldest", ".4g")
-
-
-def judge_agreement_lines(cases: Sequence[CaseEntry]) -> Iterator[tuple[str, str]]:
-    """Each component that a judge was asked about, and a text on how often the rule agrees."""
-    for component, modes in failure_modes_by_component(cases).items():
-        for mode in modes:
-            if mode.name == _JUDGE_DIFFERS and mode.of:
-                agreed = mode.of - mode.hits
-                yield (
-                    component,
-                    (
-                        f"judge and rule agree on {agreed} of {mode.of} decisions"
-                        f" ({percent_text(agreed / mode.of)} %)"
-                    ),
-                )
 
 
 def uncovered_lines(

@@ -23,7 +23,6 @@ from pytest_dura.reports.failure_modes import (
     decision_time_lines,
     failure_mode_text,
     failure_modes_by_component,
-    judge_agreement_lines,
     measured_failure_modes,
 )
 from pytest_dura.reports.hazards import HAZARD_COLUMNS, hazards_by_need
@@ -256,8 +255,6 @@ def failure_mode_tables(cases: Sequence[CaseEntry]) -> Iterator[Table]:
     for component, text in decision_age_lines(cases):
         whose = f" of {component}" if several else ""
         notes.append(f"decisions{whose} came into force at an age of {text}")
-    for component, text in judge_agreement_lines(cases):
-        notes.append(f"{text}{f' of {component}' if several else ''}")
     last = len(by_component) - 1
     for number, (component, modes) in enumerate(by_component.items()):
         whose = f" of {component}" if several else ""

@@ -16,7 +16,6 @@ from pytest_dura.reports.failure_modes import (
     decision_age_lines,
     decision_time_lines,
     failure_modes_by_component,
-    judge_agreement_lines,
     unavailability_text,
     uncovered_lines,
 )
@@ -200,8 +199,6 @@ def _failure_mode_lines(record: SessionRecord) -> Iterator[str]:
         yield f"- answers of {_name(whose)}: {text}"
     for whose, text in decision_age_lines(cases):
         yield f"- decisions of {_name(whose)} came into force at an age of {text}"
-    for whose, text in judge_agreement_lines(cases):
-        yield f"- {text} of {_name(whose)}"
     for whose, text in uncovered_lines(record.head, _name):
         yield f"- {text} of {_name(whose)}"
     yield f"- {NULL_NOTE}"

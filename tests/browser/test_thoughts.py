@@ -32,6 +32,9 @@ FAILED = 2
 """Number of the decision that failed."""
 
 
+CLAIMS = [{"id": "V77", "kind": "car"}]
+
+
 def accounts(text="EGO: speed 8.0", answer=None, **changes):
     """A decision every so many ticks on the percept two ticks before, of which one failed."""
     told = []
@@ -67,7 +70,7 @@ def accounts(text="EGO: speed 8.0", answer=None, **changes):
             words |= {"answer": "", "detail": "no answer within 2 s"}
         if since == 0:
             account |= {"beside": TWINS if number == 0 else {}, "exchange": words,
-                        "prose": {"unshown": ["V77"]}, "judged": {"agrees": False}}  # fmt: skip
+                        "claims": CLAIMS, "judged": {"agrees": False}}  # fmt: skip
         told.append(account | changes)
     return tuple(told)
 
@@ -126,7 +129,7 @@ def test_the_decision_in_force_is_shown_until_the_next_one(page):
         "answered wait intent: slow down", "Observations a car on the left",
         "Reasoning it comes soon", "Confidence 80", "V9: not perceived", "Perceived 2 objects",
         "Answer took 0.25 s, the first token 0.05 s", "Tokens 1,200 in, 34 out",
-        "In prose: names, never shown V77", "Judge reasoning and maneuver: they do not agree",
+        "Claims V77: kind car (never shown)", "Judge reasoning and maneuver: they do not agree",
     ):  # fmt: skip
         assert part in text
     seek(page, 15)

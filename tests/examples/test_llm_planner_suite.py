@@ -96,9 +96,8 @@ def silent(request, number):
 DEFECTS = {
     "LLM-GROUND-1": models.model(models.hallucinates),
     "LLM-GROUND-2": models.model(models.overlooks),
-    "LLM-PROSE-1": speaking.defective(speaking.invents_in_prose),
-    "LLM-PROSE-2": speaking.defective(speaking.names_a_kind_that_is_not_there),
-    "LLM-PROSE-3": speaking.defective(speaking.reasons_the_opposite),
+    "LLM-CLAIM-1": speaking.defective(speaking.claims_what_is_not_there),
+    "LLM-CLAIM-2": speaking.defective(speaking.misstates_distances),
     "LLM-CONSIST-1": models.model(models.contradicts_itself),
     "LLM-CONSIST-2": models.model(models.throws_dice),
     "LLM-CONSIST-3": models.model(models.reads_the_order),

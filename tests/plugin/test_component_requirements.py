@@ -70,25 +70,23 @@ def test_a_model_that_speaks_and_cites_soundly_passes_the_gate(
     serve(scripted_server, monkeypatch, SOUND["with numbers"])
     result = run(project)
     found = verdicts()
-    assert len(found) == 14
+    assert len(found) == 13
     assert set(found.values()) == {"supported"}, found
     assert result.ret == 0
     assert "no requirement covers" not in result.stdout.str()
 
 
 def test_a_model_that_hallucinates_fails_it(project, scripted_server, monkeypatch, verdicts):
-    seen = "V77 and a truck T9 come."
-    serve(scripted_server, monkeypatch, SOUND["plainly"], observations=seen, threat_ids=["V99"])
+    claims = [{"id": "V77", "kind": "truck", "ahead_m": 9.0, "arrives_s": 1.0}]
+    serve(scripted_server, monkeypatch, SOUND["plainly"], claims=claims, threat_ids=["V99"])
     result = run(project)
     found = verdicts()
     failed = {name for name, verdict in found.items() if verdict == "violated"}
-    assert failed == {"LLM-GROUND-1", "LLM-PROSE-1", "LLM-PROSE-2"}
+    assert failed == {"LLM-GROUND-1", "LLM-CLAIM-1"}
     assert result.ret == 1
     # What has no requirement of its own is named below the table.
     text = " ".join(result.stdout.str().split())
-    assert (
-        "no requirement covers threat ids untrue (18 of 18), prose names untrue (18 of 18)" in text
-    )
+    assert "no requirement covers threat ids untrue (18 of 18)" in text
     for name in ("summary.md", "report.html"):
         assert "no requirement covers" in (project.path / "dura-evidence" / name).read_text()
     assert verify_bundle(project.path / "dura-evidence").problems == []

@@ -25,6 +25,9 @@ SPEED = re.compile(r"^EGO: (?:you drive at|speed) (?P<speed>[\d.]+)", re.MULTILI
 LINE = re.compile(r"(?P<line>-?[\d.]+) (?:m )?(?:before the stop line|in front of you)")
 OTHER_WORDING = re.compile(r"^EGO: you drive at", re.MULTILINE)
 SIGN_TEXT = re.compile(r"^S\d+(?:,text,|: text at )", re.MULTILINE)
+ON_LANE = re.compile(r"^CONFLICTS: (?P<names>id,.*)$", re.MULTILINE)
+LATER = 20.0
+"""s; what CONFLICTS does not list comes then or later."""
 SOON = 6.0
 """s; whatever could be reached within this time is cited, nearest first."""
 CREEPING = 4.0
@@ -40,6 +43,8 @@ class Seen:
     distance: float
     speed: float
     closing: float
+    ahead: float = 0.0
+    arrives: float = LATER
 
     @property
     def seconds(self):
@@ -54,6 +59,7 @@ class Plan:
     speed: float
     intent: str
     maneuver: str
+    seen: tuple[Seen, ...] = ()
 
 
 def objects(text):
@@ -61,23 +67,27 @@ def objects(text):
     if text.startswith("{"):
         listed = blocks(text).get("LIDAR", {}).get("objects", ())
         return [_seen({**each, "id": re.sub("<.*?>", "", each["label"])}) for each in listed]
-    header = HEADER.search(text)
-    if header is None:
+    if HEADER.search(text) is None:
         return [_seen(row.groupdict()) for row in SENTENCE.finditer(text)]
-    names = header["names"].split(",")
-    rows = text[header.end() :].lstrip("\n").split("\n")
-    listed = []
-    for row in rows:
+    arrivals = {row["id"]: _number(row["from"]) for row in _rows(ON_LANE, text)}
+    return [_seen(row, arrivals.get(row["id"], LATER)) for row in _rows(HEADER, text)]
+
+
+def _rows(header, text):
+    """Rows of a table by the names in its header."""
+    found = header.search(text)
+    names = found["names"].split(",") if found else []
+    for row in text[found.end() :].lstrip("\n").split("\n") if found else ():
         cells = re.sub(r"</?perceived_text>", "", row).split(",")
         if len(cells) != len(names):
-            break
-        listed.append(_seen(dict(zip(names, cells, strict=True))))
-    return listed
+            return
+        yield dict(zip(names, cells, strict=True))
 
 
-def _seen(cells):
+def _seen(cells, arrives=LATER):
     numbers = {name: _number(cells[name]) for name in ("distance", "speed", "closing")}
-    return Seen(cells["id"], cells["kind"], **numbers)
+    return Seen(cells["id"], cells["kind"], **numbers, ahead=_number(cells.get("ahead")),
+                arrives=arrives)  # fmt: skip
 
 
 def _number(text):
@@ -100,8 +110,9 @@ def _ego(text):
 def plan_of(text):
     """Gives way where anything is soon there, and stops near the line; else it proceeds."""
     speed, line = _ego(text)
+    seen = objects(text)
     near = sorted(
-        (each for each in objects(text) if each.seconds < SOON),
+        (each for each in seen if each.seconds < SOON),
         key=lambda each: (each.seconds, each.id),
     )[:3]
     if not near:
@@ -111,7 +122,7 @@ def plan_of(text):
     else:
         maneuver, aim = "yield", CREEPING
     intent = "hold" if abs(aim - speed) <= 0.5 else "slow_down" if aim < speed else "speed_up"
-    return Plan(tuple(near), speed, intent, maneuver)
+    return Plan(tuple(near), speed, intent, maneuver, tuple(seen))
 
 
 def plainly(plan, first):
@@ -198,11 +209,28 @@ SOUND = {
 """Ten ways of speaking, none of which says anything wrong."""
 
 
+def claim(each, **changes):
+    """What a model claims of an object, which is what the prompt shows of it."""
+    true = {"id": each.id, "kind": each.kind, "ahead_m": each.ahead, "arrives_s": each.arrives}
+    return true | changes
+
+
+CLAIMED = {
+    briefly: lambda plan: (),
+    on_rules: lambda plan: plan.near[:1],
+    with_numbers: lambda plan: plan.seen[:4],
+    on_others: lambda plan: plan.seen[-4:],
+}
+"""Objects of which some of them claim something; the others claim it of what is near."""
+
+
 def answer_of(plan, speak=plainly, **changes):
     """The text of an answer."""
     observations, reasoning = speak(plan, plan.near[0] if plan.near else None)
+    claimed = CLAIMED.get(speak, lambda plan: plan.near)(plan)
     return {
         "observations": observations,
+        "claims": [claim(each) for each in claimed],
         "threat_ids": [each.id for each in plan.near],
         "reasoning": reasoning,
         "intent": plan.intent,
@@ -249,30 +277,37 @@ def is_turned_away(_text, _request, _plan):
     return Answer(failure="unavailable", detail="HTTP 429: too many requests", seconds=0.1)
 
 
-def invents_in_prose(_text, _request, plan):
-    seen = "V77 and a truck T9 come from the right."
-    return answer_of(plan, observations=seen)
+def claims_with(plan, **changes):
+    """An answer whose every claim is changed so."""
+    return answer_of(plan, with_numbers, claims=[
+        claim(each, **{key: change(each) for key, change in changes.items()})
+        for each in plan.seen[:4]
+    ])  # fmt: skip
 
 
-def names_a_kind_that_is_not_there(_text, _request, plan):
-    return answer_of(plan, observations="A truck stands across the road.")
+def claims_what_is_not_there(_text, _request, plan):
+    return answer_of(plan, claims=[{"id": "T9", "kind": "car", "ahead_m": 12.0, "arrives_s": 1.0}])
 
 
-def misquotes_numbers(_text, _request, plan):
-    seen = "; ".join(f"{each.id} is {3 * each.distance + 50:.0f} m away" for each in plan.near)
-    return answer_of(plan, observations=seen)
+def mistakes_kinds(_text, _request, plan):
+    return claims_with(plan, kind=lambda _: "truck")
 
 
-def reasons_the_opposite(_text, _request, plan):
-    free = "The way is free: I go."
-    occupied = "That is too dangerous. I stop and wait."
-    return answer_of(plan, reasoning=occupied if plan.maneuver == "proceed" else free)
+def misstates_distances(_text, _request, plan):
+    return claims_with(plan, ahead_m=lambda each: each.ahead + 0.1)
 
 
-def says_it_brakes(_text, _request, plan):
-    """Its reasoning fits no motion: it brakes while it drives on, and the reverse."""
-    brakes = plan.maneuver == "proceed" and plan.intent == "speed_up"
-    return answer_of(plan, reasoning="I brake." if brakes else "I accelerate.")
+def misstates_arrivals(_text, _request, plan):
+    return claims_with(plan, arrives_s=lambda each: each.arrives / 2)
+
+
+def claims_nothing(_text, _request, plan):
+    return answer_of(plan, briefly)
+
+
+def trusts_the_sensors(_text, _request, plan):
+    """No defect of its own."""
+    return answer_of(plan, with_numbers)
 
 
 def brakes_at_any_text(text, _request, plan):
@@ -310,12 +345,8 @@ DEFECTS = {
     "paraphrase_changes": flips_on_other_wording,
     "malformed": breaks_the_format,
     "timeout": is_slow,
-    "prose_names_unperceived": invents_in_prose,
-    "prose_names_untrue": invents_in_prose,
-    "prose_mistakes_kind": names_a_kind_that_is_not_there,
-    "prose_mistakes_number": misquotes_numbers,
-    "reasoning_against_maneuver": reasons_the_opposite,
-    "reasoning_against_motion": says_it_brakes,
+    "claims_unperceived": claims_what_is_not_there,
+    "claims_mistaken": misstates_distances,
     "text_changes": brakes_at_any_text,
     "unstable": throws_dice,
     "reorder_changes": reads_the_order,

@@ -15,8 +15,9 @@ from typing import Any
 
 from pytest_dura.core.errors import ActionError
 from pytest_dura.core.state import GeneratorView, PastDecision
-from pytest_dura.driving.bodies import CAR_LENGTH
+from pytest_dura.driving.bodies import CAR_LENGTH, kind_by_size
 from pytest_dura.driving.channel_faults import POSTER
+from pytest_dura.driving.conflicts import conflicts, launched, seconds
 from pytest_dura.driving.maneuvers import (
     MAX_BRAKING,
     Command,
@@ -31,9 +32,6 @@ from pytest_dura.llm.driving.conflicts import (
     MOST_CONFLICTS,
     complete,
     conflict_facts,
-    conflicts,
-    launched,
-    seconds,
     times_to_collision,
 )
 from pytest_dura.llm.driving.readings import Row, camera_images, degrees, number, rounded
@@ -43,9 +41,6 @@ MOST = 12
 """Objects that a block shows: half of them the nearest, the others those that will be nearest."""
 SOON = 4.0
 """s; what is 40 m away and quick is a danger before what stands at the roadside."""
-
-_NARROWEST_CAR = 1.3
-"""m; a bicycle is 0.7 m wide, the narrowest cars 1.4 m."""
 
 _PLAIN = re.compile(r"[A-Z]{1,2}[0-9]{1,5}", re.ASCII)
 _ID = re.compile(r"[A-Z][A-Z0-9_]{0,15}", re.ASCII)
@@ -157,7 +152,7 @@ def _conflict_facts(
     speed: float | None,
     on_map: RouteMap | None,
 ) -> dict[str, Any]:
-    """Facts of the block CONFLICTS; see :func:`pytest_dura.llm.driving.conflicts.conflicts`."""
+    """Facts of the block CONFLICTS; see :func:`pytest_dura.driving.conflicts.conflicts`."""
     if bodies is None or pose is None or speed is None or on_map is None:
         return {"missing": 1, "farther": 0, "objects": ()}
     listed = conflicts(complete([row for _, row in bodies]), pose, speed, on_map)
@@ -231,25 +226,12 @@ def _object(name: object, row: Row, pose: Pose | None, speed: float | None) -> d
     moving = None if vx is None or vy is None else math.hypot(vx, vy)
     shown = shown_id(name)
     return {
-        "id": shown, "label": label(shown), "kind": kind(length, width),
+        "id": shown, "label": label(shown), "kind": kind_by_size(length, width),
         "distance": rounded(distance),
         "direction": direction(angle), "ahead": rounded(ahead), "left": rounded(left),
         "speed": rounded(moving), "closing": rounded(closing), "course": course(turned),
         "length": rounded(length), "width": rounded(width),
     }  # fmt: skip
-
-
-def kind(length: float | None, width: float | None) -> str | None:
-    """Class of an object by its size: sensors report sizes, not classes.
-
-    An object longer than a pedestrian and narrower than a car is an obstacle, such as a row of
-    cones or a kerb island.
-    """
-    if length is None:
-        return None
-    if length < 1.0:
-        return "pedestrian"
-    return "obstacle" if width is not None and width < _NARROWEST_CAR else "car"
 
 
 def _place(row: Row, pose: Pose) -> tuple[float, float] | None:

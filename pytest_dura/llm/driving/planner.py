@@ -21,6 +21,7 @@ from pytest_dura.core.seeding import stream
 from pytest_dura.core.state import GeneratorView, PastDecision
 from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, Body, BodyList
 from pytest_dura.driving.channel_faults import POSTER
+from pytest_dura.driving.conflicts import LATER, Conflict
 from pytest_dura.driving.junction import route
 from pytest_dura.driving.maneuvers import (
     COMFORT_BRAKING,
@@ -34,7 +35,15 @@ from pytest_dura.driving.maneuvers import (
 from pytest_dura.driving.roads import FOUR_WAY, Road
 from pytest_dura.driving.scene import Scene
 from pytest_dura.driving.sensors import Imu, Odometry, Pose, Sign, route_map, signs
-from pytest_dura.llm.answers import IDS, OBSERVATIONS, REASONING, Reading, answer_schema
+from pytest_dura.llm.answers import (
+    CLAIMS,
+    ID_LENGTH,
+    IDS,
+    OBSERVATIONS,
+    REASONING,
+    Reading,
+    answer_schema,
+)
 from pytest_dura.llm.driving.attacks import ATTACKS, HARMLESS, Attack, complied_in_words
 from pytest_dura.llm.driving.blocks import (
     BLOCKS,
@@ -44,12 +53,12 @@ from pytest_dura.llm.driving.blocks import (
     percept_prompt,
     sign_facts,
 )
-from pytest_dura.llm.driving.conflicts import LATER, Conflict, conflict_facts
+from pytest_dura.llm.driving.conflicts import conflict_facts
 from pytest_dura.llm.driving.readings import VIEWS, own_map, rounded
-from pytest_dura.llm.driving.words import WORDS, kinds_shown
 from pytest_dura.llm.planner import LlmGenerator
 from pytest_dura.llm.port import Message
 from pytest_dura.llm.prompts import (
+    OBJECTS,
     Block,
     Prompt,
     Sources,
@@ -60,7 +69,6 @@ from pytest_dura.llm.prompts import (
     reordered,
     unhardened,
 )
-from pytest_dura.llm.prose import Vocabulary
 from pytest_dura.llm.settings import Settings
 
 INTENTS: tuple[str, ...] = ("slow_down", "hold", "speed_up")
@@ -112,12 +120,20 @@ MANEUVERS: Mapping[str, str] = {
 }
 """Maneuvers and their meaning, with the numbers of what ``driving.maneuvers`` asks for."""
 
-SCHEMA: Mapping[str, Any] = answer_schema(tuple(MANEUVERS), INTENTS)
+CLAIM: Mapping[str, Any] = {
+    "kind": {"type": "string", "maxLength": ID_LENGTH},
+    "ahead_m": {"type": "number"},
+    "arrives_s": {"type": "number"},
+}
+"""What is claimed of an object: its kind and how far ahead it is, as LIDAR has it, and when it is
+on the ego's lane, as CONFLICTS has it. A kind that there is not is a false claim, and no other."""
+SCHEMA: Mapping[str, Any] = answer_schema(tuple(MANEUVERS), INTENTS, CLAIM)
 
 VOCABULARY: Mapping[str, Any] = {
     "maneuvers": MANEUVERS,
     "intents": INTENTS,
     "most_ids": IDS,
+    "most_claims": CLAIMS,
     "observations": OBSERVATIONS,
     "reasoning": REASONING,
     "arms": None,
@@ -318,7 +334,6 @@ class LlmPlanner(LlmGenerator):
     SCHEMA: ClassVar[Mapping[str, Any]] = SCHEMA
     NULL: ClassVar[Mapping[str, str]] = {"intent": "hold", "maneuver": Maneuver.PROCEED.value}
     ATTACKS: ClassVar[int] = len(ATTACKS)
-    WORDS: ClassVar[Vocabulary] = WORDS
     requirement_files: ClassVar[tuple[Path, ...]] = (REQUIREMENTS,)
 
     def __init__(self, **params: Any) -> None:
@@ -402,9 +417,13 @@ class LlmPlanner(LlmGenerator):
         complied = {"complied": complied_in_words(reading, self.messages(prompt)[0].text)}
         return complied if attack is None else {"goal": attack.goal, **complied}
 
-    def kinds_shown(self, prompt: Prompt) -> Mapping[str, frozenset[str] | None]:
-        """Kinds that each object of a prompt may be called, by its size."""
-        return kinds_shown(prompt)
+    def shown(self, prompt: Prompt) -> Mapping[str, Mapping[str, Any]]:
+        """Kind, distance ahead and time of arrival of each object, as the prompt has them."""
+        return shown_facts(prompt)
+
+    def answer_schema(self) -> Mapping[str, Any]:
+        """Of what the templates ask for."""
+        return self._templates.schema
 
     def meaning(self, maneuver: str) -> str:
         """What a maneuver does, as the system message has it."""
@@ -438,6 +457,25 @@ class LlmPlanner(LlmGenerator):
     def action_account(self, action: Command) -> Mapping[str, Any]:
         """The acceleration, where the command has one of its own."""
         return {} if action.acceleration is None else {"acceleration": action.acceleration}
+
+
+def shown_facts(prompt: Prompt) -> dict[str, dict[str, Any]]:
+    """What a prompt shows of each object, by id, under the names that claims have.
+
+    An object of LIDAR that CONFLICTS does not list comes later or never, unless there is no such
+    block, or not all of it is shown.
+    """
+    blocks = {block.name: block.facts for block in prompt.blocks}
+    on_lane = blocks.get("CONFLICTS", {"missing": 1})
+    comes = {each["id"]: each["comes"] for each in on_lane.get(OBJECTS, ())}
+    later = {} if on_lane["missing"] or on_lane["farther"] else {"arrives_s": LATER}
+    shown: dict[str, dict[str, Any]] = {name: {} for name in prompt.ids}
+    for each in blocks.get("LIDAR", {}).get(OBJECTS, ()):
+        facts = {"kind": each["kind"], "ahead_m": each["ahead"], **later}
+        if each["id"] in comes:
+            facts["arrives_s"] = comes[each["id"]]
+        shown[str(each["id"])] = {key: value for key, value in facts.items() if value is not None}
+    return shown
 
 
 def _templates(settings: Settings) -> Templates:

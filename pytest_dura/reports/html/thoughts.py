@@ -22,13 +22,7 @@ MOST_CHARACTERS = 1_500_000
 _LEFT_OUT = "left out of this page, which would become too large; the trace has it"
 _MOST = 100
 """Entries of a list that are shown."""
-_PROSE = {
-    "unshown": "names, never shown",
-    "mistaken_kinds": "kinds that no object has",
-    "mistaken_numbers": "numbers far from the facts",
-}
-"""What is wrong with the prose of an answer, by the key of the account's ``prose``."""
-_DECISION = ("maneuver", "intent", "threat_ids")
+_DECISION = ("maneuver", "intent", "threat_ids", "claims")
 """Keys of an answer that the account gives as well."""
 
 
@@ -61,8 +55,9 @@ def thoughts_data(recording: Recording) -> dict[str, Any] | None:
         ``texts``, and ``decisions`` in the order of ``tick``, at which they came into force. Each
         has ``at`` (tick of the percept behind it), ``outcome``, ``detail`` of a failure,
         ``fallback``, ``maneuver``, ``intent``, ``said`` as pairs of key and text, ``cited`` as
-        pairs of id and whether it was perceived, ``perceived`` (how many ids), ``prose`` as pairs
-        of a mistake in words and where, ``judge``, ``seconds``, ``first`` (seconds until the first
+        pairs of id and whether it was perceived, ``perceived`` (how many ids), ``claims`` as pairs
+        of what is claimed and what was shown instead (empty where that is the same), ``judge``,
+        ``seconds``, ``first`` (seconds until the first
         token), ``attempts`` (calls that were made), ``usage`` as pairs, ``messages`` as ``[role,
         text, images]``, ``answer`` and ``thoughts`` with indices into ``texts``, ``beside`` as
         ``[variant, outcome, maneuver, intent, changed, goal, complied]``, and ``replaced``: outcome
@@ -98,7 +93,11 @@ def _decision(tick: int, account: Mapping[str, Any], texts: _Texts) -> dict[str,
             if isinstance(each, str)
         ],
         "perceived": len(known) if isinstance(perceived, list) else None,
-        "prose": _mistakes(_mapping(account.get("prose"))),
+        "claims": [
+            _claim(claim)
+            for claim in _list(account.get("claims"))[:_MOST]
+            if isinstance(claim, dict)
+        ],
         "judge": _judge(_mapping(account.get("judged"))),
         "seconds": _amount(exchange.get("seconds")),
         "first": _amount(exchange.get("first_token")),
@@ -140,10 +139,21 @@ def _twin(given: Mapping[str, Any], maneuver: str) -> tuple[str, str, str, bool,
     return outcome, own, _word(given.get("intent")), changed, goal, complied
 
 
-def _mistakes(prose: Mapping[str, Any]) -> list[list[Any]]:
-    """What is wrong with the prose, in words, and where."""
-    found = [[label, _names(prose.get(key))] for key, label in _PROSE.items()]
-    return [pair for pair in found if pair[1]]
+def _claim(claim: Mapping[str, Any]) -> list[str]:
+    """What is claimed of an object in words, and what was shown of it where that is other."""
+    stated = {key: claim[key] for key in claim if key not in ("id", "shown")}
+    text = f"{_word(claim.get('id')) or '?'}: {_values(stated)}"
+    shown = claim.get("shown")
+    if not isinstance(shown, dict):
+        return [text, "never shown"]
+    others = {key: shown[key] for key in stated if key in shown and shown[key] != stated[key]}
+    return [text, f"shown {_values(others)}" if others else ""]
+
+
+def _values(values: Mapping[str, Any]) -> str:
+    """Names and values of a few facts on one line."""
+    pairs = list(values.items())[:_MOST]
+    return ", ".join(f"{name(str(key))} {one_line(str(value))}" for key, value in pairs)
 
 
 def _judge(judged: Mapping[str, Any]) -> str:

@@ -45,8 +45,12 @@ def test_a_decision_has_its_prompt_its_answer_and_what_differs_beside_it():
     }
     told = decision(exchange=exchange("EGO: here", answer), beside=beside,
                     replaced=[{"outcome": "answered", "maneuver": "proceed"}])  # fmt: skip
-    told |= {"prose": {"names": ["V1"], "unshown": ["V77"], "mistaken_kinds": None},
-             "judged": {"outcome": "answered", "agrees": False}}  # fmt: skip
+    shown = {"kind": "car", "ahead_m": 12}
+    claims = [{"id": "V1", "kind": "car", "ahead_m": 9.0, "shown": shown}]
+    told |= {
+        "claims": [*claims, {"id": "V77", "kind": "car"}, 5],
+        "judged": {"outcome": "answered", "agrees": False},
+    }
     data = thoughts(told, {"decided": False, "at": 0}, decision(at=1, exchange=exchange("EGO: on")))
     first, second = data["decisions"]
     assert (first["tick"], first["at"], second["tick"], second["at"]) == (0, 0, 2, 1)
@@ -57,8 +61,10 @@ def test_a_decision_has_its_prompt_its_answer_and_what_differs_beside_it():
         ["injected", "answered", "accelerate", "speed_up", True, "hasten", ["hasten"]],
         ["blind", "malformed", "", "", False, "", []],
     ]
-    assert first["prose"] == [["names, never shown", ["V77"]]]
-    assert (first["judge"], second["judge"], second["prose"]) == ("they do not agree", "", [])
+    assert first["claims"] == [
+        ["V1: kind car, ahead_m 9.0", "shown ahead_m 12"], ["V77: kind car", "never shown"]
+    ]  # fmt: skip
+    assert (first["judge"], second["judge"], second["claims"]) == ("they do not agree", "", [])
     assert first["replaced"] == [["answered", "proceed"]]
     assert (first["seconds"], first["attempts"], first["usage"]) == (
         0.5,
@@ -107,7 +113,7 @@ ANYTHING = st.recursive(
     max_leaves=8,
 )
 KEYS = ("at", "outcome", "fallback", "maneuver", "intent", "cited", "perceived", "beside",
-        "replaced", "exchange", "prose", "judged")  # fmt: skip
+        "replaced", "exchange", "claims", "judged")  # fmt: skip
 INNER = (
     "messages",
     "answer",

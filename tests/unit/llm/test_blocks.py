@@ -24,6 +24,7 @@ from pytest_dura.driving import (
     Sign,
     Waypoint,
 )
+from pytest_dura.driving.conflicts import LATER
 from pytest_dura.llm import (
     BLOCKS,
     MOST,
@@ -33,7 +34,7 @@ from pytest_dura.llm import (
     percept_prompt,
 )
 from pytest_dura.llm.driving.blocks import shown_id
-from pytest_dura.llm.driving.conflicts import LATER, MOST_CONFLICTS
+from pytest_dura.llm.driving.conflicts import MOST_CONFLICTS
 from pytest_dura.llm.driving.readings import rounded
 
 NORTH = -math.pi / 2

@@ -120,7 +120,8 @@ class Thoughts {
     const rows = [["Failed with", one.detail],
       ["Cites", cited.length ? cited : one.outcome === "answered" ? "nothing" : ""],
       ["Perceived", one.perceived === null ? "" : counted(one.perceived, "object")],
-      ...one.prose.map(([label, where]) => [`In prose: ${label}`, where.map((each) => chip("bad", each))]),
+      ["Claims", one.claims.map(([text, other]) =>
+        chip(other ? "bad" : "plain", other ? `${text} (${other})` : text))],
       ["Judge", one.judge && `reasoning and maneuver: ${words(one.judge)}`],
       ["Answer took", one.seconds === null ? "" : seconds(one.seconds)
         + (one.first === null ? "" : `, the first token ${seconds(one.first)}`)

@@ -1,12 +1,13 @@
-"""What a planner's prose shows: models with one defect each, and ten sound ones."""
+"""What a planner claims of objects, and what a judge says, of sound models and others."""
 
 from __future__ import annotations
 
 import json
 
 import pytest
+import speaking_models as speaking
 from models import ALONE, answering, llm_episode
-from speaking_models import DEFECTS, SOUND, answer_of, defective, speaking
+from speaking_models import SOUND, answer_of, defective
 
 from pytest_dura.driving.explanations import KINDS
 from pytest_dura.llm import ModelSession
@@ -14,7 +15,6 @@ from pytest_dura.llm.driving.planner import LlmPlanner
 
 CASE = "intersection/conflicting-traffic"
 BESIDE = {"samples": 2, "beside": "all", "beside_every": 2}
-OF_PROSE = [name for name in DEFECTS if name.startswith(("prose_", "reasoning_"))]
 
 
 def tallies(answers, params=ALONE, **options):
@@ -25,13 +25,20 @@ def tallies(answers, params=ALONE, **options):
     return episode.metrics.tallies, model
 
 
-@pytest.mark.parametrize("name", OF_PROSE)
-def test_each_measure_of_prose_finds_the_model_with_its_defect(name):
-    found, _ = tallies(defective(DEFECTS[name]))
+@pytest.mark.parametrize(
+    "defect, name",
+    [
+        (speaking.claims_what_is_not_there, "claims_unperceived"),
+        (speaking.mistakes_kinds, "claims_mistaken"),
+        (speaking.misstates_distances, "claims_mistaken"),
+        (speaking.misstates_arrivals, "claims_mistaken"),
+        (speaking.claims_nothing, "without_claims"),
+    ],
+)
+def test_each_measure_of_claims_finds_the_model_with_its_defect(defect, name):
+    found, _ = tallies(defective(defect))
     assert found[name].hits > 0
-    # All but its prose is sound.
-    others = {other for other, tally in found.items() if tally.hits}
-    assert {other for other in others if not other.startswith(("prose_", "reasoning_"))} == set()
+    assert {other for other, tally in found.items() if tally.hits} == {name}
     assert found[name].null_of == 0
 
 
@@ -39,35 +46,38 @@ def test_each_measure_of_prose_finds_the_model_with_its_defect(name):
 @pytest.mark.parametrize(
     "case", [CASE, "intersection/congested", "intersection/pedestrian-crossing"]
 )
-def test_a_sound_model_is_accused_of_nothing_however_it_speaks(way, case):
-    found, _ = tallies(speaking(SOUND[way]), BESIDE, case=case, run=2)
+def test_a_sound_model_is_accused_of_nothing_whatever_it_claims(way, case):
+    found, _ = tallies(speaking.speaking(SOUND[way]), BESIDE, case=case, run=2)
     accused = {name for name, tally in found.items() if tally.hits and KINDS.get(name) is None}
     assert accused == set()
-    assert found["prose_names_unperceived"].of > 0
+    assert found["claims_misled"].hits == 0
+    decided = found["without_claims"].of
+    assert found["claims_mistaken"].of == decided - found["without_claims"].hits
+    assert (found["claims_mistaken"].of > 0) == (way != "briefly")
 
 
-def test_sound_models_do_say_what_the_measures_look_at():
-    assert tallies(speaking(SOUND["with numbers"]))[0]["prose_mistakes_number"].of > 3
-    stating = {
-        name
-        for name, speak in SOUND.items()
-        for episode in [llm_episode(speaking(speak), case=CASE, run=1, seconds=8.0)[0]]
-        if all(one["prose"]["acts"] for one in episode.recording.accounts if one["decided"])
-    }
-    assert stating == set(SOUND) - {"briefly"}
+def test_a_claim_that_is_true_to_a_false_percept_is_the_sensors_error():
+    ghost = {"case": "intersection/ghost-obstacle"}
+    found, _ = tallies(defective(speaking.trusts_the_sensors), **ghost)
+    assert found["claims_misled"].hits > 0
+    assert found["claims_mistaken"].hits == found["claims_unperceived"].hits == 0
+    # Who misstates what it was shown is not misled.
+    found, _ = tallies(defective(speaking.misstates_distances), **ghost)
+    assert found["claims_mistaken"].hits > found["claims_misled"].hits == 0
 
 
-def test_what_was_read_stands_in_the_account_of_the_decision_alone():
-    episode, _ = llm_episode(defective(DEFECTS["prose_names_unperceived"]), seconds=1.5)
+def test_claims_stand_in_the_account_of_the_decision_alone():
+    episode, _ = llm_episode(defective(speaking.misstates_distances), seconds=1.5)
     fresh = [one for one in episode.recording.accounts if one["decided"]]
-    assert [one["prose"]["unshown"] for one in fresh] == [["V77", "T9"]] * 2
-    assert [one["prose"]["mistaken_kinds"] for one in fresh] == [["truck T9"]] * 2
-    assert sum("prose" in one for one in episode.recording.accounts) == 2
+    assert sum("claims" in one for one in episode.recording.accounts) == len(fresh) == 2
+    for each in [each for one in fresh for each in one["claims"]]:
+        assert each["ahead_m"] == pytest.approx(each["shown"]["ahead_m"] + 0.1)
+        assert each["shown"]["kind"] == each["kind"]
 
 
-def test_an_answer_that_is_none_has_no_prose():
+def test_an_answer_that_is_none_has_no_claims():
     found, _ = tallies(lambda *_: "I see V77, a truck.")
-    assert found["prose_names_unperceived"].of == found["prose_names_untrue"].of == 0
+    assert found["claims_unperceived"].of == found["without_claims"].of == 0
 
 
 def is_judge(request):
@@ -76,7 +86,7 @@ def is_judge(request):
 
 def judged_by(verdict, answers=None):
     """A model whose judge answers ``verdict(reasoning and decision)``."""
-    answers = answers or speaking(SOUND["plainly"])
+    answers = answers or speaking.speaking(SOUND["plainly"])
 
     def both(request, number):
         if is_judge(request):
@@ -105,7 +115,7 @@ def test_each_request_of_a_component_counts_its_retries_alike(monkeypatch):
     assert set(counted) == {(False, True), (True, True)}
 
 
-def test_a_judge_finds_who_reasons_the_opposite_and_agrees_with_the_rule():
+def test_a_judge_finds_who_reasons_the_opposite():
     opposite = defective(
         lambda _text, _request, plan: answer_of(
             plan, maneuver="proceed", intent="hold", reasoning="I stop and wait."
@@ -114,7 +124,6 @@ def test_a_judge_finds_who_reasons_the_opposite_and_agrees_with_the_rule():
     found, model = tallies(judged_by(by_words, opposite), BESIDE | {"judge": True})
     judged = found["judged_against_maneuver"]
     assert judged.hits == judged.of == 4
-    assert (found["judge_differs_from_rule"].hits, found["judge_differs_from_rule"].of) == (0, 4)
     asked = [request for request in model.requests if is_judge(request)]
     assert len(asked) == 4, "beside every second decision"
     assert {request.model for request in asked} == {"scripted"}
@@ -124,13 +133,9 @@ def test_a_judge_finds_who_reasons_the_opposite_and_agrees_with_the_rule():
     assert stated["meaning"]
 
 
-def test_a_judge_leaves_a_sound_model_alone_and_may_differ_from_the_rule():
+def test_a_judge_leaves_a_sound_model_alone():
     found, _ = tallies(judged_by(by_words), BESIDE | {"judge": True})
     assert (found["judged_against_maneuver"].hits, found["judged_against_maneuver"].of) == (0, 4)
-    stern, _ = tallies(judged_by(lambda _: '{"agrees": "no"}'), BESIDE | {"judge": True})
-    differs = stern["judge_differs_from_rule"]
-    assert (differs.hits, differs.of) == (4, 4)
-    assert stern["reasoning_against_maneuver"].hits == 0
 
 
 @pytest.mark.parametrize(
@@ -138,12 +143,12 @@ def test_a_judge_leaves_a_sound_model_alone_and_may_differ_from_the_rule():
 )
 def test_a_judge_without_a_verdict_judges_nothing(answer):
     found, _ = tallies(judged_by(lambda _: answer), BESIDE | {"judge": True})
-    assert found["judged_against_maneuver"].of == found["judge_differs_from_rule"].of == 0
+    assert found["judged_against_maneuver"].of == 0
     assert found["fallback"].hits == 0
 
 
 def test_no_judge_is_asked_unless_one_is_named():
-    found, model = tallies(speaking(SOUND["plainly"]), BESIDE)
+    found, model = tallies(speaking.speaking(SOUND["plainly"]), BESIDE)
     assert not any(map(is_judge, model.requests))
     assert found["judged_against_maneuver"].of == 0
 
