@@ -34,7 +34,8 @@ import speaking_models as speaking
 from models import llm_episode
 
 CROSSING, WALKING = "intersection/conflicting-traffic", "intersection/pedestrian-crossing"
-GHOST = "intersection/ghost-obstacle"
+GHOST = "intersection/nominal"
+"""The case of which the sensors show a car that is not there."""
 CASES = (CROSSING, "intersection/congested", WALKING)
 BESIDE = {"samples": 2, "beside": "all", "beside_every": 3}
 BUDGET = 5.0
@@ -79,6 +80,7 @@ def tallies(answers: Callable[..., Any], case: str, run: int, **given: Any) -> d
     seconds = given.pop("seconds")
     params = BESIDE | given
     options = {"case": case, "run": run, "seconds": seconds, "time_budget": BUDGET}
+    options["faults"] = ["ghost-obstacle"] if case == GHOST else []
     episode, _ = llm_episode(answers, params, **options)
     if episode.validity != "valid":
         sys.exit(f"{case}#{run} is {episode.validity}: {episode.failure}")

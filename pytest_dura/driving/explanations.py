@@ -371,8 +371,8 @@ MEANINGS: Mapping[str, str] = {
     "of an object than it was shown, numbers by more than the rounding of 0.05",
     "claims_misled": "of decisions with claims that are true to what was shown: one is false of "
     "the world, which is the sensors' error and no failure of the component",
-    "without_claims": "of decisions that could state claims: states none, so that none was "
-    "checked; that is no failure by itself",
+    "without_claims": "of decisions that were shown an object and could state claims: states "
+    "none, so that none was checked; that is no failure by itself",
     "judged_against_maneuver": "of decisions that a judge was asked about: a language model says "
     "that the reasoning argues against the maneuver",
     "intent_against_maneuver": "the stated intent contradicts the maneuver: it aims at no speed "
@@ -540,7 +540,8 @@ def _checked_claims(
     if claims is None:
         return {}
     if not claims:
-        return {"without_claims": True}
+        could = any(not _NO_BODY.fullmatch(name) for name in decision.perceived or ())
+        return {"without_claims": True} if could else {}
     known = [claim for claim in claims if claim.shown is not None]
     shown: dict[str, bool | None] = {
         "without_claims": False,

@@ -123,6 +123,10 @@ class Settings(BaseModel):
     judge_server: KnownServer | None = Field(
         None, description="Of a judge with a name; filled in by the capability probe."
     )
+    prompt: Literal["full", "brief"] = Field(
+        "full",
+        description="Brief for a model of a small context: fewer blocks and objects, no examples.",
+    )
     history: int = Field(3, ge=0, le=20, description="Earlier decisions in the prompt.")
     images: tuple[str, ...] | None = Field(
         None, description="Cameras whose pictures are shown; by default all, to a model that sees."

@@ -50,6 +50,7 @@ from pytest_dura.llm.driving.blocks import (
     by_id,
     driving_prompt,
     label,
+    nearest,
     percept_prompt,
     sign_facts,
 )
@@ -218,6 +219,25 @@ def with_conflict(prompt: Prompt) -> Prompt:
     return _with_objects(prompt, {"LIDAR": body, "CONFLICTS": on_lane})
 
 
+_BRIEF_WITHOUT = ("IMU", "MAP", "HISTORY")
+"""Blocks that a brief prompt lacks; what they have of the junction stands in EGO and GOAL, too."""
+_BRIEF_MOST = 5
+
+
+def brief(prompt: Prompt) -> Prompt:
+    """The prompt with fewer blocks, and of objects only the nearest and those that soon will be."""
+    blocks = []
+    for block in prompt.blocks:
+        facts = block.facts
+        if block.name in ("LIDAR", "RADAR"):
+            kept = nearest(facts[OBJECTS], _BRIEF_MOST)
+            farther = facts["farther"] + kept["farther"]
+            facts = {**facts, OBJECTS: kept[OBJECTS], "farther": farther}
+        if block.name not in _BRIEF_WITHOUT:
+            blocks.append(replace(block, facts=facts))
+    return replace(prompt, blocks=tuple(blocks))
+
+
 def _numbers(prompt: Prompt, letter: str) -> set[int]:
     """Numbers of the ids of this letter."""
     parts = (by_id({"id": name}) for name in prompt.ids)
@@ -367,6 +387,8 @@ class LlmPlanner(LlmGenerator):
         if on_map is not None:
             self._templates = self._told(on_map.road)
         prompt = driving_prompt(view, past, images=images)
+        if self.settings.prompt == "brief":
+            prompt = brief(prompt)
         return prompt if self.settings.hardened else unhardened(prompt)
 
     def _told(self, road: Road) -> Templates:
@@ -379,8 +401,9 @@ class LlmPlanner(LlmGenerator):
         )
 
     def messages(self, prompt: Prompt) -> tuple[Message, ...]:
-        """System, examples, and the blocks with the pictures before them."""
-        return self._templates.messages(prompt)
+        """System, examples unless it is brief, and the blocks with the pictures before them."""
+        messages = self._templates.messages(prompt)
+        return (messages[0], messages[-1]) if self.settings.prompt == "brief" else messages
 
     def variant(self, name: str, prompt: Prompt) -> Prompt:
         """The prompt of a metamorphic twin, or of the negative control."""

@@ -448,6 +448,11 @@ def test_claims_are_compared_with_what_was_shown_and_then_with_the_world(
     assert [found[name] for name in OF_CLAIMS] == pytest.approx(list(expected), nan_ok=True)
 
 
+def test_who_was_shown_no_object_could_claim_nothing() -> None:
+    found = measured(account(claims=[], perceived=["S1", "R2"]))
+    assert all(is_nan(found[name]) for name in OF_CLAIMS)
+
+
 @pytest.mark.parametrize(
     "judged, expected",
     [

@@ -106,3 +106,37 @@ def test_a_whole_number_may_be_written_as_a_fraction():
 def test_a_schema_of_any_object_takes_any_object():
     assert read_answer(Answer('{"a": [1]}'), {"type": "object"}).answered
     assert not read_answer(Answer("[1]"), {"type": "object"}).answered
+
+
+CLAIM = {"id": "V1", "kind": "car", "ahead_m": 4, "arrives_s": 0.5}
+CLAIMING = answer_schema(
+    ("wait", "proceed"), ("slow_down", "hold", "speed_up"),
+    {"kind": {"type": "string", "maxLength": 16}, "ahead_m": {"type": "number"},
+     "arrives_s": {"type": "number"}},
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "claims, outcome",
+    [
+        ([], "answered"),
+        ([CLAIM] * 4, "answered"),
+        ([CLAIM | {"kind": "truck"}], "answered"),
+        ([CLAIM] * 5, "schema_violation"),
+        (None, "schema_violation"),
+        ([{"id": "V1"}], "schema_violation"),
+        ([CLAIM | {"more": 1}], "schema_violation"),
+        ([CLAIM | {"ahead_m": "4"}], "schema_violation"),
+        ([CLAIM | {"ahead_m": True}], "schema_violation"),
+        ([CLAIM | {"id": "V" * 17}], "schema_violation"),
+    ],
+)
+def test_claims_are_data_and_may_be_missing(claims, outcome):
+    assert read_answer(Answer(of(claims=claims)), CLAIMING).outcome == outcome
+    assert read_answer(Answer(json.dumps(GOOD)), CLAIMING).answered
+    assert read(of(claims=[])).outcome == "schema_violation", "of a schema without them"
+
+
+def test_a_number_beyond_all_numbers_is_no_claim():
+    text = of(claims=[CLAIM]).replace('"ahead_m": 4', '"ahead_m": 1e999')
+    assert read_answer(Answer(text), CLAIMING).outcome == "schema_violation"

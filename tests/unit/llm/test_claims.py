@@ -57,7 +57,7 @@ def test_a_sound_model_is_accused_of_nothing_whatever_it_claims(way, case):
 
 
 def test_a_claim_that_is_true_to_a_false_percept_is_the_sensors_error():
-    ghost = {"case": "intersection/ghost-obstacle"}
+    ghost = {"case": "intersection/nominal", "faults": ["ghost-obstacle"]}
     found, _ = tallies(defective(speaking.trusts_the_sensors), **ghost)
     assert found["claims_misled"].hits > 0
     assert found["claims_mistaken"].hits == found["claims_unperceived"].hits == 0

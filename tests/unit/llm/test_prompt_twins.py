@@ -23,6 +23,7 @@ from pytest_dura.llm import (
     with_conflict,
     with_injection,
 )
+from pytest_dura.llm.driving.planner import LlmPlanner, brief, probes
 from pytest_dura.llm.prompts import blind, paraphrased, reformatted, unhardened
 
 CARS = [car("V1", -20.0, 40.0, 0.0, 8.0), car("V2", 30.0, -2.0, 0.0, 9.0), walker("P1", 9.0, 9.0)]
@@ -175,3 +176,35 @@ def test_a_full_block_takes_one_more() -> None:
     signs = tuple(Sign("give_way", 60.0 + n, "") for n in range(MOST_SIGNS))
     full = percept_prompt(channels_of() | {"controls": signs})
     assert len(facts(with_injection(full), "CONTROLS")["objects"]) == MOST_SIGNS + 1
+
+
+SMALL, CHARACTERS = 2048, 2.5
+"""Tokens of a small context, and characters of a prompt for each, as few as were measured."""
+ROOM = 350
+"""Tokens of an answer whose texts are as long as they may be."""
+
+
+@pytest.mark.parametrize("prompt", probes())
+def test_a_brief_prompt_fits_into_a_small_context_and_says_nothing_else(prompt) -> None:
+    short = brief(prompt)
+    planner = LlmPlanner(prompt="brief")
+    messages = planner.messages(short)
+    assert sum(len(each.text) for each in messages) <= (SMALL - ROOM) * CHARACTERS
+    assert [each.role for each in messages] == ["system", "user"]
+    assert messages[0] == LlmPlanner().messages(prompt)[0]
+    whole = {block.name: block.facts for block in prompt.blocks}
+    for block in short.blocks:
+        listed = whole[block.name].get("objects", ())
+        kept = block.facts.get("objects", ())
+        assert [each for each in listed if each in kept] == list(kept)
+        left_out = len(listed) - len(kept)
+        assert block.facts.get("farther", 0) == whole[block.name].get("farther", 0) + left_out
+    assert {"EGO", "LIDAR", "CONFLICTS", "CONTROLS", "GOAL"} <= {each.name for each in short.blocks}
+
+
+def test_a_brief_prompt_keeps_what_is_about_to_collide() -> None:
+    crowd = [walker(f"P{n}", 2.0 + n, 90.0 + n) for n in range(20)]
+    prompt = brief(with_conflict(percept_prompt(channels_of(*CARS, *crowd, speed=6.0))))
+    assert {each["id"] for each in facts(prompt, "LIDAR")["objects"]} >= {
+        each["id"] for each in facts(prompt, "CONFLICTS")["objects"] if each["comes"] == 0.0
+    }

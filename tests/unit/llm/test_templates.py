@@ -24,7 +24,13 @@ from pytest_dura.llm import (
     read_answer,
 )
 from pytest_dura.llm.driving.blocks import direction
-from pytest_dura.llm.driving.planner import SCHEMA, TEMPLATES, VOCABULARY, probes
+from pytest_dura.llm.driving.planner import (
+    SCHEMA,
+    TEMPLATES,
+    VOCABULARY,
+    probes,
+    shown_facts,
+)
 from pytest_dura.llm.prompts import FILTERS, LONGEST_RENDERED, Block, Sources, Templates
 
 PERCEPT = channels_of(car("V1", -20.0, 40.0, 0.0, 8.0))
@@ -294,3 +300,34 @@ def test_the_page_names_all_files_blocks_facts_and_filters() -> None:
         str(LONGEST_RENDERED),
     ):
         assert f"`{word}`" in page or f" {word} " in page, word
+
+
+def test_claims_are_asked_for_where_the_system_and_each_example_have_them(tmp_path) -> None:
+    def asks(directory):
+        templates = driving_templates(directory)
+        messages = templates.messages(PROMPT)
+        answers = [json.loads(each.text) for each in messages if each.role == "assistant"]
+        asked = "claims" in templates.schema["properties"]
+        assert (
+            asked == ("claims" in templates.schema["required"]) == ("\nclaims:" in messages[0].text)
+        )
+        assert all(("claims" in answer) == asked for answer in answers)
+        return asked
+
+    assert asks(None)
+    (tmp_path / "few_shot.yaml").write_text("# none\n")
+    assert not asks(tmp_path), "a request of templates without claims stays as it is"
+    own = (TEMPLATES / "few_shot.yaml").read_text()
+    (tmp_path / "few_shot.yaml").write_text(own)
+    assert asks(tmp_path)
+    (tmp_path / "system.j2").write_text("Choose one of {{ maneuvers|list|join(', ') }}.")
+    assert not asks(tmp_path)
+
+
+def test_examples_claim_what_they_show() -> None:
+    templates = driving_templates()
+    for hardened in (True, False):
+        for example in templates._examples["", hardened]:
+            shown = shown_facts(Prompt(example.blocks))
+            for claim in json.loads(example.answer)["claims"]:
+                assert {"id": claim["id"], **shown[claim["id"]]} == claim
