@@ -3,10 +3,10 @@
 Run: python benchmarks/llm_defects.py [--runs 20] [--jobs 2] [--seconds 6] [--only NAME ...]
 
 Each model is scripted, answers in this process and reads the prompt's text with regular
-expressions. The sound ones decide alike, speak in ten ways and claim much or little. A run is the beginning of a built-in
-scenario. Told are, of each defect, the runs in which its measure shows it, those in which some
-decision could have, and the requirement on it that a language model has by default; and of each
-sound model the runs in which any failure mode accuses it.
+expressions. The sound ones decide alike, speak in ten ways and claim much or little. A run is the
+beginning of a built-in scenario. Told are, of each defect, the runs in which its measure shows it,
+those in which some decision could have, and the requirement on it that a language model has by
+default; and of each sound model the runs in which any failure mode accuses it.
 """
 
 from __future__ import annotations

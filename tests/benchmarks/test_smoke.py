@@ -42,7 +42,7 @@ SMALLEST = {
     "layered.py": ["--pairs", "1"],
     "llm_defects.py": [
         *("--runs", "1", "--jobs", "1", "--only"),
-        *("invents V77 and a truck T9 in prose", "slow", "with numbers"),
+        *("claims a car T9 that is not shown", "slow", "with numbers"),
     ],
     "llm_concurrency.py": [
         *("--runs", "1", "--seconds", "0.01", "--select", "brief/*"),
