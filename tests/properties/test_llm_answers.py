@@ -77,3 +77,29 @@ def test_an_answer_that_says_something_twice_says_nothing(key, place, value):
 
 def _object(pairs):
     return "{" + ", ".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in pairs) + "}"
+
+
+CLAIM = {"kind": {"type": "string", "maxLength": 16}, "ahead_m": {"type": "number"}}
+CLAIMING = answer_schema(("wait", "proceed"), ("slow_down", "hold", "speed_up"), CLAIM)
+CLAIMS = st.lists(
+    st.fixed_dictionaries(
+        {"id": st.text(max_size=17), "kind": st.sampled_from(["car", "truck", 5])},
+        optional={"ahead_m": st.integers() | st.floats(allow_nan=False), "more": JSON},
+    ),
+    max_size=5,
+)
+
+
+@settings(derandomize=True, deadline=None, max_examples=200)
+@given(said=NEARLY, claims=st.none() | CLAIMS)
+def test_claims_keep_to_the_schema_or_are_missing(said, claims):
+    """The answer is read as it would be without them, as long as they keep to it."""
+    given_claims = {} if claims is None else {"claims": claims}
+    text = json.dumps({**said, **given_claims})
+    reading = read_answer(Answer(text), CLAIMING)
+    alone = read_answer(Answer(json.dumps(said)), SCHEMA)
+    if "Infinity" in text or not alone.answered:
+        assert not reading.answered
+        return
+    part = CLAIMING["properties"]["claims"]
+    assert reading.answered == (claims is None or Draft202012Validator(part).is_valid(claims))

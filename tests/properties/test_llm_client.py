@@ -5,20 +5,23 @@ from __future__ import annotations
 import base64
 import io
 import json
+import os
 from typing import Any
 from urllib.parse import quote
 
+import httpx2
 import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from PIL import Image as Picture
 
 from pytest_dura.core import ConfigurationError
-from pytest_dura.llm import Answer, Endpoint, Image
+from pytest_dura.llm import Answer, Endpoint, Image, Message, OpenAiClient, Request
 from pytest_dura.llm.answers import FAILURES
 from pytest_dura.llm.capabilities import ServerListing
 from pytest_dura.llm.client import data_url
 from pytest_dura.llm.completions import LONGEST_TEXT, read_completion, refusal_of
+from pytest_dura.llm.port import Repeats
 
 laws = settings(derandomize=True, deadline=None, max_examples=80)
 
@@ -144,3 +147,26 @@ def test_any_list_of_models_has_a_fingerprint(data: Any) -> None:
         server = ServerListing.of(listing, "", "m", ())
         assert server.fingerprint("m") == ServerListing.of(listing, "", "m", ()).fingerprint("m")
         assert server.words
+
+
+@settings(laws, max_examples=40)
+@given(status=st.sampled_from([429, 503]) | st.integers(300, 599), most=st.integers(0, 2))
+def test_a_request_is_repeated_where_its_server_was_busy_and_nowhere_else(
+    status: int, most: int
+) -> None:
+    asked: list[str] = []
+
+    def respond(request: httpx2.Request) -> httpx2.Response:
+        asked.append(request.headers["authorization"])
+        headers = {"retry-after": "0.001"}
+        return httpx2.Response(status, headers=headers, stream=httpx2.ByteStream(b"{}"))
+
+    client = OpenAiClient(Endpoint("http://127.0.0.1/v1", "m", "sk-0123456789"))
+    client._sdks = {os.getpid(): client._sdk(httpx2.MockTransport(respond))}
+    causes: list[str] = []
+    repeats = Repeats(most, allowed=lambda cause: causes.append(cause) is None)
+    answer = client.ask(Request("m", (Message("user", "x"),)), 9.0, repeats=repeats)
+    calls = most + 1 if status in (429, 503) else 1
+    assert asked == ["Bearer sk-0123456789"] * calls
+    assert (answer.attempts, answer.failure) == (calls, "unavailable")
+    assert causes == [answer.cause] * (calls - 1)

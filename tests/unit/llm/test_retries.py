@@ -79,19 +79,23 @@ def test_a_server_that_stays_busy_is_unavailable_and_each_call_is_counted(client
 def test_a_connection_that_fails_is_made_again() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-    started = []
-    start = threading.Timer(
-        0.2, lambda: started.append(script.ScriptedServer(script.answers("up"), port=port))
-    )
     environ = {"DURA_LLM_BASE_URL": f"http://127.0.0.1:{port}/v1", "DURA_LLM_MODEL": "m1"}
     made = ModelSession("live", environ=environ, retries=5)
     made.know([{"model": "m1", "base_url": environ["DURA_LLM_BASE_URL"], "fingerprint": "f",
                 "capabilities": {}, "tool": "", "created": ""}])  # fmt: skip
+    started = []
+
+    def start_after_a_failure():
+        while not made.counts["m1", "f", "unavailable: connection"]:
+            time.sleep(0.01)
+        started.append(script.ScriptedServer(script.answers("up"), port=port))
+
+    start = threading.Thread(target=start_after_a_failure, daemon=True)
     start.start()
     try:
         answer = made.ask(REQUEST, BUDGET)
     finally:
-        start.join()
+        start.join(10.0)
         for server in started:
             server.close()
     assert (answer.text, answer.failure) == ("up", "")
@@ -150,6 +154,15 @@ def test_a_pause_that_is_longer_than_the_budget_is_no_time_out_where_it_does_not
 ) -> None:
     made, _ = session(client, script.fails(503, retry_after=1.0), script.answers("ok"))
     assert made.ask(REQUEST, 0.5).text == "ok"
+
+
+def test_a_request_that_is_repeated_keeps_to_its_budget(client) -> None:
+    late = script.is_slow(20.0, script.answers("late"))
+    made, _ = session(client, script.fails(503, retry_after=0.01), late)
+    begun = time.monotonic()
+    answer = made.ask(REQUEST, 0.5)
+    assert (answer.failure, answer.attempts) == ("timeout", 2)
+    assert time.monotonic() - begun < 8.0
 
 
 @pytest.mark.parametrize("busy", [script.fails(503, retry_after=3), dated])
