@@ -84,9 +84,11 @@ class Call:
 
         Thread(target=copy_context().run, args=(made,), name="dura-request", daemon=True).start()
         with self._changed:
-            while not self._has_ended and (left := self._until - time.monotonic()) > 0.0:
-                self._changed.wait(left)
-            self._until = -math.inf  # nothing goes on for a caller that has left
+            try:
+                while not self._has_ended and (left := self._until - time.monotonic()) > 0.0:
+                    self._changed.wait(left)
+            finally:
+                self._until = -math.inf  # nothing goes on for a caller that has left
         if errors:
             raise errors[0]
         if not results:
