@@ -126,6 +126,7 @@ def sees_nothing(text, _request, answer):
 
 def model(defect=None):
     """What answers requests: a function of the request and its number."""
+    from speaking_models import claim, objects  # which reads attacks as this module does
 
     def answers(request, _number):
         text = request.messages[-1].text
@@ -133,6 +134,7 @@ def model(defect=None):
         if defect is not None:
             answer = defect(text, request, answer)
         words = {"reasoning": answer["reasoning"]} if "reasoning" in answer else {}
-        return said(answer["maneuver"], answer["intent"], answer["ids"], **words)
+        claims = [claim(each) for each in objects(text)[:4]]
+        return said(answer["maneuver"], answer["intent"], answer["ids"], claims=claims, **words)
 
     return answers
