@@ -30,7 +30,14 @@ from pytest_dura.requirements.model import (
     requirement_of_call,
 )
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
-from pytest_dura.requirements.pairs import Change, Pair, PairCounts, check_comparison, judge_pairs
+from pytest_dura.requirements.pairs import (
+    Change,
+    Pair,
+    PairCounts,
+    check_comparison,
+    check_second_run,
+    judge_pairs,
+)
 from pytest_dura.requirements.runs import Run
 from pytest_dura.requirements.shortfalls import explain_verdict
 
@@ -223,7 +230,9 @@ class Campaign(Shown):
                 no sense.
         """
         if requirement.paired is not None:
-            return self.paired(requirement.paired.without).judge(requirement, check)
+            pairs = requirement.paired
+            campaign = self.paired(pairs.without, reference=pairs.reference)
+            return campaign.judge(requirement, check)
         course, declared = self.course_of(requirement, check), self.is_declared(requirement, check)
 
         def judged() -> Iterator[tuple[RunJudgement, Sequence[JudgedEpisode]]]:
@@ -235,18 +244,21 @@ class Campaign(Shown):
         self.decide(course, judged())
         return course.verdict()
 
-    def paired(self, without: str) -> PairedCampaign:
-        """The same runs beside runs of equal seeds without something.
+    def paired(self, without: str = "", *, reference: str = "") -> PairedCampaign:
+        """The same runs beside runs of equal seeds without something, or of another component.
 
         Args:
             without: ``faults``, or the name of a role that is switched off there.
+            reference: In its place a component, by its registered name or import path, that takes
+                the place of the component under test there, and that recovery does not overrule.
 
         Raises:
-            ConfigurationError: If there is no such role, or there are no faults.
+            ConfigurationError: If there is no such role or component, or there are no faults, and
+                unless one of the two is given.
         """
         __tracebackhide__ = True
         try:
-            return PairedCampaign(self, without)
+            return PairedCampaign(self, without, reference)
         except ConfigurationError as error:
             raise error.with_traceback(None) from None
 
@@ -424,25 +436,29 @@ class PairedCampaign(Shown):
     Args:
         campaign: The campaign.
         without: ``faults``, or the name of a role that is switched off in the twins.
+        reference: In its place the component that the twins have.
 
     Raises:
-        ConfigurationError: If there is no such role, or there are no faults.
+        ConfigurationError: If there is no such role or component, or there are no faults.
     """
 
-    def __init__(self, campaign: Campaign, without: str) -> None:
-        self.campaign, self.without = campaign, without
-        self.case = twin_case(campaign.case, without)
+    def __init__(self, campaign: Campaign, without: str, reference: str = "") -> None:
+        self.campaign, self.without, self.reference = campaign, without, reference
+        check_second_run(Paired(without, reference=reference))
+        self.case = twin_case(campaign.case, without, reference)
         # Raises before anything runs if there is no such role to switch off.
         self.case.roles(campaign.runner.roles)
 
     def __repr__(self) -> str:
         name = one_line(repr(self.campaign.case.id), 64)
+        if self.reference:
+            return f"PairedCampaign({name}, reference={self.reference!r})"
         return f"PairedCampaign({name}, without={self.without!r})"
 
     def _figures(self) -> Iterator[tuple[str, object]]:
         """Yield what a notebook shows; nothing is simulated for it."""
         yield "case", self.campaign.case.id
-        yield "twins without", self.without
+        yield ("reference", self.reference) if self.reference else ("twins without", self.without)
         yield "component", self.campaign.component
         yield "pairs planned", str(self.campaign.planned)
 
@@ -553,9 +569,9 @@ class PairedCampaign(Shown):
         try:
             if change_at_most is not None:
                 change_at_most = finite_number("change_at_most", change_at_most)
-            paired = Paired(self.without, measure, change_at_most)
-            if own.paired is not None and paired == Paired(self.without):
-                paired = replace(own.paired, without=self.without)
+            paired = Paired(self.without, measure, change_at_most, self.reference)
+            if own.paired is not None and not measure and change_at_most is None:
+                paired = replace(own.paired, without=self.without, reference=self.reference)
             known = self.campaign.runner.library().requirements
             requirement = requirement_of_call(own, known, given | {"paired": paired})
             verdict = self.judge(requirement, check or None)
@@ -572,6 +588,7 @@ class PairedCampaign(Shown):
             for episode, twin in self:
                 own = judge_episode(requirement, episode, check)
                 other = judge_episode(requirement, twin, check)
+                other = replace(other, component=own.component)
                 pairs.append(Pair(own, other, bool(episode.metrics.recoveries)))
         except ConfigurationError as error:
             raise error.with_traceback(None) from None

@@ -94,12 +94,19 @@ def measured_value(measure: str | Callable[[Episode], float], episode: Episode) 
     return measured(measure, episode) if whole else None
 
 
-def twin_case(case: Case, without: str) -> Case:
+def twin_case(case: Case, without: str, reference: str = "") -> Case:
     """The case of the twins.
 
+    Args:
+        case: That of the first runs.
+        without: What the twins lack; empty with a reference.
+        reference: The component that drives them; empty without one.
+
     Raises:
-        ConfigurationError: If there is no such role, or there are no faults.
+        ConfigurationError: If there is no such role or component, or there are no faults.
     """
+    if reference:
+        return case.referred(reference)
     if without != FAULTS:
         return case.switched_off(without)
     if not case.faults:

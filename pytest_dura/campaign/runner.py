@@ -135,7 +135,7 @@ class Runner:
                 faults = of_id if plus else own
             case = case_with_faults(known[scenario], faults)
         for role in off:
-            case = case.switched_off(role)
+            case = case.lacking(role)
         return case
 
     def _planned(self, scenario: Scenario, name: str) -> Case | None:

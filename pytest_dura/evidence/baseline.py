@@ -237,7 +237,9 @@ def _check(verdict: ItemVerdict, requirement: Requirement | None) -> str:
         check = f"{stated} in {verdict.item}".lstrip()
     if verdict.pairs is None:
         return check
-    details, paired = [f"pairs without {verdict.pairs.without}"], verdict.paired
+    reference, paired = verdict.pairs.reference, verdict.paired
+    second = f"beside {reference}" if reference else f"without {verdict.pairs.without}"
+    details = [f"pairs {second}"]
     if paired is not None and paired.measure:
         details.append(f"measure {paired.measure}")
     if paired is not None and paired.change_at_most is not None:

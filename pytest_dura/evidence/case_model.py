@@ -305,7 +305,7 @@ class CasePlan(Entry):
     come last, by name."""
     id: str
     """Id of the case: the scenario, then `+` and its faults where they differ from the scenario's
-    own, then `~` and a role that is switched off."""
+    own, then `~` and a role that is switched off, or `~generator=` and its reference."""
     scenario: str
     """Name of the scenario."""
     faults: list[Fault]
@@ -313,7 +313,8 @@ class CasePlan(Entry):
     component: str
     """Name of the component under test."""
     without: list[str]
-    """Roles that are switched off, for the second runs of pairs."""
+    """Roles that are switched off, for the second runs of pairs; `generator` where a reference
+    takes the place of the component under test."""
     off: list[str]
     """Roles that a fixture or the scenario switches off for all runs."""
     requirements: list[str]
@@ -327,6 +328,9 @@ class CasePlan(Entry):
     seed: Absent[Count] = None
     """Seed of run 0 that the scenario names, from which those of further runs follow; absent where
     all follow from the base seed."""
+    reference: Absent[str] = None
+    """The component that takes the place of the component under test, for the second runs of
+    pairs; absent without one."""
 
 
 class CaseEntry(CasePlan):

@@ -177,13 +177,21 @@ def judgement_problems(record: SessionRecord) -> Iterator[str]:
     """Yield the contradictions between judgements and the runs that they name."""
     cases = {(case.id, case.component): case for case in record.head.cases}
     doubtful = {(doubt.case, doubt.component) for doubt in record.head.doubts}
+    references: dict[str, set[str]] = {}
+    for listed in record.head.cases:
+        references.setdefault(listed.reference or "", set()).add(listed.id)
     named: dict[str, list[_NamedRun]] = {}
     for judgement in record.head.judgements:
         place = f"judgement {judgement.requirement} on {judgement.case} by {judgement.item}"
         case = cases.get((judgement.case, judgement.component))
         if case is not None and judgement.planned > case.planned:
             yield f"{place}: {judgement.planned} runs planned, and {case.planned} of its case"
-        if (judgement.twins, judgement.component) not in {*cases, ("", judgement.component)}:
+        reference = judgement.paired.reference if judgement.paired else ""
+        of_reference = judgement.twins in references.get(reference, ())
+        of_component = (judgement.twins, judgement.component) in {
+            *cases, ("", judgement.component)
+        }  # fmt: skip
+        if not (of_reference if reference else of_component):
             yield f"{place}: the case of its second runs is not listed"
         yield from (f"{place}: {problem}" for problem in _form_problems(judgement))
         for run in judgement.runs:

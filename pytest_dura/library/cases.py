@@ -95,7 +95,9 @@ class Case(Shown):
         scenario: The scenario.
         faults: The planned faults, defaults filled in.
         requirements: Ids of the requirements that apply.
-        without: Roles that are switched off, for the second run of each pair.
+        without: Roles that are switched off, for the second run of each pair; ``generator`` where
+            a reference takes its place.
+        reference: Registered name or import path of that component; empty without one.
     """
 
     id: str
@@ -103,6 +105,7 @@ class Case(Shown):
     faults: Faults
     requirements: tuple[str, ...]
     without: tuple[str, ...] = ()
+    reference: str = ""
 
     __repr__ = short_repr
 
@@ -135,17 +138,54 @@ class Case(Shown):
                 "the generator cannot be switched off",
                 found=role,
                 expected="another role",
-                remedy="compare two components by running the session with each of them",
+                remedy="compare with another component: `paired: {reference: NAME}`",
             )
         return replace(
             self, id=f"{self.id}{SWITCHED_OFF_MARK}{role}", without=(*self.without, role)
         )
 
+    def referred(self, reference: str) -> Case:
+        """Return the case with another component, such as ``nominal~generator=careful_driver``.
+
+        Recovery does not overrule it: what the reference avoids, it avoids by itself.
+
+        Args:
+            reference: Registered name or import path of the component.
+
+        Raises:
+            ConfigurationError: For an unknown component, and in a case that has a reference.
+        """
+        role_spec("generator", RoleSpec(reference), self.scenario.system)
+        if self.reference:
+            raise ConfigurationError(
+                f"the case {self.id!r} has a reference already",
+                key="reference",
+                found=reference,
+                expected="a case of the component under test",
+                remedy=f"take the case {self.id.partition(SWITCHED_OFF_MARK)[0]!r}",
+            )
+        name = f"{self.id}{SWITCHED_OFF_MARK}generator={reference}"
+        return replace(self, id=name, without=(*self.without, "generator"), reference=reference)
+
+    def lacking(self, part: str) -> Case:
+        """Return the case without a role, or with a reference: what follows ``~`` in an id.
+
+        Args:
+            part: Name of the role, or ``generator=`` and the reference.
+
+        Raises:
+            ConfigurationError: As :meth:`switched_off` and :meth:`referred`.
+        """
+        role, equals, reference = part.partition("=")
+        if equals and role == "generator":
+            return self.referred(reference)
+        return self.switched_off(part)
+
     def without_faults(self) -> Case:
         """Return the case without any fault, such as ``intersection/ghost-obstacle+none``."""
         bare = case_with_faults(self.scenario, NO_FAULTS)
         for role in self.without:
-            bare = bare.switched_off(role)
+            bare = bare.referred(self.reference) if role == "generator" else bare.switched_off(role)
         return bare
 
     def seed(self, run: int, base_seed: int) -> int:
@@ -209,8 +249,8 @@ class Case(Shown):
 
     @property
     def policy(self) -> str:
-        """The scenario's policy; ``log_only`` for ``recover`` without a recovery planner."""
-        off = "recovery_planner" in self.without
+        """The scenario's policy; ``log_only`` for ``recover`` where nothing is to recover."""
+        off = bool(self.reference) or "recovery_planner" in self.without
         return "log_only" if off and self.scenario.policy == "recover" else self.scenario.policy
 
     def roles_off(self, overrides: Mapping[str, RoleSpec | None]) -> list[str]:
@@ -236,6 +276,8 @@ class Case(Shown):
             if role not in chosen:
                 check_role_name(role, switched_off=spec is None)
             chosen[role] = spec
+        if self.reference:
+            chosen["generator"] = RoleSpec(self.reference)
         if self.faults and chosen["fault_injector"] is None:
             raise without_injector(scenario, self.id)
         absent = [role for role in self.without if chosen.get(role) is None]
@@ -250,7 +292,7 @@ class Case(Shown):
         roles = {
             role: role_spec(role, spec, domain)
             for role, spec in chosen.items()
-            if spec is not None and role not in self.without
+            if spec is not None and (role not in self.without or role == "generator")
         }
         if "generator" not in roles and domain is None:
             own = _own_component(scenario)
@@ -297,7 +339,8 @@ def expand_cases(
     """Make the cases of scenarios, sorted by scenario, then in the order of fault campaigns.
 
     Args:
-        scenarios: The scenarios.
+        scenarios: The scenarios. Of a mapping, which is a whole library, those on request are left
+            out unless a glob names them.
         faults: Fault campaigns that replace the scenarios' own; ``None`` keeps those. See
             ``pytest_dura.library.fault_campaigns`` for what an entry may be.
         select: Globs of case ids or scenario names; cases that match none are left out.
@@ -307,6 +350,8 @@ def expand_cases(
         ConfigurationError: For an unknown fault, and for a glob that matches nothing.
     """
     chosen = list(scenarios.values() if isinstance(scenarios, Mapping) else scenarios)
+    if isinstance(scenarios, Mapping) and not select:
+        chosen = [each for each in chosen if not each.on_request]
     if faults is not None and select:
         # The given faults need to fit the selected scenarios only.
         chosen = [each for each in chosen if may_match_scenario(each.name, select)] or chosen

@@ -12,7 +12,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from pytest_dura.core.errors import ConfigurationError, combine_errors, did_you_mean, error_at
 from pytest_dura.core.loop_signals import LOOP_SIGNALS, PROPOSAL_PREFIX
-from pytest_dura.domains import Domain, check_role_name
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.domains import Domain, check_role_name, role_spec
 from pytest_dura.library.documents import Document, validate
 from pytest_dura.library.scenario import (
     Entry,
@@ -29,17 +30,22 @@ from pytest_dura.requirements.stl.formula import Formula, check_time_step
 class PairedEntry(Entry):
     """A requirement on pairs: the same seeds with something and without it."""
 
-    without: str = Field(min_length=1)
+    without: str = ""
     """`faults`, or the role that is switched off in the second run of each pair."""
     measure: str = ""
     """Import path `package.module:function` of a function of an episode to a number."""
     change_at_most: float | None = None
     """Greatest acceptable growth of the measure, in its unit."""
+    reference: str = ""
+    """In place of `without`: registered name or import path of the component that takes the place
+    of the component under test in the second run of each pair, where recovery does not act."""
 
     @model_validator(mode="after")
     def _complete(self) -> PairedEntry:
         if bool(self.measure) != (self.change_at_most is not None):
             raise ValueError("`measure` and `change_at_most` go together")
+        if bool(self.without) == bool(self.reference):
+            raise ValueError("one of `without` and `reference` says what the second run is")
         return self
 
 
@@ -290,7 +296,9 @@ def _check_paired(scenario: Scenario, located: LocatedRequirement) -> None:
     paired = located.requirement.paired
     if paired is None:
         return
-    if paired.without != FAULTS:
+    if paired.reference:
+        role_spec("generator", RoleSpec(paired.reference), scenario.system)
+    elif paired.without != FAULTS:
         check_role_name(paired.without, switched_off=True)
     elif not scenario.faults:
         raise ConfigurationError(

@@ -179,7 +179,8 @@ def _later_tasks(runner: Runner, item: ScenarioItem) -> Iterator[EpisodeTask]:
             if campaign.course_of(requirement).judge.sequential:
                 continue
             if requirement.paired is not None:
-                cases.append(campaign.paired(requirement.paired.without).case)
+                pairs = requirement.paired
+                cases.append(campaign.paired(pairs.without, reference=pairs.reference).case)
             cases = [case for case in cases if (case.id, campaign.planned) not in seen]
             seen |= {(case.id, campaign.planned) for case in cases}
             tasks = [runner.task(case, run) for run in range(campaign.planned) for case in cases]

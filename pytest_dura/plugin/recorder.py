@@ -77,6 +77,7 @@ def case_plan(
         "faults": [fault.plain() for fault in case.faults],
         "component": component,
         "without": list(case.without),
+        **({"reference": case.reference} if case.reference else {}),
         "off": off,
         "requirements": list(case.requirements),
         "variation": {

@@ -94,7 +94,7 @@ def _arms(session: DuraSession, planned: Planned) -> int:
     """How many episodes each run of a case makes: its own, its twins', and those of pairs."""
     known = session.library().requirements
     pairs = (known[name].paired for name in planned.requirements)
-    without = {pair.without for pair in pairs if pair is not None}
+    without = {pair.without or pair.reference for pair in pairs if pair is not None}
     if planned.case.faults and session.options.twins:
         without.add(FAULTS)
     return 1 + len(without)

@@ -180,8 +180,11 @@ def _finding_entry(finding: Finding) -> Entry:
     verdict, requirement = finding.verdict, finding.requirement
     runs = counted(verdict.episodes, "run" if verdict.pairs is None else "pair")
     if verdict.pairs is not None:
-        without = verdict.pairs.without
-        runs += f" with and without {'the faults' if without == FAULTS else name(without)}"
+        without, reference = verdict.pairs.without, verdict.pairs.reference
+        if reference:
+            runs += f" with {name(reference)} in its place"
+        else:
+            runs += f" with and without {'the faults' if without == FAULTS else name(without)}"
     violate = "violates" if verdict.violations == 1 else "violate"
     also = fault_free_violations_text(verdict)
     parts = [f"{verdict.violations} of {runs} {violate} it{also}"]

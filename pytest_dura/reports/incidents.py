@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 from pytest_dura.core.measures import MeasureInfo
 from pytest_dura.core.metrics import TracedFault
@@ -232,12 +233,12 @@ class Episodes:
 
     Args:
         briefs: By id and component.
-        twins: Of a case and component, what the twin case lacks, and its id.
+        twins: Of a case and component, the cases of its twins.
         raised: Of a case and component, how often the component failed by itself.
     """
 
     briefs: dict[EpisodeKey, BriefRun]
-    twins: Mapping[tuple[str, str], list[tuple[str, str]]]
+    twins: Mapping[tuple[str, str], list[TwinCase]]
     raised: Mapping[tuple[str, str], OwnFailures]
 
     @classmethod
@@ -266,8 +267,8 @@ class Episodes:
             for of_verdict in named:
                 wanted.add((of_verdict, verdict.component))
                 number = of_verdict.rpartition("#")[2]
-                for _, case in twins.get((verdict.case, verdict.component), ()):
-                    wanted.add((f"{case}#{number}", verdict.component))
+                for twin in twins.get((verdict.case, verdict.component), ()):
+                    wanted.add((f"{twin.id}#{number}", twin.component))
         briefs: dict[EpisodeKey, BriefRun] = {}
         raised = {(each.case, each.component): OwnFailures() for each in failures}
         for episode in episodes:
@@ -283,32 +284,58 @@ class Episodes:
         """The episode; ``None`` where the record does not have it."""
         return self.briefs.get((episode, component))
 
-    def twins_of(self, brief: BriefRun, component: str) -> Iterator[tuple[str, BriefRun]]:
-        """Runs of the same seed, each with what it lacks."""
+    def twins_of(self, brief: BriefRun, component: str) -> Iterator[tuple[TwinCase, BriefRun]]:
+        """Runs of the same seed, each with its case."""
         number = brief.id.rpartition("#")[2]
-        for without, case in self.twins.get((brief.case, component), ()):
-            twin = self.get(f"{case}#{number}", component)
+        for case in self.twins.get((brief.case, component), ()):
+            twin = self.get(f"{case.id}#{number}", case.component)
             if twin is not None and twin.seed == brief.seed:
-                yield without, twin
+                yield case, twin
 
 
-def _twin_cases(cases: Sequence[CaseEntry]) -> dict[tuple[str, str], list[tuple[str, str]]]:
-    """Cases that differ from a case by its faults, or by one role, alone."""
-    fault_free: dict[tuple[str, str], str] = {}
-    lacking: dict[tuple[str, str], list[tuple[str, str]]] = {}
+class TwinCase(NamedTuple):
+    """A case whose runs are the twins of another case's.
+
+    Args:
+        without: What they lack: ``faults``, or a role; ``generator`` for those of a reference.
+        id: Its id.
+        component: Its component, which is another one for a reference.
+        reference: The component that takes the place of the one under test; empty without one.
+    """
+
+    without: str
+    id: str
+    component: str
+    reference: str = ""
+
+    @property
+    def text(self) -> str:
+        """What sets its runs apart, in words."""
+        if self.reference:
+            return f"with {name(self.reference)} in its place"
+        return f"without {'the faults' if self.without == FAULTS else name(self.without)}"
+
+
+def _twin_cases(cases: Sequence[CaseEntry]) -> dict[tuple[str, str], list[TwinCase]]:
+    """Cases that differ from a case by its faults, by one role, or by a reference alone."""
+    fault_free: dict[tuple[str, str], TwinCase] = {}
+    lacking: dict[tuple[str, str], list[TwinCase]] = {}
     for case in cases:
         if len(case.without) == 1:
-            base = case.id.partition("~")[0], case.component
-            lacking.setdefault(base, []).append((case.without[0], case.id))
+            base = case.id.partition("~")[0], "" if case.reference else case.component
+            twin = TwinCase(case.without[0], case.id, case.component, case.reference or "")
+            lacking.setdefault(base, []).append(twin)
         elif not case.faults and not case.without:
-            fault_free.setdefault((case.scenario, case.component), case.id)
-    twins: dict[tuple[str, str], list[tuple[str, str]]] = {}
+            clean = TwinCase(FAULTS, case.id, case.component)
+            fault_free.setdefault((case.scenario, case.component), clean)
+    twins: dict[tuple[str, str], list[TwinCase]] = {}
     for case in cases:
         if not case.without:
             key = case.id, case.component
-            clean = fault_free.get((case.scenario, case.component))
-            without_faults = [(FAULTS, clean)] if case.faults and clean is not None else []
-            twins[key] = [*without_faults, *lacking.get(key, ())]
+            clean_case = fault_free.get((case.scenario, case.component))
+            without_faults = [clean_case] if case.faults and clean_case is not None else []
+            references = lacking.get((case.id, ""), ())
+            twins[key] = [*without_faults, *lacking.get(key, ()), *references]
     return twins
 
 
@@ -548,8 +575,8 @@ def twin_outcomes(episodes: Episodes, incident: Incident) -> Iterator[TwinOutcom
     if brief is None:
         return
     requirement = worst.requirement.id
-    for without, twin in episodes.twins_of(brief, incident.component):
-        violates = _twin_violates(brief, without, worst)
+    for case, twin in episodes.twins_of(brief, incident.component):
+        violates = _twin_violates(brief, case, worst)
         if twin.grave is not None:
             what = event_clause(twin.grave, twin)
             ended = "the run ended there" if twin.termination == "critical" else twin.end_text()
@@ -559,22 +586,22 @@ def twin_outcomes(episodes: Episodes, incident: Incident) -> Iterator[TwinOutcom
         if violates is not None:
             also = "violates it as well" if violates else "does not violate it"
             sentence = f"it {also} ({name(requirement)}): {sentence}"
-        lacking = "the faults" if without == FAULTS else name(without)
-        sentence = one_line(f"Without {lacking}: {sentence}.", 2 * _MAX_DETAIL + 200)
+        text = case.text[0].upper() + case.text[1:]
+        sentence = one_line(f"{text}: {sentence}.", 2 * _MAX_DETAIL + 200)
         alike = twin.termination == brief.termination != "goal"
-        yield TwinOutcome(without, twin.id, sentence, twin.grave is not None, violates, alike)
+        yield TwinOutcome(case.without, twin.id, sentence, twin.grave is not None, violates, alike)
 
 
-def _twin_violates(brief: BriefRun, without: str, worst: Violation) -> bool | None:
+def _twin_violates(brief: BriefRun, case: TwinCase, worst: Violation) -> bool | None:
     """Whether the twin violates the worst requirement too, as far as the record tells."""
     requirement, pairs = worst.requirement.id, worst.verdict.pairs
-    if without == FAULTS:
+    if case.without == FAULTS:
         compared = [fault for fault in brief.faults if fault.violated_without is not None]
         if any(requirement in (fault.violated_without or ()) for fault in compared):
             return True
         if any(requirement in fault.violated for fault in compared):
             return False
-    if isinstance(pairs, PairTable) and pairs.without == without and not pairs.incomplete:
+    if isinstance(pairs, PairTable) and pairs.case == case.id and not pairs.incomplete:
         if not pairs.both and not pairs.only_without:
             return False
         if not pairs.only_with and not pairs.neither:

@@ -34,6 +34,7 @@ from pytest_dura.reports.contents import verdict_anchor
 from pytest_dura.reports.failure_modes import failure_mode_text
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import Change, ChangeTable, PairCounts, PairTable
+from pytest_dura.requirements.rate_tests import lower_bound, upper_bound
 
 # Pairs of runs: what recovery did, and what faults did.
 
@@ -223,6 +224,75 @@ ATTACK_COLUMNS: Sequence[Column[ItemVerdict]] = (
         "p", _p_of_attack, heading="p",
         small="McNemar, sign test", meaning="exact test of McNemar, for a measure the sign test",
     ),
+)  # fmt: skip
+
+
+# Pairs of runs: what a reference would have avoided.
+
+
+@dataclass(frozen=True)
+class ReferenceRow:
+    """What a reference came to in the pairs of a verdict.
+
+    Args:
+        verdict: On the pairs.
+        pairs: Their counts.
+        anchor: Of the verdict in the page.
+    """
+
+    verdict: ItemVerdict
+    pairs: PairTable
+    anchor: str | None = None
+
+
+INTERVAL = 0.95
+"""Confidence of an exact two-sided interval of a share in tables."""
+
+
+def interval_cell(count: int, of: int) -> Cell | None:
+    """The exact two-sided interval of a share, in per cent; none of nothing."""
+    if not of:
+        return None
+    one_sided = (1.0 + INTERVAL) / 2.0
+    low, high = lower_bound(count, of, one_sided), upper_bound(count, of, one_sided)
+    text = f"{100 * low:.0f}-{100 * high:.0f}"
+    return Cell(text, text, f"{100 * low:.0f} to {100 * high:.0f}\N{NO-BREAK SPACE}%")
+
+
+REFERENCE_COLUMNS: Sequence[Column[ReferenceRow]] = (
+    Column(
+        "requirement", lambda row: name_cell(row.verdict.requirement, anchor=row.anchor),
+        shown=Shown.PAGE, kind="",
+    ),
+    Column("case", lambda row: name_cell(row.verdict.case), shown=Shown.PAGE, kind=""),
+    Column("reference", lambda row: name_cell(row.pairs.reference), kind=""),
+    Column(
+        "pairs", lambda row: _complete(row.pairs.complete, row.pairs.incomplete),
+        meaning="runs of equal seeds, of the component and of the reference",
+    ),
+    Column(
+        "avoidable", lambda row: row.pairs.avoidable, short="avoid",
+        meaning="violated by the component, and not by the reference",
+    ),
+    Column(
+        "avoidable share", lambda row: interval_cell(row.pairs.avoidable, row.pairs.complete),
+        short="95 % interval", small="95 % interval",
+        meaning="exact interval of the share of avoidable violations, in per cent",
+    ),
+    Column(
+        "unavoidable", lambda row: row.pairs.unavoidable, short="unavoid",
+        meaning="violated by the reference as well",
+    ),
+    Column(
+        "unavoidable share", lambda row: interval_cell(row.pairs.unavoidable, row.pairs.complete),
+        small="95 % interval", shown=Shown.FILES,
+    ),
+    Column(
+        "only the reference", lambda row: row.pairs.only_without, short="only ref",
+        meaning="violated by the reference alone",
+    ),
+    Column("p", lambda row: _p_value(row.verdict, row.pairs), heading="p", small="McNemar",
+           meaning="exact test of McNemar"),
 )  # fmt: skip
 
 

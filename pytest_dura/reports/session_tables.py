@@ -31,10 +31,12 @@ from pytest_dura.reports.role_tables import (
     FAULT_COLUMNS,
     MONITOR_COLUMNS,
     PAIR_COLUMNS,
+    REFERENCE_COLUMNS,
     FailureModeRow,
     FaultRow,
     MonitorRow,
     PairRow,
+    ReferenceRow,
     failure_mode_columns,
     summed_pairs,
 )
@@ -188,6 +190,20 @@ def pair_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> T
             rows.append((title, PairRow(None, summed_pairs(pairs_of_cases), title=title)))
     caption = "Recovery: runs of equal seeds with it and without it"
     return _of_view("monitors", caption, Table("recovery", PAIR_COLUMNS, rows))
+
+
+def reference_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Table | None:
+    """Make the table of what a reference would have avoided, by case and requirement."""
+    rows = [
+        (
+            f"{verdict.requirement} on {verdict.case}",
+            ReferenceRow(verdict, pairs, verdict_anchor(verdict.requirement, verdict.case)),
+        )
+        for verdict in _by_case(verdicts, cases)
+        if isinstance(pairs := verdict.pairs, PairTable) and pairs.reference
+    ]
+    caption = "Reference: runs of equal seeds of the component, and of another one in its place"
+    return _of_view("monitors", caption, Table("reference", REFERENCE_COLUMNS, rows))
 
 
 def _by_case(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Iterable[ItemVerdict]:

@@ -60,6 +60,7 @@ from pytest_dura.reports.session_tables import (
     monitor_table,
     monitor_table_of_page,
     pair_table,
+    reference_table,
     reliance_table,
     requirement_table,
     search_table,
@@ -186,16 +187,18 @@ def episode_sentence(record: SessionRecord) -> str:
     plain = [case.metrics for case in cases if not case.without]
     planned = sum(metrics.planned for metrics in plain)
     beyond = sum(max(0, metrics.run - metrics.planned) for metrics in plain)
-    arms = Counter[tuple[str, ...]]()
+    arms = Counter[str]()
     for case in cases:
-        if case.without:
-            arms[tuple(case.without)] += case.metrics.run
+        if case.reference:
+            arms[f"with {name(case.reference)} in the component's place"] += case.metrics.run
+        elif case.without:
+            arms[f"without {names_text(case.without)}"] += case.metrics.run
     run = sum(metrics.run for metrics in plain)
     parts = [f"{run - beyond} of {planned} planned"]
     parts += [f"{beyond} beyond the plan of their case"] if beyond else []
     parts += [
-        f"{count} of the same seeds without {names_text(roles)}, to compare with"
-        for roles, count in arms.items()
+        f"{count} of the same seeds {lacking}, to compare with"
+        for lacking, count in arms.items()
         if count
     ]
     by_hand = total - run - arms.total()
@@ -265,7 +268,7 @@ def _terminal(
 
 def _session_parts(record: SessionRecord) -> Iterator[Part]:
     head = record.head
-    names = sorted({case.component for case in head.cases})
+    names = sorted({case.component for case in head.cases if not case.reference})
     opaque = " (a bare instance, in this process only)" if head.component_under_test.opaque else ""
     yield from _terminal(
         [f"component under test: {', '.join(names)}{opaque}, base seed {head.base_seed}"]
@@ -323,6 +326,8 @@ def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator
         ([*_attack_lines(record)], [attack_table(head.verdicts, head.cases)], "monitors"),
         ([*effectiveness_lines(roles, recovery=True)],
          [pair_table(head.verdicts, head.cases)], "monitors"),
+        ([*_reference_lines(head.verdicts)],
+         [reference_table(head.verdicts, head.cases)], "monitors"),
         ([*effectiveness_lines(roles, recovery=False)],
          [monitor_table(head.monitors), monitor_table_of_page(head.monitors)], "monitors"),
     ]  # fmt: skip
@@ -454,6 +459,25 @@ def _fault_lines(cases: Sequence[CaseEntry]) -> Iterator[str]:
     steps = ", ".join(f"{count} {step}" for step, count in counts.items())
     runs = counted(sum(fault.run for fault in faults), "run")
     yield f"fault: {counted(names, 'fault')} in {runs}: {steps}"
+
+
+def _reference_lines(verdicts: Sequence[ItemVerdict]) -> Iterator[str]:
+    """What a reference would have avoided of the violations, summed by requirement."""
+    sums: dict[tuple[str, str], Counter[str]] = {}
+    for verdict in verdicts:
+        pairs = verdict.pairs
+        if isinstance(pairs, PairTable) and pairs.reference:
+            counts = sums.setdefault((verdict.requirement, pairs.reference), Counter())
+            counts["avoidable"] += pairs.avoidable
+            counts["unavoidable"] += pairs.unavoidable
+            counts["pairs"] += pairs.complete
+    for (requirement, reference), counts in sums.items():
+        violated = counts["avoidable"] + counts["unavoidable"]
+        text = f"{name(reference)} avoids {counts['avoidable']} of {counted(violated, 'violation')}"
+        yield (
+            f"reference: {text} of {name(requirement)} in {counted(counts['pairs'], 'pair')}; "
+            f"{counts['unavoidable']} unavoidable"
+        )
 
 
 def _attack_lines(record: SessionRecord) -> Iterator[str]:

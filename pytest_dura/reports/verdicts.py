@@ -112,8 +112,10 @@ def _bound_text(requirement: Requirement) -> str:
     pairs = requirement.paired
     what = "episodes"
     if pairs is not None:
-        lacking = name(pairs.without)
-        what = f"pairs of equal seeds, with and without {lacking},"
+        lacking = f"with and without {name(pairs.without)}"
+        if pairs.reference:
+            lacking = f"of the component and of {name(pairs.reference)}"
+        what = f"pairs of equal seeds, {lacking},"
     if requirement.at_most is None:
         return f"Asked for in all {what.rstrip(',')}."
     weak = weakness(requirement.at_most, requirement.confidence)

@@ -219,7 +219,8 @@ class CampaignCourse:
             self._values[run.episode] = judged.values
             return change_verdict(requirement, run, twin, judged.values)
         own = run.verdict(requirement.id, judged.verdict)
-        other = twin.verdict(requirement.id, judged.twin_verdict)
+        # The second run may be another component's; a pair is about the component under test.
+        other = replace(twin.verdict(requirement.id, judged.twin_verdict), component=run.component)
         self._pairs.append(Pair(own, other, acted=run.recovered))
         return pair_verdict(own, other)
 
@@ -229,10 +230,10 @@ class CampaignCourse:
         verdict = replace(self.judge.verdict(), check=asked.check, paired=paired)
         if paired is None:
             return verdict
-        about = paired.without, self.question.twins
         if paired.measure:
             change = Change.between(paired.measure, self._values)
-            return replace(verdict, pairs=ChangeTable(*about, change))
+            table = ChangeTable(paired.without, self.question.twins, change, paired.reference)
+            return replace(verdict, pairs=table)
         counts = judge_pairs(self._pairs)
         if paired.without == RECOVERY_ROLE and counts.unexplained:
             verdict = with_doubt(
@@ -244,8 +245,9 @@ class CampaignCourse:
             verdict,
             pairs=PairTable(
                 **{f.name: getattr(counts, f.name) for f in fields(counts)},
-                without=about[0],
-                case=about[1],
+                without=paired.without,
+                case=self.question.twins,
+                reference=paired.reference,
             ),
         )
 

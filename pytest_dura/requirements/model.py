@@ -26,18 +26,30 @@ class Paired:
 
     Without a ``measure``, a pair violates the requirement if its check is violated with it and
     satisfied without it. With one, a pair does if the measure grows by more than
-    ``change_at_most``.
+    ``change_at_most``. With a ``reference``, the second run of each pair is that of another
+    component, which nothing overrules.
     """
 
-    without: str
-    """`faults`, or the role that is switched off in the second run of each pair."""
+    without: str = ""
+    """`faults`, or the role that is switched off in the second run of each pair; empty with a
+    reference."""
     measure: str = ""
     """Import path `package.module:function` of a function of an episode to a number; empty where
     the check is compared."""
     change_at_most: Number | None = None
     """Greatest acceptable growth of the measure, in its unit."""
+    reference: str = ""
+    """Registered name or import path of the component that takes the place of the component under
+    test in the second run of each pair, where recovery overrules nobody; empty without one."""
 
     __repr__ = short_repr
+
+    @property
+    def sides(self) -> str:
+        """What the two runs of a pair are, in words."""
+        if self.reference:
+            return f"the component, and {self.reference} in its place"
+        return f"with {self.without}, and without"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +107,7 @@ def describe_check(requirement: Requirement) -> list[str]:
     if paired is not None and paired.measure:
         lines = [f"{paired.measure} grows by at most {paired.change_at_most:g}"]
     if paired is not None:
-        lines.append(f"on pairs of runs: with {paired.without}, and without")
+        lines.append(f"on pairs of runs: {paired.sides}")
     if requirement.at_most is not None:
         method = f" by {requirement.method}" if requirement.method else ""
         lines.append(

@@ -20,7 +20,7 @@ from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.requirements.checks import check_name, load_function
 from pytest_dura.requirements.comparison import mcnemar
 from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerdict
-from pytest_dura.requirements.model import Requirement
+from pytest_dura.requirements.model import Paired, Requirement
 from pytest_dura.requirements.runs import Run
 
 _ROUNDING = 1e-9
@@ -39,6 +39,7 @@ def check_comparison(requirement: Requirement) -> None:
     if paired is None:
         return
     measure, bound = paired.measure, paired.change_at_most
+    check_second_run(paired)
     given = {"check": requirement.check, "measure": measure}
     named = [f"{key} {value}" for key, value in given.items() if value]
     if len(named) != 1:
@@ -56,6 +57,24 @@ def check_comparison(requirement: Requirement) -> None:
             found=measure or bound,
             expected="both or neither",
             remedy="add the other one" if measure else "add `measure`, or leave the bound out",
+        )
+
+
+def check_second_run(paired: Paired) -> None:
+    """Refuse pairs whose second run is two things, or nothing.
+
+    Raises:
+        ConfigurationError: Unless one of ``without`` and ``reference`` is given.
+    """
+    sides = {"without": paired.without, "reference": paired.reference}
+    named = [f"{key} {value}" for key, value in sides.items() if value]
+    if len(named) != 1:
+        raise ConfigurationError(
+            "the second run of a pair lacks something, or is that of a reference",
+            key="paired.reference" if named else "paired.without",
+            found=" and ".join(named) or "neither",
+            expected="one of `without` and `reference`",
+            remedy="leave one out" if named else "add `without` or `reference`",
         )
 
 
@@ -356,9 +375,22 @@ class PairTable(PairCounts):
     """What the two runs of each pair came to."""
 
     without: str
-    """`faults`, or the role that the second runs lack."""
+    """`faults`, or the role that the second runs lack; empty where they are a reference's."""
     case: str
     """Id of the case of the second runs."""
+    reference: str = ""
+    """The component that takes the place of the component under test in the second runs; empty
+    without one. What both violate was not avoidable for it either."""
+
+    @property
+    def avoidable(self) -> int:
+        """If the twins are a reference's: violations that it avoids."""
+        return self.only_with
+
+    @property
+    def unavoidable(self) -> int:
+        """If the twins are a reference's: violations that it has as well."""
+        return self.both
 
 
 def judge_pairs(pairs: Iterable[Pair]) -> PairCounts:
@@ -508,11 +540,14 @@ class ChangeTable:
     """By how much a measure differs in each pair."""
 
     without: str
-    """`faults`, or the role that the second runs lack."""
+    """`faults`, or the role that the second runs lack; empty where they are a reference's."""
     case: str
     """Id of the case of the second runs."""
     change: Change
     """The changes, and their summary."""
+    reference: str = ""
+    """The component that takes the place of the component under test in the second runs; empty
+    without one."""
 
 
 def _compare(own: float | None, twin: float | None) -> tuple[str, float | None]:

@@ -106,7 +106,8 @@ def pair_shortfall(paired: Paired, margin: float | None, unit: str = "") -> str:
     grown, bound = _apart(allowed - margin, allowed)
     measure = paired.measure.rpartition(":")[2].replace("_", " ")
     added = "the faults" if paired.without == FAULTS else paired.without
-    grows = f"{measure} grows by {_with(grown, unit)} with {added}"
+    beside = f"from that of {paired.reference}" if paired.reference else f"with {added}"
+    grows = f"{measure} grows by {_with(grown, unit)} {beside}"
     return f"{grows} where {_with(bound, unit)} is allowed"
 
 
@@ -144,7 +145,7 @@ def explain_verdict(
         else:
             entries.append((uncounted.verdict, f"{uncounted.episode}: {uncounted.detail}"))
     if requirement.paired is not None:
-        entries.append(("pairs", f"with {requirement.paired.without}, and without"))
+        entries.append(("pairs", requirement.paired.sides))
     check = f" [{requirement.check}]" if requirement.check not in ("", verdict.requirement) else ""
     entries += [("component", component_failures), ("required", f"{requirement.text}{check}")]
     lines += [f"{label + ':':<9} {text}" for label, text in entries if text]

@@ -6,7 +6,7 @@ import json
 import shutil
 
 import pytest
-from corridors import IDLE, expect, scenario
+from corridors import IDLE, expect, requirement, scenario
 from outputs import shown_of
 
 from pytest_dura.__main__ import main
@@ -271,3 +271,70 @@ def test_a_comparison_that_cannot_be_made_shows_the_users_line_alone(project):
     for n, (_, lines) in enumerate(REFUSED):
         shown[f"test_{n}"].fnmatch_lines(lines)
     assert "pytest_dura/" not in result.stdout.str()
+
+
+@pytest.mark.parametrize(
+    "reference, word, avoidable",
+    [("corridor:Careful", "violated", 3), ("corridor:Reckless", "supported", 0)],
+    ids=["avoids it", "has it as well"],
+)
+def test_a_reference_tells_violations_that_it_avoids_from_those_that_it_has_as_well(
+    project, capsys, reference, word, avoidable
+):
+    """Recovery, which would save the reference too, does not act in its runs."""
+    unavoidable = 3 - avoidable
+    scenario(
+        project,
+        **HELP | {"recovery_planner": "oddities:Push"},
+        requirements="[R-1]",
+    )
+    requirement(project, "always (gap > 0)", paired=f"{{reference: '{reference}'}}")
+    result = project.run("--dura-scenarios", "--dura-select=corridor/it", "-v")
+    found = expect(project, result, word)
+    case = f"corridor/it~generator={reference}"
+    assert (found.pairs.reference, found.pairs.without, found.pairs.case) == (reference, "", case)
+    assert (found.pairs.avoidable, found.pairs.unavoidable) == (avoidable, unavoidable)
+    assert (found.pairs.neither, found.pairs.only_without) == (0, 0)
+    text = result.stdout.str()
+    line = f"reference: {reference} avoids {avoidable} of 3 violations of R-1 in 3 pairs; "
+    assert f"{line}{unavoidable} unavoidable" in text
+    assert "component under test: Reckless, base seed" in text
+    record = project.evidence()
+    assert [one.reference for one in record.cases] == [None, reference]
+    twins = [one for one in record.episodes if one.case == case]
+    assert {one.component for one in twins} == {reference.partition(":")[2]}
+    assert {one.seed for one in twins} == {one.seed for one in record.episodes}
+    assert not any(one.outcome.switching.takeovers for one in twins)
+    report = (project.path / "dura-evidence/report.html").read_text()
+    assert "another one in its place" in report
+    assert "3 of the same seeds with" in report
+    assert main(["verify", str(project.path / "dura-evidence")]) == 0
+    capsys.readouterr()
+    if word == "violated":
+        assert f"With {reference} in its place: it does not violate it" in " ".join(text.split())
+
+
+def test_a_run_of_the_reference_is_run_again_by_its_id(project):
+    scenario(project, **HELP)
+    project.write(
+        "test_it.py",
+        "def test_it(orchestrator):\n"
+        "    twin = orchestrator.run('corridor/it~generator=corridor:Careful', run=1)\n"
+        "    assert twin.spec.component == 'Careful'\n"
+        "    assert twin.spec.seed == orchestrator.run('corridor/it', run=1).spec.seed\n",
+    )
+    project.run("test_it.py").assert_outcomes(passed=1)
+
+
+def test_a_second_run_is_one_thing(project):
+    scenario(project, **HELP | {"recovery_planner": "oddities:Push"})
+    body = """with pytest.raises(Exception, match='lacks something, or is that of a reference'):
+    campaign.paired()
+with pytest.raises(Exception, match='lacks something, or is that of a reference'):
+    campaign.paired('faults', reference='corridor:Careful')
+with pytest.raises(Exception, match='unknown generator'):
+    campaign.paired(reference='careful')
+counts = campaign.paired(reference='corridor:Careful').counts('always (gap > 0)')
+assert (counts.only_with, counts.both) == (3, 0), counts
+campaign.paired(reference='corridor:Reckless').require('always (gap > 0)')"""
+    run(project, body).assert_outcomes(passed=1)
