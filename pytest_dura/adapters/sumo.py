@@ -24,7 +24,7 @@ from pytest_dura.driving.bodies import CAR_LENGTH, CAR_WIDTH, PEDESTRIAN_SIZE, b
 from pytest_dura.driving.highway import EGO, JunctionSimulator
 from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.moving import Actuated, Walking, crossing_length, kerb
-from pytest_dura.driving.scenario import DrivingWorld, PedestrianStart
+from pytest_dura.driving.scenario import CyclistStart, DrivingWorld, PedestrianStart
 
 NETWORK, TYPES = "four_way.net.xml", "four_way.add.xml"
 """The network, and the types of drivers and the routes on it; both lie beside this module."""
@@ -277,6 +277,15 @@ class SumoSimulator(JunctionSimulator):
                 expected="the four-way junction without more than " + ", ".join(sorted(_MODELLED)),
                 remedy="run the scenario in the simulator `driving`",
             )
+        for number, vehicle in enumerate(checked["vehicles"]):
+            for key in vehicle.keys() & {"gives_way", "brakes_at"}:
+                raise ConfigurationError(
+                    f"SUMO's drivers know no {key!r}",
+                    key=f"world.vehicles.{number}.{key}",
+                    found=vehicle[key],
+                    expected="a vehicle that drives as SUMO's drivers do",
+                    remedy="run the scenario in the simulator `driving`",
+                )
         return checked
 
     def close(self) -> None:
@@ -322,7 +331,7 @@ class SumoSimulator(JunctionSimulator):
         self._road.vehicles.append(car)
         return car
 
-    def _make_walker(self, person: PedestrianStart) -> SumoWalker:
+    def _make_walker(self, person: PedestrianStart | CyclistStart) -> SumoWalker:
         road = self._route.road
         arm = road.arms[road.arm(person.arm)]
         x, y, heading = kerb(arm, person.offset, person.side)

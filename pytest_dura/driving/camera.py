@@ -30,6 +30,7 @@ FRONT_SIZE, THIRD_PERSON_SIZE = 128, 300
 
 COLOURS: Mapping[str, Colour] = {
     "car": (36, 92, 214), "ego": (0, 172, 168), "parked_car": (140, 104, 176),
+    "parked_van": (140, 104, 176), "hedge": (52, 92, 48),
     "pedestrian": (236, 32, 150), "cones": (255, 116, 0), "island": (228, 214, 120),
     "give_way": (214, 18, 28), "priority_road": (252, 190, 0),
     "red": (255, 30, 20), "yellow": (255, 200, 0), "green": (20, 230, 90),
@@ -372,6 +373,9 @@ def _faces(solid: Solid) -> Iterator[_Face]:
         yield from _pedestrian(solid, colour)
     elif kind == "cones":
         yield from _cones(solid, colour)
+    elif kind == "hedge":
+        size = solid.length, solid.width
+        yield from _box(solid, (0.0, 2.0), size, size, colour)
     elif kind == "island":
         size = solid.length, solid.width
         yield from _box(solid, (0.0, 0.18), size, size, colour)

@@ -28,6 +28,7 @@ from pytest_dura.driving.bodies import (
     CAR_LENGTH,
     CAR_WIDTH,
     COLUMNS,
+    CYCLIST_LENGTH,
     NO_BODIES,
     VX,
     VY,
@@ -41,6 +42,7 @@ from pytest_dura.driving.measures import MEASURES
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
 from pytest_dura.driving.roads import Road
 from pytest_dura.driving.scenario import (
+    CyclistStart,
     DrivingWorld,
     PedestrianStart,
     check_road,
@@ -212,6 +214,7 @@ class JunctionSimulator(Simulator):
         model = DrivingWorld.model_validate(dict(world))
         check_road(model)
         ids = ["EGO", *(v.id for v in model.vehicles), *(p.id for p in model.pedestrians)]
+        ids += [cyclist.id for cyclist in model.cyclists]
         ids += [obstacle.id for obstacle in model.obstacles]
         twice = sorted({i for i in ids if ids.count(i) > 1})
         if twice:
@@ -263,11 +266,14 @@ class JunctionSimulator(Simulator):
             if vehicle.distance is not None:
                 plan = vehicle.route(geometry)
                 s = plan.stop_line - vehicle.distance
-                self._place(vehicle.id, plan, s, vehicle.speed, vehicle.exponent)
-        for person in world.pedestrians:
+                driver = self._place(vehicle.id, plan, s, vehicle.speed, vehicle.exponent)
+                driver.gives_way, driver.brakes_at = vehicle.gives_way, vehicle.brakes_at
+        crossing: list[PedestrianStart | CyclistStart] = [*world.pedestrians, *world.cyclists]
+        for person in crossing:
             body = self._make_walker(person)
             body.walking, body.start = person.speed, person.start
             road.objects.append(body)
+        self._occlusion = world.occlusion
         self._kinds = {obstacle.id: obstacle.kind for obstacle in world.obstacles}
         self._obstacle_rows = tuple(
             (
@@ -315,6 +321,7 @@ class JunctionSimulator(Simulator):
         self._ego.actuate(acceleration, dt)
         for person in self._road.objects:
             person.walk(time, dt, self._road.vehicles)
+        self._road.now, self._road.dt = time, dt
         self._road.act()
         self._road.step(dt)
         self._index += 1
@@ -401,8 +408,11 @@ class JunctionSimulator(Simulator):
         """Put a car on the road, at ``s`` of its route: a driver, or without exponent the ego."""
 
     @abstractmethod
-    def _make_walker(self, person: PedestrianStart) -> Any:
-        """Make a pedestrian at its kerb, see :class:`~pytest_dura.driving.moving.Walking`."""
+    def _make_walker(self, person: PedestrianStart | CyclistStart) -> Any:
+        """Make a pedestrian at its kerb, or a cyclist before it.
+
+        See :class:`~pytest_dura.driving.moving.Walking`.
+        """
 
     def _admit(self, initially: bool = False) -> None:
         """Place the cars whose time has come and that have room; others wait outside, in order."""
@@ -474,7 +484,9 @@ class JunctionSimulator(Simulator):
             x, y = body.position.tolist()
             heading, speed = float(body.heading), float(body.speed)
             course = heading
-            if body.LENGTH > 1.0:  # a car's course differs from its heading by the slip angle
+            if (
+                body.LENGTH > CYCLIST_LENGTH
+            ):  # a car's course differs from its heading by the slip angle
                 course += math.atan(0.5 * math.tan(body.action["steering"]))
             ids.append(body.body_id)
             rows.append((x, y, heading, speed * math.cos(course), speed * math.sin(course),
@@ -527,7 +539,12 @@ class JunctionSimulator(Simulator):
             time=self._index * self._dt,
             truth=truth,
             channels=channels(
-                state, bodies, self._map, self._signs, self._camera(self._index, state)
+                state,
+                bodies,
+                self._map,
+                self._signs,
+                self._camera(self._index, state),
+                occlusion=self._occlusion,
             ),
             goal=state.s > self._route.exit + _GOAL_DISTANCE,
             critical=contact.describe() if contact else None,
@@ -592,11 +609,13 @@ class HighwaySimulator(JunctionSimulator):
         self._road.vehicles.append(vehicle)
         return vehicle
 
-    def _make_walker(self, person: PedestrianStart) -> Any:
-        from pytest_dura.driving.traffic import walker
+    def _make_walker(self, person: PedestrianStart | CyclistStart) -> Any:
+        from pytest_dura.driving.traffic import cyclist, walker
 
         road = self._route.road
         arm = road.arms[road.arm(person.arm)]
+        if isinstance(person, CyclistStart):
+            return cyclist(self._road, arm, person)
         return walker(self._road, person.id, arm, person.offset, person.side)
 
 

@@ -200,9 +200,23 @@ class ExplicitVehicle(_Model):
     exponent: Annotated[float, Field(ge=1, le=10)] = Field(
         4.0, description="Of the free acceleration in the Intelligent Driver Model."
     )
+    gives_way: bool = Field(
+        True,
+        description="Whether it stops for who has the right of way and for traffic lights; a car "
+        "that does not still follows the car ahead.",
+    )
+    brakes_at: Annotated[NotNegative | None, Unit("s")] = Field(
+        None,
+        description="When it brakes as hard as a dry road allows, 8 m/s2, in s; it then stands, "
+        "and drives on 6 s after it began.",
+    )
 
     @model_validator(mode="after")
     def _somewhere(self) -> ExplicitVehicle:
+        if self.distance is None and not (self.gives_way and self.brakes_at is None):
+            raise ValueError(
+                f"the vehicle {self.id} needs a `distance`, to brake or to give no way"
+            )
         if (self.distance is None) == (self.enters is None):
             raise ValueError(
                 f"the vehicle {self.id} needs one of `distance`, at the start, and `enters`"
@@ -218,7 +232,9 @@ class ExplicitVehicle(_Model):
     @model_serializer(mode="wrap")
     def _plain(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Without what older worlds do not have where it is at its default: digests stay equal."""
-        data = _without_defaults(handler(self), ("distance", "enters", "to"))
+        data = _without_defaults(handler(self), ("distance", "enters", "to", "brakes_at"))
+        if self.gives_way:
+            del data["gives_way"]
         if self.exponent == ExplicitVehicle.model_fields["exponent"].default:
             del data["exponent"]
         return data
@@ -241,15 +257,35 @@ class PedestrianStart(_Model):
     speed: Annotated[float, Field(gt=0, le=3), Unit("m/s")] = Field(1.3, description="In m/s.")
 
 
+class CyclistStart(_Model):
+    """A cyclist who crosses an arm without looking, on a machine of 1.8 m by 0.6 m."""
+
+    id: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")] = Field(
+        description="Its name in records; as for vehicles."
+    )
+    arm: ArmName = Field("south", description="The arm that is crossed.")
+    offset: Annotated[float, Field(ge=1, le=60), Unit("m")] = Field(
+        3.0, description="From the stop line outwards, in m."
+    )
+    side: Literal["left", "right"] = Field(
+        "right", description="Where it comes from, seen by a driver who nears the junction."
+    )
+    approach: Annotated[float, Field(ge=0, le=40), Unit("m")] = Field(
+        0.0, description="How far from the kerb it starts, in m."
+    )
+    start: Annotated[NotNegative, Unit("s")] = Field(0.0, description="When it starts, in s.")
+    speed: Annotated[float, Field(gt=0, le=8), Unit("m/s")] = Field(4.5, description="In m/s.")
+
+
 class StaticObstacle(_Model):
     """Something that stands on or beside an arm, and that lidar and radar see like any object."""
 
     id: Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")] = Field(
         description="Its name in records; as for vehicles."
     )
-    kind: Literal["parked_car", "cones", "island"] = Field(
-        description="A car of 4.5 by 1.8 m, a row of cones of 3 by 0.4 m, or a kerb island of 6 by "
-        "1 m; its length lies along the arm."
+    kind: Literal["parked_car", "parked_van", "hedge", "cones", "island"] = Field(
+        description="A car of 4.5 by 1.8 m, a van of 6 by 2 m, a hedge of 60 by 1.6 m, a row of "
+        "cones of 3 by 0.4 m, or a kerb island of 6 by 1 m; its length lies along the arm."
     )
     arm: ArmName = "south"
     offset: Annotated[NotNegative, Unit("m")] = Field(
@@ -264,7 +300,10 @@ class StaticObstacle(_Model):
     @property
     def size(self) -> tuple[float, float]:
         """Length and width in m."""
-        return {"parked_car": (4.5, 1.8), "cones": (3.0, 0.4), "island": (6.0, 1.0)}[self.kind]
+        return {
+            "parked_car": (4.5, 1.8), "parked_van": (6.0, 2.0), "hedge": (60.0, 1.6),
+            "cones": (3.0, 0.4), "island": (6.0, 1.0),
+        }[self.kind]  # fmt: skip
 
 
 class Phase(_Model):
@@ -325,6 +364,12 @@ class DrivingWorld(_Model):
     traffic: Traffic | None = Field(None, description="Random traffic; left out, there is none.")
     vehicles: tuple[ExplicitVehicle, ...] = Field((), strict=False)
     pedestrians: tuple[PedestrianStart, ...] = Field((), strict=False)
+    cyclists: tuple[CyclistStart, ...] = Field((), strict=False)
+    occlusion: bool = Field(
+        False,
+        description="Whether cars, vans and hedges hide from lidar and radar what is behind them; "
+        "by default the sensors see everybody within their reach.",
+    )
     courtesy: Literal["none", "occupied"] = Field(
         "occupied",
         description="Whether drivers with the right of way brake for an ego that is inside the "
@@ -344,6 +389,10 @@ class DrivingWorld(_Model):
             data["traffic"]["arms"] = self._other_arms()
         if not self.obstacles:
             del data["obstacles"]
+        if not self.cyclists:
+            del data["cyclists"]
+        if not self.occlusion:
+            del data["occlusion"]
         if not self.controls.signals:
             del data["controls"]
         return data
@@ -412,8 +461,9 @@ def check_road(world: DrivingWorld) -> None:
         if vehicle.distance is not None:
             most = road.arms[origin].length - 1.0
             _check_distance(f"{key}.distance", vehicle.distance, most, vehicle.arm)
-    crowds: dict[str, Sequence[PedestrianStart | StaticObstacle]] = {
+    crowds: dict[str, Sequence[PedestrianStart | CyclistStart | StaticObstacle]] = {
         "pedestrians": world.pedestrians,
+        "cyclists": world.cyclists,
         "obstacles": world.obstacles,
     }
     for kind, things in crowds.items():

@@ -14,10 +14,11 @@ from pytest_dura.core.state import Lazy, sealed
 from pytest_dura.driving.bodies import CAR_LENGTH, BodyList
 from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.roads import Road
+from pytest_dura.driving.visibility import ego_box, visible
 from pytest_dura.faults.model import Channel
 
 RANGE = 80.0
-"""m; reach of lidar and radar, all around, without occlusion."""
+"""m; reach of lidar and radar, all around; whom others hide they see unless the world says so."""
 
 
 WAYPOINT_SPACING = 5.0
@@ -235,9 +236,13 @@ def channels(
     route: RouteMap,
     controls: tuple[Sign, ...],
     camera: Callable[[str], Any],
+    *,
+    occlusion: bool = False,
 ) -> dict[str, Any]:
     """All channels of one tick. Radar measures the same objects as lidar, independently of it."""
     bodies = _in_reach(ego, bodies)
+    if occlusion:
+        bodies = visible(ego_box(ego), bodies)
     return {
         "lidar": bodies,
         "radar": radar_returns(ego, bodies),

@@ -23,12 +23,13 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
-from pytest_dura.driving.bodies import CAR_LENGTH, PEDESTRIAN_SIZE
+from pytest_dura.driving.bodies import CAR_LENGTH, CYCLIST_LENGTH, PEDESTRIAN_SIZE
 from pytest_dura.driving.lanes import Route, conflict, routes_of
+from pytest_dura.driving.maneuvers import MAX_BRAKING
 from pytest_dura.driving.moving import Actuated, Walking, crossing_length, kerb
 from pytest_dura.driving.roads import Arm
 from pytest_dura.driving.roads import Road as Geometry
-from pytest_dura.driving.scenario import StaticObstacle
+from pytest_dura.driving.scenario import CyclistStart, StaticObstacle
 
 _SHARPEST_COURSE = math.pi / 4
 """Greatest angle in rad between lane and course that is steered for."""
@@ -241,6 +242,8 @@ _TOUCH = 1e-6
 """Metres beyond half a diagonal within which contact of two bodies is checked."""
 _PASSING = 0.3
 """Metres that a driver leaves beside an obstacle; where there is less, it stops before it."""
+_STANDS = 6.0
+"""Seconds after which a driver who brakes as hard as it can drives on."""
 _LOOK_AHEAD = 45.0
 """Metres before the stop line from which others take a driver into account."""
 
@@ -255,11 +258,20 @@ class Driver(LaneKeeping, IDMVehicle):
     body_id: str
     plan: Route
     s: float
+    gives_way = True
+    brakes_at: float | None = None
+    """s from which on it brakes as hard as it can."""
 
     def act(self, _action: Any = None) -> None:
         """IDM on the lane (and the next one), then the limits of the route and right of way."""
         if self.crashed:
             return
+        if self.brakes_at is not None:
+            since = self.road.now - self.brakes_at
+            if -1e-9 <= since < _STANDS:
+                rate = -min(MAX_BRAKING, self.speed / self.road.dt)
+                self.action = {"steering": self.keep_lane(), "acceleration": rate}
+                return
         steering = self.keep_lane()
         rate = self._idm(self.lane_index)
         if self.lane_index != self.target_lane_index:
@@ -298,6 +310,12 @@ class Pedestrian(Walking, Obstacle):
     WIDTH = PEDESTRIAN_SIZE
 
 
+class Cyclist(Pedestrian):
+    """A cyclist, who moves as a pedestrian does, with a size of its own."""
+
+    LENGTH = CYCLIST_LENGTH
+
+
 class Standing(Obstacle):
     """A static obstacle: it stands where it is, whoever touches it.
 
@@ -324,6 +342,8 @@ class JunctionRoad(Road):
     path (``occupied``) or insist on their right of way as though it were not there (``none``).
     """
 
+    now, dt = 0.0, 0.1
+    """s: the time, and how long the next step lasts."""
     courtesy = "occupied"
     obstacles: tuple[Standing, ...] = ()
     halted: frozenset[int] = frozenset()
@@ -377,7 +397,7 @@ class JunctionRoad(Road):
         """The acceleration that leaders on the route and right of way allow, in m/s2."""
         limit, line = math.inf, me.plan.stop_line
         before_line = me.s + CAR_LENGTH / 2 <= line
-        near = before_line and me.s > line - _LOOK_AHEAD
+        near = before_line and me.s > line - _LOOK_AHEAD and me.gives_way
         stop_distance = line - _STOP_MARGIN - CAR_LENGTH / 2 - me.s
         # A car that can still stop before the line itself is not committed, though past the margin.
         room = max(line - CAR_LENGTH / 2 - me.s, 0.0)
@@ -504,6 +524,16 @@ def walker(road: Road, body_id: str, arm: Arm, offset: float, side: str) -> Pede
     person.body_id = body_id
     person.distance = crossing_length(arm)
     return person
+
+
+def cyclist(road: Road, arm: Arm, start: CyclistStart) -> Cyclist:
+    """A cyclist as far before the kerb of an arm as it starts."""
+    x, y, heading = kerb(arm, start.offset, start.side)
+    back = start.approach * np.array([math.cos(heading), math.sin(heading)])
+    body = Cyclist(road, np.array([x, y]) - back, heading, 0.0)
+    body.body_id = start.id
+    body.distance = crossing_length(arm) + start.approach
+    return body
 
 
 def lane_network(road: Geometry) -> LaneNetwork:

@@ -41,7 +41,8 @@ class CarefulDriver(RuleBased):
 
     Source: UN Regulation 157, paragraph 5.2.5 and its guidance on traffic disturbance critical
     scenarios: a competent and careful human driver with a risk evaluation time of 0.75 s and a
-    deceleration of 0.774 g. The regulation's 0.6 s until full braking are the brake's own build-up here, 0.2 s.
+    deceleration of 0.774 g. The regulation's 0.6 s until full braking are the brake's own build-up
+    here, 0.2 s.
 
     Args:
         reaction: Seconds from when a risk can be perceived to the beginning of braking.
