@@ -1,19 +1,28 @@
 """Every recovery planner against no recovery, on the same seeds.
 
 Run: python benchmarks/recoveries.py [--generator reactive] [--runs 40] [--jobs 2]
+     python benchmarks/recoveries.py --select 'intersection/sudden/*' --runs 200 --keep FILE
+
+With ``--keep`` each outcome is written to a file, and a run that was stopped goes on from there.
 
 Each run of each built-in scenario once with the policy log_only and once with each planner. A pair
 shares seed, traffic, timing, variation and faults. What is compared is whether the ego collided:
 prevented (only without), introduced (only with), futile (in both, though it acted), unnecessary (in
-neither, though it acted), and the exact two-sided McNemar test of the first two, uncorrected.
+neither, though it acted), and the exact two-sided McNemar test of the first two, uncorrected. The
+careful driver of UN R157 runs the same seeds: of the collisions without recovery, those that it
+avoids are avoidable, and the others unavoidable; of the avoidable ones recovery prevents a share,
+with its exact 95 % interval.
 Clearance times are of pairs that cleared both times; gridlock is neither a collision nor clearing.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from statistics import mean, quantiles
 
 import numpy as np
@@ -23,9 +32,10 @@ from pytest_dura.core import Orchestrator, RoleSpec, switching
 from pytest_dura.domains import DOMAINS
 from pytest_dura.driving import clearance_time
 from pytest_dura.library import expand_cases, load_library
-from pytest_dura.requirements import mcnemar
+from pytest_dura.requirements import lower_bound, mcnemar, upper_bound
 
 OFF = "off"
+REFERENCE = "careful_driver"
 PLANNERS = tuple(DOMAINS["driving"].short_names["recovery_planner"])
 Key = tuple[str, str, int]
 """Scenario, planner or ``off``, run."""
@@ -52,11 +62,11 @@ def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
     """One episode."""
     key, generator, base_seed = job
     scenario, planner, number = key
-    roles = {"generator": RoleSpec(generator)}
-    if planner != OFF:
+    roles = {"generator": RoleSpec(REFERENCE if planner == REFERENCE else generator)}
+    if planner not in (OFF, REFERENCE):
         roles["recovery_planner"] = RoleSpec(planner)
     (case,) = expand_cases(load_library([]).scenarios, select=[scenario])
-    policy = "log_only" if planner == OFF else "recover"
+    policy = "recover" if planner in PLANNERS else "log_only"
     spec = case.spec(number, base_seed, roles, policy=policy)
     episode = Orchestrator.build(spec).run(spec)
     if episode.failure is not None:
@@ -75,6 +85,7 @@ def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
 
 Pairs = list[tuple[Outcome, Outcome]]
 """Without and with recovery."""
+Found = dict[Key, Outcome]
 
 HEADERS = ["planner", "collisions off", "collisions on", "prevented", "introduced", "futile"]
 HEADERS += ["unnecessary", "p", "clearance s, off", "mean change", "gridlock off", "gridlock on"]
@@ -111,6 +122,51 @@ def row(planner: str, pairs: Pairs) -> list[str]:
     return [planner, *cells, f"{share:.1f}"]
 
 
+AVOIDABLE = ["recovery", "collisions off", "unavoidable", "avoidable", "prevented", "share %"]
+AVOIDABLE += ["95 % interval", "introduced", "p"]
+
+
+def avoidable_row(planner: str, pairs: Pairs, references: list[Outcome]) -> list[str]:
+    """What recovery makes of the collisions that the reference avoids, as ``AVOIDABLE`` has it."""
+    both = list(zip(pairs, references, strict=True))
+    collided = sum(off.collided for off, _ in pairs)
+    avoidable = [on for (off, on), own in both if off.collided and not own.collided]
+    prevented = sum(not on.collided for on in avoidable)
+    introduced = sum(on.collided and not off.collided for off, on in pairs)
+    share = interval = "-"
+    if avoidable:
+        share = f"{100 * prevented / len(avoidable):.0f}"
+        low = lower_bound(prevented, len(avoidable), 0.975)
+        high = upper_bound(prevented, len(avoidable), 0.975)
+        interval = f"{100 * low:.0f} to {100 * high:.0f}"
+    counts = [collided, collided - len(avoidable), len(avoidable), prevented]
+    test = f"{mcnemar(prevented, introduced):.2g}"
+    return [planner, *map(str, counts), share, interval, str(introduced), test]
+
+
+def outcomes(keys: list[Key], generator: str, seed: int, keep: Path | None, jobs: int) -> Found:
+    """Run what is not kept yet, and keep it as it comes."""
+    found = dict(_kept(keep, generator, seed)) if keep is not None and keep.exists() else {}
+    due = [(key, generator, seed) for key in keys if key not in found]
+    with ProcessPoolExecutor(jobs) as pool:
+        for key, outcome in pool.map(run, due, chunksize=10):
+            found[key] = outcome
+            if keep is not None:
+                line = {"key": key, "generator": generator, "seed": seed, **asdict(outcome)}
+                with keep.open("a") as opened:
+                    opened.write(json.dumps(line) + "\n")
+    return found
+
+
+def _kept(keep: Path, generator: str, seed: int) -> Iterator[tuple[Key, Outcome]]:
+    for line in keep.read_text().splitlines():
+        data = json.loads(line)
+        scenario, planner, number = data.pop("key")
+        if (data.pop("generator"), data.pop("seed")) == (generator, seed):
+            data["microseconds"] = tuple(data["microseconds"])
+            yield (scenario, planner, number), Outcome(**data)
+
+
 def cost(pairs: Pairs) -> list[str]:
     """Calls, and microseconds per call: median and 99th percentile."""
     spent = [one for _, on in pairs for one in on.microseconds]
@@ -127,15 +183,16 @@ def main() -> None:
     arguments.add_argument("--runs", type=int, default=40)
     arguments.add_argument("--jobs", type=int, default=2)
     arguments.add_argument("--seed", type=int, default=0)
-    arguments.add_argument("--select", default="*", help="scenarios, as a glob")
+    arguments.add_argument("--select", help="scenarios, as a glob; by default the six")
+    arguments.add_argument("--keep", type=Path, help="file of outcomes to go on from")
     options = arguments.parse_args()
-    cases = expand_cases(load_library([]).scenarios, select=[options.select])
+    select = [options.select] if options.select else []
+    cases = expand_cases(load_library([]).scenarios, select=select)
     scenarios = [case.id for case in cases]
     numbers = range(options.runs)
-    keys: list[Key] = [(s, p, n) for s in scenarios for p in (OFF, *PLANNERS) for n in numbers]
-    with ProcessPoolExecutor(options.jobs) as pool:
-        jobs = [(key, options.generator, options.seed) for key in keys]
-        found = dict(pool.map(run, jobs, chunksize=10))
+    arms = (OFF, REFERENCE, *PLANNERS)
+    keys: list[Key] = [(s, p, n) for s in scenarios for n in numbers for p in arms]
+    found = outcomes(keys, options.generator, options.seed, options.keep, options.jobs)
 
     def pairs(planner: str, *where: str) -> Pairs:
         return [(found[s, OFF, n], found[s, planner, n]) for s in where for n in numbers]
@@ -148,6 +205,14 @@ def main() -> None:
     together = {planner: pairs(planner, *scenarios) for planner in PLANNERS}
     rows = [[*row(planner, both), *cost(both)] for planner, both in together.items()]
     print(table([*HEADERS, "calls", "us/call", "99 % within"], rows))
+    references = {s: [found[s, REFERENCE, n] for n in numbers] for s in scenarios}
+    print("\nOf the collisions without recovery, those that the careful driver avoids:\n")
+    rows = [[s, *avoidable_row(p, pairs(p, s), references[s])] for s in scenarios for p in PLANNERS]
+    everything = [each for s in scenarios for each in references[s]]
+    rows += [
+        ["all together", *avoidable_row(p, pairs(p, *scenarios), everything)] for p in PLANNERS
+    ]
+    print(table(["scenario", *AVOIDABLE], rows))
     invalid = sum(not outcome.valid for outcome in found.values())
     print(f"\n{invalid} of {len(found)} episodes were invalid")
 

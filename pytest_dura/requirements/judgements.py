@@ -196,7 +196,7 @@ class CampaignCourse:
             run: The run.
             twin: Its second run.
         """
-        name = self.requirement.id
+        name, paired = self.requirement.id, self.requirement.paired
         sides = [run] if twin is None else [run, twin]
         if twin is None:
             verdict = run.verdict(name, judged.verdict)
@@ -204,7 +204,9 @@ class CampaignCourse:
             verdict = self._pair_verdict(judged, run, twin)
         if verdict.verdict != "violated":
             # A check of pairs compares two runs, and so sees the crash of neither.
-            crashed = (side.episode for side in sides if side.is_unseen_crash)
+            # That of a reference is not the component's.
+            own = sides[:1] if paired is not None and paired.reference else sides
+            crashed = (side.episode for side in own if side.is_unseen_crash)
             verdict = replace(verdict, unseen_crash=next(crashed, ""))
         self.judge.add(verdict)
         for side in sides:

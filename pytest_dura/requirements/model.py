@@ -90,6 +90,14 @@ class Requirement(Shown):
 
     __repr__ = short_repr
 
+    @property
+    def judges_crashes(self) -> bool:
+        """Whether it sees the crash of a run, and not only how two runs differ.
+
+        One that is compared with a reference does: what the reference has as well is told apart.
+        """
+        return self.paired is None or bool(self.paired.reference)
+
     def _figures(self) -> Iterator[tuple[str, object]]:
         """Yield what a notebook shows."""
         yield "requirement", self.id

@@ -149,9 +149,9 @@ def declared_verdicts(
 def violates_alone(
     verdicts: Mapping[str, CheckVerdict], requirements: Iterable[Requirement]
 ) -> bool:
-    """Whether a run violates a requirement that a single run can violate, and not a pair alone."""
+    """Whether a run violates a requirement that sees the crash of a run, and not of pairs alone."""
     return any(
-        requirement.paired is None
+        requirement.judges_crashes
         and requirement.id in verdicts
         and verdicts[requirement.id].status == "violated"
         for requirement in requirements

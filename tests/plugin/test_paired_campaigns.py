@@ -338,3 +338,19 @@ counts = campaign.paired(reference='corridor:Careful').counts('always (gap > 0)'
 assert (counts.only_with, counts.both) == (3, 0), counts
 campaign.paired(reference='corridor:Reckless').require('always (gap > 0)')"""
     run(project, body).assert_outcomes(passed=1)
+
+
+def test_a_collision_that_the_reference_has_as_well_is_seen_by_the_requirement(project, capsys):
+    """It ended both runs, and no other requirement of the case is about it."""
+    scenario(
+        project,
+        **HELP | {"simulator": "oddities:Abrupt", "recovery_planner": "oddities:Push"},
+        requirements="[R-1]",
+    )
+    requirement(project, "always (gap > 0)", paired="{reference: 'corridor:Reckless'}")
+    result = project.run("--dura-scenarios", "--dura-select=corridor/it", "-v")
+    found = expect(project, result, "supported")
+    assert found.pairs.unavoidable == 3
+    assert found.unseen_crashes == ()
+    assert main(["verify", str(project.path / "dura-evidence")]) == 0
+    capsys.readouterr()

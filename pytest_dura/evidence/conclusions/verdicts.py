@@ -101,7 +101,7 @@ class Runs:
         self, cases: Mapping[CaseKey, CasePlan], requirements: Mapping[str, Requirement]
     ) -> None:
         self._cases = cases
-        self._alone = {name for name, known in requirements.items() if known.paired is None}
+        self._alone = {name for name, known in requirements.items() if known.judges_crashes}
         self._by_digest: dict[str, Run] = {}
         self._by_number: dict[tuple[str, str, int], list[Run]] = defaultdict(list)
         self._situations: dict[CaseKey, Situations] = {}

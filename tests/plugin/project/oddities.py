@@ -59,6 +59,14 @@ class TurnsNaN(Corridor):
         return tick
 
 
+class Abrupt(Corridor):
+    """It ends at a contact."""
+
+    def _tick(self):
+        tick = super()._tick()
+        return replace(tick, critical="contact") if tick.truth["gap"] <= 0 else tick
+
+
 class EndsByItself(Corridor):
     """A plant with a time limit of its own, which refuses to be stepped after it."""
 
