@@ -51,5 +51,7 @@ def test_the_reference_planner_does_without(requirement: str) -> None:
 
 def test_reliance_is_not_asked_where_somebody_attacks_the_monitor_as_well() -> None:
     for name, scenario in load_library([]).scenarios.items():
+        if scenario.on_request:  # a few seconds of a crossing
+            continue
         bounds = {"REC-3", "REC-4"} & set(scenario.requirements)
         assert bounds == (set() if scenario.faults else {"REC-3", "REC-4"}), name

@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 
 from pytest_dura import ConfigurationError
-from pytest_dura.library import builtin_paths, load_library, load_scenarios, loading, select_names
+from pytest_dura.library import (
+    builtin_paths,
+    expand_cases,
+    load_library,
+    load_scenarios,
+    loading,
+    select_names,
+)
 
 
 def scenario(name: str, *requirements: str) -> str:
@@ -197,3 +204,16 @@ def test_select_by_globs() -> None:
         select_names(names, ["a/*", "b/tow"])
     assert caught.value.found == "b/tow"
     assert caught.value.remedy == "did you mean 'b/two'?"
+
+
+def test_a_scenario_on_request_is_run_where_a_glob_names_it_and_by_no_default() -> None:
+    scenarios = load_library([]).scenarios
+    request = "intersection/sudden/"
+    assert {name for name, one in scenarios.items() if one.on_request} == {
+        name for name in scenarios if name.startswith(request)
+    }
+    assert not any(case.id.startswith(request) for case in expand_cases(scenarios))
+    chosen = expand_cases(scenarios, select=[f"{request}*"])
+    assert len(chosen) == 5
+    (alone,) = expand_cases([scenarios[chosen[0].id]])
+    assert alone.id == chosen[0].id
