@@ -10,7 +10,7 @@ shares seed, traffic, timing, variation and faults. What is compared is whether 
 prevented (only without), introduced (only with), futile (in both, though it acted), unnecessary (in
 neither, though it acted), and the exact two-sided McNemar test of the first two, uncorrected. The
 careful driver of UN R157 runs the same seeds: of the collisions without recovery, those that it
-avoids are avoidable, and the others unavoidable; of the avoidable ones recovery prevents a share,
+avoids are avoidable, and the others unavoidable; the test takes in both. Of the avoidable ones recovery prevents a share,
 with its exact 95 % interval.
 Clearance times are of pairs that cleared both times; gridlock is neither a collision nor clearing.
 """
@@ -140,7 +140,8 @@ def avoidable_row(planner: str, pairs: Pairs, references: list[Outcome]) -> list
         high = upper_bound(prevented, len(avoidable), 0.975)
         interval = f"{100 * low:.0f} to {100 * high:.0f}"
     counts = [collided, collided - len(avoidable), len(avoidable), prevented]
-    test = f"{mcnemar(prevented, introduced):.2g}"
+    all_prevented = sum(off.collided and not on.collided for off, on in pairs)
+    test = f"{mcnemar(all_prevented, introduced):.2g}"
     return [planner, *map(str, counts), share, interval, str(introduced), test]
 
 

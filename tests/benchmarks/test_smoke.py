@@ -122,7 +122,7 @@ HEADERS = {
     ],
     "plugin_cost.py": ["unused plugin"],
     "prices.py": ["new file; no other is edited", "edited; no other is", "new file of a project"],
-    "recoveries.py": ["unnecessary", "us/call"],
+    "recoveries.py": ["unnecessary", "us/call", "unavoidable"],
     "report_page.py": ["height, px"],
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
