@@ -8,10 +8,10 @@ With ``--keep`` each outcome is written to a file, and a run that was stopped go
 Each run of each built-in scenario once with the policy log_only and once with each planner. A pair
 shares seed, traffic, timing, variation and faults. What is compared is whether the ego collided:
 prevented (only without), introduced (only with), futile (in both, though it acted), unnecessary (in
-neither, though it acted), and the exact two-sided McNemar test of the first two, uncorrected. The
-careful driver of UN R157 runs the same seeds: of the collisions without recovery, those that it
-avoids are avoidable, and the others unavoidable; the test takes in both. Of the avoidable ones recovery prevents a share,
-with its exact 95 % interval.
+neither, though it acted), and the exact two-sided McNemar test of the first two, uncorrected.
+The careful driver of UN R157 runs the same seeds: of the collisions without recovery, those that it
+avoids are avoidable, and the others unavoidable; the test takes in both. Of the avoidable ones
+recovery prevents a share, with its exact 95 % interval.
 Clearance times are of pairs that cleared both times; gridlock is neither a collision nor clearing.
 """
 
