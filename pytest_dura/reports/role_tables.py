@@ -237,12 +237,10 @@ class ReferenceRow:
     Args:
         verdict: On the pairs.
         pairs: Their counts.
-        anchor: Of the verdict in the page.
     """
 
     verdict: ItemVerdict
     pairs: PairTable
-    anchor: str | None = None
 
 
 INTERVAL = 0.95
@@ -261,7 +259,7 @@ def interval_cell(count: int, of: int) -> Cell | None:
 
 REFERENCE_COLUMNS: Sequence[Column[ReferenceRow]] = (
     Column(
-        "requirement", lambda row: name_cell(row.verdict.requirement, anchor=row.anchor),
+        "requirement", lambda row: _requirement_of_pairs(row.verdict),
         shown=Shown.PAGE, kind="",
     ),
     Column("case", lambda row: name_cell(row.verdict.case), shown=Shown.PAGE, kind=""),

@@ -197,7 +197,7 @@ def reference_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry])
     rows = [
         (
             f"{verdict.requirement} on {verdict.case}",
-            ReferenceRow(verdict, pairs, verdict_anchor(verdict.requirement, verdict.case)),
+            ReferenceRow(verdict, pairs),
         )
         for verdict in _by_case(verdicts, cases)
         if isinstance(pairs := verdict.pairs, PairTable) and pairs.reference
