@@ -39,6 +39,7 @@ from pytest_dura.driving.bodies import (
 from pytest_dura.driving.lanes import Route
 from pytest_dura.driving.maneuvers import Command, Maneuver, acceleration_for
 from pytest_dura.driving.measures import MEASURES
+from pytest_dura.driving.moving import placed
 from pytest_dura.driving.percepts import own_pose, own_speed, plausible_objects
 from pytest_dura.driving.roads import Road
 from pytest_dura.driving.scenario import (
@@ -623,8 +624,6 @@ def _check_obstacles(world: DrivingWorld) -> None:
     """Refuse an obstacle where a car stands at the start."""
     if not world.obstacles:
         return
-    from pytest_dura.driving.traffic import placed
-
     road = world.geometry
     starts = {"EGO": (world.ego_route, world.ego.distance)}
     starts |= {

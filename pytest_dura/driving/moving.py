@@ -102,3 +102,8 @@ def kerb(arm: Arm, offset: float, side: str) -> tuple[float, float, float]:
     sign = 1.0 if side == "right" else -1.0
     x, y = arm.place(arm.stop_line + offset, sign * crossing_length(arm) / 2)
     return x, y, arm.angle + (math.pi if side == "right" else 0.0)
+
+
+def placed(arm: Arm, offset: float, beside: float) -> tuple[float, float, float]:
+    """Place and heading on an arm: metres out from the stop line, and right of its middle."""
+    return (*arm.place(arm.stop_line + offset, beside), arm.angle - math.pi / 2)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pytest_dura.driving.bodies import CAR_LENGTH, CYCLIST_LENGTH, PEDESTRIAN_SIZE
 from pytest_dura.driving.lanes import Route, conflict, routes_of
 from pytest_dura.driving.maneuvers import MAX_BRAKING
-from pytest_dura.driving.moving import Actuated, Walking, crossing_length, kerb
+from pytest_dura.driving.moving import Actuated, Walking, crossing_length, kerb, placed
 from pytest_dura.driving.roads import Arm
 from pytest_dura.driving.roads import Road as Geometry
 from pytest_dura.driving.scenario import CyclistStart, StaticObstacle
@@ -507,11 +507,6 @@ def standing(road: Road, arm: Arm, obstacle: StaticObstacle) -> Standing:
     body = Standing(road, np.array([x, y]), heading, obstacle.size)
     body.body_id = obstacle.id
     return body
-
-
-def placed(arm: Arm, offset: float, beside: float) -> tuple[float, float, float]:
-    """Place and heading on an arm: metres out from the stop line, and right of its middle."""
-    return (*arm.place(arm.stop_line + offset, beside), arm.angle - math.pi / 2)
 
 
 def walker(road: Road, body_id: str, arm: Arm, offset: float, side: str) -> Pedestrian:

@@ -29,6 +29,9 @@ from pytest_dura.requirements.runs import Run
 RULE_BASED = RoleSpec("pytest_dura.driving.roles.planners:RuleBased")
 
 
+CAREFUL = RoleSpec("pytest_dura.driving.roles.careful:CarefulDriver")
+
+
 def defect(name: str, **params: Any) -> RoleSpec:
     return RoleSpec(f"defects:{name}", params)
 
@@ -50,11 +53,14 @@ class Row:
 
     def run(self, *, defective: bool, attacked: bool = True) -> Episode:
         generator = self.defective if defective else self.sound
-        faults = self.faults if attacked else ()
+        car = self.car if defective else None
+        return self.drive(generator, self.faults if attacked else (), car)
+
+    def drive(
+        self, generator: RoleSpec, faults: Sequence[Any] = (), car: RoleSpec | None = None
+    ) -> Episode:
         spec = spec_of_drive(self.world, generator=generator, faults=faults, duration=self.duration)
-        if defective and self.car is not None:
-            spec = replace(spec, simulator=self.car)
-        return run_episode(spec)
+        return run_episode(spec if car is None else replace(spec, simulator=car))
 
 
 PEDESTRIAN = {
@@ -82,7 +88,7 @@ HIDE = {
 }  # fmt: skip
 NEVER_CLEARS = frozenset({"PERF-1", "PERF-5", "PERF-6"})
 DELAYED = frozenset({"SEC-2", "SEC-4"})
-COLLIDES = NEVER_CLEARS | {"SAF-1", "SAF-2"}
+COLLIDES = NEVER_CLEARS | {"SAF-1", "SAF-2", "SAF-5"}
 STOPS_HARD = defect("StopsHard")
 
 ROWS: dict[str, Row] = {
@@ -90,6 +96,7 @@ ROWS: dict[str, Row] = {
     "SAF-2": Row(PEDESTRIAN, defect("StopsTooClose")),
     "SAF-3": Row(LEADER, defect("BrakesLate")),
     "SAF-4": Row(PRIORITY, defect("NeverGivesWay")),
+    "SAF-5": Row(PEDESTRIAN, defect("BlindToPedestrians"), also=COLLIDES),
     "SEC-1": Row(VICTIM, defect("TrustsLidar"), also=COLLIDES | DELAYED, faults=[SPOOF]),
     "SEC-2": Row({}, defect("FreezesAtGhosts"), also=NEVER_CLEARS | DELAYED, faults=[GHOST]),
     "SEC-3": Row(PRIORITY, defect("TrustsLidar"), also=frozenset({"SAF-4"}), faults=[HIDE]),
@@ -131,6 +138,8 @@ def judged(
         requirement = catalogue[name]
         if requirement.paired is None:
             verdicts[name] = judge_episode(requirement, episode).verdict
+        elif requirement.paired.reference:
+            verdicts[name] = judged_pair(requirement, episode, row.drive(CAREFUL, row.faults))
         elif row.faults:
             verdicts[name] = judged_pair(requirement, episode, twin)
     return episode, verdicts

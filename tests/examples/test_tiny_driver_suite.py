@@ -13,7 +13,7 @@ from llm_servers import require_null_model
 from suites import SUITES, run_suite
 
 from pytest_dura.llm.answers import read_answer
-from pytest_dura.llm.driving.planner import SCHEMA, driving_templates, probes, with_conflict
+from pytest_dura.llm.driving.planner import driving_templates, probes, with_conflict
 from pytest_dura.llm.port import Answer
 
 SUITE = SUITES / "tiny_driver"
@@ -126,15 +126,16 @@ def server():
 
 
 def decided(post, prompt):
-    messages = driving_templates(SUITE / "templates").messages(prompt)
+    templates = driving_templates(SUITE / "templates")
+    messages, schema = templates.messages(prompt), templates.schema
     answer = post("/v1/chat/completions", {
         "messages": [{"role": each.role, "content": each.text} for each in messages],
         "temperature": 0.0, "max_tokens": 300,
         "response_format": {
-            "type": "json_schema", "json_schema": {"name": "answer", "schema": SCHEMA}
+            "type": "json_schema", "json_schema": {"name": "answer", "schema": schema}
         },
     })  # fmt: skip
-    reading = read_answer(Answer(answer["choices"][0]["message"]["content"]), SCHEMA)
+    reading = read_answer(Answer(answer["choices"][0]["message"]["content"]), schema)
     assert reading.answered, reading
     return reading.content
 

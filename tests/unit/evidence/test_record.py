@@ -418,7 +418,7 @@ def test_runs_that_a_campaign_was_decided_without_are_not_missing():
 
 def test_twins_are_missing_as_their_pairs_are():
     made = record()
-    paired = {"without": "faults", "measure": "", "change_at_most": None}
+    paired = {"without": "faults", "measure": "", "change_at_most": None, "reference": ""}
     pairs = campaign(2, case="a/b+f", twins="a/b", paired=paired)
     made.add(report(cases=[case()], episodes=[episode(0)], judgements=[pairs]))
     assert missing(made) == ([1], 1)
