@@ -106,7 +106,9 @@ def test_a_terminal_shows_progress_and_nothing_of_it_stays(slow, more, monkeypat
     arguments = ["corridor/free", "corridor/tight::GAP-1", *more]
     seen, code = in_terminal(slow, *arguments)
     assert code == 0, seen
-    assert re.search(r"(gw\d )?corridor/free G[AP]*O?-1: [12] of 3 runs, 0 violations", seen)
+    # Where two workers share the width, names are cut.
+    name = r"(gw\d )?corridor/free G[AP]*O?-1:" + (r"|\.\.[^;]*" if more[:1] == ["-n"] else "")
+    assert re.search(rf"({name}) [12] of 3 runs, 0 violations", seen)
     if more[:1] != ["-n"]:
         monkeypatch.setattr(progress, "make_progress", lambda *_: None)
         plain, _ = in_terminal(slow, *arguments)
