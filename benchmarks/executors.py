@@ -141,7 +141,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--select", default="*")
+    parser.add_argument("--select", default="intersection/[!s]*")
     parser.add_argument("--sessions", type=int, metavar="PAIRS")
     options = parser.parse_args()
     if options.sessions:
