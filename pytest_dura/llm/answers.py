@@ -202,10 +202,10 @@ def _value_type(schema: Mapping[str, Any]) -> Any:
         return _object_type(schema)
     if schema["type"] == "string":
         return Annotated[str, Field(max_length=schema["maxLength"])]
-    bounds = Field(ge=schema.get("minimum"), le=schema.get("maximum"), allow_inf_nan=False)
+    bounds = Field(ge=schema.get("minimum"), le=schema.get("maximum"))
     if schema["type"] == "integer":
         return Annotated[int, bounds, BeforeValidator(_whole)]
-    return Annotated[float, bounds]
+    return Annotated[float, bounds, Field(allow_inf_nan=False)]
 
 
 def _whole(value: Any) -> Any:
