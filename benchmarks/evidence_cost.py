@@ -120,9 +120,7 @@ def size(directory: Path, pattern: str) -> tuple[int, int]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--select", default="intersection/[!s]*", help="cases, as for --dura-select"
-    )
+    parser.add_argument("--select", default="*", help="cases, as for --dura-select")
     parser.add_argument("--runs", help="runs per case, as for --dura-runs")
     parser.add_argument("--levels", nargs="+", default=LEVELS, choices=LEVELS)
     given = parser.parse_args()

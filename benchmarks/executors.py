@@ -14,7 +14,6 @@ With ``--sessions``, whole sessions of pytest in pairs, in turns first: in one p
 from __future__ import annotations
 
 import argparse
-import fnmatch
 import json
 import logging
 import os
@@ -39,8 +38,7 @@ def tasks(runs: int, select: str) -> list[EpisodeTask]:
     """The episodes."""
     library = load_library([])
     bench = Runner(lambda: library)
-    scenarios = [one for name, one in library.scenarios.items() if fnmatch.fnmatch(name, select)]
-    cases = expand_cases(scenarios, read=library.faults)
+    cases = expand_cases(library.scenarios, select=[select], read=library.faults)
     return [bench.task(case, run) for case in cases for run in range(runs)]
 
 
@@ -141,7 +139,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--select", default="intersection/[!s]*")
+    parser.add_argument("--select", default="*")
     parser.add_argument("--sessions", type=int, metavar="PAIRS")
     options = parser.parse_args()
     if options.sessions:

@@ -51,6 +51,13 @@ def may_match_scenario(scenario: str, globs: Sequence[str]) -> bool:
     return any(fnmatchcase(scenario, re.split(r"[+~]", glob, maxsplit=1)[0]) for glob in globs)
 
 
+def _is_run(scenario: Scenario, globs: Sequence[str]) -> bool:
+    """Whether a scenario is run; one on request where a glob names it, by parts of its name."""
+    depth = scenario.name.count("/")
+    deep = [glob for glob in globs if glob.count("/") >= depth]
+    return not scenario.on_request or may_match_scenario(scenario.name, deep)
+
+
 def select_cases(cases: list[Case], globs: Sequence[str]) -> list[Case]:
     """Select the cases whose id or scenario any of the globs matches; all without a glob.
 
@@ -350,8 +357,8 @@ def expand_cases(
         ConfigurationError: For an unknown fault, and for a glob that matches nothing.
     """
     chosen = list(scenarios.values() if isinstance(scenarios, Mapping) else scenarios)
-    if isinstance(scenarios, Mapping) and not select:
-        chosen = [each for each in chosen if not each.on_request]
+    if isinstance(scenarios, Mapping):
+        chosen = [each for each in chosen if _is_run(each, select)]
     if faults is not None and select:
         # The given faults need to fit the selected scenarios only.
         chosen = [each for each in chosen if may_match_scenario(each.name, select)] or chosen

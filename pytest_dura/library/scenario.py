@@ -190,7 +190,8 @@ class Scenario(Entry):
     domain: str | None = Field(default=None, min_length=1)
     """The domain: a registered name, or `package.module:NAME`; default: the simulator's."""
     on_request: bool = False
-    """Whether it is run only where `--dura-select` or an argument names it."""
+    """Whether it is run only where `--dura-select` or an argument names it, whose `*` stands for
+    no `/` of its name."""
     seed: int | None = Field(default=None, ge=0, lt=2**53)
     """Seed of the first run, from which those of further runs follow; by default all follow from
     the session's seed. A counterexample that was found keeps its seed here."""

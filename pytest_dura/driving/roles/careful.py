@@ -21,7 +21,7 @@ from pytest_dura.driving.scene import Scene
 
 REACTION = 0.75
 """s from when a risk can be perceived to the beginning of braking: UN R157."""
-BRAKING = 0.774 * 9.81
+BRAKING = 7.59294
 """m/s2 that the driver brakes with: 0.774 g, UN R157."""
 _HORIZON = 4.0
 """s; a stop from the limit of 10 m/s takes the reaction, 1.3 s of braking and its build-up."""

@@ -212,7 +212,10 @@ def test_a_scenario_on_request_is_run_where_a_glob_names_it_and_by_no_default() 
     assert {name for name, one in scenarios.items() if one.on_request} == {
         name for name in scenarios if name.startswith(request)
     }
-    assert not any(case.id.startswith(request) for case in expand_cases(scenarios))
+    for globs in ([], ["*"], ["intersection/*"], ["*ghost*", "intersection/n*"]):
+        cases = expand_cases(scenarios, select=globs)
+        assert cases
+        assert not any(case.id.startswith(request) for case in cases)
     chosen = expand_cases(scenarios, select=[f"{request}*"])
     assert len(chosen) == 5
     (alone,) = expand_cases([scenarios[chosen[0].id]])
