@@ -291,7 +291,7 @@ class Runner:
         """The spec of a run, drawn once for all requirements that look at it."""
         parts = (*self.roles.values(), self.simulator)
         instances = [id(part.instance) for part in parts if part is not None]  # equal, not the same
-        given = case, parts, self.roles, self.end_when_decided, self.time_budget, instances
+        given = case, self.roles, self.simulator, self.end_when_decided, self.time_budget, instances
         key = case.id, run, seed
         known = self._specs.pop(key, None)
         if known is None or known[0] != given:
