@@ -65,8 +65,8 @@ def watch(clock: Clock) -> None:
     """Let the clock run in everything that makes evidence."""
     from pytest_dura.core.log import EpisodeLog
     from pytest_dura.evidence import bundle
-    from pytest_dura.plugin.evidence import SessionEvidence
-    from pytest_dura.plugin.recorder import ItemRecorder, TraceKeeper
+    from pytest_dura.plugin.session.evidence import SessionEvidence
+    from pytest_dura.plugin.session.recorder import ItemRecorder, TraceKeeper
 
     clock.runs_in(EpisodeLog, "_recording", "recording")
     for name in ("episode_used", "verdict_reached", "monitors_measured", "faults_traced", "attach"):

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from pytest_dura.core.episode import Episode
     from pytest_dura.core.role_spec import RoleSpec
     from pytest_dura.library.cases import Case
-    from pytest_dura.plugin.markers import Target
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.items.markers import Target
+    from pytest_dura.plugin.session.session import DuraSession
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
 
 
@@ -159,7 +159,7 @@ def dura_episode(
 def marked_episode(request: pytest.FixtureRequest, orchestrator: Runner) -> JudgedEpisode:
     """Run the episode that the marker of a test names."""
     from pytest_dura.core.errors import ConfigurationError
-    from pytest_dura.plugin.observed_episode import ObservedEpisode
+    from pytest_dura.plugin.items.observed_episode import ObservedEpisode
 
     target = _target(request)
     try:

@@ -16,8 +16,7 @@ import pytest
 from pytest_dura.core.boundary import EXIT_CODE, end_process, lasting_guard
 from pytest_dura.core.collector import MAX_KEPT_OBJECTS, make_old, rare_collections, set_aside
 from pytest_dura.core.errors import DuraError
-from pytest_dura.plugin.items import ScenarioItem, note_repetitions, scenario_items
-from pytest_dura.plugin.markers import (
+from pytest_dura.plugin.items.markers import (
     RefusedMarkerError,
     check_markers,
     check_parameter_sets,
@@ -27,6 +26,8 @@ from pytest_dura.plugin.markers import (
     run_marked_search,
     unread_marker,
 )
+from pytest_dura.plugin.items.property_tests import explained_fixtures, register_profile
+from pytest_dura.plugin.items.scenario_items import ScenarioItem, note_repetitions, scenario_items
 from pytest_dura.plugin.messages import (
     apply_code_places,
     escape_error,
@@ -36,8 +37,7 @@ from pytest_dura.plugin.messages import (
     redact_report,
 )
 from pytest_dura.plugin.options import LONG_NAMES, SET_ASIDE, WAITING, send_options
-from pytest_dura.plugin.property_tests import explained_fixtures, register_profile
-from pytest_dura.plugin.session import session_of
+from pytest_dura.plugin.session.session import session_of
 
 if TYPE_CHECKING:
     import warnings
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from xdist.scheduler import LoadScheduling
     from xdist.workermanage import WorkerController
 
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.session.session import DuraSession
 
 HOOKS = "dura-session"
 """Name under which pytest knows the hooks."""
@@ -67,7 +67,7 @@ def run_command(config: pytest.Config) -> int | None:
     session = prepare(config)
     if not session.options.is_command:
         return None
-    from pytest_dura.plugin import commands
+    from pytest_dura.plugin.commands import command_line as commands
 
     return commands.run_command(session)
 
@@ -177,7 +177,7 @@ class SessionHooks:
 
     def pytest_report_header(self) -> list[str]:
         """Name the component under test."""
-        from pytest_dura.plugin.terminal import header
+        from pytest_dura.plugin.session.terminal import header
 
         session = self.session
         if not session.active:
@@ -255,7 +255,7 @@ class SessionHooks:
         own_items = list(filter(uses_runner, items))
         if not own_items:
             return
-        from pytest_dura.plugin.item_reports import is_used, mark_item
+        from pytest_dura.plugin.session.item_reports import is_used, mark_item
 
         if is_used(self.session.config):
             for item in own_items:
@@ -269,7 +269,7 @@ class SessionHooks:
             self.session.selection.select(own_items)
         note_repetitions(own_items)
         if self.session.is_worker and own_items:
-            from pytest_dura.plugin.xdist import note_subjects
+            from pytest_dura.plugin.session.xdist import note_subjects
 
             note_subjects(session.config, session.items)
         node_ids = [item.nodeid for item in own_items]
@@ -277,7 +277,7 @@ class SessionHooks:
         if node_ids:
             self._begin_guard()
         if self.has_own_items and session.config.getoption("allure_report_dir", None):
-            from pytest_dura.plugin.item_reports import redact_results
+            from pytest_dura.plugin.session.item_reports import redact_results
 
             redact_results(session.config, self.session.redact)
         # The record of an earlier session must not be taken for that of this one, whatever it runs.
@@ -302,7 +302,7 @@ class SessionHooks:
             lines = self.session.executor.chosen(verbose=verbose)
         if not self.session.unused:
             return lines
-        from pytest_dura.plugin.terminal import unused_requirements
+        from pytest_dura.plugin.session.terminal import unused_requirements
 
         return lines + unused_requirements(self.session)
 
@@ -496,7 +496,7 @@ class SessionHooks:
         """Show cases, verdicts and failures."""
         evidence = self.session.evidence
         if evidence.final is not None:
-            from pytest_dura.plugin.terminal import summary
+            from pytest_dura.plugin.session.terminal import summary
 
             summary(
                 self.session,
@@ -511,7 +511,7 @@ class SessionHooks:
     @pytest.hookimpl(optionalhook=True)
     def pytest_configure_node(self, node: WorkerController) -> None:
         """Send a worker what it needs: it writes the traces of its episodes itself."""
-        from pytest_dura.plugin.xdist import send_folder
+        from pytest_dura.plugin.session.xdist import send_folder
 
         send_options(self.session.options, node.workerinput)
         send_folder(self.session.shared.worker_folder, node.workerinput)
@@ -531,7 +531,7 @@ class SessionHooks:
         self, config: pytest.Config, log: Producer
     ) -> LoadScheduling | None:
         """Schedule by scenarios, so that workers share no episodes."""
-        from pytest_dura.plugin.xdist import ScenarioScheduling, schedules_scenarios
+        from pytest_dura.plugin.session.xdist import ScenarioScheduling, schedules_scenarios
 
         if not schedules_scenarios(config):
             return None

@@ -14,7 +14,7 @@ from prompt_views import GOLDEN, golden
 from pytest_dura.domains import DOMAINS
 from pytest_dura.evidence import schema as record
 from pytest_dura.library import domain_reference, fault_reference, hazards, read_yaml, scenario
-from pytest_dura.plugin import option_reference
+from pytest_dura.plugin.commands import option_reference
 
 REPOSITORY = Path(__file__).parents[2]
 DOCS, SCENARIOS = REPOSITORY / "docs", REPOSITORY / "scenarios"
@@ -72,7 +72,7 @@ def prompts():
 
 
 GENERATED = {
-    options: "python -m pytest_dura.plugin.option_reference",
+    options: "python -m pytest_dura.plugin.commands.option_reference",
     faults: "python -m pytest_dura.library.fault_reference",
     domains: "python -m pytest_dura.library.domain_reference",
     keys_of_a_record: "python -m pytest_dura.evidence.schema",

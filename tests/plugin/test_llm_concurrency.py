@@ -17,7 +17,7 @@ from test_llm_planner_sessions import answers, brief, named, scripted_server
 from pytest_dura.evidence import SessionRecord, read_trace, verify_bundle
 from pytest_dura.evidence.verify import conclusion_problems
 from pytest_dura.llm import session as sessions
-from pytest_dura.plugin import progress
+from pytest_dura.plugin.session import progress
 
 __all__ = ["cut_off", "named", "scripted_server", "server", "talking"]
 

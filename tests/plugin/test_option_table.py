@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from pytest_dura.execution import address_of
-from pytest_dura.plugin.option_reference import reference_page
+from pytest_dura.plugin.commands.option_reference import reference_page
 from pytest_dura.plugin.option_values import whole_number
 from pytest_dura.plugin.options import Option, Options, option_rows, send_options
-from pytest_dura.plugin.session import session_of
+from pytest_dura.plugin.session.session import session_of
 
 FLAGS = [row for row in option_rows() if row.flag is not None]
 BESIDE = {

@@ -15,7 +15,7 @@ import pytest
 from forked_workers import AVAILABLE
 from terminals import Terminal
 
-from pytest_dura.plugin import progress
+from pytest_dura.plugin.session import progress
 
 SLOW = """
 import os, time
@@ -24,7 +24,7 @@ import corridor
 
 def pytest_configure(config):
     if hasattr(config, "workerinput"):
-        from pytest_dura.plugin import progress
+        from pytest_dura.plugin.session import progress
         progress.REFRESH = 0.005
 
 reset = corridor.Corridor.reset

@@ -15,7 +15,7 @@ from outputs import output
 
 from pytest_dura.evidence import DirectoryLock, open_record
 from pytest_dura.evidence.bundle import default_files, rendered_files
-from pytest_dura.plugin.recorder import MOST_PENDING
+from pytest_dura.plugin.session.recorder import MOST_PENDING
 
 WAIT = 60.0
 """Seconds that a session may take to get going on a busy machine."""

@@ -40,7 +40,7 @@ from pytest_dura.evidence import (
 )
 from pytest_dura.evidence.bundle import FORMATS, default_files
 from pytest_dura.plugin.options import Options
-from pytest_dura.plugin.terminal import summary
+from pytest_dura.plugin.session.terminal import summary
 from pytest_dura.reports.cards import cards_of
 
 # What a terminal, an editor or a reader might act on instead of showing it.

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pytest_dura.plugin.xdist import MAX_DEATHS, ScenarioScheduling
+from pytest_dura.plugin.session.xdist import MAX_DEATHS, ScenarioScheduling
 
 SUBJECTS = st.none() | st.tuples(st.sampled_from("abcd"), st.sampled_from(["", "+f", "#1"])).map(
     lambda pair: (pair[0], "".join(pair))

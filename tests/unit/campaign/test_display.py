@@ -15,7 +15,7 @@ from session_records import session_record
 
 import pytest_dura
 from pytest_dura.core.display import LONGEST_REPR, Shown, short_repr, table_html
-from pytest_dura.plugin.observed_episode import ObservedEpisode, observations_of
+from pytest_dura.plugin.items.observed_episode import ObservedEpisode, observations_of
 
 HOSTILE = "<script>alert('x')</script>\"&\x1b[31m\n\u202e\udc80" + "long " * 300
 

@@ -7,8 +7,14 @@ from types import SimpleNamespace
 import pytest
 
 from pytest_dura.campaign import Progress
-from pytest_dura.plugin import progress
-from pytest_dura.plugin.progress import ProgressDisplay, ProgressWords, columns, duration, fitting
+from pytest_dura.plugin.session import progress
+from pytest_dura.plugin.session.progress import (
+    ProgressDisplay,
+    ProgressWords,
+    columns,
+    duration,
+    fitting,
+)
 
 PROGRESS = Progress(
     "intersection/congested", "SAF-2", 120, 400, True, violations=1, upper=0.046, confidence=0.95

@@ -17,22 +17,27 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError, did_you_mean
 from pytest_dura.plugin.context import Planned, SessionContext
-from pytest_dura.plugin.episodes import FormulaEngines, Repeats, SessionExecutor, SharedEpisodes
 from pytest_dura.plugin.event_hook import EventHook
-from pytest_dura.plugin.evidence import SessionEvidence
-from pytest_dura.plugin.items import Selection, ShardHooks
-from pytest_dura.plugin.language_models import LanguageModels
+from pytest_dura.plugin.items.outcomes import Decided, ItemJudged, item_results
+from pytest_dura.plugin.items.property_tests import PropertyTests
+from pytest_dura.plugin.items.scenario_items import Selection, ShardHooks
 from pytest_dura.plugin.messages import usage_errors
 from pytest_dura.plugin.options import Options, possible_items
-from pytest_dura.plugin.outcomes import Decided, ItemJudged, item_results
-from pytest_dura.plugin.property_tests import PropertyTests
-from pytest_dura.plugin.recorder import ItemRecorder
-from pytest_dura.plugin.roles import SessionRoles
+from pytest_dura.plugin.session.episodes import (
+    FormulaEngines,
+    Repeats,
+    SessionExecutor,
+    SharedEpisodes,
+)
+from pytest_dura.plugin.session.evidence import SessionEvidence
+from pytest_dura.plugin.session.language_models import LanguageModels
+from pytest_dura.plugin.session.recorder import ItemRecorder
+from pytest_dura.plugin.session.roles import SessionRoles
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream
     from pytest_dura.campaign.runner import Runner
-    from pytest_dura.plugin.progress import ProgressDisplay, WorkerProgress
+    from pytest_dura.plugin.session.progress import ProgressDisplay, WorkerProgress
 
 
 Chosen = tuple[str, str]
@@ -235,7 +240,7 @@ class DuraSession(SessionContext):
     @cached_property
     def progress(self) -> WorkerProgress | ProgressDisplay | None:
         """What follows the progress of this process; ``None`` where nothing shows it."""
-        from pytest_dura.plugin.progress import make_progress
+        from pytest_dura.plugin.session.progress import make_progress
 
         return make_progress(self.config, self.options.progress_interval, self.models.requests)
 
@@ -243,7 +248,7 @@ class DuraSession(SessionContext):
     def runner(self) -> Runner:
         """Runner of episodes. Its roles follow the fixtures that the current item sees."""
         from pytest_dura.campaign.runner import Runner
-        from pytest_dura.plugin.property_tests import counterexample_store
+        from pytest_dura.plugin.items.property_tests import counterexample_store
         from pytest_dura.search import falsify_case
 
         return Runner(
@@ -273,7 +278,7 @@ class DuraSession(SessionContext):
             Progress,
             SearchedEpisodeUsed,
         )
-        from pytest_dura.plugin import attempt_reports, item_reports
+        from pytest_dura.plugin.session import attempt_reports, item_reports
 
         events = EventStream()
         self.recorder.subscribe(events)

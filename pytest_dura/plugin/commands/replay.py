@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.messages import print_lines, sibling_directory
-from pytest_dura.plugin.roles import defined_in_conftest
+from pytest_dura.plugin.session.roles import defined_in_conftest
 
 if TYPE_CHECKING:
     import pytest
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.evidence.traces import Trace
     from pytest_dura.plugin.options import Options
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.session.session import DuraSession
     from pytest_dura.reports.html.twins import Twin
     from pytest_dura.requirements.model import Requirement
 

@@ -10,7 +10,7 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.core.trust import source_of
 from pytest_dura.evidence.files import InputFiles, InputKind
 from pytest_dura.plugin.options import Options
-from pytest_dura.plugin.roles import conftest_files
+from pytest_dura.plugin.session.roles import conftest_files
 from pytest_dura.provenance import MAX_LISTED_FILES, imported_files, is_installed
 
 if TYPE_CHECKING:

@@ -20,9 +20,9 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.plugin.context import rerun_command
-from pytest_dura.plugin.markers import decides_nothing, marked_requirements
+from pytest_dura.plugin.items.markers import decides_nothing, marked_requirements
+from pytest_dura.plugin.items.outcomes import marked_target, target_of
 from pytest_dura.plugin.options import option_rows
-from pytest_dura.plugin.outcomes import marked_target, target_of
 
 if TYPE_CHECKING:
     import pluggy

@@ -1,4 +1,7 @@
-"""Reference page of the options; ``python -m pytest_dura.plugin.option_reference`` writes it."""
+"""Reference page of options.
+
+``python -m pytest_dura.plugin.commands.option_reference`` writes it.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from typing import Any
 from pytest_dura.plugin.options import Option, option_rows
 
 PAGE = "options.md"
+COMMAND = "pytest_dura.plugin.commands.option_reference"
 
 
 def reference_page() -> str:
@@ -19,7 +23,7 @@ def reference_page() -> str:
     lines = [
         "# Options",
         "",
-        "<!-- Written by `python -m pytest_dura.plugin.option_reference`; do not edit. -->",
+        f"<!-- Written by `python -m {COMMAND}`; do not edit. -->",
         "",
         "## Command line",
         "",
@@ -92,4 +96,4 @@ def _table(names: tuple[str, ...], rows: Iterable[Iterable[str]]) -> Iterator[st
 
 
 if __name__ == "__main__":
-    write_page(Path(__file__).resolve().parents[2] / "docs" / PAGE)
+    write_page(Path(__file__).resolve().parents[3] / "docs" / PAGE)

@@ -16,15 +16,20 @@ import pytest
 
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.text import counted
+from pytest_dura.plugin.commands.replay import (
+    RecordedEpisode,
+    damage_as_error,
+    recorded_episodes,
+    replay,
+)
 from pytest_dura.plugin.context import replay_command
 from pytest_dura.plugin.messages import print_lines, sibling_directory, usage_errors
-from pytest_dura.plugin.replay import RecordedEpisode, damage_as_error, recorded_episodes, replay
 
 if TYPE_CHECKING:
     from pytest_dura.core.registry import Registry
     from pytest_dura.domains import Domain
     from pytest_dura.evidence.model import SessionRecord
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.session.session import DuraSession
     from pytest_dura.search.shrinking import Reduction
 
 
@@ -63,7 +68,7 @@ def _fault_line(name: str) -> str:
 
 def _show_list(session: DuraSession) -> int:
     from pytest_dura.faults.catalogue import FAULT_TYPES
-    from pytest_dura.plugin.request_counts import request_lines
+    from pytest_dura.plugin.commands.request_counts import request_lines
     from pytest_dura.requirements.model import describe_check
 
     library, options = session.library(), session.options

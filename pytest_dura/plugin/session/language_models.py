@@ -14,7 +14,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pytest_dura.plugin.roles import root_conftest_with
+from pytest_dura.plugin.session.roles import root_conftest_with
 
 if TYPE_CHECKING:
     from pytest_dura.core.episode import EpisodeSpec
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from pytest_dura.llm.session import ModelSession
     from pytest_dura.llm.usage import Meter
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.inputs import SessionInputs
-    from pytest_dura.plugin.roles import SessionRoles
+    from pytest_dura.plugin.session.inputs import SessionInputs
+    from pytest_dura.plugin.session.roles import SessionRoles
 
 
 JsonObject = dict[str, Any]

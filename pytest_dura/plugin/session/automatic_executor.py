@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pytest_dura.evidence.text import counted
-from pytest_dura.plugin.items import ScenarioItem
+from pytest_dura.plugin.items.scenario_items import ScenarioItem
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pytest_dura.evidence.text import one_line
-from pytest_dura.plugin.outcomes import ItemJudged
+from pytest_dura.plugin.items.outcomes import ItemJudged
 
 if TYPE_CHECKING:
     from pytest_dura.campaign.events import EventStream

@@ -13,10 +13,8 @@ import pytest
 
 from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.context import replay_command
-from pytest_dura.plugin.items import RECORDED_AS
-from pytest_dura.plugin.markers import marked_requirements
-from pytest_dura.plugin.messages import failure_text, printed
-from pytest_dura.plugin.outcomes import (
+from pytest_dura.plugin.items.markers import marked_requirements
+from pytest_dura.plugin.items.outcomes import (
     Decided,
     ItemResult,
     UsedEpisodes,
@@ -29,7 +27,9 @@ from pytest_dura.plugin.outcomes import (
     status_of_test,
     without_verdict,
 )
-from pytest_dura.plugin.trace_keeper import TraceKeeper
+from pytest_dura.plugin.items.scenario_items import RECORDED_AS
+from pytest_dura.plugin.messages import failure_text, printed
+from pytest_dura.plugin.session.trace_keeper import TraceKeeper
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from pytest_dura.execution.memory import EpisodeKey
     from pytest_dura.library.cases import Case
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
-    from pytest_dura.plugin.language_models import LanguageModels
+    from pytest_dura.plugin.session.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.session.language_models import LanguageModels
     from pytest_dura.requirements.episode_verdicts import JudgedEpisode
     from pytest_dura.requirements.model import Requirement
 
@@ -302,7 +302,7 @@ class ItemRecorder:
         """End the observation of the episode: what is read from now on is not the test."""
         episode = episode_of(item)
         if episode is not None:
-            from pytest_dura.plugin.observed_episode import observations_of
+            from pytest_dura.plugin.items.observed_episode import observations_of
 
             observations_of(episode).end()
 

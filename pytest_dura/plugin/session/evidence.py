@@ -21,8 +21,8 @@ from pytest_dura.core.boundary import HeldInterruptions
 from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.gate import Gate, verdict_objections
 from pytest_dura.plugin.messages import error_text
-from pytest_dura.plugin.recorder import REPORT_ATTRIBUTE, case_plan
-from pytest_dura.plugin.roles import root_conftest_with
+from pytest_dura.plugin.session.recorder import REPORT_ATTRIBUTE, case_plan
+from pytest_dura.plugin.session.roles import root_conftest_with
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.lines import Line
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
-    from pytest_dura.plugin.inputs import SessionInputs
-    from pytest_dura.plugin.items import Selection, ShardHooks
-    from pytest_dura.plugin.language_models import LanguageModels
-    from pytest_dura.plugin.property_tests import PropertyTests
-    from pytest_dura.plugin.roles import SessionRoles
+    from pytest_dura.plugin.items.property_tests import PropertyTests
+    from pytest_dura.plugin.items.scenario_items import Selection, ShardHooks
+    from pytest_dura.plugin.session.episodes import FormulaEngines, SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.session.inputs import SessionInputs
+    from pytest_dura.plugin.session.language_models import LanguageModels
+    from pytest_dura.plugin.session.roles import SessionRoles
 
 
 _REGULAR_EXIT_CODES = (
@@ -226,8 +226,8 @@ class SessionEvidence:
         from pytest_dura.evidence.files import DirectoryLock
         from pytest_dura.evidence.gather import RecordBuilder
         from pytest_dura.evidence.looks import earlier_looks
-        from pytest_dura.plugin.inputs import files_of_roles
-        from pytest_dura.plugin.items import compared_options
+        from pytest_dura.plugin.items.scenario_items import compared_options
+        from pytest_dura.plugin.session.inputs import files_of_roles
         from pytest_dura.provenance import describe_environment, describe_tool
 
         options = self.context.options
@@ -533,7 +533,7 @@ class SessionEvidence:
     def _sources(self) -> SessionInputs:
         """Return the files that the session is run from, as far as known by now."""
         if self._inputs is None:
-            from pytest_dura.plugin.inputs import SessionInputs
+            from pytest_dura.plugin.session.inputs import SessionInputs
 
             self._inputs = SessionInputs(self.context, self.given.baseline)
             self._inputs.begin()

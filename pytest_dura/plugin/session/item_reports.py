@@ -27,8 +27,8 @@ from pytest_dura.core.errors import ConfigurationError
 from pytest_dura.evidence.junit import junit_name
 from pytest_dura.evidence.text import markdown, name, one_line, visible
 from pytest_dura.plugin.context import draws_reason, replay_command, rerun_command
-from pytest_dura.plugin.markers import marked_requirements
-from pytest_dura.plugin.outcomes import (
+from pytest_dura.plugin.items.markers import marked_requirements
+from pytest_dura.plugin.items.outcomes import (
     ItemJudged,
     ItemResult,
     episode_of,
@@ -242,7 +242,7 @@ def _verdict_of(event: ItemJudged, result: ItemResult) -> ItemVerdict | None:
     """Make the verdict of an item as the record has it, of what the item knows."""
     from pytest_dura.evidence.conclusions.verdicts import assertion_summary, item_verdict
     from pytest_dura.evidence.item_verdicts import Waiver
-    from pytest_dura.plugin.evidence import waiver_of
+    from pytest_dura.plugin.session.evidence import waiver_of
     from pytest_dura.requirements.campaign_judge import judge_campaign
 
     verdict, judged = result.verdict, result.judged

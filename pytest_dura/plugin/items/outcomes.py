@@ -14,7 +14,7 @@ import pytest
 
 from pytest_dura.core.codec import decode, encode
 from pytest_dura.core.errors import ConfigurationError
-from pytest_dura.plugin.markers import Target, decides_nothing, marked_requirements
+from pytest_dura.plugin.items.markers import Target, decides_nothing, marked_requirements
 from pytest_dura.plugin.options import LONG_NAMES
 
 if TYPE_CHECKING:
@@ -325,7 +325,7 @@ def outcome_of_test(
         error: What the test raised, if anything.
         failed: Which of its own assertions failed, of :func:`failed_assertion`; empty if none did.
     """
-    from pytest_dura.plugin.observed_episode import observations_of
+    from pytest_dura.plugin.items.observed_episode import observations_of
     from pytest_dura.requirements.episode_verdicts import (
         EARLY_ENDS,
         CheckVerdict,
@@ -548,7 +548,7 @@ def _check_decided_by_own(
 
 def _check_looked(context: SessionContext, item: pytest.Function, episode: JudgedEpisode) -> None:
     """Fail a test that read nothing of its episode, and so decides nothing by assertions."""
-    from pytest_dura.plugin.observed_episode import observations_of
+    from pytest_dura.plugin.items.observed_episode import observations_of
 
     alone = [
         requirement.id

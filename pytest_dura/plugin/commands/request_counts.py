@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pytest_dura.library.cases import Case
     from pytest_dura.llm.port import Answer, Repeats, Request
     from pytest_dura.llm.settings import Settings
-    from pytest_dura.plugin.session import DuraSession
+    from pytest_dura.plugin.session.session import DuraSession
 
 _MODULES = frozenset({"pytest_dura.llm.planner", "pytest_dura.llm.session"})
 

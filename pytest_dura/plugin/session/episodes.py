@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.evidence.text import counted
 from pytest_dura.plugin.context import LIVE_MODEL, draws_reason
-from pytest_dura.plugin.outcomes import target_of
+from pytest_dura.plugin.items.outcomes import target_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, MutableMapping, Sequence
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from pytest_dura.execution.store import EpisodeStore
     from pytest_dura.execution.task import EpisodeTask
     from pytest_dura.plugin.context import Planned, SessionContext
-    from pytest_dura.plugin.language_models import LanguageModels
+    from pytest_dura.plugin.session.language_models import LanguageModels
     from pytest_dura.requirements.second_engine import SecondEngine
 
 
@@ -130,7 +130,7 @@ class SessionExecutor:
         """
         if not self._automatic or self._chosen is not None:
             return
-        from pytest_dura.plugin.automatic_executor import choose_for_items
+        from pytest_dura.plugin.session.automatic_executor import choose_for_items
 
         choice = choose_for_items(context, items)
         self._chosen, self._is_notable = choice.reason, choice.is_notable

@@ -92,7 +92,7 @@ def explained_fixtures(item: pytest.Item) -> Iterator[None]:
     except Exception as error:
         if type(error).__name__ != "FailedHealthCheck":
             raise
-        from pytest_dura.plugin.outcomes import episode_fixtures_of
+        from pytest_dura.plugin.items.outcomes import episode_fixtures_of
 
         names = [
             name
@@ -235,7 +235,7 @@ class PropertyTests:
 
     def _violated(self, item: pytest.Item, case: SearchedCase) -> Objective | None:
         """Return what a case violates of the test's markers, else of the scenario's own."""
-        from pytest_dura.plugin.markers import marked_requirements
+        from pytest_dura.plugin.items.markers import marked_requirements
         from pytest_dura.search.trials import Objective
 
         runner = self.context.runner

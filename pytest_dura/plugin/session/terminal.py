@@ -11,7 +11,7 @@ from pytest_dura.evidence.objections import other_objections
 from pytest_dura.evidence.text import counted
 from pytest_dura.plugin.context import replay_command, rerun_command
 from pytest_dura.plugin.messages import SafeTerminal, safe_lines, typed_path
-from pytest_dura.plugin.roles import (
+from pytest_dura.plugin.session.roles import (
     none_in_root_conftest,
     overrides_deeper_down,
     root_conftest_with,
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from pytest_dura.evidence.baseline import Baseline
     from pytest_dura.evidence.model import SessionRecord
     from pytest_dura.plugin.context import SessionContext
-    from pytest_dura.plugin.episodes import SessionExecutor, SharedEpisodes
-    from pytest_dura.plugin.language_models import LanguageModels
-    from pytest_dura.plugin.roles import SessionRoles
+    from pytest_dura.plugin.session.episodes import SessionExecutor, SharedEpisodes
+    from pytest_dura.plugin.session.language_models import LanguageModels
+    from pytest_dura.plugin.session.roles import SessionRoles
     from pytest_dura.reports.document import Entry
 
 
@@ -83,7 +83,7 @@ def header(
     lines += [f"dura: {role} is OFF: {where}" for role, where in _switched_off(context)]
     lines += executor.header()
     if context.runs_scenarios_alone and config.pluginmanager.hasplugin("dsession"):
-        from pytest_dura.plugin.xdist import idle_workers
+        from pytest_dura.plugin.session.xdist import idle_workers
 
         lines += idle_workers(context)
     lines += [f"dura: {line}" for line in shared.lines]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from xdist.scheduler import LoadScheduling
 
 from pytest_dura.evidence.text import counted
-from pytest_dura.plugin.outcomes import marked_target, target_of
+from pytest_dura.plugin.items.outcomes import marked_target, target_of
 
 if TYPE_CHECKING:
     import pytest

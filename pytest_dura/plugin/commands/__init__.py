@@ -1,0 +1,1 @@
+"""What is asked of pytest instead of a session, or printed by a command."""

@@ -1,0 +1,1 @@
+"""What a session has once: its evidence, inputs, workers, progress and terminal."""
