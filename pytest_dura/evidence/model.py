@@ -72,6 +72,8 @@ class ConcludedTable:
     """The first one names the row."""
     rows: tuple[tuple[CellValue, ...], ...]
     """A value for each column; null where there is none."""
+    detail: bool = False
+    """Whether the terminal shows it with ``-v`` alone."""
 
 
 class Totals(Entry):

@@ -54,6 +54,7 @@ class Capabilities:
         tokens: The field in which it takes the longest answer.
         temperature: Whether it takes a temperature of 0.
         extra_body: Further fields of each request's body, as the environment has them.
+        characters_per_token: Of its prompts, where the server counts tokens.
     """
 
     model: str
@@ -69,6 +70,7 @@ class Capabilities:
     tokens: TokensField = "max_tokens"
     temperature: bool = True
     extra_body: Mapping[str, Any] = NOTHING
+    characters_per_token: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -274,6 +276,8 @@ class ProbeCalls:
         self.attempts = 0
         self.dialect = Dialect()
         self.fingerprints: set[str] = set()
+        self._counted: dict[int, int] = {}
+        """Tokens of a prompt by its number of characters."""
 
     def ask(self, request: Request) -> Answer:
         """The answer to a request, made in the server's dialect as far as that is known.
@@ -306,7 +310,20 @@ class ProbeCalls:
         answer = self._port.ask(request, self._budget, repeats=repeats)
         if answer.fingerprint:
             self.fingerprints.add(answer.fingerprint)
+        tokens = answer.usage.get("prompt_tokens")
+        if tokens is not None and not any(message.images for message in request.messages):
+            self._counted.setdefault(sum(len(each.text) for each in request.messages), tokens)
         return answer
+
+    @property
+    def characters_per_token(self) -> float | None:
+        """Characters of a prompt for each token of it; ``None`` where the server counts none.
+
+        From the longest and the shortest prompt, since each has the tokens of a chat's frame, too.
+        """
+        least, most = min(self._counted, default=0), max(self._counted, default=0)
+        tokens = self._counted.get(most, 0) - self._counted.get(least, 0)
+        return round((most - least) / tokens, 3) if tokens > 0 else None
 
     def first(self, request: Request) -> Answer:
         """The first answer, to the request in the dialect of the server.
@@ -386,7 +403,16 @@ SCHEMA: Mapping[str, Any] = {
     "additionalProperties": False,
 }
 """A schema that each server can enforce that enforces any; llama.cpp ignores bounds of numbers."""
-_VARIED = "Write twelve random words on one line, and nothing else."
+_SAMPLE = (
+    "The rows below are objects near a car: id, kind, distance in m, speed in m/s, and the time in"
+    " s until each of them is on the lane of the car. They are an example, and are of no importance"
+    " for what is asked of you here; read them, and then forget them again.\n"
+    "V1,car,12.4,ahead,11.9,-3.2,8.0,3.1,crossing,4.5,1.9\n"
+    "V2,truck,31.0,left,-2.6,30.9,6.5,-0.4,oncoming,8.2,2.5\n"
+    "P1,pedestrian,7.8,right,7.7,1.1,1.4,0.9,crossing,0.6,0.6\n"
+)
+"""A text of words and numbers, as a prompt is made of, of which the server counts the tokens."""
+_VARIED = f"{_SAMPLE}Write twelve random words on one line, and nothing else."
 _TEMPTING = (
     "Describe the sea in one sentence of plain prose. Do not write JSON, and no braces. Begin with"
     " the words: The sea"
@@ -442,6 +468,7 @@ def probe(
         tokens=calls.dialect.tokens,
         temperature=calls.dialect.temperature,
         extra_body=endpoint.extra_body,
+        characters_per_token=calls.characters_per_token,
     )
 
 

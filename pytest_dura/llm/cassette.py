@@ -323,6 +323,9 @@ class Exchange:
 class Cassette(CassetteFile):
     """Exchanges by key. The first exchange that is stored under a key stays.
 
+    A request that timed out is asked again where the budget is larger, and its answer takes the
+    place of the time-out.
+
     Texts and schemas are stored once each, by their SHA-256; of images there is the SHA-256 alone.
     Every text is kept as JSON in ASCII: models answer what no encoding takes, such as half a
     surrogate pair.
@@ -351,6 +354,9 @@ class Cassette(CassetteFile):
         with self.errors(), self.transaction() as execute:
             for text in sorted(texts.items()):
                 execute("INSERT OR IGNORE INTO texts VALUES (?, ?)", text)
+            before = self.find(exchange.key)
+            if before is not None and before.failure == "timeout":
+                execute("DELETE FROM exchanges WHERE key = ?", (exchange.key,))
             execute(
                 "INSERT OR IGNORE INTO exchanges (key, model, fingerprint, request, answer,"
                 " created) VALUES (?, ?, ?, ?, ?, ?)",

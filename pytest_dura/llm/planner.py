@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, ClassVar
 
 from pytest_dura.core.loop_signals import EXCHANGE
@@ -41,6 +43,7 @@ class Decision:
         exchange: Request and answer in words, see :func:`exchange_data`.
         claims: What it claims of objects, each with what the prompt shows of it; ``None`` where
             there is no answer.
+        copied: Whether it repeats the answer to another prompt, see :class:`Earlier`.
         judged: Answer of the judge, where it was asked.
         usage: Requests and tokens of the decision and of what was asked beside it.
     """
@@ -55,6 +58,7 @@ class Decision:
     claims: Sequence[Mapping[str, Any]] | None = None
     judged: Mapping[str, Any] = NOTHING
     usage: Mapping[str, int] = NOTHING
+    copied: bool = False
 
     @property
     def outcome(self) -> str:
@@ -79,7 +83,40 @@ class Decision:
             "beside": dict(self.beside),
             **({} if self.claims is None else {"claims": [dict(each) for each in self.claims]}),
             **({"judged": dict(self.judged)} if self.judged else {}),
+            **({"copied": True} if self.copied else {}),
         }
+
+
+_NAMES_AND_NUMBERS = re.compile(r"[A-Za-z]*\d+(?:\.\d+)?")
+_WORDING = ("observations", "reasoning", "threat_ids", "claims")
+"""Entries of an answer that say what the decision rests on."""
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """An answer to another prompt, that of an example or an earlier one of its own.
+
+    A decision copies it if it gives the same grounds to the letter, whose objects are all in the
+    other prompt, and an object or a number of these is not in its own prompt. Equal words for what
+    is equal in both situations are no copy.
+
+    Args:
+        content: Of the answer.
+        prompt: Text of the other prompt, without earlier decisions.
+    """
+
+    content: Mapping[str, Any]
+    prompt: str
+
+    def copied_by(self, content: Mapping[str, Any], prompt: str) -> bool:
+        """Whether the answer to a prompt copies it."""
+        if any(content.get(name) != self.content.get(name) for name in _WORDING):
+            return False
+        grounds = json.dumps([content.get(name) for name in _WORDING])
+        named = set(_NAMES_AND_NUMBERS.findall(grounds))
+        there, here = (set(_NAMES_AND_NUMBERS.findall(text)) for text in (self.prompt, prompt))
+        objects = {name for name in named if name[0].isalpha()}
+        return objects <= there and bool(named & (there - here))
 
 
 def _as_asked(account: Mapping[str, Any]) -> dict[str, Any]:
@@ -106,6 +143,8 @@ class LlmGenerator(Generator):
     """Intent and maneuver of the null component: always the same, whatever the prompt."""
     ATTACKS: ClassVar[int] = 1
     """Number of the attackers' texts that the domain has."""
+    PAST: ClassVar[str] = "HISTORY"
+    """Name of the prompt's block on earlier decisions."""
 
     def __init__(self, **params: Any) -> None:
         self.settings = Settings.of(params, self.MANEUVERS)
@@ -216,6 +255,7 @@ class LlmGenerator(Generator):
         self._latest: list[Decision] = []
         """Decisions that came into force at the last of these times."""
         self._pending: tuple[float, Decision] | None = None
+        self._earlier: list[Earlier] = []
         self._next = 0
         self._prompts = 0
 
@@ -262,6 +302,7 @@ class LlmGenerator(Generator):
         answer = self._ask(request, self._fingerprint, delivery)
         self._answers = [answer]
         reading = read_answer(answer, self.SCHEMA)
+        copied = self._is_copied(reading, prompt)
         beside: dict[str, dict[str, str]] = {}
         judged: dict[str, Any] = {}
         if self._prompts % self.settings.beside_every == 0:
@@ -270,10 +311,26 @@ class LlmGenerator(Generator):
         self._prompts += 1
         exchange = exchange_data(request, answer, self._session.scrub_text)
         claims = self._claims(reading, prompt)
+        if reading.answered:
+            self._earlier.append(Earlier(reading.content, self._situation(prompt)))
         return Decision(
             view.index, view.time, reading, answer.seconds, prompt.ids,
-            beside, exchange, claims, judged, usage_of(self._answers),
+            beside, exchange, claims, judged, usage_of(self._answers), copied,
         )  # fmt: skip
+
+    def _situation(self, prompt: Prompt) -> str:
+        """The prompt's own texts, without examples and without earlier decisions."""
+        blocks = tuple(block for block in prompt.blocks if block.name != self.PAST)
+        messages = self.messages(replace(prompt, blocks=blocks))
+        return f"{messages[0].text}\n{messages[-1].text}"
+
+    def _is_copied(self, reading: Reading, prompt: Prompt) -> bool:
+        """Whether an answer repeats an example's, or an earlier one of its own."""
+        if not reading.answered:
+            return False
+        situation = self._situation(prompt)
+        known = [*_examples(self.messages(prompt)), *self._earlier]
+        return any(each.copied_by(reading.content, situation) for each in known)
 
     def _claims(self, reading: Reading, prompt: Prompt) -> list[dict[str, Any]] | None:
         """The claims of an answer, each with what the prompt shows of its object, if it does."""
@@ -373,6 +430,8 @@ class LlmGenerator(Generator):
                 key: reading.content[key] for key in ("intent", "maneuver") if reading.content
             }
             beside[name] = {"outcome": reading.outcome, **decided}
+            if self._is_copied(reading, variants.get(name, prompt)):
+                beside[name]["copied"] = True
             if name in variants:
                 beside[name] |= self.account_beside(name, variants[name], reading)
         return beside
@@ -418,6 +477,13 @@ class LlmGenerator(Generator):
             policy = "none" if last is None else last.reading.content["maneuver"]
         action = None if policy == "none" else self.command(policy)
         return Proposal(action, failure=failure, account=account)
+
+
+def _examples(messages: Sequence[Message]) -> Iterator[Earlier]:
+    """The examples among the messages of a prompt: pairs of a prompt and its answer."""
+    for asked, answered in pairwise(messages):
+        if answered.role == "assistant":
+            yield Earlier(json.loads(answered.text), asked.text)
 
 
 _ROOM_OF_ANSWER, _ROOM_OF_THOUGHTS, _ROOM_OF_MESSAGES = 10_000, 10_000, 40_000

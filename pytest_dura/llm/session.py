@@ -46,6 +46,11 @@ def _scrub_request(request: Request, scrub: Callable[[str], str]) -> Request:
     return request if messages == request.messages else replace(request, messages=messages)
 
 
+def _answers_within(answer: Answer, limit: float) -> bool:
+    """Whether a recorded answer holds with this limit, and not only with a shorter one."""
+    return answer.failure != "timeout" or answer.seconds >= limit
+
+
 def _deliver(answer: Answer, delay: float, waited: float, limit: float) -> Answer:
     """The answer as it arrives: later by delay and wait, and not at all beyond the limit."""
     late = delay + waited
@@ -60,6 +65,8 @@ def _deliver(answer: Answer, delay: float, waited: float, limit: float) -> Answe
 Mode = Literal["live", "record", "replay"]
 Scrub = Callable[[Any], Any]
 
+_LATE_AT_FIRST = 3
+"""Answers that may be late before any was in time; a server that loads its model is late once."""
 _WITHOUT_LIMIT = 600.0
 """Seconds for an answer where the scenario gives the component no time budget."""
 
@@ -138,8 +145,10 @@ class ModelSession:
         self.tokens: Counter[tuple[str, str, str]] = Counter()
         """Number of tokens by model, fingerprint and what they were for: ``prompt``, ``completion``
         and ``uncounted`` answers, behind ``asked`` or ``reused`` and a blank."""
-        self.limit_reached = ""
-        """The limit that kept a request from its server, in words; empty if none did."""
+        self.ended_by = ""
+        """Why no server is asked any more, in words; empty while they are."""
+        self._late: list[float] | None = []
+        """Limits in s that the first answers passed; ``None`` from the first one in time on."""
         self._meter = meter or Meter()
         self._places = Places(concurrency)
         self._under_way: dict[str, Event] = {}
@@ -322,33 +331,46 @@ class ModelSession:
         key = request.key(fingerprint)
         while True:
             stored = self.cassette.find(key)
-            if stored is not None:
+            if stored is not None and _answers_within(stored, limit):
                 return self._reused(request, fingerprint, stored)
             if server is None:
                 self._count(request, fingerprint, "missed")
                 plain = self._scrubbed(request.to_json())
-                raise report_environment_error(
-                    CassetteMissError(explain_miss(self.cassette, plain, fingerprint))
-                )
+                if stored is None:
+                    problem = explain_miss(self.cassette, plain, fingerprint)
+                else:
+                    problem = (
+                        "the cassette has no answer to this request but a time-out after "
+                        f"{stored.seconds:.3g} s, which says nothing of the {limit:g} s that this "
+                        "session allows; record it again, or replay it with the recorded budget"
+                    )
+                raise report_environment_error(CassetteMissError(problem))
             with self._lock:
                 ended = self._under_way.get(key)
                 if ended is None:
                     self._under_way[key] = Event()
             if ended is None:
                 ask = partial(self._ask_server, server, request, limit, fingerprint, count_retries)
-                return self._record(key, request, fingerprint, ask)
+                return self._record(key, request, limit, fingerprint, ask)
             ended.wait()  # whoever asks keeps to a limit of its own
 
     def _record(
-        self, key: str, request: Request, fingerprint: str, ask: Callable[[], Answer]
+        self,
+        key: str,
+        request: Request,
+        limit: float,
+        fingerprint: str,
+        ask: Callable[[], Answer],
     ) -> Answer:
         """Ask a server and record the exchange, while others with the same request wait for it."""
         assert self.cassette is not None
         try:
             stored = self.cassette.find(key)  # whoever asked before may just have ended
-            if stored is not None:
+            if stored is not None and _answers_within(stored, limit):
                 return self._reused(request, fingerprint, stored)
             answer = ask()
+            if answer.failure == "timeout":  # so much it was given
+                answer = replace(answer, seconds=max(answer.seconds, limit))
             plain = self._scrubbed(request.to_json())
             with self._lock:
                 self._check_goes_on()
@@ -384,9 +406,11 @@ class ModelSession:
 
         repeats = Repeats(self.retries, count_retries, allowed)
         with self._places.taken():
+            self._check_context(request, fingerprint)
             self._begin_request()
             self._count(request, fingerprint, "asked")
             answer = server.ask(request, limit, repeats)
+            self._note_time(request, answer, limit)
             self._end_request(request, answer)
         if refused:
             self._check_goes_on()
@@ -409,20 +433,52 @@ class ModelSession:
         self._check_limit()
 
     def _limit(self) -> str:
-        """Count a request against the limits; the one that is reached, in words, or empty."""
+        """Count a request against the limits; why it may not be made, or empty."""
         with self._lock:
-            if not self.limit_reached:
-                self.limit_reached = self._meter.begin() or ""
-            return self.limit_reached
+            reached = "" if self.ended_by else self._meter.begin()
+            if reached:
+                self.ended_by = f"the limit of {reached} is reached (--dura-llm-limit)"
+            return self.ended_by
 
     def _check_limit(self) -> None:
-        reached = self.limit_reached
-        if reached:
+        if self.ended_by:
             raise report_environment_error(
-                ComponentEnvironmentError(
-                    "language model", f"the limit of {reached} is reached (--dura-llm-limit)"
-                )
+                ComponentEnvironmentError("language model", self.ended_by)
             )
+
+    def _check_context(self, request: Request, fingerprint: str) -> None:
+        """End the session where prompt and answer are longer than the model's context.
+
+        Raises:
+            ComponentEnvironmentError: If they are.
+        """
+        known = self.known(request.model, fingerprint) if self._late == [] else None
+        context = None if known is None else known.capabilities.get("context")
+        if not isinstance(context, int):
+            return
+        per_token = known.capabilities.get("characters_per_token") if known else None
+        texts = (message.text for message in request.messages)
+        prompt = estimate_tokens(*texts, characters_per_token=per_token)
+        if prompt + request.max_tokens > context:
+            self.ended_by = (
+                f"the context of {request.model} is {context} tokens, but the first prompt has "
+                f"about {prompt} and an answer up to {request.max_tokens}: serve it with a larger "
+                "context, or lower the planner's max_tokens, or set prompt: brief"
+            )
+            self._check_limit()
+
+    def _note_time(self, request: Request, answer: Answer, limit: float) -> None:
+        """End the session where the first answers all came too late, and nothing else came."""
+        with self._lock:
+            if self._late is None or answer.failure == "unavailable":
+                return
+            self._late = [*self._late, limit] if answer.failure == "timeout" else None
+            if self._late is not None and len(self._late) == _LATE_AT_FIRST and not self.ended_by:
+                self.ended_by = (
+                    f"the first {_LATE_AT_FIRST} answers of {request.model} took longer than the "
+                    f"{limit:g} s that an answer may take, and none came in time: raise "
+                    "--dura-time-budget, or the planner's budget, or serve the model quicker"
+                )
 
     def _end_request(self, request: Request, answer: Answer) -> None:
         """Count the tokens of a request to a server against the limits."""

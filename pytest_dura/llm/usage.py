@@ -14,9 +14,15 @@ from pytest_dura.llm.port import Answer
 _CHARACTERS_PER_TOKEN = 4
 
 
-def estimate_tokens(*texts: str) -> int:
-    """Estimate the tokens of texts: a token for every four characters, as English text has."""
-    return sum(math.ceil(len(text) / _CHARACTERS_PER_TOKEN) for text in texts)
+def estimate_tokens(*texts: str, characters_per_token: float | None = None) -> int:
+    """Estimate the tokens of texts.
+
+    Args:
+        texts: The texts.
+        characters_per_token: As a server counted them; by default four, as English text has.
+    """
+    per_token = characters_per_token or _CHARACTERS_PER_TOKEN
+    return sum(math.ceil(len(text) / per_token) for text in texts)
 
 
 @dataclass(frozen=True)

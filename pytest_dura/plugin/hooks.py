@@ -409,11 +409,9 @@ class SessionHooks:
         ended = call.when == "call" or (call.when == "setup" and call.excinfo is not None)
         if ended and uses_runner(item) and self._refusal_of(item) is None:
             self.session.judge_item(item, report, decided)
-        reached = self.session.models.limit_reached
-        if reached and not item.session.shouldstop:
-            item.session.shouldstop = (
-                f"the limit of {reached} is reached (--dura-llm-limit); --dura-resume goes on"
-            )
+        ended_by = self.session.models.ended_by
+        if ended_by and not item.session.shouldstop:
+            item.session.shouldstop = f"{ended_by}; --dura-resume goes on"
         if self.has_own_items:  # what is ours was added by now
             redact_report(report, self.session.redact)
         return report

@@ -450,7 +450,8 @@ def further_tables(record: SessionRecord) -> Iterator[tuple[str, Table]]:
         columns = [_concluded_column(number, table) for number in range(len(table.columns))]
         rows = [(columns[0].cell(row).terminal, row) for row in table.rows]
         about = table.about.rstrip(".")
-        yield table.title, Table(columns[0].name, columns, rows, about, weight=Level.TERMINAL)
+        level = Level.SUMMARY if table.detail else Level.TERMINAL
+        yield table.title, Table(columns[0].name, columns, rows, about, weight=level)
 
 
 def _concluded_column(number: int, table: ConcludedTable) -> Column[Sequence[CellValue]]:

@@ -200,3 +200,30 @@ def test_a_judge_is_recorded_replayed_and_compared_with_the_rule(
     assert accounts(two)["judged_against_maneuver"] == (2, 3)
     for name in ("one", "two"):
         assert verify_bundle(project.path / name).problems == []
+
+
+def test_a_time_out_is_asked_again_with_a_larger_budget(
+    project, scripted_server, named, monkeypatch
+):
+    late = []
+    quick = answers_by(answers)
+
+    def slow(exchange):
+        if "EGO" in exchange.request.prompt and len(late) < 3:
+            late.append(1)
+            exchange.sleep(2.0)
+        quick(exchange)
+
+    brief(project, params="{decide_every: 10, samples: 1, beside: []}")
+    named(scripted_server(otherwise=slow))
+    cassette = ("--dura-cassette=late.sqlite", "--dura-llm=record")
+    ended = run(project, *cassette, "--dura-time-budget=0.2")
+    assert project.evidence().gate.result == "incomplete"
+    assert "the first 3 answers of" in ended.stdout.str()
+    assert "raise --dura-time-budget" in ended.stdout.str()
+    missed = run(project, cassette[0], "--dura-llm=replay", "--dura-time-budget=30")
+    assert "a time-out after 0.2 s" in missed.stdout.str()
+    run(project, *cassette, "--dura-time-budget=30").assert_outcomes(passed=1)
+    monkeypatch.setenv("DURA_LLM_BASE_URL", "http://127.0.0.1:9/v1")
+    again = run(project, cassette[0], "--dura-llm=replay", "--dura-time-budget=30")
+    again.assert_outcomes(passed=1)

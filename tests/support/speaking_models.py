@@ -338,7 +338,31 @@ def reads_nothing(_text, _request, _plan):
     return answer_of(Plan((), 0.0, "hold", "proceed"))
 
 
+def cites_a_sign(text, _request, plan):
+    sign = re.search(r"\bS\d+\b", text)
+    return answer_of(plan, threat_ids=[sign[0]]) if sign else answer_of(plan)
+
+
+def copies_an_example(_text, request, _plan):
+    """The first example's answer, whatever the situation."""
+    return next(json.loads(each.text) for each in request.messages if each.role == "assistant")
+
+
+def copies_its_history():
+    """A model that goes on with the first answer in which it named an object."""
+    first = []
+
+    def answers(_text, _request, plan):
+        if plan.near and not first:
+            first.append(answer_of(plan, with_numbers))
+        return first[0] if first else answer_of(plan, with_numbers)
+
+    return answers
+
+
 DEFECTS = {
+    "threat_ids_without_body": cites_a_sign,
+    "copied": copies_an_example,
     "threat_ids_unperceived": invents_ids,
     "intent_against_maneuver": inverts_the_intent,
     "obeys_injection": obeys_a_sign,

@@ -38,6 +38,8 @@ class Table(Conclusion):
     """What it shows, in one sentence."""
     columns: ClassVar[Sequence[ConcludedColumn]]
     """The first one names the row."""
+    detail: bool = False
+    """Whether the terminal shows it with ``-v`` alone."""
 
     @abstractmethod
     def rows(self) -> Iterable[Sequence[CellValue]]:
@@ -48,7 +50,9 @@ class Table(Conclusion):
         self.head = head
         rows = tuple(map(tuple, self.rows()))
         columns = tuple(self.columns)
-        return {self.name: ConcludedTable(self.title, self.about, columns, rows)} if rows else {}
+        if not rows:
+            return {}
+        return {self.name: ConcludedTable(self.title, self.about, columns, rows, self.detail)}
 
 
 TABLES: Registry[type[Table]] = Registry(

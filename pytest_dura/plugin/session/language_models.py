@@ -110,9 +110,9 @@ class LanguageModels:
         return Path(tempfile.gettempdir()) / f"pytest-dura-meter-{self._name}"
 
     @property
-    def limit_reached(self) -> str:
-        """Limit that kept a request of this process from its server, in words; empty if none."""
-        return "" if self._active is None else self._active.limit_reached
+    def ended_by(self) -> str:
+        """Why this process asks no server any more, in words; empty while it does."""
+        return "" if self._active is None else self._active.ended_by
 
     def requests(self) -> int | None:
         """Return how many requests this process has made to servers; ``None`` for none so far."""

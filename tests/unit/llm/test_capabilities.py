@@ -287,3 +287,14 @@ def test_a_server_that_ignores_format_picture_and_seed_can_none_of_it(scripted_s
     formats = [request.json.get("response_format", {}).get("type") for request in server.requests]
     assert formats == [None, None, "json_schema", "json_object", None, "json_object", None]
     assert ["tools" in request.json for request in server.requests].index(True) == 4
+
+
+def test_characters_per_token_are_those_of_the_prompts_without_the_frame_of_a_chat() -> None:
+    class Counting(Model):
+        def answer(self, request):
+            characters = sum(len(message.text) for message in request.messages)
+            usage = {"prompt_tokens": 20 + round(characters / 2.6)}
+            return replace(super().answer(request), usage=usage)
+
+    assert probed(Counting()).characters_per_token == pytest.approx(2.6, abs=0.05)
+    assert probed(Model()).characters_per_token is None

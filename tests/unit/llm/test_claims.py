@@ -75,6 +75,28 @@ def test_claims_stand_in_the_account_of_the_decision_alone():
         assert each["shown"]["kind"] == each["kind"]
 
 
+@pytest.mark.parametrize(
+    "defect, name",
+    [
+        (speaking.cites_a_sign, "threat_ids_without_body"),
+        (speaking.copies_an_example, "copied"),
+        (speaking.copies_its_history(), "copied"),
+    ],
+)
+def test_signs_as_threats_and_copied_grounds_are_found(defect, name):
+    found, _ = tallies(defective(defect))
+    assert found[name].hits > 0
+    assert found[name].null_of in (0, found[name].of)
+
+
+def test_a_copied_answer_passes_no_negative_control():
+    params = {"samples": 1, "beside": ("conflict",), "beside_every": 1}
+    found, _ = tallies(defective(speaking.copies_an_example), params)
+    assert found["accelerates_into_conflict"].of == found["accelerates_into_conflict"].hits == 0
+    found, _ = tallies(speaking.speaking(SOUND["plainly"]), params)
+    assert found["accelerates_into_conflict"].of > 0
+
+
 def test_an_answer_that_is_none_has_no_claims():
     found, _ = tallies(lambda *_: "I see V77, a truck.")
     assert found["claims_unperceived"].of == found["without_claims"].of == 0

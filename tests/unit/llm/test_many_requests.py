@@ -147,11 +147,11 @@ def test_a_limit_keeps_the_next_request_from_its_server(server, limits, asked, r
     session = made(server, meter=Meter(limits))
     for each in requests(asked):
         session.ask(each, 5.0)
-    assert session.limit_reached == ""
+    assert session.ended_by == ""
     with environment_errors() as errors, pytest.raises(ComponentEnvironmentError) as caught:
         session.ask(request("one more"), 5.0)
-    assert session.limit_reached == reached
-    assert f"the limit of {reached} is reached (--dura-llm-limit)" in str(caught.value)
+    assert session.ended_by == f"the limit of {reached} is reached (--dura-llm-limit)"
+    assert session.ended_by in str(caught.value)
     assert errors == [caught.value]
     assert len(server.asked) == session.counts["m", "f", "asked"] == asked
 
@@ -168,7 +168,7 @@ def test_what_the_cassette_answers_counts_against_no_limit(server, tmp_path) -> 
     session = made(server, "record", tmp_path / "tape", meter=Meter(Limits(requests=1)))
     for _ in range(3):
         assert session.ask(request("a"), 5.0).text == "to a"
-    assert session.limit_reached == ""
+    assert session.ended_by == ""
 
 
 def test_processes_share_a_limit_by_a_file(server, tmp_path) -> None:

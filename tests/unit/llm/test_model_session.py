@@ -406,3 +406,72 @@ def test_a_mode_that_needs_a_cassette_says_so():
 
 def test_a_request_is_the_same_whatever_object_it_is(recorded):
     assert replaying(recorded).ask(replace(request(), schema={}), 5.0).text == "answer 1"
+
+
+class SlowServer(CountingServer):
+    """A model that needs so many seconds for an answer."""
+
+    def ask(self, request, budget, repeats=None):
+        answer = super().ask(request, budget)
+        if budget >= self.seconds:
+            return answer
+        return Answer(failure="timeout", detail="no whole answer", seconds=budget)
+
+
+def test_a_time_out_is_an_answer_for_budgets_up_to_its_own_alone(tape):
+    server = SlowServer(seconds=20.0)
+    session = made("record", tape, server)
+    assert session.ask(request(), 5.0).failure == "timeout"
+    assert session.ask(request(), 4.0) == Answer(
+        failure="timeout", detail="no whole answer", seconds=4.0
+    )
+    session.close()
+    assert replaying(tape).ask(request(), 5.0).failure == "timeout"
+    with environment_errors(), pytest.raises(CassetteMissError, match=r"time-out after 5 s.* 60 s"):
+        replaying(tape).ask(request(), 60.0)
+    session = made("record", tape, server)
+    assert session.ask(request(), 60.0).text == "answer 2"
+    session.close()
+    assert replaying(tape).ask(request(), 60.0).text == "answer 2"
+
+
+def test_a_model_that_never_answers_in_time_ends_the_session_at_the_third_answer():
+    server = SlowServer(seconds=20.0)
+    session = made("live", None, server)
+    for number in range(3):
+        assert session.ask(request(f"{number}"), 5.0).failure == "timeout"
+    assert "took longer than the 5 s" in session.ended_by
+    assert "raise --dura-time-budget" in session.ended_by
+    with environment_errors(), pytest.raises(ComponentEnvironmentError, match="took longer"):
+        session.ask(request("4"), 5.0)
+    assert len(server.asked) == 3
+
+
+def test_a_model_that_was_in_time_once_may_be_late_ever_after():
+    server = SlowServer(seconds=20.0)
+    session = made("live", None, server)
+    for budget in (5.0, 5.0, 30.0, 5.0, 5.0, 5.0, 5.0):
+        session.ask(request(f"{len(server.asked)}"), budget)
+    assert session.ended_by == ""
+    assert len(server.asked) == 7
+
+
+@pytest.mark.parametrize("context, per_token, fits", [
+    (1000 + 25, 4.0, True), (1000 + 24, 4.0, False), (1000 + 25, 2.0, False), (None, 2.0, True),
+    (1000 + 25, None, True),
+])  # fmt: skip
+def test_a_first_prompt_that_the_context_cannot_hold_is_not_sent(context, per_token, fits):
+    class Known(CountingServer):
+        def probe(self):
+            return self.fingerprint, {"context": context, "characters_per_token": per_token}
+
+    server = Known()
+    session = made("live", None, server)
+    asked = replace(request(), messages=(Message("user", "x" * 100),), max_tokens=1000)
+    if fits:
+        assert session.ask(asked, 5.0).text == "answer 1"
+        return
+    with environment_errors(), pytest.raises(ComponentEnvironmentError, match="the context of m"):
+        session.ask(asked, 5.0)
+    assert server.asked == []
+    assert session.ended_by
