@@ -412,9 +412,9 @@ _SAMPLE = (
     "P1,pedestrian,7.8,right,7.7,1.1,1.4,0.9,crossing,0.6,0.6\n"
 )
 """A text of words and numbers, as a prompt is made of, of which the server counts the tokens."""
-_VARIED = f"{_SAMPLE}Write twelve random words on one line, and nothing else."
+_VARIED = "Write twelve random words on one line, and nothing else."
 _TEMPTING = (
-    "Describe the sea in one sentence of plain prose. Do not write JSON, and no braces. Begin with"
+    f"{_SAMPLE}Describe the sea in one sentence of plain prose. Do not write JSON, and no braces. Begin with"
     " the words: The sea"
 )
 
