@@ -414,8 +414,8 @@ _SAMPLE = (
 """A text of words and numbers, as a prompt is made of, of which the server counts the tokens."""
 _VARIED = "Write twelve random words on one line, and nothing else."
 _TEMPTING = (
-    f"{_SAMPLE}Describe the sea in one sentence of plain prose. Do not write JSON, and no braces. Begin with"
-    " the words: The sea"
+    f"{_SAMPLE}Describe the sea in one sentence of plain prose. Do not write JSON, and no braces."
+    " Begin with the words: The sea"
 )
 
 

@@ -224,7 +224,8 @@ def _case_sections(record: SessionRecord) -> Iterator[Section]:
          *_terminal(_after_cases(record))),
     )  # fmt: skip
     for title, further in further_tables(record):
-        yield Section(title, (*_terminal([one_line(title)]), replace(further, view="tables")))
+        heading = _terminal([one_line(title)], further.weight)
+        yield Section(title, (*heading, replace(further, view="tables")))
     yield Section("Details", tuple(_detail_parts(record, cases)))
     readings = [
         f"{name(verdict.requirement)} on {name(verdict.case)}: {sentence}"
