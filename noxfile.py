@@ -101,6 +101,13 @@ def docs(session: nox.Session) -> None:
 
 
 @nox.session
+def figures(session: nox.Session) -> None:
+    """Measure the marked figures of the documentation anew, for hours; `-- against_gym` a part."""
+    session.install("-e", ".[dev]")
+    session.run("python", "docs/figures.py", *session.posargs)
+
+
+@nox.session
 def package(session: nox.Session) -> None:
     """Build into `dist`, and use the wheel in an environment that has nothing else."""
     session.install("build", "twine")
