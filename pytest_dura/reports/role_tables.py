@@ -539,8 +539,6 @@ def failure_mode_columns(*, by_case: bool = False) -> list[Column[FailureModeRow
         Column("share %", lambda row: percent_cell(row.mode.share), heading="Share"),
         Column(
             "null %", lambda row: percent_cell(row.mode.null_share), heading="Null",
-            meaning="share of a null component, which ignores its input, on the same decisions: "
-            "what it also reaches says nothing about the model",
         ),
         Column(
             "episodes", lambda row: part_cell(row.mode.episodes, row.mode.of_episodes),

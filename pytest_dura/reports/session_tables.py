@@ -18,6 +18,7 @@ from pytest_dura.reports.columns import Column, Shown, Value, number_text, prose
 from pytest_dura.reports.document import Level, Table
 from pytest_dura.reports.failure_modes import (
     FAILURE_MODE_HEADINGS,
+    NULL_NOTE,
     cases_with_accounts,
     decision_age_lines,
     decision_time_lines,
@@ -212,54 +213,36 @@ def _by_case(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry]) -> Ite
 
 
 def monitor_table(monitors: Sequence[MonitorQuality]) -> Table | None:
-    """Make the table of how good each monitor was, a row per case and monitor.
+    """Make the table of how good each monitor was.
 
-    Requirements on which it did equally well share a row; where nothing was violated and nothing
+    Targets on which it did equally well share a row; where nothing was violated and nothing
     flagged there is none.
     """
-    same: dict[tuple[str, ...], list[MonitorQuality]] = {}
-    for monitor in monitors:
-        if monitor.true_positives + monitor.false_negatives + monitor.false_positives:
-            columns = shown_in(MONITOR_COLUMNS, Shown.TERMINAL)
-            cells = [column.cell(MonitorRow(monitor)).terminal for column in columns]
-            key = monitor.case.partition("~")[0], monitor.monitor, *cells
-            same.setdefault(key, []).append(monitor)
-    rows = [
-        (f"{who}, {case}: {', '.join(entry.target for entry in alike)}", MonitorRow(alike[0]))
-        for (case, who, *_), alike in same.items()
-    ]
-    if not rows:
-        return None
-    about = "runs without recovery"
-    return Table("monitor", MONITOR_COLUMNS, rows, about, shown=Shown.TERMINAL)
-
-
-def monitor_table_of_page(monitors: Sequence[MonitorQuality]) -> Table | None:
-    """Make the page's table of monitors: those that differ in nothing but their target share a row.
-
-    Where nothing was violated and nothing flagged there is no row.
-    """
     alike: dict[MonitorQuality, list[str]] = {}
-    for each in monitors:
-        if each.true_positives + each.false_negatives + each.false_positives:
-            alike.setdefault(replace(each, target=""), []).append(each.target)
-    rows = [(each.monitor, MonitorRow(each, targets)) for each, targets in alike.items()]
-    horizons = sorted({each.horizon for each in alike if each.horizon is not None})
-    within = f"{' or '.join(map(number_text, horizons))} s" if horizons else "time"
-    about = (
-        f"measured on runs without recovery: a violation that was flagged in the {within} before "
-        "it is a true positive, one that was not a false negative; a flag without a violation is a "
-        "false positive"
-    )
-    silent = len(monitors) - sum(map(len, alike.values()))
+    judged = [
+        each for each in monitors
+        if each.true_positives + each.false_negatives + each.false_positives
+    ]  # fmt: skip
+    for each in judged:
+        alike.setdefault(replace(each, target=""), []).append(each.target)
+    rows = [
+        (
+            f"{each.monitor}, {each.case.partition('~')[0]}: {', '.join(targets)}",
+            MonitorRow(each, targets),
+        )
+        for each, targets in alike.items()
+    ]
+    horizons = sorted({each.horizon for each in judged if each.horizon is not None})
+    within = f"; in time: in the {' or '.join(map(number_text, horizons))} s before a violation"
+    about = f"runs without recovery{within if horizons else ''}"
+    silent = len(monitors) - len(judged)
     notes = f"{counted(silent, 'further measurement')} without a violation and without a flag"
     table = Table("monitor", MONITOR_COLUMNS, rows, about, notes=(notes,) if silent else ())
-    caption = "Quality of the monitors"
-    return replace(table, view="monitors", caption=caption, shown=Shown.PAGE) if rows else None
+    return _of_view("monitors", "Quality of the monitors", table)
 
 
 def failure_mode_tables(cases: Sequence[CaseEntry]) -> Iterator[Table]:
-    """Make the terminal's tables of failure modes, over all cases and by case.
+    """Make the tables of failure modes over all cases, and the terminal's by case.
 
     The negative control, and what is no failure by itself, stand apart below.
     """
@@ -274,12 +257,12 @@ def failure_mode_tables(cases: Sequence[CaseEntry]) -> Iterator[Table]:
     last = len(by_component) - 1
     for number, (component, modes) in enumerate(by_component.items()):
         whose = f" of {component}" if several else ""
-        yield _mode_table(modes, whose, tuple(notes) if number == last else ())
+        below = tuple(notes) if number == last else ()
+        yield replace(_mode_table(modes, component, whose, below), shown=Shown.ALL)
     for case in cases_with_accounts(cases):
         whose = f" of {case.component}" if several else ""
         modes = measured_failure_modes(case.metrics.failure_modes)
-        table = _mode_table(modes, f" on {case.id}{whose}")
-        yield replace(table, shown=Shown.TERMINAL)
+        yield _mode_table(modes, case.component, f" on {case.id}{whose}")
 
 
 def mode_table_of_cases(cases: Sequence[CaseEntry]) -> Table | None:
@@ -299,7 +282,7 @@ def mode_table_of_cases(cases: Sequence[CaseEntry]) -> Table | None:
 
 
 def _mode_table(
-    modes: Sequence[FailureModeEntry], whose: str, notes: tuple[str, ...] = ()
+    modes: Sequence[FailureModeEntry], component: str, whose: str, notes: tuple[str, ...] = ()
 ) -> Table:
     rows: list[tuple[str, FailureModeRow | None]] = []
     kind = ""
@@ -308,11 +291,11 @@ def _mode_table(
             kind = mode.kind
             if kind != "failure":
                 rows.append((f"{FAILURE_MODE_HEADINGS[kind]}:", None))
-        rows.append((failure_mode_text(mode.name), FailureModeRow(mode)))
+        rows.append((failure_mode_text(mode.name), FailureModeRow(mode, component)))
     title = FAILURE_MODE_HEADINGS["failure"] + whose
-    shown, caption = Shown.TERMINAL | Shown.PAGE, title[:1].upper() + title[1:]
-    return Table(title, failure_mode_columns(), rows, notes=notes, shown=shown, caption=caption,
-                 view="failure_modes")  # fmt: skip
+    caption = title[:1].upper() + title[1:]
+    return Table(title, failure_mode_columns(), rows, NULL_NOTE, notes=notes, caption=caption,
+                 shown=Shown.TERMINAL, view="failure_modes")  # fmt: skip
 
 
 def usage_table(cases: Sequence[CaseEntry]) -> Table | None:
@@ -374,16 +357,6 @@ def search_table(record: SessionRecord) -> Table | None:
     rows = [(search.case, OutcomeRow(search, own)) for search, own in ordered_outcomes(record)]
     table = Table("search", SEARCH_COLUMNS, rows, shown=Shown.FILES, view="searches")
     return table if rows else None
-
-
-def mode_table_of_files(record: SessionRecord) -> Table | None:
-    """Make the files' table of failure modes, over all cases."""
-    rows = [
-        (component, FailureModeRow(mode, component))
-        for component, modes in failure_modes_by_component(record.head.cases).items()
-        for mode in modes
-    ]
-    return Table("mode", failure_mode_columns(), rows, shown=Shown.SUMMARY) if rows else None
 
 
 def urgency(verdict: ItemVerdict) -> tuple[bool, int]:

@@ -19,8 +19,6 @@ from pytest_dura.evidence.gate import (
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead, SessionRecord, Totals
 from pytest_dura.evidence.objections import other_objections
-from pytest_dura.evidence.session_model import ResumeEntry, SearchOrigins
-from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.evidence.verdict_model import EffectivenessEntry
 from pytest_dura.reports.cards import cards_of
@@ -56,9 +54,7 @@ from pytest_dura.reports.session_tables import (
     has_violations,
     hazard_table,
     mode_table_of_cases,
-    mode_table_of_files,
     monitor_table,
-    monitor_table_of_page,
     pair_table,
     reference_table,
     reliance_table,
@@ -73,6 +69,7 @@ from pytest_dura.reports.verdicts import reading_sentences
 from pytest_dura.reports.wording import (
     beyond_plan_sentences,
     conclusion_sentences,
+    coverage_sentence,
     is_incomplete,
     limitation_sentences,
     look_sentences,
@@ -83,13 +80,14 @@ from pytest_dura.reports.wording import (
     selection_text,
     shard_text,
     supported_sentence,
+    taken_over_lines,
 )
 from pytest_dura.requirements.comparison import BaselineComparison, ComparedBaseline
 from pytest_dura.requirements.model import FAULTS
 from pytest_dura.requirements.pairs import ChangeTable, PairTable
 
-_MOST_REASONS = 8
-"""Reasons that are shown."""
+_MOST_UNTESTED = 10
+"""Cells without a verdict that are named."""
 _MOST_MODES = 3
 """Failure modes in a line."""
 _CANNOT_BE_TOLD = "cannot be told"
@@ -110,7 +108,7 @@ def document_of(record: SessionRecord, level: Level = Level.PAGE) -> Document:
         Section("Searches", tuple(_search_parts(record))),
         *_file_sections(record),
         *_plot_sections(record, level),
-        Section("Coverage of the operating domain", tuple(pair_parts(record.head))),
+        Section("Coverage", tuple(_coverage_parts(record))),
         Section("", tuple(_note_parts(record))),
         Section("Baseline", tuple(_baseline_parts(record))),
     ]
@@ -217,7 +215,7 @@ def _case_sections(record: SessionRecord) -> Iterator[Section]:
     twins = {verdict.pairs.case for verdict in head.verdicts if verdict.pairs}
     cases = [case for case in head.cases if not case.without or case.id not in twins]
     table = case_table(cases, head.overall, head.measures, head.verdicts)
-    all_cases = case_table(head.cases, measures=head.measures)
+    all_cases = replace(case_table(head.cases, head.overall, head.measures), notes=())
     yield Section(
         "Cases",
         (replace(table, shown=Shown.TERMINAL), replace(all_cases, shown=Shown.SUMMARY),
@@ -241,7 +239,6 @@ def _file_sections(record: SessionRecord) -> Iterator[Section]:
     files = {
         "Hazards": hazard_table(record),
         "Requirements": requirement_table(record),
-        "Failure modes": mode_table_of_files(record),
         "Failure modes by case": mode_table_of_cases(record.head.cases),
         "Tokens": _in(usage_table(record.head.cases), Shown.FILES),
     }
@@ -287,26 +284,10 @@ def _after_cases(record: SessionRecord) -> Iterator[str]:
         text = "ended early, once all was decided; figures are up to then"
         yield f"{counted(ended_early, 'episode')} {text}"
     if record.head.resume.resumed:
-        yield from _taken_over(record.head.resume, record.head.totals.episodes, "episode")
+        yield from taken_over_lines(record.head.resume, record.head.totals.episodes, "episode")
     by_hand = sum(not episode.planned for episode in record.episodes())
     if by_hand:
         yield f"and {counted(by_hand, 'episode')} with a seed chosen by hand"
-
-
-def _taken_over(
-    origins: ResumeEntry | SearchOrigins, count: int, noun: str, suffix: str = ""
-) -> Iterator[str]:
-    """Count what was taken over and simulated, with reasons for what was repeated."""
-    taken, sessions = origins.taken_over, len(origins.sessions)
-    origin = f" from {counted(sessions, 'earlier session')}" if taken else ""
-    yield f"{counted(taken, noun)}{suffix} taken over{origin}, {count - taken} simulated"
-    outdated = sorted(origins.outdated, key=lambda entry: -entry.episodes)
-    for entry in outdated[:_MOST_REASONS]:
-        repeated = f"{counted(entry.episodes, noun)}{suffix} simulated again"
-        yield f"{repeated}: {outdated_reason(entry.changed)}"
-    if len(outdated) > _MOST_REASONS:
-        rest = sum(entry.episodes for entry in outdated[_MOST_REASONS:])
-        yield f"{counted(rest, noun)}{suffix} simulated again for other reasons: see the record"
 
 
 # What roles, faults and the component did: a line each, and with more detail a table.
@@ -315,22 +296,22 @@ def _taken_over(
 def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator[Part]:
     head = record.head
     modes = tuple(failure_mode_tables(cases))
-    uncovered = list(_uncovered_lines(record))
-    roles = head.effectiveness
+    roles, uncovered = head.effectiveness, list(_uncovered_lines(record))
+    recovery = list(effectiveness_lines(roles, recovery=True))
+    monitors = list(effectiveness_lines(roles, recovery=False))
     models = list(_model_lines(record))
     groups: list[tuple[list[str], Sequence[Table | None], str]] = [
-        ([*_failure_mode_lines(cases), *uncovered], modes, "failure_modes"),
+        ([*_failure_mode_lines(cases)], modes, "failure_modes"),
+        (uncovered, [], "failure_modes"),
         ([*_usage_lines(cases), *models], [_in(usage_table(cases), Shown.TERMINAL)],
          "failure_modes" if modes else ""),
         ([*_reliance_lines(record)], [reliance_table(cases, head.overall)], ""),
         ([*_fault_lines(cases)], [fault_table(cases)], "faults"),
         ([*_attack_lines(record)], [attack_table(head.verdicts, head.cases)], "monitors"),
-        ([*effectiveness_lines(roles, recovery=True)],
-         [pair_table(head.verdicts, head.cases)], "monitors"),
+        (recovery, [pair_table(head.verdicts, head.cases)], "monitors"),
         ([*_reference_lines(head.verdicts)],
          [reference_table(head.verdicts, head.cases)], "monitors"),
-        ([*effectiveness_lines(roles, recovery=False)],
-         [monitor_table(head.monitors), monitor_table_of_page(head.monitors)], "monitors"),
+        (monitors, [monitor_table(head.monitors)], "monitors"),
     ]  # fmt: skip
     for lines, tables, view in groups:
         yield from _terminal(lines, view=view)
@@ -340,6 +321,9 @@ def _detail_parts(record: SessionRecord, cases: Sequence[CaseEntry]) -> Iterator
         *effectiveness_lines(roles, recovery=False, known=False),
     ]
     yield from _terminal(unknown, Level.SUMMARY, "monitors")
+    # The summary has the tables of cases alone, and what follows from the others.
+    if texts := (*recovery, *monitors, *unknown, *uncovered):
+        yield Text(texts, Level.SUMMARY, Shown.SUMMARY)
     yield from _terminal(_reading_lines(head.verdicts))
     supported = [supported_sentence(head.verdicts)] if head.verdicts else []
     yield from _terminal([*supported, *look_sentences(record), *beyond_plan_sentences(record)])
@@ -519,7 +503,18 @@ def _attack_lines(record: SessionRecord) -> Iterator[str]:
         yield f"attack: {'; '.join(sentences)}"
 
 
-# Searches, notes, baseline.
+# Coverage, searches, notes, baseline.
+
+
+def _coverage_parts(record: SessionRecord) -> Iterator[Part]:
+    """Cells without a verdict, and what was drawn of pairs of parameters."""
+    cells = [cell for cell in record.head.coverage.cells if cell.verdict is None]
+    named = [f"{name(cell.requirement)} on {name(cell.case)}" for cell in cells[:_MOST_UNTESTED]]
+    lines = [coverage_sentence(record), *(f"untested: {each}" for each in named)]
+    rest = len(cells) - len(named) + record.head.coverage.left_out
+    lines += [f"and {rest} more"] if rest else []
+    yield Text(tuple(lines), Level.SUMMARY, Shown.SUMMARY)
+    yield from pair_parts(record.head)
 
 
 def _search_parts(record: SessionRecord) -> Iterator[Part]:
@@ -559,7 +554,9 @@ def _note_parts(record: SessionRecord) -> Iterator[Part]:
     head = record.head
     searched = head.resume.searched
     if searched is not None and searched.simulations:
-        yield from _terminal(_taken_over(searched, searched.simulations, "run", " of searches"))
+        yield from _terminal(
+            taken_over_lines(searched, searched.simulations, "run", " of searches")
+        )
     yield from _terminal(head.resume.problems)
     repeats = [*not_repeatable_lines(head.cases), *draws_lines(head.cases)]
     known = [line for line in repeats if line not in head.gate.reasons]

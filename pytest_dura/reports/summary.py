@@ -5,20 +5,11 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 
-from pytest_dura.evidence.case_model import ShareEntry
 from pytest_dura.evidence.model import SessionRecord, components_under_test
 from pytest_dura.evidence.session_model import LanguageModelEntry
 from pytest_dura.evidence.text import code, markdown, name
-from pytest_dura.reports.columns import measure_label
 from pytest_dura.reports.document import Entry, Level
-from pytest_dura.reports.failure_modes import (
-    NULL_NOTE,
-    decision_age_lines,
-    decision_time_lines,
-    failure_modes_by_component,
-    unavailability_text,
-    uncovered_lines,
-)
+from pytest_dura.reports.failure_modes import unavailability_text
 from pytest_dura.reports.pens.markdown import MAX_BYTES, MarkdownPen
 from pytest_dura.reports.story import document_of
 from pytest_dura.reports.usage import usage_text
@@ -112,9 +103,6 @@ def render(record: SessionRecord) -> str:
         *pen.cards(),
         *_count_lines(record),
         *pen.sections(),
-        *_overall_lines(record),
-        *_failure_mode_lines(record),
-        *_coverage_lines(record),
         *_provenance_lines(record, _MAX_CELLS),
     ]
     return "\n".join(lines) + "\n"
@@ -155,64 +143,3 @@ def _replay(session: str, episode: str) -> str:
     command = replay_command(episode, evidence_option(session), model_options(session))
     unchanged = name(command, 400) == command and "\\|" not in command and "  " not in command
     return code(command) if unchanged else ""
-
-
-def _overall_lines(record: SessionRecord) -> Iterator[str]:
-    """All cases of each component together, and what the runs show of recovery and monitors.
-
-    No rows of a table: the rows of cases are counted.
-    """
-    for total in record.head.overall:
-        metrics = total.metrics
-        truths = {
-            measure_label(measure): metrics.measures.get(measure.name)
-            for measure in record.head.measures
-            if measure.shown != "mean"
-        }
-        rates = {"flagged": metrics.flagged, **truths, "rescued": metrics.rescued}
-        rates["comfort failed"] = metrics.comfort_failed
-        counts = [
-            f"{rate.valid} {markdown(label, 64)}"
-            for label, rate in rates.items()
-            if isinstance(rate, ShareEntry)
-        ]
-        runs = f"{metrics.valid} valid of {metrics.planned} planned runs"
-        whose = f"all {total.cases} cases of {_name(total.component)}"
-        yield from ["", f"- {whose}: {', '.join([runs, *counts])}"]
-    effectiveness = record.head.effectiveness
-    if effectiveness:
-        yield ""
-    for effect in effectiveness[:_MAX_CELLS]:
-        whose = f"{_name(effect.role)} with {_name(effect.component)}"
-        yield f"- {whose}: {markdown(effect.detail, 400)}"
-    if len(effectiveness) > _MAX_CELLS:
-        yield f"- and {len(effectiveness) - _MAX_CELLS} more in the report"
-
-
-def _failure_mode_lines(record: SessionRecord) -> Iterator[str]:
-    """Times of decisions and what judges say, below the table; nothing without accounts."""
-    cases = record.head.cases
-    if not failure_modes_by_component(cases):
-        return
-    yield ""
-    for whose, text in decision_time_lines(cases):
-        yield f"- answers of {_name(whose)}: {text}"
-    for whose, text in decision_age_lines(cases):
-        yield f"- decisions of {_name(whose)} came into force at an age of {text}"
-    for whose, text in uncovered_lines(record.head, _name):
-        yield f"- {text} of {_name(whose)}"
-    yield f"- {NULL_NOTE}"
-
-
-def _coverage_lines(record: SessionRecord) -> Iterator[str]:
-    cells, left_out = record.head.coverage.cells, record.head.coverage.left_out
-    untested = [cell for cell in cells if cell.verdict is None]
-    yield from ["", "## Coverage", ""]
-    yield (
-        f"{len(cells) - len(untested)} of {len(cells) + left_out} cells of requirement x scenario "
-        f"x fault have a verdict; {len(untested) + left_out} untested."
-    )
-    for cell in untested[:_MAX_CELLS]:
-        yield f"- untested: {_name(cell.requirement)} on {_name(cell.case)}"
-    if len(untested) + left_out > _MAX_CELLS:
-        yield f"- and {len(untested[_MAX_CELLS:]) + left_out} more"

@@ -11,10 +11,12 @@ from functools import lru_cache
 from operator import itemgetter
 
 from pytest_dura.core.state import NOTHING
+from pytest_dura.evidence.conclusions.coverage import WORST_FIRST
 from pytest_dura.evidence.gate import draws_lines, not_repeatable_lines
 from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.looks import further_looks
 from pytest_dura.evidence.model import RecordHead, SessionRecord
+from pytest_dura.evidence.session_model import ResumeEntry, SearchOrigins
 from pytest_dura.evidence.sessions import outdated_reason
 from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.hazards import without_evidence_sentences
@@ -364,29 +366,50 @@ def _not_repeatable(record: SessionRecord) -> Iterator[str]:
         yield f"{one_line(line[:1].upper() + line[1:])}. Equal seeds may give other episodes."
 
 
+def taken_over_lines(
+    origins: ResumeEntry | SearchOrigins, count: int, noun: str, suffix: str = ""
+) -> Iterator[str]:
+    """Count what was taken over and simulated, with reasons for what was repeated."""
+    taken, sessions = origins.taken_over, len(origins.sessions)
+    origin = f" from {counted(sessions, 'earlier session')}" if taken else ""
+    yield f"{counted(taken, noun)}{suffix} taken over{origin}, {count - taken} simulated"
+    outdated = sorted(origins.outdated, key=lambda entry: -entry.episodes)
+    for entry in outdated[:_MOST_NAMES]:
+        repeated = f"{counted(entry.episodes, noun)}{suffix} simulated again"
+        yield f"{repeated}: {outdated_reason(map(name, entry.changed))}"
+    if len(outdated) > _MOST_NAMES:
+        rest = sum(entry.episodes for entry in outdated[_MOST_NAMES:])
+        yield f"{counted(rest, noun)}{suffix} simulated again for other reasons: see the record"
+
+
 def _taken_over(record: SessionRecord) -> Iterator[str]:
     """Sentences on what this session did not simulate itself."""
-    resume, run = record.head.resume, record.head.totals.episodes
+    resume = record.head.resume
     if not resume.resumed:
         return
-    sessions = len(resume.sessions)
-    source = f" from {counted(sessions, 'earlier session')}" if sessions else ""
-    yield (
-        f"{resume.taken_over} of {run} episodes were taken over{source}, since the project's "
-        "Python files and the versions of packages are equal: what code reads by itself is not "
-        "compared."
-    )
-    for change in resume.outdated[:_MOST_NAMES]:
-        yield (
-            f"{change.episodes} of {run} episodes were simulated again: "
-            f"{outdated_reason(map(name, change.changed))}."
-        )
+    lines = [*taken_over_lines(resume, record.head.totals.episodes, "episode")]
     searched = resume.searched
     if searched is not None and searched.taken_over:
+        lines += taken_over_lines(searched, searched.simulations, "run", " of searches")
+    yield from (f"{line}." for line in lines)
+    if resume.taken_over:
         yield (
-            f"{searched.taken_over} of {searched.simulations} simulations of searches were "
-            "taken over from earlier sessions, under the same conditions; replays never are."
+            "What was taken over rests on equal Python files of the project and equal versions of "
+            "packages: what code reads by itself is not compared."
         )
+
+
+def coverage_sentence(record: SessionRecord) -> str:
+    """Say how many cells of requirement, scenario and faults have which verdict."""
+    cells, left_out = record.head.coverage.cells, record.head.coverage.left_out
+    counts = Counter[str | None](cell.verdict for cell in cells)
+    untested = counts.pop(None, 0) + left_out
+    known = [f"{counts[own]} {own}" for own in reversed(WORST_FIRST) if counts[own]]
+    verdicts = f" ({', '.join(known)})" if known else ""
+    return (
+        f"{counts.total()} of {len(cells) + left_out} cells of requirement, scenario and faults "
+        f"have a verdict{verdicts}; {untested} {'is' if untested == 1 else 'are'} untested."
+    )
 
 
 def _untested(record: SessionRecord) -> Iterator[str]:
@@ -394,8 +417,8 @@ def _untested(record: SessionRecord) -> Iterator[str]:
     untested = left_out + sum(cell.verdict is None for cell in cells)
     if untested:
         yield (
-            f"{untested} of {len(cells) + left_out} combinations of requirement, scenario and "
-            "faults were not tried."
+            f"{untested} of {len(cells) + left_out} cells of requirement, scenario and faults were "
+            "not tried."
         )
     not_run = sum(case.missing_runs_total for case in record.head.cases)
     if not_run:

@@ -37,8 +37,9 @@ def _of_summary(text):
         if re.search(r"^_\d+ of \d+ are left out", body, re.MULTILINE):
             continue
         if heading != "Verdicts":
-            # The first two rows are the header and its rule.
-            stated[heading.lower()] = sum(line.startswith("| ") for line in body.split("\n")) - 2
+            # The first two rows are the header and its rule, the last ones may be sums.
+            rows = [line for line in body.split("\n") if line.startswith("| ")]
+            stated[heading.lower()] = sum(not row.startswith("| All ") for row in rows) - 2
             continue
         rows = re.findall(r"(?m)^\| (supported|violated|undecided) \| (waived|-) \|", body)
         statuses = Counter(status for status, _ in rows)
@@ -48,12 +49,12 @@ def _of_summary(text):
 
 
 class _ReportParser(HTMLParser):
-    """Counts the rows of the tables of verdicts and of episodes by case."""
+    """Counts the rows of the tables of verdicts and of cases, with the episodes of each."""
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
         self.counts, self.gates = Counter(), set()
-        self.table, self.columns, self.row, self.text, self.mark = "", [], None, [], ""
+        self.table, self.row, self.text, self.mark = "", None, [], ""
         self.feed(text)
         self.close()
 
@@ -61,9 +62,10 @@ class _ReportParser(HTMLParser):
         attributes = dict(attrs)
         kinds = (attributes.get("class") or "").split()
         if tag == "table":
-            self.table, self.columns = attributes.get("id") or "", []
+            self.table = attributes.get("id") or ""
         elif tag == "tbody":
             self.counts["requirements"] += self.table == "verdicts" and "requirement" in kinds
+            self.counts["cases"] += self.table == "outcomes" and "entry" in kinds
         elif tag == "tr":
             self.row = {"kinds": kinds, "cells": [], "folded": 0, "waived": False, "word": ""}
         elif tag in ("td", "th", "b", "strong"):
@@ -80,8 +82,12 @@ class _ReportParser(HTMLParser):
                 self.gates.add(text)
             elif self.row is not None and self.mark in ("word", "waived"):
                 self.row[self.mark] = text
-            elif self.row is not None and self.mark.startswith("folded-"):
+            elif self.row is not None and self.mark == "folded-supported":
                 self.row["folded"] = int(text)
+            elif self.mark == "folded-cases":
+                self.counts["cases"] += int(text)
+            elif self.mark.startswith("counted-"):
+                self.counts[self.mark.removeprefix("counted-")] += int(text)
             self.mark = ""
         elif tag in ("td", "th") and self.row is not None:
             self.row["cells"].append(text)
@@ -97,13 +103,6 @@ class _ReportParser(HTMLParser):
             self.counts["waived"] += bool(row["waived"])
         elif self.table == "verdicts" and "folded" in row["kinds"]:
             self.counts["supported"] += row["folded"]
-        elif self.table == "case-counts" and not self.columns:
-            self.columns = [cell.lower() for cell in row["cells"]]
-        elif self.table == "case-counts" and {"case", "unlisted", "folded"} & set(row["kinds"]):
-            self.counts["cases"] += row["folded"] + ("case" in row["kinds"])
-            for key in EPISODES:
-                column = self.columns.index("run" if key == "episodes" else key)
-                self.counts[key] += int(row["cells"][column])
 
 
 def _of_report(text):

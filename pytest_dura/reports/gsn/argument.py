@@ -25,6 +25,7 @@ from pytest_dura.reports.gsn.verdicts import (
 )
 from pytest_dura.reports.verdicts import MAX_TEXT
 from pytest_dura.reports.wording import (
+    coverage_sentence,
     is_incomplete,
     merge_text,
     names_text,
@@ -133,13 +134,11 @@ def _recovery(facts: EpisodeFacts) -> str:
 
 
 def _domain(record: SessionRecord) -> str:
-    cells, left_out = record.head.coverage.cells, record.head.coverage.left_out
-    tested, count = sum(cell.verdict is not None for cell in cells), len(cells) + left_out
     scenarios = sorted({case.scenario for case in record.head.cases})
     faults = sorted({fault.id for case in record.head.cases for fault in case.faults})
     return (
         f"Scenarios: {names_text(scenarios) or 'none'}. Faults: {names_text(faults) or 'none'}. "
-        f"Tested are {tested} of {count} cells of requirement, scenario and faults."
+        f"{coverage_sentence(record)}"
     )
 
 

@@ -31,6 +31,7 @@ from pytest_dura.reports.contents import (
 )
 from pytest_dura.reports.role_tables import FAULT_COLUMNS, FaultRow
 from pytest_dura.reports.tables import case_columns
+from pytest_dura.reports.wording import coverage_sentence
 
 Data = Mapping[str, Any]
 Heading = Mapping[str, Any]
@@ -74,7 +75,7 @@ _MAX_LINKED = 6
 
 
 def case_section(record: SessionRecord, contents: ReportContents, _links: EpisodeLinks) -> Data:
-    """One entry for each case and component, and the episodes by case.
+    """One entry for each case and component, which together count each episode once.
 
     Arms that lack a role come last: they are there to be compared with.
     """
@@ -87,6 +88,7 @@ def case_section(record: SessionRecord, contents: ReportContents, _links: Episod
     episodes: dict[CaseKey, list[ListedEpisode]] = defaultdict(list)
     for each in contents.listed:
         episodes[each.episode.case, each.episode.component].append(each)
+    tallies = {key: tally.validities for key, tally in contents.cases.items()}
     anchors: set[str] = set()
     rows: list[dict[str, Any]] = []
     for case in shown:
@@ -102,7 +104,7 @@ def case_section(record: SessionRecord, contents: ReportContents, _links: Episod
                 # An arm without a role is there for pairs: the verdicts stand on the case itself.
                 "unjudged": [] if case.without else sorted(set(case.requirements) - named),
                 "episodes": episodes.get(key, [])[:_MAX_LINKED],
-                "run": contents.cases.get(key, CaseTally()).validities.total(),
+                "tally": tallies.pop(key, Counter()),
             }
         )
         anchors.add(anchor)
@@ -114,6 +116,8 @@ def case_section(record: SessionRecord, contents: ReportContents, _links: Episod
                 "folded": {
                     "number": len(folded),
                     "sums": [column.summed(folded) for column in columns[1:]],
+                    "tally": sum((tallies.pop(case_key(case), Counter()) for case in folded),
+                                 Counter[str]()),
                 },
             }
             for arms in (False, True)
@@ -125,8 +129,9 @@ def case_section(record: SessionRecord, contents: ReportContents, _links: Episod
         "columns": columns,
         "several": len({case.component for case in cases}) > 1,
         "faults": fault_names(record, contents.folded),
-        **_episodes_by_case(record, contents),
-    }
+        # Episodes of a case that the record does not list are counted all the same.
+        "unlisted": list(tallies.items()),
+    }  # fmt: skip
 
 
 BIN_WIDTH, BIN_HEIGHT = 12.0, 22.0
@@ -157,7 +162,6 @@ def matrix_section(record: SessionRecord, contents: ReportContents, links: Episo
             requirements.append(cell.requirement)
             listed.add(cell.requirement)
     columns = sorted(places)
-    words = Counter(cell.verdict for cell in coverage.cells)
     judged = {_cell_key(verdict) for verdict in record.head.verdicts if verdict.run}
     return {
         "table": matrix(
@@ -172,12 +176,10 @@ def matrix_section(record: SessionRecord, contents: ReportContents, links: Episo
         ),
         # Cells are small: a row of a wide matrix is as long as some of other tables.
         "rows": len(columns) * max(1, len(requirements) // 5),
-        "tested": sum(cell.verdict is not None for cell in coverage.cells),
-        "words": {name: words[name] for name in ("supported", "violated", "undecided")},
+        "sentence": coverage_sentence(record),
         "not_run": sum(
             cell.verdict is not None and _cell_key(cell) not in judged for cell in coverage.cells
         ),
-        "cells": len(coverage.cells) + coverage.left_out,
         "left_out": coverage.left_out,
         "folded": len(set(map(_scenario_key, rest))),
         "parameters": [_parameter_bars(parameter) for parameter in coverage.parameters],
@@ -332,43 +334,4 @@ def episode_section(record: SessionRecord, contents: ReportContents, links: Epis
         "violated": sorted({name for each in contents.listed for name in each.violates}),
         "faults": fault_names(record, contents.folded),
         "left_out": record.head.totals.episodes - len(rows),
-    }
-
-
-def _episodes_by_case(record: SessionRecord, contents: ReportContents) -> Data:
-    """Rows of counts, which together count each episode once."""
-    remaining = dict(contents.cases)
-    counts = []
-    folded: list[tuple[CaseEntry, int]] = []
-    for case in record.head.cases:
-        key = case_key(case)
-        tally = remaining.pop(key, CaseTally())
-        if key in contents.folded and tally.validities["valid"] == tally.validities.total():
-            folded.append((case, tally.validities.total()))
-        else:
-            counts.append(_case_counts(key, tally, case))
-    # Episodes of a case that the record does not list are counted all the same.
-    counts += [_case_counts(key, tally, None) for key, tally in remaining.items()]
-    return {
-        "counts": counts,
-        "folded": {
-            "number": len(folded),
-            "planned": sum(case.planned for case, _ in folded),
-            "run": sum(run for _, run in folded),
-        },
-        "total": record.head.totals.episodes,
-    }
-
-
-def _case_counts(key: CaseKey, tally: CaseTally, case: CaseEntry | None) -> Data:
-    return {
-        "case": key[0],
-        "component": key[1],
-        "listed": case is not None,
-        "anchor": case_anchor(key[0]),
-        "planned": None if case is None else case.planned,
-        "never": [] if case is None else case.missing_runs,
-        "never_total": 0 if case is None else case.missing_runs_total,
-        "run": tally.validities.total(),
-        **{name: tally.validities[name] for name in ("valid", "invalid", "missing")},
     }

@@ -16,11 +16,13 @@ MAX_BYTES = 1024 * 1024
 """Bytes that GitHub takes."""
 _KIB = 1024
 _SHARES = {"Causes": 160 * _KIB, "Verdicts": 420 * _KIB, "Requirements": 100 * _KIB,
-           "Cases": 150 * _KIB, "Tokens": 60 * _KIB, "Failure modes": 30 * _KIB,
-           "Searches": 40 * _KIB, "Hazards": 40 * _KIB}  # fmt: skip
+           "Cases": 150 * _KIB, "Tokens of language models by case": 60 * _KIB,
+           "Failure modes": 30 * _KIB, "Searches": 40 * _KIB, "Hazards": 40 * _KIB}  # fmt: skip
 """Bytes of sections; the rest is for what has a small bound: the head, reasons, provenance."""
 _SHARE = 20 * _KIB
 """Bytes of any other section."""
+_MOST_LINES = 20
+"""Sentences of a part."""
 
 
 class MarkdownPen:
@@ -69,13 +71,16 @@ class MarkdownPen:
     def sections(self) -> Iterator[str]:
         """Write the sections, but for the cards."""
         for section in self._document.sections:
+            title = section.title
             for part in section.parts_for(Shown.SUMMARY, Level.SUMMARY):
                 if isinstance(part, Table):
-                    yield from _table(section.title, part)
+                    yield from _table(part.caption or section.title, part)
                 elif not isinstance(part, Card):
-                    yield from ["", f"**{section.title}**"] if section.title else []
-                    yield ""
-                    yield from (f"- {markdown(line, 600)}" for line in part.lines)
+                    yield from ["", f"**{title}**", ""] if title else [""]
+                    title = ""
+                    yield from (f"- {markdown(line, 600)}" for line in part.lines[:_MOST_LINES])
+                    if len(part.lines) > _MOST_LINES:
+                        yield f"- and {len(part.lines) - _MOST_LINES} more in the report"
 
 
 def _table(title: str, table: Table) -> Iterator[str]:
@@ -89,8 +94,9 @@ def _table(title: str, table: Table) -> Iterator[str]:
         f"|{' --- |' * len(columns)}",
         *_fitting(lines, _SHARES.get(title, _SHARE)),
     ]
-    if table.about:
-        yield from ["", markdown(f"{table.about}.", 400)]
+    below = [f"{table.about}."] if table.about else []
+    for text in (*below, *table.notes):
+        yield from ["", markdown(text, 400)]
 
 
 def _fitting(rows: Iterable[str], room: int) -> Iterator[str]:

@@ -147,9 +147,10 @@ class TerminalPen:
 
     def _legend(self, columns: Sequence[Column[Any]], about: str) -> list[str]:
         """Write what the columns mean, each once, indented where it goes on."""
-        entries = [text for text in legend_entries(columns) if text not in self._explained]
+        every = filter(None, [about, *legend_entries(columns)])
+        entries = [text for text in every if text not in self._explained]
         self._explained.update(entries)
-        text = "; ".join(filter(None, [about, *entries]))
+        text = "; ".join(entries)
         lines = textwrap.wrap(text, WIDTH - 2, break_on_hyphens=False)
         return [f"{'  ' if number else ''}{name(line, WIDTH)}" for number, line in enumerate(lines)]
 

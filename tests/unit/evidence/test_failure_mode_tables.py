@@ -149,7 +149,7 @@ def test_ages_are_told_where_a_decision_came_into_force_later_than_its_percept()
     assert dict(decision_age_lines(record.head.cases)) == {"C": told}
     line = f"decisions came into force at an age of {told}"
     assert line in table_lines(*failure_mode_tables(record.head.cases))
-    assert f"- decisions of `C` came into force at an age of {told}\n" in summary.render(record)
+    assert f"\n{line}\n" in summary.render(record)
     assert f"came into force at an age of {told}" in render(record)
 
 

@@ -47,7 +47,7 @@ def test_what_was_not_tried_or_did_not_count_is_told():
         limitation_sentences, verdicts=[SUPPORTED, UNDECIDED], cases=cases, coverage=coverage
     )
     assert "1 of 2 verdicts is undecided, 1 of them without a single valid episode" in text
-    assert "6 of 10 combinations of requirement, scenario and faults were not tried" in text
+    assert "6 of 10 cells of requirement, scenario and faults were not tried" in text
     assert "4 planned episodes were not run" in text
     assert "1 of 6 episodes are invalid and 1 missing" in text
     assert "Recovery acted 7 times" in text
