@@ -42,7 +42,7 @@ GROUPS = {
     "Running episodes": (
         "runner", "core.orchestrator", "core.seeding", "library", "execution",
     ),
-    "Episodes": ("core.episode", "core.metrics"),
+    "Episodes": ("core.episode", "core.metrics", "logs"),
     "Campaigns, pairs, searches": ("campaign", "search"),
     "Requirements and verdicts": ("requirements",),
     "Evidence": ("evidence",),

@@ -54,6 +54,7 @@ from .faults.catalogue import FAULT_TYPES
 from .faults.model import Channel, FaultEffect, Moment
 from .faults.parts import FaultPart
 from .library.cases import Case, SearchedCase
+from .logs.episode import read_log
 from .requirements.campaign_verdicts import CampaignVerdict
 from .requirements.checks import CheckResult
 from .requirements.episode_verdicts import EpisodeVerdict, JudgedEpisode, SearchedEpisode
@@ -146,6 +147,7 @@ __all__ = [
     "check_simulator",
     "derive_seed",
     "factory",
+    "read_log",
     "sealed",
     "stream",
 ]

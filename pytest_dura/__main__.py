@@ -112,6 +112,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         action="append",
         help="with --drop-failures: a class of failures to remove instead (repeatable)",
     )
+    logs = commands.add_parser("logs", help="look into a recorded log, and write a first mapping")
+    logs.add_argument("action", choices=("inspect",), help="what to do")
+    logs.add_argument("file", metavar="FILE", help="the log")
+    logs.add_argument("--mapping", metavar="FILE", type=Path, help="write a first mapping there")
     merge = commands.add_parser(
         "merge", help="join the bundles of all shards of a session, and gate on the whole"
     )
@@ -359,6 +363,25 @@ def _verify(options: argparse.Namespace) -> int:
     return 0 if bundle.intact else 1
 
 
+def _inspect_log(options: argparse.Namespace) -> int:
+    from pytest_dura.logs.inspection import first_mapping, inspected
+
+    for line in inspected(options.file):
+        indent = line[: len(line) - len(line.lstrip())]
+        _print(indent + one_line(line, _MAX_LENGTH))
+    if options.mapping is not None:
+        if options.mapping.exists():
+            raise ConfigurationError(
+                "the mapping is there already",
+                file=str(options.mapping),
+                expected="a new file",
+                remedy="name another one, or remove it",
+            )
+        options.mapping.write_text(first_mapping(options.file), "utf-8")
+        _print(f"a first mapping: {options.mapping}")
+    return 0
+
+
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "init": _init,
     "verify": _verify,
@@ -367,6 +390,7 @@ _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "cassette": _use_cassette,
     "merge": _merge,
     "compare": _compare,
+    "logs": _inspect_log,
 }
 
 

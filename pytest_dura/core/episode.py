@@ -258,6 +258,8 @@ class EpisodeSpec:
         return hashlib.sha256(canonical(data)).hexdigest()
 
 
+RECORDED = "recorded"
+"""Termination of an episode that was recorded and not run: what it does not show stays open."""
 LOST = "lost"
 """Termination of an episode whose process a call of the component ended."""
 _DETERMINING = {part.name for part in fields(EpisodeSpec)} - {"timeouts"}
@@ -279,8 +281,9 @@ class Episode(Shown):
         events: In the order in which they happened.
         faults: One record per planned fault.
         termination: ``goal``, ``time``, ``critical``, ``violation``, ``decided``, ``iterations``,
-            ``truncated`` (the plant ended by itself), ``halt``, ``lost`` (a call of the component
-            ended the process, and the trace with it) or ``infrastructure``.
+            ``truncated`` (the plant ended by itself), ``recorded`` (it was not run), ``halt``,
+            ``lost`` (a call of the component ended the process, and the trace with it) or
+            ``infrastructure``.
         failure: The message of the infrastructure error, if there was one.
         timeouts: Calls in which the component overran its wall-clock budget: the number of the
             proposal, counted from 0 (the tick, unless the policy refines), or -1 for ``reset``. A

@@ -195,22 +195,28 @@ class Orchestrator:
 
     def _run(self) -> Episode:
         failure: InfrastructureError | None = None
+        episode: Episode | None = None
         try:
-            ending = self._loop()
+            episode = self._guard("simulator", self.simulator.recorded_episode, self.spec)
+            ending = "" if episode is not None else self._loop()
             self._check_overrun()
         except InfrastructureError as error:
             failure, ending = error, "infrastructure"
         except CallBlocked as blocked:  # raised between the call's return and the end of its limit
             role = self._timer.overran or "simulator"
             failure, ending = self._failure_of(role, str(blocked)), "infrastructure"
-        with self._timer.calling("simulator"), self._calls.calling("simulator"):
-            episode = self.log.close(
-                self.simulator, self.state, ending, failure, recorded=self.recorded
-            )
+        if episode is None or failure is not None:
+            episode = self._closed(ending, failure)
         if episode.failure is None:
             self._measure(episode)
         self._boundary.raise_signalled()
         return episode
+
+    def _closed(self, ending: str, failure: InfrastructureError | None) -> Episode:
+        with self._timer.calling("simulator"), self._calls.calling("simulator"):
+            return self.log.close(
+                self.simulator, self.state, ending, failure, recorded=self.recorded
+            )
 
     def _loop(self) -> str:
         """Run tick by tick until something ends the episode; returns the termination."""

@@ -290,6 +290,34 @@ class Simulator(ABC):
             if value not in (None, False) and not (isinstance(value, Sized) and not len(value)):
                 yield key, value, reason
 
+    @classmethod
+    def world_of_run(
+        cls,
+        world: Mapping[str, Any],
+        run: int,  # noqa: ARG003 - for those who override it
+    ) -> dict[str, Any]:
+        """Return the world of a run; the base takes the same for all runs.
+
+        Args:
+            world: As :meth:`check_scenario` returns it, with what was drawn.
+            run: Number of the run, from 0.
+        """
+        return dict(world)
+
+    def recorded_episode(
+        self,
+        spec: Any,  # noqa: ARG002 - for those who override it
+    ) -> Any:
+        """Return the whole episode, where it was recorded and is not run; ``None`` to run it.
+
+        Args:
+            spec: The :class:`~pytest_dura.EpisodeSpec` that determines it.
+
+        Returns:
+            An :class:`~pytest_dura.Episode`, or ``None``.
+        """
+        return None
+
     @abstractmethod
     def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
         """Begin an episode; the tick has index 0 and time 0."""

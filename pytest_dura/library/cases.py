@@ -43,6 +43,7 @@ from pytest_dura.library.scenario import (
     draw_value,
     replace_value,
     split_path,
+    world_of_run,
 )
 
 
@@ -231,6 +232,7 @@ class Case(Shown):
         seed = self.seed(run, base_seed) if seed is None else seed
         simulator = simulator or scenario.simulator_spec()
         world, faults = self._varied(simulator, seed)
+        world = world_of_run(simulator, world, run)
         resolve = (resolver or ParameterResolver()).resolve
         read = {"name": scenario.name, "duration": scenario.duration}
         if scenario.iterations is not None:

@@ -100,7 +100,12 @@ def builtin_paths() -> list[Path]:
 
 
 def load_library(
-    paths: Sequence[Path | str], *, builtin: bool = True, brought: Sequence[Path] = ()
+    paths: Sequence[Path | str],
+    *,
+    builtin: bool = True,
+    brought: Sequence[Path] = (),
+    recorded: Sequence[Scenario] = (),
+    judging: Sequence[Path] = (),
 ) -> Library:
     """Read everything below the given paths, and the built-in files.
 
@@ -110,11 +115,13 @@ def load_library(
         brought: Requirement files that come with the component. Each of their requirements applies
             to the scenarios of its globs whose domain has its signals; one of the same id in
             another file takes its place.
+        recorded: Scenarios of recorded logs, which no file declares.
+        judging: Requirement files whose requirements apply to these.
 
     Raises:
         ConfigurationError: One for all errors in all files.
     """
-    own = [Path(path) for path in paths]
+    own = [*map(Path, paths), *judging]
     documents = _documents([*builtin_paths(), *own] if builtin else own)
     scenarios, faults = _scenarios(documents)
     hazards = _hazards(documents)
@@ -123,6 +130,13 @@ def load_library(
     located = dict(sorted({**of_component, **own_requirements}.items()))
     if problems := mitigation_problems(located, hazards):
         raise combine_errors(problems)
+    judges = tuple(_requirements(_documents(judging)))
+    for logs in recorded:
+        if scenarios.setdefault(logs.name, logs) is not logs:
+            raise _duplicate_error(
+                "scenario", logs.name, (scenarios[logs.name].source, "name"), (logs.source, "name")
+            )
+        scenarios[logs.name] = logs.model_copy(update={"requirements": judges})
     scenarios = apply_requirements(scenarios, own_requirements)
     scenarios = apply_of_component(scenarios, of_component, located)
     _map_collecting_errors(

@@ -342,6 +342,16 @@ def world_checker(simulator: RoleSpec) -> Any:
     return None if getattr(check, "__func__", None) is inherited else check
 
 
+def world_of_run(simulator: RoleSpec, world: dict[str, Any], run: int) -> dict[str, Any]:
+    """Return the world of a run, by the simulator's class if it tells runs apart.
+
+    Raises:
+        ConfigurationError: If the class cannot be imported, or has no world for this run.
+    """
+    of_run = getattr(simulator_class(simulator), "world_of_run", None)
+    return world if of_run is None else of_run(world, run)
+
+
 def simulator_class(simulator: RoleSpec) -> Any:
     """Return the simulator's class, or the function that makes it.
 

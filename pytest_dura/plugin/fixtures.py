@@ -156,6 +156,12 @@ def dura_episode(
     return marked_episode(request, dura_orchestrator)
 
 
+@pytest.fixture
+def dura_log(dura_episode: JudgedEpisode) -> JudgedEpisode:
+    """A recorded log as an episode, for tests with the marker ``dura(logs="drives/*.csv")``."""
+    return dura_episode
+
+
 def marked_episode(request: pytest.FixtureRequest, orchestrator: Runner) -> JudgedEpisode:
     """Run the episode that the marker of a test names."""
     from pytest_dura.core.errors import ConfigurationError

@@ -234,7 +234,8 @@ def folder(use: str) -> Callable[[Setting], Path]:
 
 def select_globs(setting: Setting) -> tuple[str, ...]:
     """Read globs of case names, which need scenario cases."""
-    if setting.given and not (setting.other("--dura-scenarios") or setting.other("--dura-list")):
+    cases = ("--dura-scenarios", "--dura-log", "--dura-list")
+    if setting.given and not any(map(setting.other, cases)):
         raise _unusable(
             "--dura-select chooses among scenario cases, and there are none without "
             "--dura-scenarios",

@@ -258,6 +258,37 @@ class Options:
         repeated_in=("rerun",),
         same_in_shards=False,
     )
+    logs: Option[tuple[str, ...]] = Option(
+        "--dura-log",
+        "judge recorded logs, a path or a glob in quotes: each is an episode that is not run",
+        texts,
+        metavar="GLOB",
+        repeatable=True,
+        example="'drives/*.mcap'",
+        details="See [recorded logs](logs.md).",
+        activates=True,
+        repeated_in=("rerun", "replay"),
+        same_in_shards=False,
+    )
+    log_mapping: Option[str | None] = Option(
+        "--dura-log-mapping",
+        "mapping file of --dura-log: which topic and field is which signal",
+        as_given,
+        metavar="FILE",
+        example="mapping.yaml",
+        repeated_in=("rerun", "replay"),
+    )
+    judging: Option[tuple[Path, ...]] = Option(
+        "--dura-requirements",
+        "requirement file whose requirements judge the logs of --dura-log",
+        directories,
+        metavar="FILE",
+        repeatable=True,
+        example="requirements.yaml",
+        activates=True,
+        repeated_in=("rerun", "replay"),
+        same_in_shards=False,
+    )
     select: Option[tuple[str, ...]] = Option(
         "--dura-select",
         "run only scenario cases whose name matches",

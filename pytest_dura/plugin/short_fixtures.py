@@ -113,3 +113,9 @@ def episode(
 def campaign(request: pytest.FixtureRequest, _dura_roles: None, orchestrator: Runner) -> Campaign:
     """All runs of a case, for tests with the marker ``dura``; simulated when they are looked at."""
     return marked_campaign(request, orchestrator)
+
+
+@pytest.fixture
+def log(episode: JudgedEpisode) -> JudgedEpisode:
+    """A recorded log as an episode, for tests with the marker ``dura(logs="drives/*.csv")``."""
+    return episode

@@ -48,6 +48,7 @@ _ENDS = {
     "truncated": "was ended by its plant",
     "critical": "ended critical",
     "halt": "was halted",
+    "recorded": "was recorded and not run, and ended",
     "violation": "ended at a violation",
     "decided": "ended once its requirements were decided",
     "lost": "ended its process by a call of the component",

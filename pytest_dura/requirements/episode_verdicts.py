@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pytest_dura.core.boundary import Boundary
 from pytest_dura.core.codec import Number
 from pytest_dura.core.display import Shown, short_repr
-from pytest_dura.core.episode import LOST, Episode
+from pytest_dura.core.episode import LOST, RECORDED, Episode
 from pytest_dura.core.errors import ConfigurationError, describe_error
 from pytest_dura.core.loop_signals import LOOP_PREFIX, loop_signals
 from pytest_dura.core.loop_signals import PROPOSAL_PREFIX as ACCOUNTS
@@ -36,11 +36,18 @@ from pytest_dura.requirements.second_engine import (
     NO_ACCOUNT,
     NO_TRACE,
     NOT_FINITE,
+    NOT_KNOWN,
     EnginesDisagreeError,
     SecondEngine,
 )
 from pytest_dura.requirements.stl.evaluation import Ending, Evaluation, evaluate
 from pytest_dura.requirements.stl.formula import Formula, conjuncts, unknown_signal
+from pytest_dura.requirements.stl.uncertainty import (
+    GREATEST,
+    LEAST,
+    uncertain_signals,
+    with_bounds,
+)
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -95,6 +102,7 @@ EARLY_ENDS = {
     "violation": "the episode ended at a violation of something else",
     "decided": "the episode ended once the requirements of its case were decided",
     LOST: "a call of the component ended the process",
+    RECORDED: "the log does not show more",
 }
 """Ends that come before the time limit or the goal, and that the component may have caused."""
 _ENDINGS: dict[str, Ending] = {
@@ -341,6 +349,10 @@ def _by_function(
         return "missing", CheckResult(False, detail=detail)
     if result.margin is not None and not math.isfinite(result.margin):
         result = CheckResult(result.holds, None, result.time, result.detail, result.vacuous)
+    uncertain = [name for name in episode.signals if name.startswith(LEAST)]
+    if uncertain:
+        detail = f"not each sample of {uncertain[0].removeprefix(LEAST)} is known, and a function "
+        return "open", CheckResult(False, detail=detail + "cannot take that into account")
     if not result.holds:
         return "violated", result
     uncounted = _uncounted(episode)
@@ -389,16 +401,19 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         return _without_account(formula, missing, episode)
     if missing and (episode.signals or (episode.failure is None and episode.ticks)):
         remedy = _WHOLE if episode.termination == "decided" else None
-        raise unknown_signal(missing[0], known, str(formula), None, remedy)
+        named = [name for name in known if not name.startswith((LEAST, GREATEST))]
+        raise unknown_signal(missing[0], named, str(formula), None, remedy)
     if missing or episode.ticks == 0:
         _pass_over(str(formula), episode, NO_TRACE)
         return None, None
-    columns = {name: known[name] for name in formula.signals}
-    finite = np.logical_and.reduce([np.isfinite(column) for column in columns.values()])
+    columns = with_bounds(formula.signals, known)
+    uncertain = uncertain_signals(formula.signals, known)
+    certain = [name for name in formula.signals if name not in uncertain]
+    finite = np.logical_and.reduce([np.isfinite(known[name]) for name in certain])
     samples = episode.ticks if finite.all() else int(np.argmin(finite))
     gap = None
     if samples < episode.ticks:
-        bad = next(name for name, column in columns.items() if not np.isfinite(column[samples]))
+        bad = next(name for name in certain if not np.isfinite(known[name][samples]))
         gap = f"the signal {bad!r} is not finite at t = {episode.time[samples]:g} s"
         if samples == 0:
             _pass_over(str(formula), episode, NOT_FINITE)
@@ -415,7 +430,9 @@ def evaluate_episode(formula: Formula, episode: Episode) -> tuple[Evaluation | N
         time_step=episode.spec.time_step,
     )
     engine = _second_engine(episode)
-    if engine is not None:
+    if uncertain:
+        _pass_over(str(formula), episode, NOT_KNOWN)
+    elif engine is not None:
         engine.compare(
             formula,
             evaluation,

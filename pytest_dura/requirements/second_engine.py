@@ -48,6 +48,7 @@ FUNCTION = "the check is a function"
 NO_TRACE = "the episode has no samples"
 NO_ACCOUNT = "the component gives no account of its proposals"
 NOT_FINITE = "a signal is not finite at the first sample"
+NOT_KNOWN = "not each sample of a signal is known"
 ONE_SAMPLE = "the trace has a single sample"
 
 Columns = Mapping[str, Any]

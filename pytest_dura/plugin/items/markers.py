@@ -445,7 +445,10 @@ def _targets(
     context: SessionContext, marker: pytest.Mark, requirements: list[Requirement], *, each_run: bool
 ) -> list[tuple[Target, str]]:
     given = _marker_arguments(marker, _dura_marker)
-    cases = _cases(context, given["scenario"], given["faults"])
+    if given["logs"] is None:
+        cases = _cases(context, given["scenario"], given["faults"])
+    else:
+        cases = _log_cases(given["logs"], given["mapping"])
     requirement = requirements[0] if requirements else None
     targets = []
     for case in cases:
@@ -477,6 +480,17 @@ def _cases(context: SessionContext, scenario: Any, faults: Any) -> list[Case]:
     library = context.library()
     chosen = {name: library.scenarios[name] for name in select_names(library.scenarios, names)}
     return expand_cases(chosen, faults, read=library.faults)
+
+
+def _log_cases(logs: Any, mapping: Any) -> list[Case]:
+    """Return the case of each set of recorded logs, a path or a glob."""
+    from pytest_dura.library.cases import expand_cases
+    from pytest_dura.logs.simulator import log_scenario
+
+    globs = [logs] if isinstance(logs, str) else logs
+    if not isinstance(globs, Sequence) or not globs or not all(isinstance(g, str) for g in globs):
+        raise _unusable("logs", logs, "a path or a glob, or a list of them")
+    return expand_cases([log_scenario(glob, mapping, key="logs") for glob in globs])
 
 
 def _are_campaigns(faults: Any) -> bool:
@@ -517,7 +531,13 @@ def _unusable(key: str, value: Any, expected: str) -> ConfigurationError:
 
 
 def _dura_marker(
-    scenario: Any = None, faults: Any = None, runs: Any = None, verdict: Any = True
+    scenario: Any = None,
+    faults: Any = None,
+    runs: Any = None,
+    verdict: Any = True,
+    *,
+    logs: Any = None,
+    mapping: Any = None,
 ) -> None:
     """Signature of the marker ``dura``."""
 

@@ -115,7 +115,10 @@ def make_plan(context: DuraSession, chosen: Mapping[str, Chosen]) -> list[Planne
         named = {name: context.runner.case(name) for name, _ in chosen.values()}
         selected = select_cases(list(named.values()), options.select)
     else:
-        selected = expand_cases(library.scenarios, options.faults, options.select, library.faults)
+        scenarios = library.scenarios
+        if options.logs and not (options.scenarios or options.list_only):
+            scenarios = {logs.name: scenarios[logs.name] for logs in context.recorded}
+        selected = expand_cases(scenarios, options.faults, options.select, library.faults)
     cases, choices = {case.id: case for case in selected}, set(chosen.values())
     for name in sorted(cases):
         case = cases[name]
@@ -310,7 +313,8 @@ class DuraSession(SessionContext):
         """
         chosen = _scenario_arguments(self)
         self.own_arguments = set(chosen)
-        if self.options.scenarios or self.options.list_only or chosen:
+        options = self.options
+        if options.scenarios or options.logs or options.list_only or chosen:
             self.plan += make_plan(self, chosen)
             self.roles.check_plan(self.plan)
         else:

@@ -27,6 +27,12 @@ from pytest_dura.requirements.stl.program import (
     Values,
     plan_of,
 )
+from pytest_dura.requirements.stl.uncertainty import (
+    GREATEST,
+    LEAST,
+    known_share,
+    uncertain_signals,
+)
 from pytest_dura.requirements.stl.windows import Array, Frame, arrays, empty_trace, other_length
 
 _Samples: TypeAlias = NDArray[np.bool_]
@@ -188,8 +194,11 @@ def evaluate(
     Args:
         formula: What to judge by.
         time: Seconds of each sample, at even distances, shape ``(n,)`` with ``n`` of at least 1.
-        signals: Columns of shape ``(n,)`` by name.
-        ending: How the trace ended, see :data:`Ending`.
+        signals: Columns of shape ``(n,)`` by name. One with bounds beside it, see
+            :mod:`~pytest_dura.requirements.stl.uncertainty`, is read by these alone: the formula is
+            satisfied, or violated, only if it is for all values between them.
+        ending: How the trace ended, see :data:`Ending`. A trace with bounds is taken as ``open``
+            unless it ended at its time.
         time_step: Seconds from sample to sample, by default their median distance.
 
     Raises:
@@ -201,13 +210,18 @@ def evaluate(
     if times.ndim != 1 or len(times) == 0:
         raise empty_trace(f"{times.size} samples")
     step = _time_step(times, time_step)
-    plan = plan_of(formula, step)
-    columns = arrays(plan.signals, signals, formula)
+    uncertain = uncertain_signals(formula.signals, signals)
+    plan = plan_of(formula, step, uncertain)
+    bounds = [prefix + name for name in sorted(uncertain) for prefix in (LEAST, GREATEST)]
+    columns = arrays((*plan.signals, *bounds), signals, formula)
     for name, column in columns.items():
         if column.shape != times.shape:
             raise other_length(name, column.shape, times.shape)
+    certain = {name: columns[name] for name in plan.signals if name not in uncertain}
+    Frame(certain, times.shape, step or 0.0, times).refuse_not_finite()
     frame = Frame(columns, times.shape, step or 0.0, times)
-    frame.refuse_not_finite()
+    if uncertain and ending in ("goal", "stopped"):
+        ending = "open"
     with np.errstate(all="ignore"):
         values = Values(plan.program, frame)
         return _evaluation(plan, values, ending)
@@ -231,7 +245,7 @@ def _evaluation(plan: Plan, values: Values, ending: Ending) -> Evaluation:
         upper=min(part.upper for part in parts),
         time=None if decided is None else float(times[decided]),
         worst_time=float(times[index]),
-        detail=_detail(violated, undecided, worst, float(times[-1])),
+        detail=_detail(violated, undecided, worst, values.frame, plan.program.uncertain),
         vacuous=status == "satisfied" and _vacuous(plan, values, ending, worst.margin),
     )
 
@@ -250,12 +264,16 @@ def _judged(conjunct: Conjunct, values: Values, ending: Ending) -> _Part:
     least, greatest = _modes(ending)
     lower, at_lower = conjunct.at_start(values, least)
     upper, at_upper = conjunct.at_start(values, greatest)
-    if lower == upper:
+    status = _status(conjunct, values, ending, lower, upper)
+    if conjunct.is_uncertain:
+        # The best that a violation, and the worst that anything else may be.
+        is_violated = status == "violated"
+        margin, index = (upper, at_upper) if is_violated else (lower, at_lower)
+    elif lower == upper:
         # Where the greatest possible values have their minimum, the values themselves have it too.
         margin, index = lower, at_upper if conjunct.is_minimum else at_lower
     else:
         margin, index = conjunct.at_start(values, TRUNCATED)
-    status = _status(conjunct, values, ending, lower, upper)
     decided = _violation(conjunct, values) if status == "violated" else None
     return _Part(conjunct, status, margin, lower, upper, index, decided)
 
@@ -289,13 +307,26 @@ def _violation(conjunct: Conjunct, values: Values) -> int:
     return bisect_left(range(1, last + 1), True, key=decides)
 
 
-def _detail(violated: list[_Part], undecided: list[_Part], worst: _Part, end: float) -> str:
+def _detail(
+    violated: list[_Part],
+    undecided: list[_Part],
+    worst: _Part,
+    frame: Frame,
+    uncertain: frozenset[str],
+) -> str:
+    share = ""
+    if uncertain:
+        seen = known_share(uncertain, frame.columns)
+        share = f" ({', '.join(sorted(uncertain))} known at {100 * seen:.4g} % of the samples)"
     if violated:
-        return "; ".join(part.conjunct.text for part in violated)
+        return "; ".join(part.conjunct.text for part in violated) + share
     if undecided:
         names = " and ".join(f"`{part.conjunct.text}`" for part in undecided)
-        return f"the trace ends at {end:g} s, which does not decide {names}"
-    return worst.conjunct.text
+        if uncertain:
+            return f"what is known of the samples does not decide {names}{share}"
+        assert frame.times is not None
+        return f"the trace ends at {frame.times[-1]:g} s, which does not decide {names}"
+    return worst.conjunct.text + share
 
 
 def _time_step(times: Array, declared: float | None) -> float | None:

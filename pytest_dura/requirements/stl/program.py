@@ -43,6 +43,7 @@ from pytest_dura.requirements.stl.formula import (
     operator_of,
     walk,
 )
+from pytest_dura.requirements.stl.uncertainty import BOUNDS, bound_column
 from pytest_dura.requirements.stl.windows import Array, Frame, first_not_finite
 
 _FRAME = -1
@@ -109,7 +110,8 @@ class Mode(NamedTuple):
 
     Args:
         unknown: What samples behind the end of the trace count as: -inf gives the least value that
-            they allow, +inf the greatest. ``None`` cuts windows at the end instead.
+            they allow, +inf the greatest. ``None`` cuts windows at the end instead. Of an uncertain
+            signal +inf takes the greatest margins that its bounds allow, all else the least.
         open_end: Whether further samples may follow, for operators without a window.
         truth: Whether comparisons count as +1 or -1 and not by their margin.
     """
@@ -135,10 +137,14 @@ class Program:
     Args:
         root: The formula.
         time_step: Seconds from sample to sample, ``None`` for a trace of one sample.
+        uncertain: Signals of which the trace has bounds, and not each sample.
     """
 
-    def __init__(self, root: Node, time_step: float | None) -> None:
+    def __init__(
+        self, root: Node, time_step: float | None, uncertain: frozenset[str] = frozenset()
+    ) -> None:
         self.root = root
+        self.uncertain = uncertain
         self._time_step = time_step
         self._steps: list[Operation] = []
         self._causal: list[bool] = []
@@ -155,7 +161,8 @@ class Program:
         if slot is not None:
             return slot
         with self._lock:
-            if mode.unknown is not None and not _depends_on_the_end(node, mode.open_end):
+            depends = _depends_on_the_end(node, mode.open_end) or self.is_uncertain(node)
+            if mode.unknown is not None and not depends:
                 slot = self.slot(node, Mode(truth=mode.truth))
             else:
                 slot = self._compiled(node, mode)
@@ -207,10 +214,39 @@ class Program:
         value = self._add(operator_of(node).compute, *operands)
         return self._add(_finite, value, _FRAME, options=(node,))
 
+    def is_uncertain(self, node: Node | Expression) -> bool:
+        """Whether a part reads a signal of which the trace has bounds alone."""
+        return bool(self.uncertain) and any(
+            isinstance(part, Signal) and part.name in self.uncertain for part in walk(node)
+        )
+
+    def _bounds(self, node: Expression | Comparison) -> tuple[int, int]:
+        """Slots of the least and the greatest value of an expression, or of a margin."""
+        if isinstance(node, Signal) and node.name in self.uncertain:
+            least, greatest = (
+                self._add(bound_column, _FRAME, options=(node.name, greatest))
+                for greatest in (False, True)
+            )
+            return least, greatest
+        if not isinstance(node, Comparison) and not self.is_uncertain(node):
+            value = self._expression(node)
+            return value, value
+        inputs = [slot for operand in children(node) for slot in self._bounds(operand)]
+        kernel = BOUNDS[operator_of(node).name]
+        least, greatest = (
+            self._add(kernel, *inputs, options=(greatest,)) for greatest in (False, True)
+        )
+        return least, greatest
+
+    def _margins(self, node: Comparison, mode: Mode) -> int:
+        if self.is_uncertain(node):
+            return self._bounds(node)[mode.unknown == math.inf]
+        sides = self._expression(node.left), self._expression(node.right)
+        return self._add(operator_of(node).compute, *sides)
+
     def _compiled(self, node: Node, mode: Mode) -> int:
         if isinstance(node, Comparison):
-            sides = self._expression(node.left), self._expression(node.right)
-            margins = self._add(operator_of(node).compute, *sides)
+            margins = self._margins(node, mode)
             if not any(isinstance(part, Signal) for part in walk(node)):
                 margins = self._add(_everywhere, margins, _FRAME)
             truth = (node.operator in ON_BOUND,)
@@ -369,6 +405,11 @@ class Conjunct:
         """The part as text."""
         return node_text(self.node)
 
+    @cached_property
+    def is_uncertain(self) -> bool:
+        """Whether the part reads a signal of which the trace has bounds alone."""
+        return self._program.is_uncertain(self.node)
+
     @property
     def is_minimum(self) -> bool:
         """Whether the part is an ``always``."""
@@ -406,10 +447,12 @@ class Plan:
         has_implication: Whether it can be satisfied vacuously.
     """
 
-    def __init__(self, formula: Formula, time_step: float | None) -> None:
+    def __init__(
+        self, formula: Formula, time_step: float | None, uncertain: frozenset[str] = frozenset()
+    ) -> None:
         self.formula = formula
         self.signals = tuple(formula.signals)
-        self.program = Program(formula.root, time_step)
+        self.program = Program(formula.root, time_step, uncertain)
         self.conjuncts = tuple(Conjunct(node, self.program) for node in conjuncts(formula.root))
         self.has_implication = any(
             isinstance(node, Boolean) and node.operator == "implies" for node in walk(formula.root)
@@ -417,12 +460,16 @@ class Plan:
 
 
 @lru_cache(maxsize=512)
-def plan_of(formula: Formula, time_step: float | None) -> Plan:
+def plan_of(
+    formula: Formula, time_step: float | None, uncertain: frozenset[str] = frozenset()
+) -> Plan:
     """The plan of a formula; ``time_step=None`` is for a trace of one sample.
+
+    ``uncertain`` names the signals of which a trace has bounds, and not each sample.
 
     Raises:
         ConfigurationError: For a window that is no multiple of the time step.
     """
     if time_step is not None:
         check_time_step(formula, time_step)
-    return Plan(formula, time_step)
+    return Plan(formula, time_step, uncertain)

@@ -1,0 +1,1 @@
+"""Readers of formats, each over a library of that format, registered by entry points."""
