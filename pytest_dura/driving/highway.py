@@ -275,7 +275,9 @@ class JunctionSimulator(Simulator):
             body.walking, body.start = person.speed, person.start
             road.objects.append(body)
         self._occlusion = world.occlusion
-        self._kinds = {obstacle.id: obstacle.kind for obstacle in world.obstacles}
+        self._kinds = {
+            part.id: part.kind for obstacle in world.obstacles for part in obstacle.parts()
+        }
         self._obstacle_rows = tuple(
             (
                 *obstacle.position.tolist(),
@@ -588,8 +590,9 @@ class HighwaySimulator(JunctionSimulator):
         road = traffic.JunctionRoad(_network(geometry), np_random=stream(seed, "highway_env"))
         road.courtesy = world.courtesy
         road.obstacles = tuple(
-            traffic.standing(road, geometry.arms[geometry.arm(obstacle.arm)], obstacle)
+            traffic.standing(road, geometry.arms[geometry.arm(obstacle.arm)], part)
             for obstacle in world.obstacles
+            for part in obstacle.parts()
         )
         return road
 

@@ -277,6 +277,20 @@ class CyclistStart(_Model):
     speed: Annotated[float, Field(gt=0, le=8), Unit("m/s")] = Field(4.5, description="In m/s.")
 
 
+_LONGEST_PART = 20.0
+"""m; what is longer is reported in parts."""
+
+
+class Part(NamedTuple):
+    """A body that an obstacle consists of: its place as the obstacle's, length and width in m."""
+
+    id: str
+    kind: str
+    offset: float
+    beside: float
+    size: tuple[float, float]
+
+
 class StaticObstacle(_Model):
     """Something that stands on or beside an arm, and that lidar and radar see like any object."""
 
@@ -285,7 +299,8 @@ class StaticObstacle(_Model):
     )
     kind: Literal["parked_car", "parked_van", "hedge", "cones", "island"] = Field(
         description="A car of 4.5 by 1.8 m, a van of 6 by 2 m, a hedge of 60 by 1.6 m, a row of "
-        "cones of 3 by 0.4 m, or a kerb island of 6 by 1 m; its length lies along the arm."
+        "cones of 3 by 0.4 m, or a kerb island of 6 by 1 m; its length lies along the arm. A hedge "
+        "is reported as three bodies of 20 m."
     )
     arm: ArmName = "south"
     offset: Annotated[NotNegative, Unit("m")] = Field(
@@ -304,6 +319,23 @@ class StaticObstacle(_Model):
             "parked_car": (4.5, 1.8), "parked_van": (6.0, 2.0), "hedge": (60.0, 1.6),
             "cones": (3.0, 0.4), "island": (6.0, 1.0),
         }[self.kind]  # fmt: skip
+
+    def parts(self) -> list[Part]:
+        """The bodies of which it consists, from the junction outwards; the first has its id.
+
+        Planners and monitors cover a body by three discs. Those of a hedge of 60 m in one piece
+        reach 9 m beside it, so that who drives along it would be predicted to meet it; those of
+        20 m reach 2.6 m.
+        """
+        length, width = self.size
+        number = max(round(length / _LONGEST_PART), 1)
+        each = length / number
+        first = self.offset - (length - each) / 2.0
+        names = [self.id, *(f"{self.id}.{part}" for part in range(2, number + 1))]
+        return [
+            Part(name, self.kind, first + each * row, self.beside, (each, width))
+            for row, name in enumerate(names)
+        ]
 
 
 class Phase(_Model):

@@ -29,7 +29,7 @@ from pytest_dura.driving.maneuvers import MAX_BRAKING
 from pytest_dura.driving.moving import Actuated, Walking, crossing_length, kerb, placed
 from pytest_dura.driving.roads import Arm
 from pytest_dura.driving.roads import Road as Geometry
-from pytest_dura.driving.scenario import CyclistStart, StaticObstacle
+from pytest_dura.driving.scenario import CyclistStart, Part
 
 _SHARPEST_COURSE = math.pi / 4
 """Greatest angle in rad between lane and course that is steered for."""
@@ -501,11 +501,11 @@ def _follow(me: Driver, distance: float, speed: float) -> float:
     return float(me.COMFORT_ACC_MAX * (free - (max(gap, 0.0) / max(distance, 0.1)) ** 2))
 
 
-def standing(road: Road, arm: Arm, obstacle: StaticObstacle) -> Standing:
-    """The body of an obstacle on or beside an arm."""
-    x, y, heading = placed(arm, obstacle.offset, obstacle.beside)
-    body = Standing(road, np.array([x, y]), heading, obstacle.size)
-    body.body_id = obstacle.id
+def standing(road: Road, arm: Arm, part: Part) -> Standing:
+    """The body of an obstacle, or of a part of one, on or beside an arm."""
+    x, y, heading = placed(arm, part.offset, part.beside)
+    body = Standing(road, np.array([x, y]), heading, part.size)
+    body.body_id = part.id
     return body
 
 

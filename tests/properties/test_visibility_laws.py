@@ -11,6 +11,8 @@ from roads import begin, bodies_at, car
 
 from pytest_dura.driving import Body, BodyList
 from pytest_dura.driving.bodies import HEADING, LENGTH, WIDTH, X, Y
+from pytest_dura.driving.prediction import Predictor
+from pytest_dura.driving.scene import Scene
 from pytest_dura.driving.visibility import is_seen, visible
 
 laws = settings(derandomize=True, deadline=None, max_examples=100)
@@ -71,3 +73,24 @@ def test_a_world_hides_bodies_from_lidar_and_radar_alone_where_it_says_so() -> N
         assert bodies_at(tick).ids == ("P1", "VAN")
         assert tick.channels["lidar"].ids == seen
         assert len(tick.channels["radar"]) == len(seen)
+
+
+@laws
+@given(st.floats(30.0, 70.0), st.floats(5.4, 12.0), st.floats(20.0, 60.0))
+def test_a_hedge_hides_as_one_body_and_is_on_nobodys_way(
+    offset: float, beside: float, distance: float
+) -> None:
+    """In parts: three discs that cover 60 m in one piece would reach 9 m beside it."""
+    hedge = {"id": "HEDGE", "kind": "hedge", "offset": offset, "beside": beside + 2.0}
+    world = {"ego": {"distance": distance, "speed": 9.0}, "obstacles": [hedge], "occlusion": True}
+    _, (tick,) = begin(world)
+    parts = bodies_at(tick)
+    assert parts.ids == ("HEDGE", "HEDGE.2", "HEDGE.3")
+    lengths = parts.data[:, LENGTH]
+    assert math.isclose(lengths.sum(), 60.0)
+    reach = np.hypot(parts.data[:, X] - parts.data[0, X], parts.data[:, Y] - parts.data[0, Y])
+    assert np.allclose(reach, [0.0, 20.0, 40.0])
+    predictor, scene = Predictor(4.0, 0.1), Scene.of(tick.channels)
+    predictor.observe(0, scene.bodies)
+    apart, _ = predictor.separations(scene, (0.0,), 0.1)
+    assert apart.size == 0 or apart.min() > 0.3
