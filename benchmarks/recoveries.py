@@ -22,6 +22,7 @@ import json
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from statistics import mean, quantiles
 
@@ -31,7 +32,7 @@ from machine import machine, table
 from pytest_dura.core import Orchestrator, RoleSpec, switching
 from pytest_dura.domains import DOMAINS
 from pytest_dura.driving import clearance_time
-from pytest_dura.library import expand_cases, load_library
+from pytest_dura.library import Case, expand_cases, load_library
 from pytest_dura.requirements import lower_bound, mcnemar, upper_bound
 
 OFF = "off"
@@ -58,6 +59,12 @@ class Outcome:
         return not self.collided and self.clearance is None
 
 
+@cache
+def _case(scenario: str) -> Case:
+    (case,) = expand_cases(load_library([]).scenarios, select=[scenario])
+    return case
+
+
 def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
     """One episode."""
     key, generator, base_seed = job
@@ -65,7 +72,7 @@ def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
     roles = {"generator": RoleSpec(REFERENCE if planner == REFERENCE else generator)}
     if planner not in (OFF, REFERENCE):
         roles["recovery_planner"] = RoleSpec(planner)
-    (case,) = expand_cases(load_library([]).scenarios, select=[scenario])
+    case = _case(scenario)
     policy = "recover" if planner in PLANNERS else "log_only"
     spec = case.spec(number, base_seed, roles, policy=policy)
     episode = Orchestrator.build(spec).run(spec)
