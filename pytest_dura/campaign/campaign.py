@@ -251,6 +251,8 @@ class Campaign(Shown):
             without: ``faults``, or the name of a role that is switched off there.
             reference: In its place a component, by its registered name or import path, that takes
                 the place of the component under test there, and that recovery does not overrule.
+                Together with ``without="recovery_planner"`` it drives third runs: what it avoids is
+                what recovery is asked to prevent.
 
         Raises:
             ConfigurationError: If there is no such role or component, or there are no faults, and
@@ -366,7 +368,11 @@ class Campaign(Shown):
         return runs
 
     def course_of(
-        self, requirement: Requirement, check: Check | None = None, twins: str = ""
+        self,
+        requirement: Requirement,
+        check: Check | None = None,
+        twins: str = "",
+        references: str = "",
     ) -> CampaignCourse:
         """Begin the course of this campaign's runs.
 
@@ -374,6 +380,7 @@ class Campaign(Shown):
             requirement: What decides on them.
             check: A check in place of the requirement's own.
             twins: Id of the case of the second runs, if pairs are judged.
+            references: Id of the case of third runs, if there are any.
 
         Raises:
             ConfigurationError: Before anything is run, for a requirement that cannot be judged.
@@ -394,6 +401,7 @@ class Campaign(Shown):
             requirement.p0,
             self.until_decided,
             twins,
+            references,
         )
         faults = {fault.id for fault in self.case.faults}
         return CampaignCourse(question, varies=varies(self.case.scenario.variation, faults))
@@ -446,19 +454,27 @@ class PairedCampaign(Shown):
         self.campaign, self.without, self.reference = campaign, without, reference
         check_second_run(Paired(without, reference=reference))
         self.case = twin_case(campaign.case, without, reference)
+        self.others = [self.case]
+        """The cases of the second runs, and of third ones of a reference."""
+        if without and reference:
+            self.others.append(campaign.case.referred(reference))
         # Raises before anything runs if there is no such role to switch off.
-        self.case.roles(campaign.runner.roles)
+        for case in self.others:
+            case.roles(campaign.runner.roles)
 
     def __repr__(self) -> str:
         name = one_line(repr(self.campaign.case.id), 64)
-        if self.reference:
-            return f"PairedCampaign({name}, reference={self.reference!r})"
-        return f"PairedCampaign({name}, without={self.without!r})"
+        given = {"without": self.without, "reference": self.reference}
+        text = ", ".join(f"{key}={value!r}" for key, value in given.items() if value)
+        return f"PairedCampaign({name}, {text})"
 
     def _figures(self) -> Iterator[tuple[str, object]]:
         """Yield what a notebook shows; nothing is simulated for it."""
         yield "case", self.campaign.case.id
-        yield ("reference", self.reference) if self.reference else ("twins without", self.without)
+        if self.without:
+            yield "twins without", self.without
+        if self.reference:
+            yield "reference", self.reference
         yield "component", self.campaign.component
         yield "pairs planned", str(self.campaign.planned)
 
@@ -494,12 +510,17 @@ class PairedCampaign(Shown):
             ConfigurationError: For a check or measure that cannot be used.
         """
         check_comparison(requirement)
-        campaign, cases = self.campaign, [self.campaign.case, self.case]
-        course = campaign.course_of(requirement, check, self.case.id)
+        campaign, cases = self.campaign, [self.campaign.case, *self.others]
+        course = campaign.course_of(requirement, check, *(case.id for case in self.others))
         declared = campaign.is_declared(requirement, check)
 
         def judged() -> Iterator[tuple[RunJudgement, Sequence[JudgedEpisode]]]:
-            for pair in self._with_twins(campaign.in_order(cases, course), cases):
+            for own, twin in self._with_twins(campaign.in_order(cases, course), cases):
+                third = [
+                    campaign.runner.episode(case, own.spec.run, planned=campaign.planned)
+                    for case in self.others[1:]
+                ]
+                pair = [own, twin, *third]
                 yield judged_pair(requirement, check, pair, declared=declared), pair
 
         self._report_monitors(campaign.decide(course, judged()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 from pytest_dura.core.episode import Episode
 from pytest_dura.core.errors import ConfigurationError
@@ -72,20 +73,23 @@ def monitor_qualities(
 def judged_pair(
     requirement: Requirement,
     check: Check | None,
-    pair: tuple[JudgedEpisode, JudgedEpisode],
+    pair: Sequence[JudgedEpisode],
     *,
     declared: bool,
 ) -> RunJudgement:
-    """What a requirement on pairs says of both runs of a pair, as far as they do not have it."""
-    episode, twin = pair
+    """What a requirement on pairs says of the runs of a pair, as far as they do not have it."""
+    episode, twin = pair[:2]
     assert requirement.paired is not None
     measure = requirement.paired.measure
     if measure:
         own, other = (finite_or_infinite(measured_value(measure, each)) for each in pair)
         return RunJudgement(episode.digest, episode.spec.run, twin.digest, values=(own, other))
     verdicts = [judge_run(requirement, each, check) for each in pair]
-    stated = [None, None] if declared else verdicts
-    return RunJudgement(episode.digest, episode.spec.run, twin.digest, *stated)
+    stated = [None] * len(pair) if declared else verdicts
+    judged = RunJudgement(episode.digest, episode.spec.run, twin.digest, *stated[:2])
+    if len(pair) == 2:
+        return judged
+    return replace(judged, reference=pair[2].digest, reference_verdict=stated[2])
 
 
 def measured_value(measure: str | Callable[[Episode], float], episode: Episode) -> float | None:
@@ -100,12 +104,13 @@ def twin_case(case: Case, without: str, reference: str = "") -> Case:
     Args:
         case: That of the first runs.
         without: What the twins lack; empty with a reference.
-        reference: The component that drives them; empty without one.
+        reference: The component that drives them; empty without one. Where the twins lack
+            something, it drives third runs.
 
     Raises:
         ConfigurationError: If there is no such role or component, or there are no faults.
     """
-    if reference:
+    if reference and not without:
         return case.referred(reference)
     if without != FAULTS:
         return case.switched_off(without)

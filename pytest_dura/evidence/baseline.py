@@ -238,8 +238,10 @@ def _check(verdict: ItemVerdict, requirement: Requirement | None) -> str:
     if verdict.pairs is None:
         return check
     reference, paired = verdict.pairs.reference, verdict.paired
-    second = f"beside {reference}" if reference else f"without {verdict.pairs.without}"
-    details = [f"pairs {second}"]
+    without = verdict.pairs.without
+    second = [f"without {without}"] if without else []
+    second += [f"beside {reference}"] if reference else []
+    details = [f"pairs {' and '.join(second)}"]
     if paired is not None and paired.measure:
         details.append(f"measure {paired.measure}")
     if paired is not None and paired.change_at_most is not None:

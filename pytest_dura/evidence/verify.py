@@ -155,7 +155,11 @@ class _Checks:
         for judgement in head.judgements:
             for run in judgement.runs if judgement.kind == "campaign" else ():
                 about = judgement.requirement, judgement.check
-                for digest, verdict in ((run.digest, run.verdict), (run.twin, run.twin_verdict)):
+                for digest, verdict in (
+                    (run.digest, run.verdict),
+                    (run.twin, run.twin_verdict),
+                    (run.reference, run.reference_verdict),
+                ):
                     if verdict is not None:
                         self._asked[digest].append((*about, verdict))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from itertools import pairwise
@@ -186,13 +186,8 @@ def judgement_problems(record: SessionRecord) -> Iterator[str]:
         case = cases.get((judgement.case, judgement.component))
         if case is not None and judgement.planned > case.planned:
             yield f"{place}: {judgement.planned} runs planned, and {case.planned} of its case"
-        reference = judgement.paired.reference if judgement.paired else ""
-        of_reference = judgement.twins in references.get(reference, ())
-        of_component = (judgement.twins, judgement.component) in {
-            *cases, ("", judgement.component)
-        }  # fmt: skip
-        if not (of_reference if reference else of_component):
-            yield f"{place}: the case of its second runs is not listed"
+        for problem in _unlisted_arms(judgement, cases, references):
+            yield f"{place}: {problem}"
         yield from (f"{place}: {problem}" for problem in _form_problems(judgement))
         for run in judgement.runs:
             named.setdefault(run.digest, []).append(
@@ -201,6 +196,9 @@ def judgement_problems(record: SessionRecord) -> Iterator[str]:
             if run.twin:
                 twin = _NamedRun(place, judgement, run.run, run.twin_verdict)
                 named.setdefault(run.twin, []).append(twin)
+            if run.reference:
+                third = _NamedRun(place, judgement, run.run, run.reference_verdict)
+                named.setdefault(run.reference, []).append(third)
     for episode in record.episodes():
         for each in named.pop(episode.digest, ()):
             for problem in each.problems(episode):
@@ -208,6 +206,25 @@ def judgement_problems(record: SessionRecord) -> Iterator[str]:
     for each in (each for entries in named.values() for each in entries):
         if (each.judgement.case, each.judgement.component) not in doubtful:
             yield f"{each.place}: one of its runs is not recorded"
+
+
+def _unlisted_arms(
+    judgement: Judgement,
+    cases: Container[tuple[str, str]],
+    references: Mapping[str, Container[str]],
+) -> Iterator[str]:
+    """Yield which cases of second and third runs are not listed."""
+    paired, of_component = judgement.paired, (judgement.twins, judgement.component)
+    listed: Container[str] = references.get(paired.reference, ()) if paired is not None else ()
+    is_reference = paired is not None and bool(paired.reference) and not paired.without
+    known = of_component in cases or not judgement.twins
+    if not (judgement.twins in listed if is_reference else known):
+        yield "the case of its second runs is not listed"
+    if paired is not None and paired.prevents:
+        if judgement.references not in listed:
+            yield "the case of its third runs is not listed"
+    elif judgement.references:
+        yield "third runs, and no reference"
 
 
 def _form_problems(judgement: Judgement) -> Iterator[str]:

@@ -23,7 +23,7 @@ from pytest_dura.library.scenario import (
 from pytest_dura.requirements.campaign_judge import CampaignJudge, method_of
 from pytest_dura.requirements.checks import Check, is_function_path, load_function, read_formula
 from pytest_dura.requirements.model import FAULTS, Kind, Method, Paired, Requirement
-from pytest_dura.requirements.pairs import check_comparison
+from pytest_dura.requirements.pairs import RECOVERY, check_comparison
 from pytest_dura.requirements.stl.formula import Formula, check_time_step
 
 
@@ -38,14 +38,19 @@ class PairedEntry(Entry):
     """Greatest acceptable growth of the measure, in its unit."""
     reference: str = ""
     """In place of `without`: registered name or import path of the component that takes the place
-    of the component under test in the second run of each pair, where recovery does not act."""
+    of the component under test in the second run of each pair, where recovery does not act. Beside
+    `without: recovery_planner`, in a third run: what it avoids, recovery has to prevent."""
 
     @model_validator(mode="after")
     def _complete(self) -> PairedEntry:
         if bool(self.measure) != (self.change_at_most is not None):
             raise ValueError("`measure` and `change_at_most` go together")
-        if bool(self.without) == bool(self.reference):
-            raise ValueError("one of `without` and `reference` says what the second run is")
+        both = self.without == RECOVERY and self.reference and not self.measure
+        if bool(self.without) == bool(self.reference) and not both:
+            raise ValueError(
+                "one of `without` and `reference` says what the second run is; both go together "
+                "for a check that `recovery_planner` has to keep from being violated"
+            )
         return self
 
 
@@ -298,7 +303,9 @@ def _check_paired(scenario: Scenario, located: LocatedRequirement) -> None:
         return
     if paired.reference:
         role_spec("generator", RoleSpec(paired.reference), scenario.system)
-    elif paired.without != FAULTS:
+    if not paired.without:
+        return
+    if paired.without != FAULTS:
         check_role_name(paired.without, switched_off=True)
     elif not scenario.faults:
         raise ConfigurationError(

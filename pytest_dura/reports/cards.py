@@ -181,7 +181,7 @@ def _finding_entry(finding: Finding) -> Entry:
     runs = counted(verdict.episodes, "run" if verdict.pairs is None else "pair")
     if verdict.pairs is not None:
         without, reference = verdict.pairs.without, verdict.pairs.reference
-        if reference:
+        if reference and not without:
             runs += f" with {name(reference)} in its place"
         else:
             runs += f" with and without {'the faults' if without == FAULTS else name(without)}"

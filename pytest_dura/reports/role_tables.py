@@ -88,6 +88,16 @@ PAIR_COLUMNS: Sequence[Column[PairRow]] = (
         meaning="violated both with and without, though recovery acted",
     ),
     Column(
+        "unavoidable", lambda row: row.pairs.reference_both if row.pairs.reference else None,
+        short="unavoid", meaning="violated with recovery, and by the reference as well",
+    ),
+    Column(
+        "prevented of avoidable", lambda row: _prevented_share(row.pairs), short="share",
+        small="95 % interval",
+        meaning="violations without recovery that it prevented, of all of them or of those that "
+        "the reference avoids, and the exact 95 % interval of that share, in per cent",
+    ),
+    Column(
         "unnecessary", lambda row: row.pairs.acted_neither, short="unnec",
         meaning="recovery acted, and neither run violated",
     ),
@@ -146,6 +156,15 @@ def _success(pairs: PairTable) -> Cell | None:
     share = pairs.acted_only_without / tried
     text = f"{100 * share:.0f} ({tried})"
     return Cell(text, text, share_text(share), (f"({tried})",))
+
+
+def _prevented_share(pairs: PairTable) -> Cell | None:
+    """Prevented violations of those to prevent, with the exact interval of their share."""
+    count, of = pairs.prevented_of_these, pairs.to_prevent
+    interval = interval_cell(count, of)
+    if interval is None:
+        return None
+    return replace(interval, page=f"{count} of {of}", notes=(f"({interval.page})",), below=True)
 
 
 def _p_value(verdict: ItemVerdict | None, pairs: PairTable | Change) -> Cell | None:

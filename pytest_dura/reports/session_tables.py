@@ -201,7 +201,7 @@ def reference_table(verdicts: Sequence[ItemVerdict], cases: Sequence[CaseEntry])
             ReferenceRow(verdict, pairs),
         )
         for verdict in _by_case(verdicts, cases)
-        if isinstance(pairs := verdict.pairs, PairTable) and pairs.reference
+        if isinstance(pairs := verdict.pairs, PairTable) and pairs.reference and not pairs.without
     ]
     caption = "Reference: runs of equal seeds of the component, and of another one in its place"
     return _of_view("monitors", caption, Table("reference", REFERENCE_COLUMNS, rows))

@@ -451,7 +451,7 @@ def _reference_lines(verdicts: Sequence[ItemVerdict]) -> Iterator[str]:
     sums: dict[tuple[str, str], Counter[str]] = {}
     for verdict in verdicts:
         pairs = verdict.pairs
-        if isinstance(pairs, PairTable) and pairs.reference:
+        if isinstance(pairs, PairTable) and pairs.reference and not pairs.without:
             counts = sums.setdefault((verdict.requirement, pairs.reference), Counter())
             counts["avoidable"] += pairs.avoidable
             counts["unavoidable"] += pairs.unavoidable

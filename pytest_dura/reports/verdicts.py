@@ -113,7 +113,9 @@ def _bound_text(requirement: Requirement) -> str:
     what = "episodes"
     if pairs is not None:
         lacking = f"with and without {name(pairs.without)}"
-        if pairs.reference:
+        if pairs.prevents:
+            lacking += f" whose violation without it {name(pairs.reference)} avoids"
+        elif pairs.reference:
             lacking = f"of the component and of {name(pairs.reference)}"
         what = f"pairs of equal seeds, {lacking},"
     if requirement.at_most is None:

@@ -165,6 +165,8 @@ class CampaignJudge:
     ) -> None:
         self.requirement, self.case, self.planned = requirement, case, planned
         self._noun = "episodes" if requirement.paired is None else "pairs"
+        self._where_it_holds = requirement.paired is not None and requirement.paired.prevents
+        """Whether only runs count in which there was something to prevent."""
         self.component, self.until_decided = component, until_decided
         self.verdicts: list[EpisodeVerdict] = []
         self.situation: Situation | None = None
@@ -218,9 +220,14 @@ class CampaignJudge:
                 remedy="judge the episodes of each component apart",
             )
         self.verdicts.append(verdict)
-        self._counts["without effect" if verdict.without_effect else verdict.verdict] += 1
-        if self.sequential and verdict.valid:
+        status = "vacuous" if self._is_outside(verdict) else verdict.verdict
+        self._counts["without effect" if verdict.without_effect else status] += 1
+        if self.sequential and verdict.valid and status != "vacuous":
             self._test(verdict.verdict)
+
+    def _is_outside(self, verdict: EpisodeVerdict) -> bool:
+        """Whether a run enters no n: there was nothing to prevent in it."""
+        return self._where_it_holds and verdict.vacuous
 
     def _test(self, status: EpisodeStatus) -> None:
         """Count a valid episode in the tests of the rate, as far as they have not decided."""
@@ -258,7 +265,9 @@ class CampaignJudge:
         """The verdict on what was added so far."""
         decide = self._decide if self.situation is None else self._decide_on_one_situation
         status, reason = decide()
-        valid = [verdict for verdict in self.verdicts if verdict.valid]
+        valid = [
+            verdict for verdict in self.verdicts if verdict.valid and not self._is_outside(verdict)
+        ]
         margins = [
             verdict.margin
             for verdict in valid
@@ -285,7 +294,7 @@ class CampaignJudge:
             without_effect=self._count("without effect"),
             invalid=self._invalid,
             missing=self._count("missing"),
-            vacuous=sum(verdict.vacuous for verdict in valid),
+            vacuous=self._count("vacuous") or sum(verdict.vacuous for verdict in valid),
             bound=self._bound(len(valid)),
             margin=min(margins) if margins else None,
             margins=Margins.of(margins),
@@ -423,7 +432,10 @@ class CampaignJudge:
         if run and invalid / run > MAX_INVALID_SHARE:
             share = f"more than {MAX_INVALID_SHARE:.0%}"
             flaws.append(f"{invalid} of {run} {self._noun} are invalid, {share}")
-        if not valid:
+        if not valid and self._count("vacuous"):
+            number = self._count("vacuous")
+            flaws.append(f"there was nothing to prevent in the {number} valid {self._noun}")
+        elif not valid:
             flaws.append(f"none of the {self._noun} was valid")
         flaws += self._early_ends()
         if self.test is not None and self._count("without effect"):
@@ -435,7 +447,7 @@ class CampaignJudge:
                 "violated it or ended before it was decided"
             )
         satisfied = self._count("satisfied")
-        vacuous = sum(verdict.vacuous for verdict in self.verdicts)
+        vacuous = 0 if self._where_it_holds else sum(each.vacuous for each in self.verdicts)
         if satisfied and satisfied == vacuous and not self._count("violated"):
             flaws.append(f"its condition held in none of the {valid} valid {self._noun} (vacuous)")
         never = _not_manifested([verdict for verdict in self.verdicts if verdict.valid])

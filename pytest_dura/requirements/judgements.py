@@ -30,6 +30,7 @@ from pytest_dura.requirements.pairs import (
     change_verdict,
     judge_pairs,
     pair_verdict,
+    prevention_verdict,
 )
 from pytest_dura.requirements.runs import Run
 
@@ -54,6 +55,10 @@ class RunJudgement:
     values: tuple[float | None, float | None] | None = None
     """The measure of both runs; null of a run that is invalid, missing or not whole, infinite where
     it has no value."""
+    reference: Annotated[str, Limit(pattern=r"^([0-9a-f]{64})?$")] = ""
+    """Digest of the third run, of a reference; empty without one."""
+    reference_verdict: CheckVerdict | None = None
+    """What the question's check says of the third run, as of the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +109,8 @@ class Judgement:
     """Whether runs end as soon as the requirement is decided."""
     twins: str = ""
     """Id of the case of the second runs; empty unless pairs are judged."""
+    references: str = ""
+    """Id of the case of the third runs, of a reference; empty without them."""
     runs: tuple[RunJudgement, ...] = ()
     """The runs that it rests on, in the order in which they were judged; none for a claim."""
     assertion: Assertion | None = None
@@ -188,24 +195,27 @@ class CampaignCourse:
         """What is asked, with the runs so far."""
         return replace(self.question, runs=tuple(self.runs))
 
-    def add(self, judged: RunJudgement, run: Run, twin: Run | None = None) -> None:
+    def add(
+        self, judged: RunJudgement, run: Run, twin: Run | None = None, reference: Run | None = None
+    ) -> None:
         """Take in the next run, or the next pair.
 
         Args:
             judged: What the question's check says of it.
             run: The run.
             twin: Its second run.
+            reference: Its third run.
         """
         name, paired = self.requirement.id, self.requirement.paired
-        sides = [run] if twin is None else [run, twin]
+        sides = [side for side in (run, twin, reference) if side is not None]
         if twin is None:
             verdict = run.verdict(name, judged.verdict)
         else:
-            verdict = self._pair_verdict(judged, run, twin)
+            verdict = self._pair_verdict(judged, run, twin, reference)
         if verdict.verdict != "violated":
             # A check of pairs compares two runs, and so sees the crash of neither.
             # That of a reference is not the component's.
-            own = sides[:1] if paired is not None and paired.reference else sides
+            own = sides[:-1] if paired is not None and paired.reference else sides
             crashed = (side.episode for side in own if side.is_unseen_crash)
             verdict = replace(verdict, unseen_crash=next(crashed, ""))
         self.judge.add(verdict)
@@ -215,7 +225,9 @@ class CampaignCourse:
         self.schedule.add(run.validity)
         self.runs.append(judged)
 
-    def _pair_verdict(self, judged: RunJudgement, run: Run, twin: Run) -> EpisodeVerdict:
+    def _pair_verdict(
+        self, judged: RunJudgement, run: Run, twin: Run, reference: Run | None
+    ) -> EpisodeVerdict:
         requirement = self.requirement
         if judged.values is not None:
             self._values[run.episode] = judged.values
@@ -223,8 +235,13 @@ class CampaignCourse:
         own = run.verdict(requirement.id, judged.verdict)
         # The second run may be another component's; a pair is about the component under test.
         other = replace(twin.verdict(requirement.id, judged.twin_verdict), component=run.component)
-        self._pairs.append(Pair(own, other, acted=run.recovered))
-        return pair_verdict(own, other)
+        if reference is None:
+            self._pairs.append(Pair(own, other, acted=run.recovered))
+            return pair_verdict(own, other)
+        third = reference.verdict(requirement.id, judged.reference_verdict)
+        third = replace(third, component=run.component)
+        self._pairs.append(Pair(own, other, acted=run.recovered, reference=third))
+        return prevention_verdict(own, other, third)
 
     def verdict(self) -> CampaignVerdict:
         """Return the verdict on the runs so far, with the table of pairs if there are any."""
@@ -281,7 +298,8 @@ def conclude_campaign(
     course = CampaignCourse(judgement, varies=varies)
     by_number = {known[judged.digest].number: judged for judged in _recorded(judgement, known)}
     while course.goes_on and (judged := by_number.pop(len(course.runs), None)) is not None:
-        course.add(judged, known[judged.digest], known.get(judged.twin))
+        second, third = known.get(judged.twin), known.get(judged.reference)
+        course.add(judged, known[judged.digest], second, third)
     if course.goes_on and by_number:
         # The order decides: what follows a gap is not judged before the gap is filled.
         due = range(len(course.runs), max(by_number))
@@ -294,7 +312,8 @@ def conclude_campaign(
 
 def _recorded(judgement: Judgement, known: Mapping[str, Run]) -> Iterator[RunJudgement]:
     for judged in judgement.runs:
-        if judged.digest in known and (not judged.twin or judged.twin in known):
+        others = filter(None, (judged.twin, judged.reference))
+        if judged.digest in known and all(digest in known for digest in others):
             yield judged
 
 

@@ -27,7 +27,8 @@ class Paired:
     Without a ``measure``, a pair violates the requirement if its check is violated with it and
     satisfied without it. With one, a pair does if the measure grows by more than
     ``change_at_most``. With a ``reference``, the second run of each pair is that of another
-    component, which nothing overrules.
+    component, which nothing overrules. With both, for recovery: of the violations without it that
+    the reference avoids, it prevents each, or all but a share.
     """
 
     without: str = ""
@@ -45,8 +46,15 @@ class Paired:
     __repr__ = short_repr
 
     @property
+    def prevents(self) -> bool:
+        """Whether a role has to prevent what a reference avoids, so that there are three runs."""
+        return bool(self.without and self.reference)
+
+    @property
     def sides(self) -> str:
-        """What the two runs of a pair are, in words."""
+        """What the runs of a pair are, in words."""
+        if self.prevents:
+            return f"with {self.without}, without, and with {self.reference} as the component"
         if self.reference:
             return f"the component, and {self.reference} in its place"
         return f"with {self.without}, and without"
@@ -96,7 +104,8 @@ class Requirement(Shown):
 
         One that is compared with a reference does: what the reference has as well is told apart.
         """
-        return self.paired is None or bool(self.paired.reference)
+        paired = self.paired
+        return paired is None or (bool(paired.reference) and not paired.without)
 
     def _figures(self) -> Iterator[tuple[str, object]]:
         """Yield what a notebook shows."""

@@ -23,6 +23,8 @@ from pytest_dura.requirements.episode_verdicts import EpisodeStatus, EpisodeVerd
 from pytest_dura.requirements.model import Paired, Requirement
 from pytest_dura.requirements.runs import Run
 
+RECOVERY = "recovery_planner"
+_UNCOUNTED: tuple[Literal["missing", "invalid", "open"], ...] = ("missing", "invalid", "open")
 _ROUNDING = 1e-9
 """Share of the greatest value by which a growth may miss the bound and still equals it: times are
 multiples of a time step that has no exact float, such as 8.3 s and 6.3 s."""
@@ -64,8 +66,11 @@ def check_second_run(paired: Paired) -> None:
     """Refuse pairs whose second run is two things, or nothing.
 
     Raises:
-        ConfigurationError: Unless one of ``without`` and ``reference`` is given.
+        ConfigurationError: Unless one of ``without`` and ``reference`` is given, or both for what
+            recovery has to prevent.
     """
+    if paired.prevents and paired.without == RECOVERY and not paired.measure:
+        return
     sides = {"without": paired.without, "reference": paired.reference}
     named = [f"{key} {value}" for key, value in sides.items() if value]
     if len(named) != 1:
@@ -73,7 +78,8 @@ def check_second_run(paired: Paired) -> None:
             "the second run of a pair lacks something, or is that of a reference",
             key="paired.reference" if named else "paired.without",
             found=" and ".join(named) or "neither",
-            expected="one of `without` and `reference`",
+            expected="one of `without` and `reference`, or a check that `recovery_planner` has to "
+            "prevent from being violated where a reference avoids it",
             remedy="leave one out" if named else "add `without` or `reference`",
         )
 
@@ -111,6 +117,34 @@ def pair_verdict(with_it: EpisodeVerdict, without: EpisodeVerdict) -> EpisodeVer
     return replace(
         with_it, verdict="satisfied", margin=margin, time=None, detail=detail, vacuous=vacuous
     )
+
+
+def prevention_verdict(
+    with_it: EpisodeVerdict, without: EpisodeVerdict, reference: EpisodeVerdict
+) -> EpisodeVerdict:
+    """Verdict on what recovery prevents: it violates what is violated with and without it.
+
+    Only where the reference satisfies it: otherwise there is nothing to prevent, which is vacuous.
+
+    Args:
+        with_it: Verdict on the episode with recovery.
+        without: Verdict on its twin without.
+        reference: Verdict on the reference's run of the same seed.
+    """
+    sides = with_it, without, reference
+    for uncounted in _UNCOUNTED:
+        side = next((each for each in sides if each.verdict == uncounted), None)
+        if side is not None:
+            return _as_side(with_it, side, uncounted)
+    side = next((each for each in sides if each.without_effect), None)
+    if side is not None:
+        return _as_side(with_it, side, "invalid")
+    detail = f"{without.verdict} without it, {reference.verdict} by the reference"
+    if without.verdict != "violated" or reference.verdict != "satisfied":
+        return replace(
+            with_it, verdict="satisfied", margin=None, time=None, detail=detail, vacuous=True
+        )
+    return replace(with_it, detail=f"{with_it.verdict} with it, {detail}", vacuous=False)
 
 
 def _as_side(
@@ -228,6 +262,7 @@ class Pair:
         with_it: Verdict on the episode that has what the twin lacks.
         without: Verdict on the twin.
         acted: Whether recovery acted in the episode that has it.
+        reference: Verdict on a third run, that of a reference; ``None`` without one.
 
     Raises:
         ConfigurationError: If the two are not about the same requirement, component and run.
@@ -236,6 +271,7 @@ class Pair:
     with_it: EpisodeVerdict
     without: EpisodeVerdict
     acted: bool = False
+    reference: EpisodeVerdict | None = None
 
     def __post_init__(self) -> None:
         for what, own, twin in (
@@ -255,11 +291,18 @@ class Pair:
     def status(self) -> PairStatus:
         """Which runs violated it; ``incomplete`` if that is unknown of one of them."""
         statuses = self.with_it.verdict, self.without.verdict
-        if not {"satisfied", "violated"}.issuperset(statuses) or (
-            self.with_it.without_effect or self.without.without_effect
+        sides = [self.with_it, self.without, *([self.reference] if self.reference else [])]
+        if any(
+            side.verdict not in {"satisfied", "violated"} or side.without_effect for side in sides
         ):
             return "incomplete"
         return _STATUSES[statuses[0] == "violated", statuses[1] == "violated"]
+
+    @property
+    def unavoidable(self) -> bool:
+        """Whether it is violated without it, and by the reference as well."""
+        own = self.status in {"only_without", "both"}
+        return own and self.reference is not None and self.reference.verdict == "violated"
 
 
 _STATUSES: dict[tuple[bool, bool], PairStatus] = {
@@ -308,6 +351,20 @@ class PairCounts:
     difference to the rate of violations"; 1 if no pair is discordant. It holds for a number of
     pairs that did not depend on what they came to: of pairs that were run until a requirement was
     decided it may be too small. Null for a sum over cases, whose pairs are not of one kind."""
+    reference_without: Count = 0
+    """Of the violations without it, those that a reference has as well; 0 without a third run."""
+    reference_both: Count = 0
+    """Of those in both runs, those that a reference has as well; 0 without a third run."""
+
+    @property
+    def to_prevent(self) -> int:
+        """If a third run is a reference's: violations without it that the reference avoids."""
+        return self.only_without + self.both - self.reference_without
+
+    @property
+    def prevented_of_these(self) -> int:
+        """Of :attr:`to_prevent`, those that there are not with it."""
+        return self.to_prevent - (self.both - self.reference_both)
 
     @property
     def complete(self) -> int:
@@ -374,13 +431,14 @@ class PairCounts:
 class PairTable(PairCounts):
     """What the two runs of each pair came to."""
 
-    without: str
+    without: str = ""
     """`faults`, or the role that the second runs lack; empty where they are a reference's."""
-    case: str
+    case: str = ""
     """Id of the case of the second runs."""
     reference: str = ""
-    """The component that takes the place of the component under test in the second runs; empty
-    without one. What both violate was not avoidable for it either."""
+    """The component that takes the place of the component under test in the second runs, or in
+    third ones where the second ones lack a role; empty without one. What both violate was not
+    avoidable for it either."""
 
     @property
     def avoidable(self) -> int:
@@ -389,8 +447,8 @@ class PairTable(PairCounts):
 
     @property
     def unavoidable(self) -> int:
-        """If the twins are a reference's: violations that it has as well."""
-        return self.both
+        """Violations that the reference has as well, of those that there are with recovery."""
+        return self.reference_both if self.without else self.both
 
 
 def judge_pairs(pairs: Iterable[Pair]) -> PairCounts:
@@ -418,6 +476,8 @@ def judge_pairs(pairs: Iterable[Pair]) -> PairCounts:
         violated_with=sum(pair.with_it.verdict == "violated" for pair in all_pairs),
         violated_without=sum(pair.without.verdict == "violated" for pair in all_pairs),
         p_value=mcnemar(counts["only_with"], counts["only_without"]),
+        reference_without=sum(pair.unavoidable for pair in all_pairs),
+        reference_both=sum(pair.unavoidable and pair.status == "both" for pair in all_pairs),
     )
 
 

@@ -354,3 +354,64 @@ def test_a_collision_that_the_reference_has_as_well_is_seen_by_the_requirement(p
     assert found.unseen_crashes == ()
     assert main(["verify", str(project.path / "dura-evidence")]) == 0
     capsys.readouterr()
+
+
+PREVENTS = "{without: recovery_planner, reference: 'corridor:%s'}"
+
+
+@pytest.mark.parametrize(
+    "recovery, reference, word, counts",
+    [
+        ("Brake", "Careful", "supported", (3, 3, 0)),
+        ("oddities:Push", "Careful", "violated", (3, 0, 0)),
+        ("oddities:Push", "Reckless", "undecided", (0, 0, 3)),
+        ("Brake", "Reckless", "undecided", (0, 0, 0)),
+    ],
+    ids=["prevents", "does not", "has it as well", "prevents what it has as well"],
+)
+def test_recovery_prevents_what_a_reference_avoids(project, recovery, reference, word, counts):
+    to_prevent, prevented, unavoidable = counts
+    scenario(project, **HELP | {"recovery_planner": recovery}, requirements="[R-1]")
+    requirement(project, "always (gap > 0)", paired=PREVENTS % reference)
+    result = project.run("--dura-scenarios", "--dura-select=corridor/it", "-v")
+    nothing = "there was nothing to prevent in the 3 valid pairs" if word == "undecided" else ""
+    found = expect(project, result, word, nothing)
+    pairs = found.pairs
+    assert (pairs.without, pairs.reference) == ("recovery_planner", f"corridor:{reference}")
+    assert (pairs.to_prevent, pairs.prevented_of_these) == (to_prevent, prevented)
+    assert (pairs.unavoidable, pairs.complete) == (unavoidable, 3)
+    assert (found.episodes, found.vacuous) == (to_prevent, 3 - to_prevent)
+    cases = {one.case for one in project.evidence().episodes}
+    third = f"corridor/it~generator=corridor:{reference}"
+    assert cases == {"corridor/it", "corridor/it~recovery_planner", third}
+    assert main(["verify", str(project.path / "dura-evidence")]) == 0
+    text = " ".join(result.stdout.str().split())
+    assert ("3 of them unavoidable" in text) == (reference == "Reckless")
+
+
+def test_the_share_that_recovery_prevents_has_an_exact_bound(project):
+    """Of three collisions without a failure, at 95 % confidence: more than 37 %."""
+    scenario(project, **HELP, requirements="[R-1, R-2]")
+    paired = PREVENTS % "Careful"
+    requirement(project, "always (gap > 0)", paired=paired, at_most=0.7)
+    requirement(project, "always (gap > 0)", "R-2", paired=paired, at_most=0.6)
+    result = project.run("--dura-scenarios", "--dura-select=corridor/it", "-v")
+    found = expect(project, result, "supported", ret=1)
+    assert found.bound.upper == pytest.approx(1 - 0.05 ** (1 / 3))
+    assert expect(project, result, "undecided", requirement="R-2").too_few
+
+
+@pytest.mark.parametrize(
+    "paired, text",
+    [
+        ("{without: faults, reference: 'corridor:Careful'}", "both go together for a check"),
+        ("{without: recovery_planner, reference: 'corridor:Nobody'}", "Nobody"),
+    ],
+    ids=["without faults", "an unknown reference"],
+)
+def test_a_third_run_is_that_of_a_known_reference_for_recovery_alone(project, paired, text):
+    scenario(project, **HELP, requirements="[R-1]")
+    requirement(project, "always (gap > 0)", paired=paired)
+    result = project.run("--dura-scenarios", "--dura-select=corridor/it")
+    assert result.ret not in (0, 1)
+    assert text in " ".join((result.stdout.str() + result.stderr.str()).split())

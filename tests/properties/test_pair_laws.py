@@ -26,6 +26,7 @@ from pytest_dura.requirements import (
     judge_pairs,
     pair_verdict,
 )
+from pytest_dura.requirements.pairs import prevention_verdict
 from pytest_dura.requirements.runs import Run
 
 lawful = settings(derandomize=True, deadline=None, max_examples=100)
@@ -91,6 +92,44 @@ def test_a_pair_of_which_a_run_does_not_count_enters_neither_the_table_nor_the_t
     for name in (*cells, *(f"acted_{cell}" for cell in cells), "p_value", "success_rate"):
         assert getattr(found, name) == getattr(expected, name), name
     assert found.incomplete == len(table) - len(judged)
+
+
+@lawful
+@given(words, words, words)
+def test_recovery_is_held_to_what_the_reference_avoids_alone(
+    own: Any, twin: Any, third: Any
+) -> None:
+    """Whatever the run with recovery came to: only then is there something to prevent."""
+    sides = [verdict(own, "case#0"), verdict(twin, "twin#0"), verdict(third, "reference#0")]
+    found = prevention_verdict(*sides)
+    known = {"satisfied", "violated"}
+    if not known.issuperset((own, twin, third)):
+        assert found.verdict == ("missing" if "missing" in (own, twin, third) else "invalid")
+        assert not found.vacuous
+        return
+    to_prevent = twin == "violated" and third == "satisfied"
+    assert (found.verdict, found.vacuous) == ((own, False) if to_prevent else ("satisfied", True))
+
+
+@lawful
+@given(st.lists(st.tuples(words, words, words), max_size=30))
+def test_of_violations_without_recovery_each_is_the_references_as_well_or_to_be_prevented(
+    table: Any,
+) -> None:
+    triples = [
+        Pair(*(verdict(word, f"{side}#{run}") for word, side in zip(row[:2], "ab", strict=True)),
+             reference=verdict(row[2], f"c#{run}"))
+        for run, row in enumerate(table)
+    ]  # fmt: skip
+    counts = judge_pairs(triples)
+    judged = [row for row in table if {"satisfied", "violated"}.issuperset(row)]
+    assert counts.complete == len(judged)
+    assert counts.to_prevent == judged.count(("satisfied", "violated", "satisfied")) + judged.count(
+        ("violated", "violated", "satisfied")
+    )
+    assert counts.prevented_of_these == judged.count(("satisfied", "violated", "satisfied"))
+    assert counts.reference_both == judged.count(("violated", "violated", "violated"))
+    assert counts.only_without + counts.both == counts.to_prevent + counts.reference_without
 
 
 @lawful

@@ -18,7 +18,7 @@ Key = tuple[str, str, int]
 
 RECOVERY_ROLE = "recovery_planner"
 _SUMS = ("only_with", "only_without", "both", "neither", "acted_only_with", "acted_only_without",
-         "acted_both", "acted_neither")  # fmt: skip
+         "acted_both", "acted_neither", "reference_without", "reference_both")  # fmt: skip
 
 
 class Effectiveness(Conclusion):
@@ -99,6 +99,8 @@ def _recovery_finding(
     violated = counts["only_without"] + counts["both"]
     prevented, introduced = counts["only_without"], counts["only_with"]
     what = f"of {violated} violations of {requirement} without it in {pairs} pairs"
+    if counts["reference_without"]:
+        what += f", {counts['reference_without']} of them unavoidable"
     if acted_runs and unchanged == acted_runs:
         also = "" if violated else f"; nothing violated {requirement} without it either"
         text = f"changed nothing: the runs in which it acted ({acted_runs}) went as their twins"

@@ -327,14 +327,13 @@ class _Verdicts:
         for each in judgement.runs:
             run = self.runs.find(*key, each.run, each.digest)
             twin = self.runs.find(judgement.twins, key[1], each.run, each.twin)
-            if run is None or (each.twin and twin is None):
+            third = self.runs.find(judgement.references, key[1], each.run, each.reference)
+            if run is None or (each.twin and not twin) or (each.reference and not third):
                 continue
-            known[run.digest] = run
-            if each.twin and twin is not None:
-                known[twin.digest] = twin
-                judged.append(replace(each, digest=run.digest, twin=twin.digest))
-            else:
-                judged.append(replace(each, digest=run.digest))
+            known |= {side.digest: side for side in (run, twin, third) if side is not None}
+            second = twin.digest if each.twin and twin is not None else ""
+            last = third.digest if each.reference and third is not None else ""
+            judged.append(replace(each, digest=run.digest, twin=second, reference=last))
         faults = set() if case is None else {fault.id for fault in case.faults}
         declared = varies(() if case is None else case.variation, faults)
         found = replace(judgement, runs=tuple(judged))

@@ -93,8 +93,8 @@ def request_lines(session: DuraSession) -> Iterator[str]:
 def _arms(session: DuraSession, planned: Planned) -> int:
     """How many episodes each run of a case makes: its own, its twins', and those of pairs."""
     known = session.library().requirements
-    pairs = (known[name].paired for name in planned.requirements)
-    without = {pair.without or pair.reference for pair in pairs if pair is not None}
+    pairs = [known[name].paired for name in planned.requirements]
+    without = {side for pair in pairs if pair for side in (pair.without, pair.reference) if side}
     if planned.case.faults and session.options.twins:
         without.add(FAULTS)
     return 1 + len(without)

@@ -180,7 +180,7 @@ def _later_tasks(runner: Runner, item: ScenarioItem) -> Iterator[EpisodeTask]:
                 continue
             if requirement.paired is not None:
                 pairs = requirement.paired
-                cases.append(campaign.paired(pairs.without, reference=pairs.reference).case)
+                cases += campaign.paired(pairs.without, reference=pairs.reference).others
             cases = [case for case in cases if (case.id, campaign.planned) not in seen]
             seen |= {(case.id, campaign.planned) for case in cases}
             tasks = [runner.task(case, run) for run in range(campaign.planned) for case in cases]

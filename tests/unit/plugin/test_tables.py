@@ -107,11 +107,11 @@ def test_pairs_have_one_rate_of_success_each_and_together() -> None:
     cases = [case("z/first"), case("a/second")]
     verdicts = [verdict("a/second", 0, 1, 0, 2, 0), verdict("z/first", 3, 0, 1, 0, 4)]
     header, first, second, together, *_ = table_lines(pair_table(verdicts, cases))
-    names = "recovery pairs prev intro futile unnec success p takeovers to safe s"
+    names = "recovery pairs prev intro futile unavoid share unnec success p takeovers to safe s"
     assert header.split() == names.split()
-    assert " ".join(first.split()) == "R on z/first 8 3 0 1 0 75 (4) 1 3 0.2"
-    assert " ".join(second.split()) == "R on a/second 3 0 1 0 2 - 1 3 0.2"
-    assert " ".join(together.split()) == "R overall 11 3 1 1 2 75 (4) - - -"
+    assert " ".join(first.split()) == "R on z/first 8 3 0 1 - 19-99 0 75 (4) 1 3 0.2"
+    assert " ".join(second.split()) == "R on a/second 3 0 1 0 - - 2 - 1 3 0.2"
+    assert " ".join(together.split()) == "R overall 11 3 1 1 - 19-99 2 75 (4) - - -"
 
 
 def test_sentences_on_recovery_and_on_monitors_are_kept_apart_and_so_is_what_is_not_known() -> None:
