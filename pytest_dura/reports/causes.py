@@ -309,6 +309,13 @@ class _Causes:
         )
         return Finding(requirement, verdict, check, amount)
 
+    def _finding(self, verdict: ItemVerdict) -> Finding:
+        """What a verdict that is not violated says; by how much its worst run misses it."""
+        requirement = self._requirements[verdict.requirement]
+        if verdict.counterexamples:
+            return self._violated(Violation(requirement, verdict, verdict.counterexamples[0]))
+        return Finding(requirement, verdict, verdict.check or requirement.check)
+
     def _joined(self, cause: Cause, verdicts: Sequence[ItemVerdict]) -> Cause:
         """A cause with verdicts that it leaves undecided."""
         known = {finding.requirement.id for finding in cause.findings}
@@ -323,10 +330,6 @@ class _Causes:
             findings=(*cause.findings, *gravest),
             verdicts=(*cause.verdicts, *verdicts),
         )
-
-    def _finding(self, verdict: ItemVerdict) -> Finding:
-        requirement = self._requirements[verdict.requirement]
-        return Finding(requirement, verdict, verdict.check or requirement.check)
 
     def _of_obstacle(
         self, obstacle: Obstacle, verdicts: Sequence[ItemVerdict], known: Container[tuple[str, str]]

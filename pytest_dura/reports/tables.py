@@ -90,6 +90,7 @@ def case_columns(rows: Sequence[CaseRow], measures: Sequence[MeasureInfo]) -> li
         ),
         Column(
             "recoveries", lambda row: _if_valid(row, row.metrics.recoveries), short="recov",
+            meaning="stretches in which recovery acted, in valid runs",
             shown=Shown.TERMINAL | Shown.PAGE,
         ),
         Column(
@@ -98,7 +99,7 @@ def case_columns(rows: Sequence[CaseRow], measures: Sequence[MeasureInfo]) -> li
             shown=Shown.ALL if comfort else Shown.FILES, group=reliance,
         ),
         Column(
-            "alerts", lambda row: _if_valid(row, row.metrics.alerts),
+            "alerts", lambda row: _if_valid(row, row.metrics.alerts), meaning="in valid runs",
             shown=Shown.TERMINAL | Shown.PAGE,
         ),
         Column(
@@ -106,7 +107,10 @@ def case_columns(rows: Sequence[CaseRow], measures: Sequence[MeasureInfo]) -> li
             meaning="how the component reacted to what looked like an attack, each time",
         ),
         *(_reaction_column(kind, first=kind == kinds[0]) for kind in kinds),
-        Column("inv", _invalid_and_missing, shown=Shown.TERMINAL),
+        Column(
+            "inv", _invalid_and_missing, shown=Shown.TERMINAL,
+            meaning="invalid runs, and missing ones behind a plus",
+        ),
         *map(_user_column, users),
     ]  # fmt: skip
 

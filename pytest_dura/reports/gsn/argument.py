@@ -17,7 +17,11 @@ from pytest_dura.evidence.text import counted, name, one_line
 from pytest_dura.reports.gsn.element import Argument, Element, derived_id
 from pytest_dura.reports.gsn.hazards import hazard_elements
 from pytest_dura.reports.gsn.monitors import monitor_elements
-from pytest_dura.reports.gsn.requirements import RequirementElements, requirement_elements
+from pytest_dura.reports.gsn.requirements import (
+    ACCEPTED,
+    RequirementElements,
+    requirement_elements,
+)
 from pytest_dura.reports.gsn.verdicts import (
     EpisodeFacts,
     scenario_text,
@@ -332,7 +336,7 @@ def _contested_top(
             "CGTop",
             f"{len(against)} of {counted(len(requirements), 'requirement')} {verb} violated in a "
             f"tested case{found}: {names}."
-            f"{' Waivers accept all of these violations.' if accepted else ''}",
+            f"{ACCEPTED if accepted else ''}",
             supported_by=tuple(element.challenge for element in against),
             challenges=TOP_ID,
             url="evidence.json#/gate/reasons",

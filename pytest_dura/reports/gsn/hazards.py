@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pytest_dura.evidence.hazards import HazardEvidence
 from pytest_dura.evidence.text import name, one_line
 from pytest_dura.reports.gsn.element import Element, derived_id
-from pytest_dura.reports.gsn.requirements import RequirementElements
+from pytest_dura.reports.gsn.requirements import ACCEPTED, RequirementElements
 from pytest_dura.reports.hazards import (
     bound_sentence,
     condition_lines,
@@ -113,8 +113,7 @@ def _elements_of_hazard(
         alias=f"hazard-context:{hazard_id}",
     )
     if against:
-        accepted = all(requirement.accepted for requirement in against)
-        waived = " Waivers accept all of these violations." if accepted else ""
+        waived = ACCEPTED if all(requirement.accepted for requirement in against) else ""
         ids = ", ".join(requirement.name for requirement in against)
         verb = "is" if len(against) == 1 else "are"
         yield Element(

@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pytest_dura.evidence.case_model import CellEntry
 from pytest_dura.evidence.gate import NOTHING_FOUND, outcome_status
 from pytest_dura.evidence.model import SessionRecord
 from pytest_dura.evidence.searches import RecordedSearch
@@ -33,44 +32,10 @@ _MAX_SEARCH_ELEMENTS = 5
 """Counterexamples of a requirement that are elements; the record has all."""
 _MAX_SEARCH_TEXT = 300
 _MAX_REASON = 800
-
-
-@dataclass(frozen=True)
-class SearchElements:
-    """The elements that searches add to a requirement.
-
-    Args:
-        against: The counter solutions.
-        contexts: On searches without a violation.
-        violations: Counterexamples of searches, those without an element among them.
-        refuted: Whether one of them is against a claim on all episodes, and not waived.
-        accepted: Whether waivers accept all of them.
-    """
-
-    against: tuple[Element, ...]
-    contexts: tuple[Element, ...]
-    violations: int
-    refuted: bool
-    accepted: bool
-
-
-def _search_elements(record: SessionRecord, requirement: Requirement) -> SearchElements:
-    violations: list[tuple[int, int, RecordedSearch, SearchOutcome]] = []
-    unviolated: list[tuple[int, int, RecordedSearch, SearchOutcome]] = []
-    for number, search in enumerate(record.head.searches):
-        for place, outcome in enumerate(search.outcomes):
-            if outcome.requirement == requirement.id:
-                violated = outcome_status(search, outcome) not in (NOTHING_FOUND, "undecided")
-                entry = (number, place, search, outcome)
-                (violations if violated else unviolated).append(entry)
-    not_waived = [entry for entry in violations if entry[2].waiver is None]
-    return SearchElements(
-        tuple(_counter_solution(*entry) for entry in violations[:_MAX_SEARCH_ELEMENTS]),
-        _search_contexts(requirement, [(search, outcome) for _, _, search, outcome in unviolated]),
-        len(violations),
-        refuted=bool(not_waived) and requirement.at_most is None,
-        accepted=not not_waived,
-    )
+_UNVIOLATED = (NOTHING_FOUND, "undecided")
+"""Outcomes of searches that speak against nothing."""
+ACCEPTED = " Waivers accept all of these violations."
+"""What is added to a counter goal that defeats nothing."""
 
 
 def _counter_solution(
@@ -100,27 +65,20 @@ def _counter_solution(
     )
 
 
-def _search_contexts(
-    requirement: Requirement, unviolated: list[tuple[RecordedSearch, SearchOutcome]]
-) -> tuple[Element, ...]:
-    if not unviolated:
-        return ()
+def _search_context(
+    requirement: str, unviolated: list[tuple[int, int, RecordedSearch, SearchOutcome]]
+) -> Element:
     headlines = [
         f"{name(search.case)}: {outcome_headline(search, outcome)}"
-        for search, outcome in unviolated[:_MAX_SEARCH_ELEMENTS]
+        for _, _, search, outcome in unviolated[:_MAX_SEARCH_ELEMENTS]
     ]
-    more = (
-        f"; and {len(unviolated) - _MAX_SEARCH_ELEMENTS} more"
-        if len(unviolated) > _MAX_SEARCH_ELEMENTS
-        else ""
-    )
-    return (
-        Element(
-            derived_id("C", requirement.id, what="search"),
-            f"Searched without a find: {'; '.join(headlines)}{more}. {NOTHING_SUPPORTED}",
-            url="evidence.json#/searches",
-            alias=f"searched:{name(requirement.id)}",
-        ),
+    more = len(unviolated) - len(headlines)
+    rest = f"; and {more} more" if more else ""
+    return Element(
+        derived_id("C", requirement, what="search"),
+        f"Searched without a find: {'; '.join(headlines)}{rest}. {NOTHING_SUPPORTED}",
+        url="evidence.json#/searches",
+        alias=f"searched:{name(requirement)}",
     )
 
 
@@ -153,131 +111,97 @@ def requirement_elements(
     """Each requirement of the record, in its order, with its elements."""
     for index, requirement in enumerate(record.head.requirements):
         own = [element for element in elements if element.verdict.requirement == requirement.id]
-        cells = [
-            (i, cell)
-            for i, cell in enumerate(record.head.coverage.cells)
-            if cell.requirement == requirement.id and cell.verdict is None
-        ]
-        yield _elements_of_requirement(
-            requirement, index, own, cells, _search_elements(record, requirement)
-        )
+        yield _elements_of_requirement(record, requirement, index, own)
 
 
 def _elements_of_requirement(
-    requirement: Requirement,
-    index: int,
-    own: list[VerdictElements],
-    cells: list[tuple[int, CellEntry]],
-    searches: SearchElements,
+    record: SessionRecord, requirement: Requirement, index: int, own: list[VerdictElements]
 ) -> RequirementElements:
-    requirement_id = requirement.id
-    times = Counter(cell.case for _, cell in cells)
-    untested = [_untested_goal(i, cell, alone=times[cell.case] == 1) for i, cell in cells]
-    goals = [element.goal for element in own] + [element.id for element in untested]
-    violated = [element for element in own if element.verdict.verdict == "violated"]
-    accepted = searches.accepted and not any(element.refuted for element in violated)
-    refuted = searches.refuted or any(element.refuted for element in violated)
+    id_, shown, url = requirement.id, name(requirement.id), f"evidence.json#/requirements/{index}"
+    outcomes = [
+        (number, place, search, outcome)
+        for number, search in enumerate(record.head.searches)
+        for place, outcome in enumerate(search.outcomes)
+        if outcome.requirement == id_
+    ]
+    found = [each for each in outcomes if outcome_status(*each[2:]) not in _UNVIOLATED]
+    unviolated = [each for each in outcomes if outcome_status(*each[2:]) in _UNVIOLATED]
+    waived = all(search.waiver is not None for _, _, search, _ in found)
+    counter_solutions = [_counter_solution(*each) for each in found[:_MAX_SEARCH_ELEMENTS]]
+    around = [_search_context(id_, unviolated)] if unviolated else []
+    if reason := one_line(requirement.reason, _MAX_REASON):
+        alias = f"reason:{shown}"
+        around.insert(0, Element(derived_id("J", id_), reason, url=f"{url}/reason", alias=alias))
+
+    untested = list(_untested_goals(record, id_))
+    goals = [*(element.goal for element in own), *(element.id for element in untested)]
+    rest = f", {counted(len(untested), 'untested cell')}" if untested else ""
     strategy = Element(
-        derived_id("S", requirement_id),
-        _strategy_text(own, untested),
+        derived_id("S", id_),
+        f"Argument over scenarios and faults: {counted(len(own), 'judged case')}{rest}.",
         supported_by=tuple(goals),
-        alias=f"strategy:{name(requirement_id)}",
+        alias=f"strategy:{shown}",
     )
-    reason = _justification(requirement, index)
-    challenge = []
-    if violated or searches.against:
-        challenge = _counter_goal(requirement_id, own, violated, searches, accepted=accepted)
-    url = f"evidence.json#/requirements/{index}"
+    violated = [element for element in own if element.verdict.verdict == "violated"]
+    refuted_by_verdict = any(element.refuted for element in violated)
+    refuted = refuted_by_verdict or (not waived and requirement.at_most is None)
+    accepted = waived and not refuted_by_verdict
+    how = f" in {len(violated)} of {counted(len(own), 'judged case')}" if own else ""
+    if found:
+        count = counted(len(found), "search", "searches")
+        how += f"{' and' if own else ''} by what {count} found"
+    challenge = Element(
+        derived_id("CG", id_),
+        f"{shown} is violated{how}.{ACCEPTED if accepted else ''}",
+        supported_by=(*(element.challenge for element in violated),
+                      *(element.id for element in counter_solutions)),
+        challenges=derived_id("G", id_),
+        alias=f"challenge:{shown}",
+    )  # fmt: skip
+    challenges = [challenge] if violated or found else []
     goal = Element(
-        derived_id("G", requirement_id),
+        derived_id("G", id_),
         requirement_text(requirement) + ("" if goals else " No case was judged by it."),
         supported_by=(strategy.id,) if goals else (),
-        in_context_of=tuple(element.id for element in (*reason, *searches.contexts)),
+        in_context_of=tuple(element.id for element in around),
         undeveloped=not goals,
         defeated=refuted,
         url=url,
-        alias=f"requirement:{name(requirement_id)}",
+        alias=f"requirement:{shown}",
         layers={
             "kind": requirement.kind,
             "source": one_line(requirement.source, MAX_TEXT),
-            "report": f"report.html#{requirement_anchor(requirement_id)}",
+            "report": f"report.html#{requirement_anchor(id_)}",
         },
     )
+    strategies = [strategy] if goals else []
     return RequirementElements(
-        name(requirement_id),
+        shown,
         requirement.kind,
         goal.id,
-        challenge[0].id if challenge else "",
+        challenge.id if challenges else "",
         refuted,
         accepted,
-        (
-            goal,
-            *reason,
-            *searches.contexts,
-            *([strategy] if goals else ()),
-            *challenge,
-            *searches.against,
-            *untested,
-        ),
+        (goal, *around, *strategies, *challenges, *counter_solutions, *untested),
     )
 
 
-def _justification(requirement: Requirement, index: int) -> list[Element]:
-    reason = one_line(requirement.reason, _MAX_REASON)
-    if not reason:
-        return []
-    return [
-        Element(
-            derived_id("J", requirement.id),
-            reason,
-            url=f"evidence.json#/requirements/{index}/reason",
-            alias=f"reason:{name(requirement.id)}",
+def _untested_goals(record: SessionRecord, requirement: str) -> Iterator[Element]:
+    """An undeveloped goal for each cell of a requirement without a verdict."""
+    cells = [
+        (place, cell) for place, cell in enumerate(record.head.coverage.cells)
+        if cell.requirement == requirement and cell.verdict is None
+    ]  # fmt: skip
+    times = Counter(cell.case for _, cell in cells)
+    for place, cell in cells:
+        apart = () if times[cell.case] == 1 else (str(place),)
+        faults = f"under {name(cell.faults)}" if cell.faults else "without faults"
+        yield Element(
+            derived_id("G", requirement, cell.case, what="untested", apart=apart),
+            f"{name(requirement)} holds in {name(cell.scenario)} {faults}. "
+            "Untested: no episode of this session says anything of it.",
+            undeveloped=True,
+            url=f"evidence.json#/coverage/cells/{place}",
+            alias=f"untested:{name(requirement)}@{name(cell.case)}",
+            brief=("Untested.",),
         )
-    ]
-
-
-def _strategy_text(own: list[VerdictElements], untested: list[Element]) -> str:
-    rest = f", {counted(len(untested), 'untested cell')}" if untested else ""
-    return f"Argument over scenarios and faults: {counted(len(own), 'judged case')}{rest}."
-
-
-def _untested_goal(index: int, cell: CellEntry, *, alone: bool) -> Element:
-    faults = f"under {name(cell.faults)}" if cell.faults else "without faults"
-    return Element(
-        derived_id(
-            "G", cell.requirement, cell.case, what="untested", apart=() if alone else (str(index),)
-        ),
-        f"{name(cell.requirement)} holds in {name(cell.scenario)} {faults}. "
-        "Untested: no episode of this session says anything of it.",
-        undeveloped=True,
-        url=f"evidence.json#/coverage/cells/{index}",
-        alias=f"untested:{name(cell.requirement)}@{name(cell.case)}",
-        brief=("Untested.",),
-    )
-
-
-def _counter_goal(
-    requirement_id: str,
-    own: list[VerdictElements],
-    violated: list[VerdictElements],
-    searches: SearchElements,
-    *,
-    accepted: bool,
-) -> list[Element]:
-    how = f" in {len(violated)} of {counted(len(own), 'judged case')}" if own else ""
-    if searches.against:
-        count = searches.violations
-        how += f"{' and' if own else ''} by what {counted(count, 'search', 'searches')} found"
-    waived = " Waivers accept all of these violations." if accepted else ""
-    return [
-        Element(
-            derived_id("CG", requirement_id),
-            f"{name(requirement_id)} is violated{how}.{waived}",
-            supported_by=(
-                *(element.challenge for element in violated),
-                *(element.id for element in searches.against),
-            ),
-            challenges=derived_id("G", requirement_id),
-            alias=f"challenge:{name(requirement_id)}",
-        )
-    ]
