@@ -125,12 +125,10 @@ def _case_cell(row: CaseRow, *, several: bool) -> Cell:
 
 def _valid_of_planned(row: CaseRow) -> Cell:
     valid, planned = row.metrics.valid, row.metrics.planned
-    by_hand = isinstance(row, CaseEntry) and row.runs_override
     return Cell(
         str(valid) if valid == planned else f"{valid} ({planned})",
         f"{valid} of {planned}",
         f"{valid} / {planned}",
-        ("planned by hand",) if by_hand else (),
         total=(valid, planned),
     )
 

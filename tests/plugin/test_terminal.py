@@ -86,6 +86,15 @@ def test_a_green_session_ends_in_40_lines_and_shows_all_with_v(project):
     starts = [line.partition(":")[0] for line in brief]
     for once in ("reliance", "fault", "attack"):
         assert starts.count(once) == 1
+    columns = next(line for line in brief if line.startswith("case "))
+    legend = " ".join(" ".join(brief).split())
+    for column, meaning in (
+        ("recov", "stretches in which recovery acted, in valid runs"),
+        ("alerts", "in valid runs"),
+        ("inv", "invalid runs, and missing ones behind a plus"),
+    ):
+        assert column in columns
+        assert legend.count(f"{column}: {meaning}") == 1
     # What the runs cannot show is no news.
     assert not any("cannot be told" in line for line in brief)
     (attack,) = (line for line in brief if line.startswith("attack:"))

@@ -567,6 +567,17 @@ def test_the_page_writes_the_document_once(html):
                 assert all(words.count(line) == 1 for line in part.lines)
 
 
+@pytest.mark.parametrize("view", ["requirements", "cases", "monitors", "faults"])
+def test_the_columns_of_a_table_are_explained_below_it_for_those_who_cannot_point(html, view):
+    text = section_html(html, view)
+    below = text.partition('<details class="meanings">')[2].partition("</details>")[0]
+    pointed = re.findall(r'<abbr title="([^"]+)">[^<]+</abbr>', text.partition("</thead>")[0])
+    if view == "faults":  # the map of faults comes first
+        pointed = ["it began, of the planned runs"]
+    assert pointed
+    assert all(meaning in below for meaning in pointed)
+
+
 def test_a_text_of_several_lines_is_folded_below_its_last_one():
     trace = "Traceback:\n  File a.py\nValueError: <odd>"
     entry = _environment().get_template("macros.html").module.entry
