@@ -213,6 +213,8 @@ class RecordBuilder:
     _waivers: dict[str, Waiver] = field(default_factory=dict)
     _failed: set[str] = field(default_factory=set)
     """Items that failed in the end."""
+    _stopped: dict[str, str] = field(default_factory=dict)
+    """Why items failed, as far as that is known."""
 
     def __post_init__(self) -> None:
         """Open the spool for the episodes."""
@@ -269,9 +271,15 @@ class RecordBuilder:
             return
         self._waivers[item] = Waiver(kind, reason)
 
-    def fail(self, item: str) -> None:
-        """Record that an item failed in the end, however often it was run."""
+    def fail(self, item: str, why: str = "") -> None:
+        """Record that an item failed in the end, however often it was run.
+
+        Args:
+            item: Its node id.
+            why: What stopped it, kept where it judged no run; empty where that is not known.
+        """
         self._failed.add(item)
+        self._stopped |= {item: why} if why else {}
         if item in self._waivers and self._waivers[item].kind == "rerun":
             del self._waivers[item]
 
@@ -315,6 +323,9 @@ class RecordBuilder:
         cases = self._cases()
         repeats = {(each.case, each.component): each for each in self._all(RepeatedCase)}
         failed = {"failed_items": sorted(self._failed)} if self._failed else {}
+        judged = {each.item for each in self._all(Judgement) if each.runs}
+        if stopped := {item: self._stopped[item] for item in sorted(self._stopped.keys() - judged)}:
+            failed["stopped_items"] = stopped
         hazards = sorted(self._all(Hazard), key=attrgetter("id"))
         return RecordHead.from_data(
             {

@@ -165,7 +165,7 @@ def _add_heads(record: RecordBuilder, parts: Sequence[Part]) -> None:
     for number, part in enumerate(parts):
         record.add(_lines_of(part.head, components_under_test(part.record), f"{number:09}"))
         for item in part.head.failed_items or ():
-            record.fail(item)
+            record.fail(item, (part.head.stopped_items or {}).get(item, ""))
         for item, waiver in part.head.waivers.items():
             record.waive(item, waiver.kind, waiver.reason)
     record.add(joined_lines(each for part in parts for each in part.head.judgements))

@@ -171,6 +171,9 @@ class RecordHead(Entry):
     """What items asked, from which the verdicts follow; sorted by item, requirement and case."""
     failed_items: Absent[list[str]] = None
     """Node ids of the test items that failed in the end, sorted; absent where none did."""
+    stopped_items: Absent[dict[str, str]] = None
+    """Why failed items of scenarios judged no run, such as a fault of a channel that the simulator
+    does not have; by node id, absent where each judged some."""
     waivers: dict[str, Waiver]
     """What excuses failures, by the node id of the item."""
     doubts: list[Doubt]

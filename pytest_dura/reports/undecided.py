@@ -17,6 +17,7 @@ from pytest_dura.requirements.campaign_verdicts import (
     FEW_PROPOSALS,
     REPEATED,
     SITUATIONS,
+    STOPPED,
     TEST_FAILED,
     rate_advice,
 )
@@ -55,11 +56,22 @@ def obstacle_of(verdict: ItemVerdict, requirement: Requirement, failures: OwnFai
         failures: How often the component failed by itself in the runs of the case.
     """
     known = (
-        _missing(verdict), _own_failure(verdict, failures), _not_repeatable(verdict),
+        _stopped(verdict), _missing(verdict), _own_failure(verdict, failures), _not_repeatable(verdict),
         _unseen_crash(verdict), _not_run(verdict), _invalid(verdict), _open(verdict),
         _one_situation(verdict), _vacuous(verdict),
     )  # fmt: skip
     return next(filter(None, known), None) or _by_rate(verdict, requirement)
+
+
+def _stopped(verdict: ItemVerdict) -> Obstacle | None:
+    _, sign, why = verdict.reason.partition(STOPPED)
+    if not sign:
+        return None
+    return Obstacle(
+        f"stopped {why}",
+        f"No run of {name(verdict.case)} could be judged: {one_line(why, 2 * _MAX_DETAIL)}",
+        "Mend what it names, and run the session again.",
+    )
 
 
 def _missing(verdict: ItemVerdict) -> Obstacle | None:

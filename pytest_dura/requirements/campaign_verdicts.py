@@ -250,6 +250,8 @@ class UncountedEpisode:
 
 
 FEW_PROPOSALS = "the component made a valid proposal at only "
+STOPPED = "no run could be judged: "
+"""Begins the reason of a verdict whose item stopped before its first run."""
 TEST_FAILED = "the test failed: "
 """Beginning of the detail of an episode that a test did not judge, by an error of its own."""
 

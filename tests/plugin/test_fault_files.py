@@ -121,3 +121,21 @@ def test_faults_on_the_command_line_are_refused_alike(crossing):
     result = crossing.scenarios("--dura-faults=late", select="cross/*")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     assert "'late' waits for 'ghost-obstacle', which is not planned with it" in told(result)
+
+
+def test_the_card_of_a_fault_on_a_channel_that_is_missing_names_it_and_those_that_there_are(
+    project,
+):
+    scenario = project.path / "scenarios/corridor/free.yaml"
+    fault = "{id: stuck, type: freeze, target: gage, activation: {at: 0.2}, duration: 0.5}"
+    scenario.write_text(f"{scenario.read_text()}faults:\n  - {fault}\n")
+    section = " ".join(output(project.run("corridor/free")).partition("= dura =")[2].split())
+    assert (
+        "No run of corridor/free could be judged: the fault 'stuck' cannot be used: there is no "
+        "channel 'gage'; key: target; found: 'gage'; expected: one of gap, command;"
+    ) in section
+    assert section.count("could be judged") == 1, "one cause, whatever the requirements"
+    assert "Mend what it names" in section
+    assert "were not run" not in section
+    items = {"corridor/free::GAP-1", "corridor/free::GO-1"}
+    assert project.evidence().stopped_items.keys() == items

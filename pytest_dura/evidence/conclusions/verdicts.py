@@ -29,6 +29,7 @@ from pytest_dura.evidence.model import RecordHead
 from pytest_dura.evidence.searches import searched_claims
 from pytest_dura.requirements.campaign_judge import judge_campaign
 from pytest_dura.requirements.campaign_verdicts import (
+    STOPPED,
     CampaignVerdict,
     Situation,
     Situations,
@@ -64,6 +65,7 @@ class VerdictLines:
         repeats: Results of repeating an episode, by case and component.
         doubts: Why episodes of a case cannot be trusted, by case and component.
         searched: Item, requirement and case of what was searched instead of decided.
+        stopped: Why items judged no run, by node id.
     """
 
     judgements: Sequence[Judgement]
@@ -73,6 +75,7 @@ class VerdictLines:
     repeats: Mapping[CaseKey, RepeatEntry | None] = field(default_factory=dict)
     doubts: Mapping[CaseKey, str] = field(default_factory=dict)
     searched: Collection[tuple[str, str, str]] = ()
+    stopped: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, head: RecordHead) -> VerdictLines:
@@ -86,6 +89,7 @@ class VerdictLines:
             {key: case.repeat for key, case in cases.items()},
             {(doubt.case, doubt.component): doubt.reason for doubt in head.doubts},
             searched_claims(head.searches),
+            head.stopped_items or {},
         )
 
 
@@ -424,6 +428,8 @@ class _Verdicts:
         elif claim.case in self.runs.cases:
             reason = "episodes of the case ran, and no verdict was made on them"
             verdict = replace(verdict, reason=reason)
+        if why := self.lines.stopped.get(item):
+            verdict = replace(verdict, reason=f"{STOPPED}{why}")
         waivers = self.lines.waivers
         waived = item if item in waivers else self._first_waived.get(item, "")
         return item_verdict(verdict, item, waiver=waivers.get(waived))

@@ -68,6 +68,17 @@ def waiver_of(report: pytest.TestReport) -> tuple[WaiverKind, str] | None:
     return None
 
 
+_MOST_WHY = 500
+"""Characters of what stopped an item."""
+
+
+def _configuration(report: pytest.TestReport) -> str:
+    """What an item found wrong in its configuration, on one line; empty for other failures."""
+    text = report.longreprtext
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+    return "; ".join(filter(None, lines))[:_MOST_WHY] if "\n  expected:" in text else ""
+
+
 class GivenBaseline:
     """The baseline that the user gives, read once by the controller.
 
@@ -325,7 +336,7 @@ class SessionEvidence:
         if report.failed:
             self._failed.add(report.nodeid)
             if self.record is not None:
-                self.record.fail(report.nodeid)
+                self.record.fail(report.nodeid, self.context.redact(_configuration(report)))
         waiver = waiver_of(report)
         if waiver is not None:
             name, reason = self.context.redact([report.nodeid, waiver[1]])
