@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import copy
 import functools
-import importlib.metadata
+import gc
 import json
 import os
 import shutil
@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from dask_clusters import Cluster
 from forked_workers import AVAILABLE, WITHOUT_RETRIES, ForkedWorkers, decide_once, import_all
+from kept_metadata import kept_metadata
 
 from pytest_dura.evidence import all_formats
 from pytest_dura.evidence.model import WholeRecord
@@ -136,22 +137,8 @@ def _check_once(checked):
     return check
 
 
-def _kept(name):
-    """That of a distribution, read once: each session asks for plugins, versions and modules."""
-    read = getattr(importlib.metadata.Distribution, name).fget
-    found = {}
-
-    def get(distribution):
-        path = str(distribution._path)
-        if path not in found:
-            found[path] = read(distribution)
-        return found[path]
-
-    return property(get)
-
-
 IS_OWN = decide_once(sources._is_own)
-KEPT = {name: _kept(name) for name in ("entry_points", "files", "metadata")}
+KEPT = kept_metadata()
 
 
 @pytest.fixture
@@ -165,8 +152,10 @@ def fast_sessions(request, monkeypatch, forked_workers):
     monkeypatch.setattr(sources, "_is_own", IS_OWN)
     monkeypatch.setattr(loading, "read_yaml", _read)
     monkeypatch.setattr(loading, "check_scenario", _check_once(loading.check_scenario))
-    for name, kept in KEPT.items():
-        monkeypatch.setattr(importlib.metadata.PathDistribution, name, kept)
+    for distribution, name, kept in KEPT:
+        monkeypatch.setattr(distribution, name, kept)
+    # Python counts them one by one, and all that there was before this test is frozen.
+    monkeypatch.setattr(gc, "get_freeze_count", lambda: 1)
     if AVAILABLE:
         monkeypatch.setattr("execnet.gateway_io.popen_args", forked_workers.arguments)
 

@@ -159,7 +159,7 @@ OLLAMA_MODELS = listing("my-model:8b", owned_by="library")
 def cloud(answer, *, key, organisation, busy=1):
     """A cloud's API for a reasoning model: it wants a key and an organisation, refuses
     ``max_tokens``, any temperature but 1 and bounds of strings in strict schemas, offers tools, and
-    is busy at times."""
+    is busy at times, for a millisecond."""
     seen: dict[str, int] = {}
 
     def behave(exchange):
@@ -191,7 +191,7 @@ def cloud(answer, *, key, organisation, busy=1):
         elif seen.setdefault(key_of(body), busy):
             seen[key_of(body)] -= 1
             refusal(exchange, 429, "Rate limit reached", code="rate_limit_exceeded",
-                    headers={"Retry-After": "0"})  # fmt: skip
+                    headers={"Retry-After": "0.001"})  # fmt: skip
         else:
             exchange.send(chosen(body, answer, exchange.request))
 
