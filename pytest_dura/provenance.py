@@ -60,21 +60,31 @@ def is_installed(file: Path) -> bool:
     folder of the import path, the files count that a distribution there recorded.
     """
     absolute = _absolute(file)
+    # Asked of a thousand modules in a few folders: the file itself matters only if it is a link.
+    if _lies_in_packages(absolute.parent) and not absolute.is_symlink():
+        return True
     return _packages_around(_resolved(absolute)) is not None or (
         # A link into a cache of packages; other links are a way to develop in place.
         _recording_folder(absolute) is not None
     )
 
 
+@cache
+def _lies_in_packages(folder: Path) -> bool:
+    """Whether a folder is one of packages or of Python's modules, or lies in one."""
+    return _named_packages_around(_resolved(folder) / "module") is not None
+
+
 def _packages_around(path: Path) -> Path | None:
     """Find the folder of installed packages, or of Python's modules, that a path lies in."""
+    return _named_packages_around(path) or _recording_folder(path)
+
+
+def _named_packages_around(path: Path) -> Path | None:
     for folder in path.parents:
         if folder.name in _PACKAGE_FOLDERS:
             return folder
-    for folder in installed_folders():
-        if path.is_relative_to(folder):
-            return folder
-    return _recording_folder(path)
+    return next((each for each in installed_folders() if path.is_relative_to(each)), None)
 
 
 def _recording_folder(path: Path) -> Path | None:

@@ -163,12 +163,17 @@ class SessionContext:
 
     def redact(self, value: Any) -> Any:
         """Copy plain data without the secrets that this process knows of by now."""
+        return self.redactor.redact(value)
+
+    @property
+    def redactor(self) -> Redactor:
+        """Redactor of the secrets that this process knows of by now, for all texts of a report."""
         from pytest_dura.evidence.redaction import Redactor
 
         if self._redactor is None:
             self._redactor = Redactor(self.options.secrets)
         self._redactor.learn(os.environ)
-        return self._redactor.redact(value)
+        return self._redactor
 
     @property
     def unused(self) -> Mapping[str, str]:

@@ -144,7 +144,7 @@ class InnermostHooks:
         """Take secrets out of a report: Allure's plugin reads it here, whoever comes first."""
         report = yield
         if self._hooks.has_own_items:
-            redact_report(report, self._hooks.session.redact)
+            redact_report(report, self._hooks.session.redactor.redact)
         return report
 
 
@@ -399,7 +399,7 @@ class SessionHooks:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         """Attach what the item recorded to its report, which crosses processes."""
         if call.excinfo is not None and self.has_own_items:
-            redact_error(call.excinfo.value, self.session.redact)
+            redact_error(call.excinfo.value, self.session.redactor.redact)
         if call.excinfo is not None and uses_runner(item):
             escape_error(call.excinfo.value)
         report = yield
@@ -413,14 +413,14 @@ class SessionHooks:
         if ended_by and not item.session.shouldstop:
             item.session.shouldstop = f"{ended_by}; --dura-resume goes on"
         if self.has_own_items:  # what is ours was added by now
-            redact_report(report, self.session.redact)
+            redact_report(report, self.session.redactor.redact)
         return report
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_warning_recorded(self, warning_message: warnings.WarningMessage) -> None:
         """Take secrets out of a warning, which the terminal sums up."""
         if self.has_own_items and isinstance(warning_message.message, Warning):
-            redact_error(warning_message.message, self.session.redact)
+            redact_error(warning_message.message, self.session.redactor.redact)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_make_collect_report(
@@ -429,7 +429,7 @@ class SessionHooks:
         """Take secrets out of what imports of tests and conftests raise."""
         report = yield
         if self.session.active:
-            redact_report(report, self.session.redact)
+            redact_report(report, self.session.redactor.redact)
         return report
 
     @pytest.hookimpl(tryfirst=True)

@@ -11,6 +11,7 @@ from pytest_dura.provenance import (
     describe_environment,
     imported_files,
     installed_folders,
+    is_installed,
     recorded_path,
     sources_of,
 )
@@ -177,6 +178,22 @@ def test_a_file_of_an_installed_package_is_named_by_the_package(tmp_path):
     assert recorded_path(file, tmp_path) == "somewhere/data.yaml"
     # Also where the virtual environment lies in the project.
     assert recorded_path(file, installed_folders()[0].parents[2]) == "somewhere/data.yaml"
+
+
+def test_what_a_link_leads_to_outside_of_the_packages_is_developed_in_place(tmp_path):
+    own, packages = tmp_path / "own", tmp_path / "site-packages"
+    own.mkdir()
+    packages.mkdir()
+    for file in (own / "a.py", packages / "b.py"):
+        file.touch()
+    (packages / "a.py").symlink_to(own / "a.py")
+    (packages / "package").symlink_to(own)
+    (tmp_path / "packages").symlink_to(packages)
+    assert is_installed(packages / "b.py")
+    assert is_installed(tmp_path / "packages" / "b.py")
+    assert not is_installed(packages / "a.py")
+    assert not is_installed(packages / "package" / "a.py")
+    assert not is_installed(own / "a.py")
 
 
 def test_a_link_keeps_the_name_that_the_user_gave_it(tmp_path):
