@@ -3,11 +3,11 @@
 Run: python benchmarks/prices.py
 
 Each feature is one file of ``benchmarks/prices/``, which is put into a copy of the package; no
-other file of the copy changes. Two shards of a session are run with it, verified and merged. The
-table says whether the feature's figures are in the terminal, in the page and in the merged bundle,
-and whether ``verify`` finds one that was changed. A second table is of patches, each of one file
-of the package: of a column of a table and of an entry of a card, in each format. A third one is of
-a report format, which a project registers by a file of its own.
+other file of the copy changes. Two shards of a session are run with all of them, verified and
+merged. The table says whether a feature's figures are in the terminal, in the page and in the
+merged bundle, and whether ``verify`` finds one that was changed. A second table is of patches, each
+of one file of the package: of a column of a table and of an entry of a card, in each format. A
+third one is of a report format, which a project registers by a file of its own.
 """
 
 from __future__ import annotations
@@ -52,6 +52,11 @@ class Price:
     folder: str
     heading: str
 
+    @property
+    def is_plot(self) -> bool:
+        """Whether it draws a plot."""
+        return self.folder == "reports/plots"
+
     def figure(self, record: dict[str, Any]) -> tuple[Any, Any]:
         """The object that holds a figure of it in a record, and the key there."""
         if self.file == "near_misses.py":
@@ -92,22 +97,28 @@ def run(package: Path, *command: str) -> str:
 
 
 def copy_to(package: Path) -> None:
-    """Copy the package and its scenarios."""
-    ignored = shutil.ignore_patterns("__pycache__")
-    shutil.copytree(ROOT / "pytest_dura", package / "pytest_dura", ignore=ignored)
+    """Copy the package, compiled as it is, and its scenarios."""
+    shutil.copytree(ROOT / "pytest_dura", package / "pytest_dura")
     shutil.copytree(ROOT / "scenarios", package / "scenarios")
 
 
-def patched(feature: str, file: str, headings: tuple[str, str, str]) -> list[str]:
-    """A row of the table of patches: where the feature shows."""
-    text = (FEATURES / file).read_text("utf-8")
+def patched() -> list[list[str]]:
+    """The rows of the table of patches: where each shows, of one session with all of them."""
     with tempfile.TemporaryDirectory() as folder:
         package = Path(folder)
         copy_to(package)
-        subprocess.run(["git", "apply", FEATURES / file], cwd=package, check=True)
+        for _, file, _ in PATCHES:
+            subprocess.run(["git", "apply", FEATURES / file], cwd=package, check=True)
         shown = run(package, *RED_SESSION)
         files = [package / "dura-evidence" / name for name in ("summary.md", "report.html")]
         texts = [shown, *(each.read_text("utf-8") for each in files)]
+    return [_patch_row(feature, file, headings, texts) for feature, file, headings in PATCHES]
+
+
+def _patch_row(
+    feature: str, file: str, headings: tuple[str, str, str], texts: list[str]
+) -> list[str]:
+    text = (FEATURES / file).read_text("utf-8")
     edited = re.findall(r"^\+\+\+ b/(\S+)", text, re.MULTILINE)
     added = len(re.findall(r"^\+(?!\+\+)", text, re.MULTILINE))
     found = [own.lower() in each.lower() for own, each in zip(headings, texts, strict=True)]
@@ -115,12 +126,13 @@ def patched(feature: str, file: str, headings: tuple[str, str, str]) -> list[str
     return [feature, ", ".join(f"`{name}`" for name in edited), str(added), *places]
 
 
-def measured(price: Price) -> list[str]:
-    """A row of the table: what one file brings."""
+def measured() -> list[list[str]]:
+    """The rows of the table of features: what each file brings, of two shards with all of them."""
     with tempfile.TemporaryDirectory() as folder:
         package = Path(folder)
         copy_to(package)
-        shutil.copy(FEATURES / price.file, package / "pytest_dura" / price.folder)
+        for price in PRICES:
+            shutil.copy(FEATURES / price.file, package / "pytest_dura" / price.folder)
         parts = [package / f"part-{number}" for number in (1, 2)]
         shown = [
             run(package, *SESSION, f"--dura-shard={number}/2", f"--dura-evidence={part}")
@@ -131,31 +143,38 @@ def measured(price: Price) -> list[str]:
         )
         whole = package / "whole"
         run(package, "-m", "pytest_dura", "merge", *map(str, parts), "--output", str(whole))
-        record = json.loads((whole / "evidence.json").read_text("utf-8"))
-        place, key = price.figure(record)
-        merged = place[key] is not None and is_intact(
-            run(package, "-m", "pytest_dura", "verify", str(whole))
-        )
-        page = price.heading.lower() in (whole / "report.html").read_text("utf-8").lower()
-        if price.folder == "reports/plots":
-            page = page and f'id="simulated-time-title">{price.heading}<' in (
-                (whole / "report.html").read_text("utf-8")
-            )
-        place[key] += 1
-        (whole / "evidence.json").write_text(json.dumps(record), encoding="utf-8")
-        forged = run(package, "-m", "pytest_dura", "verify", str(whole))
-        found = bool(
-            re.search(r"evidence.json: /|its hardest_braking is|report.html: not as", forged)
-        )
-    return [
-        price.feature,
-        f"`pytest_dura/{price.folder}/{price.file}`",
-        str(len((FEATURES / price.file).read_text("utf-8").splitlines())),
-        "yes" if any(price.heading in text for text in shown) else "no",
-        "yes" if page else "no",
-        "yes" if intact and found else "no",
-        "yes" if merged else "no",
-    ]
+        whole_is_intact = is_intact(run(package, "-m", "pytest_dura", "verify", str(whole)))
+        page = (whole / "report.html").read_text("utf-8")
+        rows = []
+        for price in PRICES:
+            text = (whole / "evidence.json").read_text("utf-8")
+            found, value = _is_found(price, package, whole)
+            (whole / "evidence.json").write_text(text, encoding="utf-8")
+            heading = f'id="simulated-time-title">{price.heading}<' if price.is_plot else ""
+            places = [
+                any(price.heading in each for each in shown),
+                price.heading.lower() in page.lower() and heading in page,
+                intact and found,
+                whole_is_intact and value is not None,
+            ]
+            file = FEATURES / price.file
+            lines = str(len(file.read_text("utf-8").splitlines()))
+            path = f"`pytest_dura/{price.folder}/{price.file}`"
+            rows.append([price.feature, path, lines, *("yes" if each else "no" for each in places)])
+    return rows
+
+
+def _is_found(price: Price, package: Path, whole: Path) -> tuple[bool, Any]:
+    """Whether ``verify`` finds a changed figure of the feature; and that figure before."""
+    file = whole / "evidence.json"
+    record = json.loads(file.read_text("utf-8"))
+    place, key = price.figure(record)
+    before = place[key]
+    place[key] += 1
+    file.write_text(json.dumps(record), encoding="utf-8")
+    forged = run(package, "-m", "pytest_dura", "verify", str(whole))
+    own = r"evidence.json: /|its hardest_braking is|report.html: not as"
+    return bool(re.search(own, forged)), before
 
 
 def registered() -> list[str]:
@@ -197,9 +216,9 @@ def main() -> None:
         "verify",
         "merge",
     ]
-    print(table(headers, [measured(price) for price in PRICES]))
+    print(table(headers, measured()))
     columns = ["feature", "edited; no other is", "lines", "terminal", "summary", "page"]
-    print("\n" + table(columns, [patched(*each) for each in PATCHES]))
+    print("\n" + table(columns, patched()))
     columns = ["feature", "new file of a project", "lines", "bundle", "--dura-list", "verify"]
     print("\n" + table(columns, [registered()]))
     for file in (*(price.file for price in PRICES), FORMAT):
