@@ -34,8 +34,7 @@ def session(project, *given):
     return session_of(config)
 
 
-def addresses(project, *given):
-    planning = session(project, *given)
+def addresses(planning):
     planning.make_plan()
     task = planning.runner.task
     return {address_of(task(planned.case, 1)).name for planned in planning.plan}
@@ -56,19 +55,15 @@ def test_the_help_of_a_session_is_that_of_the_table(project):
         assert row.key.removeprefix("ini ") in text
 
 
-def test_the_table_says_which_options_make_other_episodes(elsewhere):
-    plain = addresses(elsewhere)
+def test_the_table_says_which_options_make_other_episodes_and_which_commands_repeat_them(elsewhere):
+    plain = addresses(session(elsewhere))
     for row in FLAGS:
-        same = bool(plain & addresses(elsewhere, *arguments(row)))
-        assert same is (not row.changes_episodes or row.name in OF_MODELS), row.flag
-
-
-def test_printed_commands_repeat_what_the_table_says(elsewhere):
-    for row in FLAGS:
-        options = session(elsewhere, *arguments(row)).options
+        planning = session(elsewhere, *arguments(row))
         for command in ("rerun", "replay"):
-            repeated = arguments(row)[-1] in options.repeated(command)
+            repeated = arguments(row)[-1] in planning.options.repeated(command)
             assert repeated is (command in row.repeated_in), row.flag
+        same = bool(plain & addresses(planning))
+        assert same is (not row.changes_episodes or row.name in OF_MODELS), row.flag
 
 
 @pytest.fixture

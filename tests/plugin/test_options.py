@@ -53,9 +53,17 @@ from corridors import scenario
         (["--dura-evidence=pytest.ini"], ["ERROR: the evidence goes into a directory*"]),
     ],
 )
-@pytest.mark.parametrize("mode", [[], ["-n", "2"]], ids=["plain", "n2"])
-def test_a_wrong_value_is_one_usage_error(project, arguments, lines, mode):
-    result = project.run("--dura-scenarios", *arguments, *mode)
+def test_a_wrong_value_is_one_usage_error(project, arguments, lines):
+    is_one_usage_error(project.run("--dura-scenarios", *arguments), lines)
+
+
+@pytest.mark.parametrize("argument", ["--dura-runs=many", "--dura-generator=corridor:Planner"])
+def test_no_worker_begins_with_a_wrong_value(project, argument):
+    """One is refused as options are read, the other as the session is planned."""
+    is_one_usage_error(project.run("--dura-scenarios", argument, "-n", "2"), ["ERROR: *"])
+
+
+def is_one_usage_error(result, lines):
     assert result.ret == 4
     result.stderr.fnmatch_lines(lines)
     text = result.stdout.str() + result.stderr.str()

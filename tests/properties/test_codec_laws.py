@@ -172,7 +172,7 @@ def test_a_type_reads_what_it_wrote_and_nothing_else(type_, data):
 def test_every_form_was_drawn():
     met: Counter[str] = Counter()
 
-    @settings(lawful, max_examples=500)
+    @settings(lawful, max_examples=150)
     @given(values_of(Tree))
     def count(tree):
         met[f"part {type(tree.part).__name__}"] += 1

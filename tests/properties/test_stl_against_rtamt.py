@@ -68,13 +68,13 @@ def test_any_two_operators_bind_as_in_rtamt(middle: str) -> None:
         assert plain(read_tree(text, None)) == rtamt_oracle.syntax_tree(text)
 
 
-@settings(derandomize=True, deadline=None, max_examples=1500)
+@settings(derandomize=True, deadline=None, max_examples=500)
 @given(sentences())
 def test_a_text_has_rtamts_syntax_tree(text: str) -> None:
     assert plain(read_tree(text, None)) == rtamt_oracle.syntax_tree(text)
 
 
-@settings(derandomize=True, deadline=None, max_examples=1000)
+@settings(derandomize=True, deadline=None, max_examples=400)
 @given(st.lists(st.sampled_from(PIECES), min_size=1, max_size=9).map(" ".join))
 def test_any_words_are_rtamts_sentence_or_refused(text: str) -> None:
     try:
