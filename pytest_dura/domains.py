@@ -185,6 +185,8 @@ class Domain:
         channels: What each sensor channel holds, by name; ``None`` if only a running episode shows
             that.
         fault_targets: Default target of faults, by what their type acts on.
+        provokers: Short names of its components that need their monitor and their recovery, with
+            which these are put to the test.
         concrete: Function of world, duration in seconds and seed that returns an equal world in
             which nothing is left to the seed, and returns such a world as it is.
 
@@ -202,6 +204,7 @@ class Domain:
     actions: Sequence[Action] = ()
     channels: Mapping[str, Channel] | None = None
     fault_targets: Mapping[str, str] = field(default_factory=dict)
+    provokers: Sequence[str] = ()
     concrete: Callable[[Mapping[str, Any], float, int], dict[str, Any]] | None = None
 
     __repr__ = short_repr

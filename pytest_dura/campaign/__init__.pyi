@@ -1,6 +1,7 @@
 from .events import (
     EpisodeUsed,
     EventStream,
+    FactEstablished,
     FaultsTraced,
     MonitorsMeasured,
     Progress,
@@ -17,6 +18,7 @@ from .falsification import (
 __all__ = [
     "EpisodeUsed",
     "EventStream",
+    "FactEstablished",
     "FaultsTraced",
     "Limits",
     "MonitorsMeasured",

@@ -6,7 +6,7 @@ themselves, and no copies: a subscriber changes none of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -58,6 +58,19 @@ class FaultsTraced:
     case: Case
     episode: JudgedEpisode
     chains: Sequence[TracedFault]
+
+
+@dataclass(frozen=True, slots=True)
+class FactEstablished:
+    """An item establishes a fact that a further table of the session rests on.
+
+    ``about`` names what it is on, once for each table; ``order`` is its place there.
+    """
+
+    table: str
+    about: str
+    order: int
+    data: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +185,7 @@ SessionEvent = (
     | VerdictReached
     | FaultsTraced
     | MonitorsMeasured
+    | FactEstablished
     | SearchEnded
     | Progress
 )

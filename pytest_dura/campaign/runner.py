@@ -68,6 +68,7 @@ class Runner:
         store: Where episodes come from.
         role_timeout: Seconds that a role, the component apart, or the simulator has for one call.
         falsifier: Searches a campaign for violations; ``None`` where nothing is searched.
+        mutation: Changes the spec of each run of a case, for runs that show what a suite catches.
     """
 
     library: Callable[[], Library]
@@ -86,6 +87,7 @@ class Runner:
     role_timeout: float = ROLE_TIMEOUT
     resolver: ParameterResolver = field(default_factory=ParameterResolver)
     falsifier: Falsifier | None = None
+    mutation: Callable[[Case, EpisodeSpec], EpisodeSpec] | None = None
     _cases: dict[str, dict[str, Case]] = field(default_factory=dict, init=False)
     _traced: set[EpisodeKey] = field(default_factory=set, init=False)
     _specs: dict[tuple[Any, ...], tuple[Any, EpisodeSpec]] = field(default_factory=dict, init=False)
@@ -308,6 +310,8 @@ class Runner:
                 spec = replace(spec, termination=end)
             if self.time_budget is not None:
                 spec = replace(spec, time_budget=self.time_budget)
+            if self.mutation is not None:
+                spec = self.mutation(case, spec)
             known = given, spec
         self._specs[key] = known
         if len(self._specs) > _MOST_SPECS:

@@ -85,5 +85,6 @@ DRIVING = Domain(
     ),
     channels=CHANNELS,
     fault_targets=FAULT_TARGETS,
+    provokers=("aggressive", "tactical"),
     concrete=concrete_world,
 )

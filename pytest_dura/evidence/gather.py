@@ -33,7 +33,7 @@ from pytest_dura.evidence.lines import (
     UsedComponent,
     UsedModel,
 )
-from pytest_dura.evidence.model import COUNTED, RecordHead, SessionRecord
+from pytest_dura.evidence.model import COUNTED, Fact, RecordHead, SessionRecord
 from pytest_dura.evidence.searches import (
     RecordedSearch,
     search_entries,
@@ -137,6 +137,7 @@ _SAME: dict[type[Any], tuple[Callable[[Any], Hashable], Callable[[Any, Any], Any
     CasePlan: (attrgetter("id", "component"), _most_planned),
     ClaimedCase: (attrgetter("id"), _first),
     Doubt: (attrgetter("case", "component"), _first),
+    Fact: (attrgetter("table", "about"), _last),
     Hazard: (attrgetter("id"), _first),
     MonitorQuality: (_about_monitor, _last),
     RecordedSearch: (searched_question, _first),
@@ -327,6 +328,7 @@ class RecordBuilder:
         if stopped := {item: self._stopped[item] for item in sorted(self._stopped.keys() - judged)}:
             failed["stopped_items"] = stopped
         hazards = sorted(self._all(Hazard), key=attrgetter("id"))
+        facts = sorted(self._all(Fact), key=attrgetter("table", "order", "about"))
         return RecordHead.from_data(
             {
                 **_UNCONCLUDED,
@@ -346,6 +348,7 @@ class RecordBuilder:
                 "measures": sorted(self._measures().values(), key=attrgetter("place", "name")),
                 **({"units": units} if (units := self._units()) else {}),
                 **({"hazards": hazards} if hazards else {}),
+                **({"facts": facts} if facts else {}),
                 "requirements": sorted(self._all(Requirement), key=attrgetter("id")),
                 "cases": [
                     {

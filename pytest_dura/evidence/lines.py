@@ -20,6 +20,7 @@ from pytest_dura.core.metrics import TracedFault
 from pytest_dura.evidence.case_model import CasePlan, RepeatEntry
 from pytest_dura.evidence.conclusions.verdicts import test_function
 from pytest_dura.evidence.entry import JsonObject
+from pytest_dura.evidence.model import Fact
 from pytest_dura.evidence.searches import RecordedSearch
 from pytest_dura.requirements.hazards import Hazard
 from pytest_dura.requirements.judgements import Doubt, Judgement
@@ -116,7 +117,7 @@ class Remark:
 Line = (
     EpisodeLine | FaultTrace | KeptTrace | Judgement | RecordedSearch | MonitorQuality
     | UsedComponent | CasePlan | ClaimedCase | RepeatedCase | MeasureInfo | Hazard | Requirement
-    | UsedModel | SearchedRun | SignalUnit | Remark | Doubt
+    | UsedModel | SearchedRun | SignalUnit | Remark | Doubt | Fact
 )  # fmt: skip
 _KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in Line.__args__}
 

@@ -157,7 +157,7 @@ def _lines_of(head: RecordHead, components: Iterable[Component], process: str) -
     for note in head.resume.problems:
         yield Remark("note", note)
     yield from (*head.measures, *(head.hazards or ()), *head.requirements, *head.doubts)
-    yield from head.searches
+    yield from (*head.searches, *(head.facts or ()))
 
 
 def _add_heads(record: RecordBuilder, parts: Sequence[Part]) -> None:

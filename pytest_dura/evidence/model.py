@@ -103,6 +103,20 @@ class Totals(Entry):
     """Verdicts that a waiver excuses."""
 
 
+@dataclass(frozen=True)
+class Fact:
+    """A fact that a further table rests on, beside the episodes of the record."""
+
+    table: str
+    """Name of the table."""
+    about: str
+    """What it is on; of one table there is one fact on it."""
+    order: Count
+    """Its place among those of the table."""
+    data: dict[str, Any]
+    """What is known of it, as the table reads it."""
+
+
 COUNTED = tuple(each.name for each in fields(Totals) if each.name != "gate")
 """Names of the counts."""
 
@@ -202,6 +216,9 @@ class RecordHead(Entry):
     """Whether the session passed. It fails closed."""
     inputs: list[InputEntry]
     """The files that the session was run from."""
+    facts: Absent[list[Fact]] = None
+    """What further tables rest on beside the episodes, sorted by table and place: taken as recorded
+    by whoever verifies the record. Absent where there are none."""
     coverage: CoverageEntry
     """What was tried of what there is."""
     conclusions: dict[str, ConcludedTable]

@@ -18,6 +18,7 @@ from pytest_dura.core.collector import MAX_KEPT_OBJECTS, make_old, rare_collecti
 from pytest_dura.core.errors import DuraError
 from pytest_dura.plugin.items.markers import (
     RefusedMarkerError,
+    asks_to_qualify,
     check_markers,
     check_parameter_sets,
     check_spelling,
@@ -27,7 +28,7 @@ from pytest_dura.plugin.items.markers import (
     unread_marker,
 )
 from pytest_dura.plugin.items.property_tests import explained_fixtures, register_profile
-from pytest_dura.plugin.items.scenario_items import ScenarioItem, note_repetitions, scenario_items
+from pytest_dura.plugin.items.scenario_items import AtRoot, note_repetitions, scenario_items
 from pytest_dura.plugin.messages import (
     apply_code_places,
     escape_error,
@@ -229,6 +230,10 @@ class SessionHooks:
         """Add the scenario items, and note which items others leave."""
         if self.session.plan:
             items += scenario_items(self.session, session)
+        if self.session.options.qualifies or any(map(asks_to_qualify, items)):
+            from pytest_dura.plugin.items.qualification_items import qualification_items
+
+            items += qualification_items(self.session, session, items)
         self._note_requirements(items)
         self._label(items)
         self.session.selection.plan(list(filter(uses_runner, items)))
@@ -310,7 +315,7 @@ class SessionHooks:
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Begin an attempt; fail a test whose markers cannot be used before anything skips it."""
         self.session.recorder.attempt_begins(item)
-        self.session.executor.item_begins(is_test=not isinstance(item, ScenarioItem))
+        self.session.executor.item_begins(is_test=not isinstance(item, AtRoot))
         refusal = self._refusal_of(item)
         if refusal is not None:
             if self.has_own_items:

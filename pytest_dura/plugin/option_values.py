@@ -170,6 +170,23 @@ def whole_number(at_least: int) -> Callable[[Setting], int]:
     return read
 
 
+def share(setting: Setting) -> float:
+    """Read a share above 0 and up to 1."""
+    try:
+        number = float(setting.value)
+    except ValueError:
+        number = math.nan
+    if not 0.0 < number <= 1.0:
+        raise _unusable(
+            f"{setting.key} is a share",
+            key=setting.key,
+            found=setting.value,
+            expected="a number above 0, and at most 1",
+            remedy=f"such as {setting.key}=0.8",
+        )
+    return number
+
+
 def seconds(setting: Setting) -> float:
     """Read a positive, finite number of seconds."""
     option = setting.key

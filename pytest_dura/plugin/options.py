@@ -40,6 +40,7 @@ from pytest_dura.plugin.option_values import (
     seconds,
     seconds_or_never,
     select_globs,
+    share,
     switch,
     texts,
     true_or_false,
@@ -60,6 +61,7 @@ _WORKER_KEY = "dura_options"
 PROFILE = "dura"
 """Profile of Hypothesis for tests that simulate."""
 _ONE_EPISODE = "it runs an episode of the evidence"
+_WHOLE_SUITE = "the share of seeded defects that are caught is that of a whole suite"
 _EMPTY_SETTINGS: Mapping[str, Any] = {"string": "", "bool": False, "args": [], "paths": []}
 
 
@@ -489,6 +491,25 @@ class Options:
         activates=True,
         same_in_shards=False,
     )
+    qualify: Option[bool] = Option(
+        "--dura-qualify",
+        "run the gate on seeded defects of what the suite rests on, and say which requirement "
+        "catches which, in how many runs",
+        switch,
+        details="With --dura-scenarios. See [qualifying a suite](how-to/qualify.md).",
+        activates=True,
+        no_shard=_WHOLE_SUITE,
+    )
+    qualify_at_least: Option[float | None] = Option(
+        "--dura-qualify-at-least",
+        "share of the seeded defects that the suite has to catch, or the gate fails; it implies "
+        "--dura-qualify",
+        share,
+        metavar="SHARE",
+        example="0.8",
+        activates=True,
+        no_shard=_WHOLE_SUITE,
+    )
     replay: Option[str | None] = Option(
         "--dura-replay",
         "run an episode of the evidence again (case#run) and compare the digests",
@@ -676,6 +697,11 @@ class Options:
     def paths(self) -> tuple[Path, ...]:
         """Places of scenario files but the built-in."""
         return self.scenario_paths + self.more_paths
+
+    @property
+    def qualifies(self) -> bool:
+        """Whether an option asks for seeded defects."""
+        return self.qualify or self.qualify_at_least is not None
 
     @property
     def is_command(self) -> bool:

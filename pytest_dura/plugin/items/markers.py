@@ -538,6 +538,7 @@ def _dura_marker(
     *,
     logs: Any = None,
     mapping: Any = None,
+    qualify: Any = False,
 ) -> None:
     """Signature of the marker ``dura``."""
 
@@ -545,6 +546,12 @@ def _dura_marker(
 def names_no_scenario(marker: pytest.Mark) -> bool:
     """Whether a marker ``dura`` says no more than that the test decides nothing."""
     return not marker.args and set(marker.kwargs) == {"verdict"}
+
+
+def asks_to_qualify(node: pytest.Item) -> bool:
+    """Whether a test asks what it catches of seeded defects: ``dura(qualify=True)``."""
+    marker = node.get_closest_marker("dura")
+    return marker is not None and marker.kwargs.get("qualify") is True
 
 
 def decides_nothing(node: pytest.Item) -> bool:

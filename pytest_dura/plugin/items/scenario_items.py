@@ -75,8 +75,8 @@ class ScenarioCases(pytest.Collector):
         return {name: pytest.mark.requirement(name, text=known[name].text) for name in names}
 
 
-class _AtScenario:
-    """Node at a scenario file, to which the root conftest applies wherever that file lies."""
+class AtRoot:
+    """Node to which the root conftest applies, wherever its file lies."""
 
     config: pytest.Config
     session: pytest.Session
@@ -87,7 +87,7 @@ class _AtScenario:
         return self.session.gethookproxy(self.config.rootpath)
 
 
-class ScenarioCase(_AtScenario, pytest.Collector):
+class ScenarioCase(AtRoot, pytest.Collector):
     """Collector of the items of one case, at the path of its scenario file."""
 
     planned: Planned
@@ -104,7 +104,7 @@ class ScenarioCase(_AtScenario, pytest.Collector):
             yield item
 
 
-class ScenarioItem(_AtScenario, pytest.Function):
+class ScenarioItem(AtRoot, pytest.Function):
     """Item that judges one requirement on all episodes of a case."""
 
     context: SessionContext

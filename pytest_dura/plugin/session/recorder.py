@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from pytest_dura.campaign.events import (
         EpisodeUsed,
         EventStream,
+        FactEstablished,
         FaultsTraced,
         MonitorsMeasured,
         SearchedEpisodeUsed,
@@ -164,6 +165,7 @@ class ItemRecorder:
         events.subscribe(kinds.VerdictReached, self.verdict_reached)
         events.subscribe(kinds.SearchEnded, self.search_ended)
         events.subscribe(kinds.MonitorsMeasured, self.monitors_measured)
+        events.subscribe(kinds.FactEstablished, self.fact_established)
         events.subscribe(kinds.FaultsTraced, self.faults_traced)
 
     def episode_used(self, event: EpisodeUsed) -> None:
@@ -242,6 +244,12 @@ class ItemRecorder:
     def monitors_measured(self, event: MonitorsMeasured) -> None:
         """Record how good a case's monitors are."""
         self.add(event.qualities)
+
+    def fact_established(self, event: FactEstablished) -> None:
+        """Record what a further table rests on."""
+        from pytest_dura.evidence.model import Fact
+
+        self.add([Fact(event.table, event.about, event.order, dict(event.data))])
 
     def faults_traced(self, event: FaultsTraced) -> None:
         """Record the causal chain of each fault of an episode."""

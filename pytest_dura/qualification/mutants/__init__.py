@@ -1,0 +1,1 @@
+"""Mutations of each part that fit any domain; domains bring their own beside them."""

@@ -1,0 +1,377 @@
+"""Qualifying: runs the gate of a suite on mutants, and says which requirement catches each.
+
+A mutant is caught where the gate would fail by it and passes without it: a requirement that the
+part as it is supports is violated with the mutant, or undecided since runs with it are no sample,
+such as those of faults that never manifest. A run that an infrastructure error ended shows nothing
+of the suite: such a mutant counts as not caught, and is named.
+
+Monitors, recoveries and assessors are run with provokers besides, components that need them. There
+the gate fails in any case: what counts is a run that satisfies a requirement with the part as it is
+and violates it with the mutant, on the same seed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from pytest_dura.campaign.campaign import Campaign
+from pytest_dura.campaign.events import EventStream, Progress
+from pytest_dura.campaign.runner import Runner
+from pytest_dura.core.episode import EpisodeSpec, canonical
+from pytest_dura.core.errors import ConfigurationError
+from pytest_dura.core.role_spec import RoleSpec
+from pytest_dura.domains import Domain
+from pytest_dura.execution.task import EpisodeTask, stated_model
+from pytest_dura.library.cases import Case
+from pytest_dura.library.scenario import simulator_class
+from pytest_dura.qualification.mutant import SIMULATOR, Mutant, registered_mutants
+from pytest_dura.qualification.results import REPEATABILITY, Kill, Margin, Qualified, Status
+from pytest_dura.requirements.campaign_verdicts import CampaignVerdict
+from pytest_dura.requirements.checks import is_function_path, read_formula
+from pytest_dura.requirements.episode_verdicts import JudgedEpisode
+from pytest_dura.requirements.model import Requirement
+
+RUNS = 3
+"""Runs of each case with a mutant, at most."""
+_WHOLE = 0.999
+"""Share of a margin from which on it is taken as whole."""
+PROVOKED = ("safety_monitor", "recovery_planner", "security_assessor")
+"""Parts that a sound component does not need."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """A case and the requirements that judge it in the suite."""
+
+    case: Case
+    requirements: tuple[Requirement, ...]
+
+
+class MutantCampaign(Campaign):
+    """Runs of a case with a mutant, whose component may be another one than the case names."""
+
+    @property
+    def component(self) -> str:
+        """Name of the component that the runs have."""
+        return self.runner.task(self.case).spec.component
+
+
+@dataclass
+class Qualification:
+    """Runs the gate of a suite on mutants.
+
+    Args:
+        runner: Of the session.
+        gates: The cases, each with the requirements that judge it.
+        runs: Runs of each case, at most.
+    """
+
+    runner: Runner
+    gates: Sequence[Gate]
+    runs: int = RUNS
+
+    def __post_init__(self) -> None:
+        """Order the gates: what has more requirements is more likely to catch something."""
+        self.gates = sorted(self.gates, key=lambda gate: -len(gate.requirements))
+        events = EventStream()
+        events.subscribe(Progress, self.runner.events.emit)
+        runs = self.runner.runs
+        self.runs = self.runs if runs is None else min(self.runs, runs)
+        self.runner = replace(self.runner, events=events, twins=False, recorded=False, runs=None)
+        self._has_plan = False
+        self._plain: dict[tuple[str, str, str], CampaignVerdict] = {}
+
+    def qualify(self, mutant: Mutant) -> Qualified:
+        """Run the gate on a mutant: one run of each case, then the others unless it is caught."""
+        fitting = self.arms(mutant)
+        result = Qualified(mutant.name, mutant.role, mutant.described, "not run")
+        if not fitting:
+            return replace(result, problem=f"no case has a {mutant.role} that can be wrapped")
+        for runs in sorted({1, self.runs}):
+            self._simulate([task for arm in fitting for task in arm.tasks(runs)])
+            for arm in fitting:
+                arm.run(runs)
+            kills = tuple(kill for arm in fitting for kill in arm.kills())
+            if kills:
+                break
+        else:
+            own = (arm for arm in fitting if not arm.provoker)
+            kills = _undecided(fitting) or tuple(kill for arm in own for kill in arm.unrepeatable())
+        return replace(
+            result,
+            status=_status(fitting, kills),
+            runs=sum(arm.episodes for arm in fitting),
+            kills=kills,
+            nearest=None if kills else _nearest(fitting),
+            problem=next((arm.problem for arm in fitting if arm.problem), ""),
+        )
+
+    def plan(self, mutants: Iterable[Mutant]) -> None:
+        """Let idle processes begin what mutants need in any case; a second call does nothing.
+
+        Args:
+            mutants: All that will be qualified, in their order.
+        """
+        if not self._has_plan:
+            self._has_plan = True
+            later = list(mutants)
+            self.runner.store.plan(
+                task for mutant in later for arm in self.arms(mutant) for task in arm.tasks(1)
+            )
+
+    def _simulate(self, tasks: Sequence[EpisodeTask]) -> None:
+        """Simulate episodes, as many at a time as the executor does."""
+        with self.runner.store.steady():
+            for number, task in enumerate(tasks, 1):
+                self.runner.store.get(task, tasks[number:])
+
+    def arms(self, mutant: Mutant) -> list[Arm]:
+        """List the cases that have the part, each with the suite's component and with provokers."""
+        return [arm for arm in self._arms(mutant) if arm.fits]
+
+    def _arms(self, mutant: Mutant) -> Iterator[Arm]:
+        provoked = mutant.role in PROVOKED
+        for gate in self.gates:
+            yield Arm(self, gate, mutant, "", self.runner)
+            for name, component in self._provokers(gate.case) if provoked else ():
+                roles = {**self.runner.roles, "generator": component}
+                yield Arm(self, gate, mutant, name, replace(self.runner, roles=roles))
+
+    def _provokers(self, case: Case) -> Iterator[tuple[str, RoleSpec]]:
+        """Yield components that need their monitor: the domain's, or mutants of the suite's."""
+        domain = case.scenario.system
+        names = () if domain is None else domain.provokers
+        for name in names:
+            assert domain is not None
+            yield name, RoleSpec(domain.short_names["generator"][name])
+        if not names:
+            own = case.roles(self.runner.roles)["generator"]
+            chosen = ("generator.inverted", "generator.frozen[since=2]")
+            for mutant in registered_mutants(domain):
+                if mutant.name in chosen and stated_model(own) is None:
+                    yield mutant.name, mutant.around(own)
+
+    def plain(self, arm: Arm, requirement: Requirement, runs: int) -> CampaignVerdict:
+        """Verdict without the mutant, on the same runs; the same for all mutants."""
+        key = arm.provoker, arm.gate.case.id, f"{requirement.id} {runs}"
+        if key not in self._plain:
+            self._plain[key] = Campaign(arm.runner, arm.gate.case, runs).judge(requirement)
+        return self._plain[key]
+
+
+class Arm:
+    """A case with a mutant, and with a provoker as its component or its own.
+
+    Args:
+        qualification: That it belongs to.
+        gate: The case with its requirements.
+        mutant: The mutant.
+        provoker: Name of the provoker; empty for the suite's own component.
+        runner: Runs the case without the mutant.
+    """
+
+    def __init__(
+        self,
+        qualification: Qualification,
+        gate: Gate,
+        mutant: Mutant,
+        provoker: str,
+        runner: Runner,
+    ) -> None:
+        self.qualification, self.gate, self.mutant = qualification, gate, mutant
+        self.provoker, self.runner = provoker, runner
+        self.problem = ""
+        self.episodes = 0
+        self._verdicts: dict[str, CampaignVerdict] = {}
+        self._asked = 0
+        self._mutated = replace(runner, mutation=self._changed)
+
+    @property
+    def fits(self) -> bool:
+        """Whether the case has the part, and another process may build it anew."""
+        part = self._part(self.runner.task(self.gate.case).spec)
+        if part is None or part.opaque or not self._is_needed:
+            return False
+        if self.mutant.role == SIMULATOR:
+            return getattr(simulator_class(part), "instances", "many") == "many"
+        return stated_model(part) is None
+
+    @property
+    def _is_needed(self) -> bool:
+        """Whether the case has something for the part to do: an injector has faults to inject."""
+        return self.mutant.role != "fault_injector" or bool(self.gate.case.faults)
+
+    def _part(self, spec: EpisodeSpec) -> RoleSpec | None:
+        role = self.mutant.role
+        return spec.simulator if role == SIMULATOR else spec.roles.get(role)
+
+    def _changed(self, case: Case, spec: EpisodeSpec) -> EpisodeSpec:
+        """Put the mutant around the part; a case that lacks it, or has a reference, stays."""
+        part, role = self._part(spec), self.mutant.role
+        if part is None or (role == "generator" and case.reference):
+            return spec
+        mutated = self.mutant.around(part)
+        if role == SIMULATOR:
+            return replace(spec, simulator=mutated)
+        return replace(spec, roles={**spec.roles, role: mutated})
+
+    def run(self, runs: int) -> None:
+        """Judge all requirements on so many runs with the mutant."""
+        self._asked = runs
+        campaign = MutantCampaign(self._mutated, self.gate.case, runs)
+        for requirement in self.gate.requirements:
+            try:
+                self._verdicts[requirement.id] = campaign.judge(requirement)
+            except ConfigurationError as error:  # noqa: PERF203 - of one requirement alone
+                self.problem = str(error).partition("\n")[0]
+        episodes = [*self.runs_of(self._mutated)]
+        self.episodes = len(episodes)
+        failed = next((each.failure for each in episodes if each.failure is not None), None)
+        self.problem = failed or self.problem
+
+    def tasks(self, runs: int) -> Iterator[EpisodeTask]:
+        """Yield the tasks of the first runs, with those of their pairs and without the mutant."""
+        campaign = MutantCampaign(self._mutated, self.gate.case, runs)
+        cases = {self.gate.case.id: self.gate.case}
+        for requirement in self.gate.requirements:
+            if (pairs := requirement.paired) is not None:
+                other = campaign.paired(pairs.without, reference=pairs.reference).case
+                cases[other.id] = other
+        for run in range(runs):
+            for case in cases.values():
+                for runner in (self._mutated, self.runner):
+                    yield runner.task(case, run)
+
+    def runs_of(self, runner: Runner) -> Iterator[JudgedEpisode]:
+        """Iterate over the runs with the mutant, or those without it."""
+        return (runner.fetch(self.gate.case, run) for run in range(self._asked))
+
+    def kills(self) -> Iterator[Kill]:
+        """Yield what catches the mutant, of the runs by now."""
+        for requirement in self.gate.requirements:
+            found = self._verdicts.get(requirement.id)
+            if found is None or found.verdict == "supported":
+                continue
+            plain = self.qualification.plain(self, requirement, self._asked)
+            worse = _violating(found) - _violating(plain)
+            if plain.verdict == "supported":
+                if found.verdict == "violated":
+                    yield self._kill(requirement, found, _violating(found), "violated")
+            elif self.provoker and worse and not requirement.paired and _is_whole(plain):
+                yield self._kill(requirement, found, worse, "violated")
+
+    def undecided(self) -> Iterator[Kill]:
+        """Yield what the gate does not pass, since the runs with the mutant are no sample of it."""
+        for requirement in self.gate.requirements:
+            found = self._verdicts.get(requirement.id)
+            if found is None or not _no_sample(found):
+                continue
+            if self.qualification.plain(self, requirement, self._asked).verdict == "supported":
+                yield self._kill(requirement, found, set(), f"undecided: {found.reason}")
+
+    def _kill(
+        self, requirement: Requirement, found: CampaignVerdict, runs: set[int], why: str
+    ) -> Kill:
+        return Kill(
+            requirement.id,
+            self.gate.case.id,
+            self.provoker,
+            min(runs, default=0),
+            found.run,
+            len(runs),
+            why,
+        )
+
+    def unrepeatable(self) -> Iterator[Kill]:
+        """Yield a kill by the gate's repetition, if the first run comes out differently again."""
+        task = self._mutated.task(self.gate.case)
+        first = self._mutated.fetch(self.gate.case)
+        if first.failure is not None:
+            return
+        again = self._mutated.store.repeat(task)
+        self.episodes += 1
+        if again.digest != first.digest:
+            why = "undecided: not repeatable"
+            yield Kill(REPEATABILITY, self.gate.case.id, self.provoker, 0, self._asked, 1, why)
+
+    @property
+    def missing(self) -> bool:
+        """Whether no run with the mutant came to an end."""
+        return all(each.failure is not None for each in self.runs_of(self._mutated))
+
+    @property
+    def differs(self) -> bool:
+        """Whether a run with the mutant differs from that without it in anything but its spec."""
+        pairs = zip(self.runs_of(self._mutated), self.runs_of(self.runner), strict=True)
+        return any(_course(own) != _course(other) for own, other in pairs)
+
+    def margins(self) -> Iterator[Margin]:
+        """Yield how near each requirement came."""
+        for requirement in self.gate.requirements:
+            found = self._verdicts.get(requirement.id)
+            if found is None or requirement.paired or found.margin is None:
+                continue
+            plain = self.qualification.plain(self, requirement, self._asked).margin
+            if plain is not None and plain > 0 and found.margin >= 0:
+                yield Margin(requirement.id, self.gate.case.id, self.provoker, found.margin, plain)
+
+
+def _status(arms: Sequence[Arm], kills: Sequence[Kill]) -> Status:
+    if kills:
+        return "caught"
+    if all(arm.missing for arm in arms):
+        return "not run"
+    return "survived" if any(arm.differs for arm in arms) else "no difference"
+
+
+def _undecided(arms: Iterable[Arm]) -> tuple[Kill, ...]:
+    return tuple(kill for arm in arms for kill in arm.undecided())
+
+
+def _nearest(arms: Iterable[Arm]) -> Margin | None:
+    margins = (margin for arm in arms for margin in arm.margins() if margin.share < _WHOLE)
+    return min(margins, key=lambda margin: margin.share, default=None)
+
+
+def _is_whole(verdict: CampaignVerdict) -> bool:
+    """Whether each run decided a requirement: none of them is missing, invalid or open."""
+    return not (verdict.missing or verdict.invalid or verdict.open)
+
+
+def _violating(verdict: CampaignVerdict) -> set[int]:
+    """Numbers of the runs that violate a requirement."""
+    return {int(each.episode.rpartition("#")[2]) for each in verdict.counterexamples}
+
+
+def _no_sample(verdict: CampaignVerdict) -> bool:
+    """Whether a verdict is undecided by what its runs are, not by how many or by their loss."""
+    return verdict.verdict == "undecided" and not (verdict.too_few or verdict.missing)
+
+
+def _course(episode: JudgedEpisode) -> bytes:
+    """Hash all that happened in a run, whatever parts it was run with."""
+    events = [replace(each, traceback="") for each in episode.events if not each.wall_clock]
+    rest = canonical([events, episode.metrics.deterministic()])
+    return hashlib.sha256(episode.trajectory.encode() + rest).digest()
+
+
+def planned_mutants(gates: Sequence[Gate]) -> list[Mutant]:
+    """List the mutants of the domains and the parts of some cases, each once.
+
+    Roles that fixtures replace are other parts, and no others; an injector counts where faults are
+    planned.
+    """
+    component = {"generator": RoleSpec("any:Component")}
+    parts = {SIMULATOR, *(role for gate in gates for role in gate.case.roles(component))}
+    if not any(gate.case.faults for gate in gates):
+        parts -= {"fault_injector"}
+    domains: dict[int, tuple[Domain | None, set[str]]] = {}
+    for gate in gates:
+        system = gate.case.scenario.system
+        signals = domains.setdefault(id(system), (system, set()))[1]
+        checks = [each.check for each in gate.requirements if not is_function_path(each.check)]
+        signals.update(name for check in checks if check for name in read_formula(check).signals)
+    known = [mutant for each in domains.values() for mutant in registered_mutants(*each)]
+    return list({each.name: each for each in known if each.role in parts}.values())

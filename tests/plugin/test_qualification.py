@@ -1,0 +1,198 @@
+"""Sessions that seed defects into what a suite rests on: what catches them, and what fails."""
+
+import json
+
+import pytest
+from corridors import requirement, scenario
+
+FEW = "inverted or frozen or flipped or coin or always_safe"
+
+
+@pytest.fixture
+def qualified(project):
+    """Runs the corridor's scenarios, and the gate on some of its mutants."""
+
+    def run(*arguments, chosen=FEW):
+        keep = f"corridor or {chosen}" if chosen else ""
+        chosen_arguments = ["-k", keep] if keep else []
+        return project.scenarios("--dura-qualify", "--dura-runs=2", *chosen_arguments, *arguments)
+
+    return run
+
+
+def results(project):
+    facts = project.evidence().facts
+    return {fact.about: fact.data for fact in facts}
+
+
+def catchers(result):
+    return {(kill["requirement"], kill["case"]) for kill in result["kills"]}
+
+
+def test_says_which_requirement_catches_which_defect(project, qualified):
+    result = qualified()
+    assert result.ret == 0
+    known = results(project)
+    assert known["generator.inverted"]["status"] == "caught"
+    assert ("GO-1", "corridor/free") in catchers(known["generator.inverted"])
+    flipped = known["simulator.sign_flipped[signal=gap]"]
+    assert ("GAP-1", "corridor/free") in catchers(flipped)
+    assert ("GO-1", "corridor/free") not in catchers(flipped)
+    assert flipped["runs"] == 2  # one of each case: what is caught is run no further
+
+
+def test_tells_a_defect_that_changes_no_run_from_one_that_survives(project, qualified):
+    qualified(chosen="frozen or stale or always_safe")
+    known = results(project)
+    assert known["generator.frozen[since=6]"]["status"] == "no difference"
+    assert known["safety_monitor.always_safe"]["status"] == "no difference"
+    stale = known["generator.stale[ticks=15]"]
+    assert (stale["status"], stale["kills"]) == ("survived", [])
+    near = stale["nearest"]
+    assert near["requirement"] == "GAP-1"
+    assert 0 < near["left"] < near["before"]
+
+
+def test_what_does_not_repeat_is_caught_by_the_repetition(project, qualified):
+    qualified(chosen="coin")
+    (kill, *_) = results(project)["generator.coin_flips"]["kills"]
+    assert kill["requirement"] == "repeatability"
+
+
+def test_shows_it_in_the_terminal_the_summary_and_the_page(project, qualified):
+    result = qualified(chosen="")
+    result.stdout.fnmatch_lines([
+        "Seeded defects", "*generator.inverted*caught*GO-1*corridor/free*",
+        "The suite catches * of * seeded defects (95 % interval * to * %)*",
+        "Defects that nothing catches",
+    ])  # fmt: skip
+    table = project.evidence().conclusions["qualification"]
+    assert len(table.rows) == len(results(project))
+    for name in ("summary.md", "report.html"):
+        assert "Seeded defects" in (project.path / "dura-evidence" / name).read_text("utf-8")
+
+
+def test_the_record_has_no_episode_and_no_verdict_of_a_mutant(project, qualified):
+    qualified(chosen="inverted")
+    record = project.evidence()
+    assert {episode.component for episode in record.episodes} == {"Careful"}
+    assert {verdict.verdict for verdict in record.verdicts} == {"supported"}
+    assert {case.id for case in record.cases} == {"corridor/free", "corridor/tight"}
+
+
+def test_verify_concludes_the_tables_again_and_finds_a_forged_count(project, qualified):
+    qualified(chosen="inverted")
+    command = ("-m", "pytest_dura", "verify", "dura-evidence")
+    assert project.pytester.run(*project.workers.command(*command)).ret == 0
+    file = project.path / "dura-evidence" / "evidence.json"
+    record = json.loads(file.read_text("utf-8"))
+    (row,) = [
+        row for row in record["conclusions"]["qualification"]["rows"]
+        if row[0] == "generator.inverted"
+    ]  # fmt: skip
+    row[1] = "survived"
+    file.write_text(json.dumps(record), encoding="utf-8")
+    forged = project.pytester.run(*project.workers.command(*command))
+    assert forged.ret != 0
+    forged.stdout.fnmatch_lines(["*conclusions/qualification*"])
+
+
+def test_the_gate_demands_a_share(project, qualified):
+    result = qualified("--dura-qualify-at-least=0.9", chosen="")
+    assert result.ret == 1
+    reasons = " ".join(project.evidence().gate.reasons)
+    assert "the suite catches" in reasons
+    assert "at least 90 % are demanded" in reasons
+
+
+def test_a_share_counts_what_the_session_left_out_as_not_caught(project, qualified):
+    result = qualified("--dura-qualify-at-least=0.01", chosen="inverted")
+    assert result.ret == 1
+    assert "not run" in " ".join(project.evidence().gate.reasons)
+    left_out = results(project)["generator.stale[ticks=5]"]
+    assert (left_out["status"], left_out["problem"]) == ("not run", "the session left it out")
+
+
+@pytest.mark.parametrize("share", ["0", "1.5", "many"])
+def test_refuses_what_is_no_share(project, share):
+    result = project.scenarios(f"--dura-qualify-at-least={share}")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*--dura-qualify-at-least*", "*a number above 0*"])
+
+
+def test_refuses_to_qualify_nothing(project):
+    project.write("test_nothing.py", "def test_nothing():\n    pass\n")
+    result = project.run("--dura-qualify", "test_nothing.py")
+    assert result.ret != 0
+    text = "\n".join([*result.outlines, *result.errlines])
+    assert "--dura-qualify qualifies scenario cases" in text
+
+
+def test_a_defect_whose_runs_break_down_is_not_caught_and_fails(project, qualified):
+    project.write("breaking.py", BREAKS)
+    project.write("conftest.py", "import breaking\n")
+    result = qualified("-p", "no:xdist", chosen="breaks")
+    assert result.ret == 1
+    known = results(project)["safety_monitor.breaks"]
+    assert (known["status"], known["kills"]) == ("not run", [])
+    assert "out of order" in known["problem"]
+
+
+BREAKS = """
+from pytest_dura import SafetyMonitor
+from pytest_dura.qualification import MUTANTS, Mutation
+
+
+@MUTANTS.register("safety_monitor.breaks")
+class Breaks(Mutation, SafetyMonitor):
+    about = "breaks down"
+
+    def run(self, view):
+        raise RuntimeError("out of order")
+"""
+
+
+def test_monitors_are_provoked(project, qualified):
+    """A monitor that is never content costs nothing here; one that is always content lets pass
+    what a planner that drives on would do, which its recovery prevents."""
+    scenario(
+        project, "watched", recovery_planner="Brake", duration=2.0, monitor="Watch",
+        world="{wall: 2.2}", requirements="[GAP-1]",
+    )  # fmt: skip
+    qualified("--dura-select=corridor/watched", chosen="always_safe or nothing")
+    known = results(project)
+    for name in ("safety_monitor.always_safe", "recovery_planner.nothing"):
+        assert name in known
+
+
+def test_a_marker_asks_for_it(project):
+    project.write("test_marked.py", MARKED)
+    result = project.run("test_marked.py", "-k", "marked or inverted")
+    assert result.ret == 0
+    known = results(project)["generator.inverted"]
+    assert catchers(known) == {("GO-1", "corridor/free")}
+
+
+MARKED = """
+import pytest
+
+@pytest.mark.dura(scenario="corridor/free", runs=2, qualify=True)
+@pytest.mark.requirement("GO-1")
+def test_marked(campaign):
+    campaign.require()
+"""
+
+
+def test_workers_run_it_as_well(project, qualified):
+    result = qualified("-n", "2", chosen="inverted or flipped")
+    assert result.ret == 0
+    assert results(project)["generator.inverted"]["status"] == "caught"
+
+
+def test_a_requirement_that_catches_nothing_is_named(project, qualified):
+    requirement(project, "always (x > -100)", name="LAX-1", applies_to='["corridor/*"]')
+    qualified(chosen="inverted")
+    rows = {row[0]: row[1:3] for row in
+            project.evidence().conclusions["qualification_requirements"].rows}  # fmt: skip
+    assert rows["LAX-1"] == (0, 0)
+    assert rows["GO-1"][0] >= 1
