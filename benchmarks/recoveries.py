@@ -1,7 +1,8 @@
 """Every recovery planner against no recovery, on the same seeds.
 
 Run: python benchmarks/recoveries.py [--generator reactive] [--runs 40] [--jobs 2]
-     python benchmarks/recoveries.py --select 'intersection/sudden/*' --runs 200 --keep FILE
+     python benchmarks/recoveries.py --select 'intersection/sudden/*' --runs 200 --keep FILE \\
+         --generator rule_based --generator tactical --generator reactive
 
 With ``--keep`` each outcome is written to a file, and a run that was stopped goes on from there.
 
@@ -19,10 +20,11 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cache
+from itertools import product
 from pathlib import Path
 from statistics import mean, quantiles
 
@@ -30,6 +32,7 @@ import numpy as np
 from machine import machine, table
 
 from pytest_dura.core import Orchestrator, RoleSpec, switching
+from pytest_dura.core.roles import Assessed
 from pytest_dura.domains import DOMAINS
 from pytest_dura.driving import clearance_time
 from pytest_dura.library import Case, expand_cases, load_library
@@ -38,8 +41,8 @@ from pytest_dura.requirements import lower_bound, mcnemar, upper_bound
 OFF = "off"
 REFERENCE = "careful_driver"
 PLANNERS = tuple(DOMAINS["driving"].short_names["recovery_planner"])
-Key = tuple[str, str, int]
-"""Scenario, planner or ``off``, run."""
+Key = tuple[str, str, str, int]
+"""Component, scenario, planner or ``off``, run."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ class Outcome:
     share: float
     microseconds: tuple[float, ...]
     valid: bool
+    refused: bool
+    """Whether a proposal was refused, so that recovery would act."""
 
     @property
     def gridlock(self) -> bool:
@@ -65,28 +70,44 @@ def _case(scenario: str) -> Case:
     return case
 
 
-def run(job: tuple[Key, str, int]) -> tuple[Key, Outcome]:
-    """One episode."""
-    key, generator, base_seed = job
-    scenario, planner, number = key
-    roles = {"generator": RoleSpec(REFERENCE if planner == REFERENCE else generator)}
-    if planner not in (OFF, REFERENCE):
+Job = tuple[str, str, int, tuple[str, ...], int]
+"""Component, scenario, run, planners and base seed."""
+
+
+def run(job: Job) -> list[tuple[Key, Outcome]]:
+    """A run without recovery, and with each planner; the reference is run without alone.
+
+    Recovery acts on what the monitors refuse: where that is nothing, the runs with it are the same,
+    and not simulated again.
+    """
+    generator, scenario, number, planners, seed = job
+    off = _outcome(generator, scenario, OFF, number, seed)
+    outcomes = [((generator, scenario, OFF, number), off)]
+    for planner in planners:
+        on = _outcome(generator, scenario, planner, number, seed) if off.refused else off
+        outcomes.append(((generator, scenario, planner, number), on))
+    return outcomes
+
+
+def _outcome(generator: str, scenario: str, planner: str, number: int, seed: int) -> Outcome:
+    roles = {"generator": RoleSpec(generator)}
+    if planner != OFF:
         roles["recovery_planner"] = RoleSpec(planner)
-    case = _case(scenario)
-    policy = "recover" if planner in PLANNERS else "log_only"
-    spec = case.spec(number, base_seed, roles, policy=policy)
+    policy = "log_only" if planner == OFF else "recover"
+    spec = _case(scenario).spec(number, seed, roles, policy=policy)
     episode = Orchestrator.build(spec).run(spec)
     if episode.failure is not None:
         raise RuntimeError(episode.failure)
     time = clearance_time(episode)
     _, spent = episode.metrics.processing_ns.get("recovery_planner", ([], []))
-    return key, Outcome(
+    return Outcome(
         collided=episode.collided,
         clearance=None if np.isnan(time) else time,
         acted=bool(episode.metrics.recoveries),
         share=switching(episode).share or 0.0,
         microseconds=tuple(one / 1000.0 for one in spent),
         valid=episode.validity == "valid",
+        refused=bool((episode.decisions["verdict"] == Assessed.UNSAFE).any()),
     )
 
 
@@ -152,27 +173,33 @@ def avoidable_row(planner: str, pairs: Pairs, references: list[Outcome]) -> list
     return [planner, *map(str, counts), share, interval, str(introduced), test]
 
 
-def outcomes(keys: list[Key], generator: str, seed: int, keep: Path | None, jobs: int) -> Found:
+def outcomes(jobs: list[Job], keep: Path | None, processes: int) -> Found:
     """Run what is not kept yet, and keep it as it comes."""
-    found = dict(_kept(keep, generator, seed)) if keep is not None and keep.exists() else {}
-    due = [(key, generator, seed) for key in keys if key not in found]
-    with ProcessPoolExecutor(jobs) as pool:
-        for key, outcome in pool.map(run, due, chunksize=10):
-            found[key] = outcome
+    found = dict(_kept(keep)) if keep is not None and keep.exists() else {}
+    due = [job for job in jobs if not _keys(job) <= found.keys()]
+    seeds = {job[4] for job in jobs}
+    assert len(seeds) == 1, "a file of outcomes is of one base seed"
+    with ProcessPoolExecutor(processes) as pool:
+        for several in pool.map(run, due, chunksize=2):
+            found |= several
             if keep is not None:
-                line = {"key": key, "generator": generator, "seed": seed, **asdict(outcome)}
+                lines = [{"key": key, **asdict(outcome)} for key, outcome in several]
                 with keep.open("a") as opened:
-                    opened.write(json.dumps(line) + "\n")
+                    opened.writelines(json.dumps(line) + "\n" for line in lines)
     return found
 
 
-def _kept(keep: Path, generator: str, seed: int) -> Iterator[tuple[Key, Outcome]]:
+def _keys(job: Job) -> set[Key]:
+    generator, scenario, number, planners, _ = job
+    return {(generator, scenario, planner, number) for planner in (OFF, *planners)}
+
+
+def _kept(keep: Path) -> Iterator[tuple[Key, Outcome]]:
     for line in keep.read_text().splitlines():
         data = json.loads(line)
-        scenario, planner, number = data.pop("key")
-        if (data.pop("generator"), data.pop("seed")) == (generator, seed):
-            data["microseconds"] = tuple(data["microseconds"])
-            yield (scenario, planner, number), Outcome(**data)
+        generator, scenario, planner, number = data.pop("key")
+        data["microseconds"] = tuple(data["microseconds"])
+        yield (generator, scenario, planner, number), Outcome(**data)
 
 
 def cost(pairs: Pairs) -> list[str]:
@@ -187,42 +214,65 @@ def cost(pairs: Pairs) -> list[str]:
 def main() -> None:
     """Run, compare, print."""
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--generator", default="reactive")
+    arguments.add_argument("--generator", action="append", help="repeatable; by default reactive")
+    arguments.add_argument("--recovery", action="append", help="repeatable; by default all")
     arguments.add_argument("--runs", type=int, default=40)
     arguments.add_argument("--jobs", type=int, default=2)
     arguments.add_argument("--seed", type=int, default=0)
     arguments.add_argument("--select", help="scenarios, as a glob; by default the six")
-    arguments.add_argument("--keep", type=Path, help="file of outcomes to go on from")
+    arguments.add_argument("--keep", type=Path, help="file of outcomes of a seed, to go on from")
     options = arguments.parse_args()
-    select = [options.select] if options.select else []
-    cases = expand_cases(load_library([]).scenarios, select=select)
-    scenarios = [case.id for case in cases]
-    numbers = range(options.runs)
-    arms = (OFF, REFERENCE, *PLANNERS)
-    keys: list[Key] = [(s, p, n) for s in scenarios for n in numbers for p in arms]
-    found = outcomes(keys, options.generator, options.seed, options.keep, options.jobs)
+    cases = expand_cases(
+        load_library([]).scenarios, select=[options.select] if options.select else []
+    )
+    scenarios, numbers = [case.id for case in cases], range(options.runs)
+    planners = tuple(options.recovery or PLANNERS)
+    generators = options.generator or ["reactive"]
+    # Run by run, so that what is kept of a comparison that was stopped is about all of it.
+    jobs: list[Job] = []
+    for number, scenario in product(numbers, scenarios):
+        if REFERENCE not in generators:
+            jobs.append((REFERENCE, scenario, number, (), options.seed))
+        jobs += [(each, scenario, number, planners, options.seed) for each in generators]
+    found = outcomes(jobs, options.keep, options.jobs)
+    print(f"{machine()}\n\n{options.runs} paired seeds a scenario, base seed {options.seed}")
+    for generator in generators:
+        print(f"\n### {generator}\n")
+        _print(found, generator, planners, scenarios, numbers)
+
+
+def _print(
+    found: Found,
+    generator: str,
+    planners: tuple[str, ...],
+    scenarios: list[str],
+    numbers: Sequence[int],
+) -> None:
+    """Print the tables of one component."""
 
     def pairs(planner: str, *where: str) -> Pairs:
-        return [(found[s, OFF, n], found[s, planner, n]) for s in where for n in numbers]
+        return [
+            (found[generator, s, OFF, n], found[generator, s, planner, n])
+            for s in where
+            for n in numbers
+        ]
 
-    seeds = f"{options.runs} paired seeds a scenario, base seed {options.seed}"
-    print(f"{machine()}\n\n{options.generator}, {seeds}\n")
-    rows = [[s, *row(p, pairs(p, s))] for s in scenarios for p in PLANNERS]
+    rows = [[s, *row(p, pairs(p, s))] for s in scenarios for p in planners]
     print(table(["scenario", *HEADERS], rows))
     print("\nAll scenarios together:\n")
-    together = {planner: pairs(planner, *scenarios) for planner in PLANNERS}
+    together = {planner: pairs(planner, *scenarios) for planner in planners}
     rows = [[*row(planner, both), *cost(both)] for planner, both in together.items()]
     print(table([*HEADERS, "calls", "us/call", "99 % within"], rows))
-    references = {s: [found[s, REFERENCE, n] for n in numbers] for s in scenarios}
+    references = {s: [found[REFERENCE, s, OFF, n] for n in numbers] for s in scenarios}
     print("\nOf the collisions without recovery, those that the careful driver avoids:\n")
-    rows = [[s, *avoidable_row(p, pairs(p, s), references[s])] for s in scenarios for p in PLANNERS]
+    rows = [[s, *avoidable_row(p, pairs(p, s), references[s])] for s in scenarios for p in planners]
     everything = [each for s in scenarios for each in references[s]]
     rows += [
-        ["all together", *avoidable_row(p, pairs(p, *scenarios), everything)] for p in PLANNERS
+        ["all together", *avoidable_row(p, pairs(p, *scenarios), everything)] for p in planners
     ]
     print(table(["scenario", *AVOIDABLE], rows))
-    invalid = sum(not outcome.valid for outcome in found.values())
-    print(f"\n{invalid} of {len(found)} episodes were invalid")
+    own = [outcome for key, outcome in found.items() if key[0] == generator]
+    print(f"\n{sum(not outcome.valid for outcome in own)} of {len(own)} episodes were invalid")
 
 
 if __name__ == "__main__":

@@ -198,7 +198,9 @@ def _one_situation(verdict: ItemVerdict) -> Obstacle | None:
 
 
 def _vacuous(verdict: ItemVerdict) -> Obstacle | None:
-    if not verdict.vacuous or verdict.vacuous < verdict.episodes:
+    prevents = verdict.paired is not None and verdict.paired.prevents
+    # Where there was nothing to prevent, a run is none of the counted ones.
+    if not verdict.vacuous or verdict.vacuous < verdict.episodes or (prevents and verdict.episodes):
         return None
     return Obstacle(
         f"vacuous {verdict.requirement}",

@@ -17,8 +17,10 @@ from pytest_dura.library import Range, Scenario, expand_cases, load_library
 PLANNERS = {
     "REC-1": RoleSpec("reactive"),
     **dict.fromkeys(["REC-2", "REC-3", "REC-4"], RoleSpec("rule_based")),
+    "REC-5": RoleSpec("defects:BlindToPedestrians"),
 }
-"""`reactive` gives recovery much to do; it would keep it in control for long as it is."""
+"""`reactive` gives recovery much to do; it would keep it in control for long as it is. Who sees no
+pedestrian needs it in each run."""
 SCENARIO = Scenario(
     name="nobody-brakes",
     simulator="driving",
@@ -42,6 +44,19 @@ ALONE = Scenario(
     requirements=("REC-4",),
 )
 """Nobody is there. Fewer runs could not decide a rate of one half."""
+WALKER = Scenario(
+    name="walker",
+    simulator="driving",
+    duration=8.0,
+    runs=15,
+    world={
+        "ego": {"distance": 45.0, "speed": 8.0},
+        "pedestrians": [{"id": "P1", "arm": "south", "offset": 8.0, "start": 2.3}],
+    },
+    variation={"world.pedestrians.0.start": Range(min=2.25, max=2.35)},
+    requirements=("SAF-1", "REC-5"),
+)
+"""14 runs without a failure are needed to decide a share of 80 %."""
 NEVER_FORGIVES = RoleSpec("defects:NeverForgives")
 DEFECTS = {
     "REC-1": {
@@ -51,6 +66,7 @@ DEFECTS = {
     "REC-2": {"safety_monitor": NEVER_FORGIVES},
     "REC-3": {"safety_monitor": NEVER_FORGIVES},
     "REC-4": {"generator": RoleSpec("unreliable:HalfInvalid")},
+    "REC-5": {"recovery_planner": RoleSpec("alert")},
 }
 
 
@@ -59,7 +75,7 @@ def judged(requirement: str, *, defective: bool = False) -> CampaignVerdict:
     library = load_library([])
     roles = {"generator": PLANNERS[requirement]} | (DEFECTS[requirement] if defective else {})
     bench = Runner(lambda: library, roles=roles)
-    scenario = SCENARIO if requirement in SCENARIO.requirements else ALONE
+    (scenario,) = [one for one in (SCENARIO, ALONE, WALKER) if requirement in one.requirements]
     return bench.campaign(expand_cases([scenario])[0]).judge(library.requirements[requirement])
 
 

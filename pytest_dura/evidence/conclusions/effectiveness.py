@@ -12,6 +12,7 @@ from pytest_dura.evidence.item_verdicts import ItemVerdict
 from pytest_dura.evidence.model import RecordHead
 from pytest_dura.requirements.monitoring.quality import MonitorQuality
 from pytest_dura.requirements.pairs import PairTable
+from pytest_dura.requirements.rate_tests import lower_bound, upper_bound
 
 Key = tuple[str, str, int]
 """Case, component and run."""
@@ -54,17 +55,21 @@ class Effectiveness(Conclusion):
 
     def _recovery(self, verdicts: Iterable[ItemVerdict]) -> Iterator[dict[str, Any]]:
         sums: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
+        references: dict[tuple[str, str], str] = {}
         twins: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
         for verdict in verdicts:
             pairs = verdict.pairs
             if isinstance(pairs, PairTable) and pairs.without == RECOVERY_ROLE:
                 key = verdict.component, verdict.requirement
+                references[key] = pairs.reference
                 if verdict.case not in twins[key]:  # several tests may ask the same of a case
                     twins[key][verdict.case] = pairs.case
                     sums[key].update({name: getattr(pairs, name) for name in _SUMS})
         for (component, requirement), counts in sorted(sums.items()):
             runs = self._compared(component, twins[component, requirement])
             finding, detail = _recovery_finding(requirement, counts, runs)
+            if finding.startswith("prevented") and references[component, requirement]:
+                detail += _of_avoidable(counts, references[component, requirement])
             yield _entry(RECOVERY_ROLE, component, requirement, finding, detail)
 
     def _compared(self, component: str, twins: Mapping[str, str]) -> tuple[int, int]:
@@ -99,8 +104,6 @@ def _recovery_finding(
     violated = counts["only_without"] + counts["both"]
     prevented, introduced = counts["only_without"], counts["only_with"]
     what = f"of {violated} violations of {requirement} without it in {pairs} pairs"
-    if counts["reference_without"]:
-        what += f", {counts['reference_without']} of them unavoidable"
     if acted_runs and unchanged == acted_runs:
         also = "" if violated else f"; nothing violated {requirement} without it either"
         text = f"changed nothing: the runs in which it acted ({acted_runs}) went as their twins"
@@ -114,11 +117,30 @@ def _recovery_finding(
         )
         return "cannot be told", detail
     if prevented:
-        more = f", introduced {introduced}" if introduced else ", introduced none"
-        return "prevented", f"prevented {prevented} {what}{more}"
+        more = f", introduced {introduced or 'none'}, {counts['acted_both']} futile"
+        share = _interval_text(prevented, violated)
+        return "prevented", f"prevented {prevented} {what}{more}; {share} prevented"
     if counts["acted_both"]:
         return "prevented none", f"prevented none {what}, and acted in {counts['acted_both']}"
     return "never acted", f"acted in none {what}"
+
+
+def _of_avoidable(counts: Mapping[str, int], reference: str) -> str:
+    """What a reference avoids of the violations without recovery, and recovery of these."""
+    unavoidable, both = counts["reference_without"], counts["reference_both"]
+    avoidable = counts["only_without"] + counts["both"] - unavoidable
+    prevented = avoidable - (counts["both"] - both)
+    text = f"; {unavoidable} unavoidable for {reference}, {both} of them futile"
+    if not avoidable:
+        return text
+    share = _interval_text(prevented, avoidable)
+    return f"{text}; {prevented} of {avoidable} avoidable ones prevented, {share}"
+
+
+def _interval_text(count: int, of: int) -> str:
+    """The exact two-sided 95 % interval of a share."""
+    low, high = lower_bound(count, of, 0.975), upper_bound(count, of, 0.975)
+    return f"{100 * low:.0f} to {100 * high:.0f} %"
 
 
 def _monitor_effects(monitors: Sequence[MonitorQuality]) -> Iterator[dict[str, Any]]:

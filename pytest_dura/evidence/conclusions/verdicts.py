@@ -37,7 +37,7 @@ from pytest_dura.requirements.campaign_verdicts import (
     varies,
 )
 from pytest_dura.requirements.episode_verdicts import EpisodeVerdict
-from pytest_dura.requirements.judgements import Judgement, conclude_campaign
+from pytest_dura.requirements.judgements import Judgement, RunJudgement, conclude_campaign
 from pytest_dura.requirements.model import Requirement
 from pytest_dura.requirements.runs import Run
 
@@ -327,7 +327,8 @@ class _Verdicts:
     def _attempt(self, judgement: Judgement) -> tuple[CampaignVerdict, Sequence[EpisodeVerdict]]:
         """Conclude a campaign from its runs."""
         key = judgement.case, judgement.component
-        case, known, judged = self.lines.cases.get(key), {}, []
+        case, judged = self.lines.cases.get(key), list[RunJudgement]()
+        known: dict[str, Run] = {}
         for each in judgement.runs:
             run = self.runs.find(*key, each.run, each.digest)
             twin = self.runs.find(judgement.twins, key[1], each.run, each.twin)
