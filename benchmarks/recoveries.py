@@ -27,6 +27,7 @@ from functools import cache
 from itertools import product
 from pathlib import Path
 from statistics import mean, quantiles
+from typing import NamedTuple
 
 import numpy as np
 from machine import machine, table
@@ -173,6 +174,48 @@ def avoidable_row(planner: str, pairs: Pairs, references: list[Outcome]) -> list
     return [planner, *map(str, counts), share, interval, str(introduced), test]
 
 
+AGAINST = ["recovery", "pairs", "collides only with the first", "only with it", "p"]
+AGAINST += ["gridlock only with the first", "only with it", "p"]
+
+
+class Arms(NamedTuple):
+    """All that was run, for tables across components."""
+
+    found: Found
+    generators: list[str]
+    planners: tuple[str, ...]
+    scenarios: list[str]
+    numbers: Sequence[int]
+
+    def against_first(self, planner: str) -> list[str]:
+        """Runs of equal seeds with two recoveries: in which only one collides, or stands."""
+        pairs = [
+            (self.found[g, s, self.planners[0], n], self.found[g, s, planner, n])
+            for g, s, n in product(self.generators, self.scenarios, self.numbers)
+        ]
+        cells = [planner, str(len(pairs))]
+        for what in ("collided", "gridlock"):
+            first = sum(getattr(a, what) and not getattr(b, what) for a, b in pairs)
+            second = sum(getattr(b, what) and not getattr(a, what) for a, b in pairs)
+            cells += [str(first), str(second), f"{mcnemar(first, second):.2g}"]
+        return cells
+
+    def row(self, scenario: str, generator: str) -> list[str]:
+        """What a component comes to in a scenario without recovery, and with each."""
+        off = [self.found[generator, scenario, OFF, n] for n in self.numbers]
+        reference = [self.found[REFERENCE, scenario, OFF, n] for n in self.numbers]
+        both = sum(a.collided and b.collided for a, b in zip(off, reference, strict=True))
+        cells = [scenario.rpartition("/")[2], generator, f"{sum(a.collided for a in off)} ({both})"]
+        cells.append(str(sum(a.refused for a in off)))
+        for planner in self.planners:
+            on = [self.found[generator, scenario, planner, n] for n in self.numbers]
+            stuck = sum(each.gridlock for each in on)
+            cells.append(
+                f"{sum(each.collided for each in on)}" + f", {stuck} gridlock" * (stuck > 0)
+            )
+        return cells
+
+
 def outcomes(jobs: list[Job], keep: Path | None, processes: int) -> Found:
     """Run what is not kept yet, and keep it as it comes."""
     found = dict(_kept(keep)) if keep is not None and keep.exists() else {}
@@ -239,6 +282,12 @@ def main() -> None:
     for generator in generators:
         print(f"\n### {generator}\n")
         _print(found, generator, planners, scenarios, numbers)
+    arms = Arms(found, generators, planners, scenarios, numbers)
+    print(f"\n### Of all components, against {planners[0]}\n")
+    print(table(AGAINST, [arms.against_first(planner) for planner in planners[1:]]))
+    print("\n### By scenario and component\n")
+    headers = ["scenario", "component", "collisions without (unavoidable)", "refused", *planners]
+    print(table(headers, [arms.row(s, each) for s in scenarios for each in generators]))
 
 
 def _print(

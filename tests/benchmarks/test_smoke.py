@@ -75,6 +75,9 @@ SMALLEST = {
     "structure_counts.py": [],
     "stl_speed.py": ["--repeats", "1", "--traces", "3"],
     "sequential_cost.py": ["--campaigns", "20", "--budget", "100"],
+    "times_in_view.py": [
+        *("--runs", "2", "--jobs", "1", "--select", "intersection/sudden/give-way-run"),
+    ],
     "tiny_driver.py": ["drives", "--runs", "1", "--component", "tiny"],
     "text_rule.py": [
         *("--runs", "1", "--jobs", "1", "--every", "10"),
@@ -122,7 +125,7 @@ HEADERS = {
     ],
     "plugin_cost.py": ["unused plugin"],
     "prices.py": ["new file; no other is edited", "edited; no other is", "new file of a project"],
-    "recoveries.py": ["unnecessary", "us/call", "unavoidable"],
+    "recoveries.py": ["unnecessary", "us/call", "unavoidable", "gridlock only with the first"],
     "report_page.py": ["height, px"],
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
@@ -136,6 +139,7 @@ HEADERS = {
         "0 violations certify 5% after n runs",
         "rate 0.3",
     ],
+    "times_in_view.py": ["time to collision s", "caution"],
     "tiny_driver.py": ["tiny"],
     "text_rule.py": ["flag %", "reason of the flag"],
     "two_simulators.py": ["verdicts that agree", "p", "times"],
