@@ -125,7 +125,9 @@ HEADERS = {
     ],
     "plugin_cost.py": ["unused plugin"],
     "prices.py": ["new file; no other is edited", "edited; no other is", "new file of a project"],
-    "recoveries.py": ["unnecessary", "us/call", "unavoidable", "gridlock only with the first"],
+    "recoveries.py": [
+        "unnecessary", "us/call", "unavoidable", "gridlock only with the first", "refused",
+    ],  # fmt: skip
     "report_page.py": ["height, px"],
     "residual_limits.py": ["noise of odometry", "threshold found"],
     "session_scale.py": ["times faster", "requirements on one campaign"],
@@ -139,7 +141,7 @@ HEADERS = {
         "0 violations certify 5% after n runs",
         "rate 0.3",
     ],
-    "times_in_view.py": ["time to collision s", "caution"],
+    "times_in_view.py": ["caution"],
     "tiny_driver.py": ["tiny"],
     "text_rule.py": ["flag %", "reason of the flag"],
     "two_simulators.py": ["verdicts that agree", "p", "times"],
