@@ -10,10 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from pytest_dura import __version__
 from pytest_dura.core.errors import ConfigurationError, import_error
+from pytest_dura.core.registry import Registry
 from pytest_dura.evidence.text import one_line, visible, without_commands
 
 _USAGE_ERROR = 2
@@ -150,10 +151,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     compare.add_argument(
         "--json", metavar="FILE", type=Path, help="write everything to this file, too"
     )
+    for name, command in COMMANDS.items():
+        command.add_arguments(commands.add_parser(name, help=command.SUMMARY))
     try:
         options = parser.parse_args(arguments)
         for module in options.modules:
             _import(module)
+        if options.command in COMMANDS:
+            return int(COMMANDS[options.command].run(options))
         return _COMMANDS[options.command](options)
     except BrokenPipeError:  # the reader, such as `head`, has ended
         # Flushing at exit would raise it again.
@@ -392,6 +397,15 @@ _COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "compare": _compare,
     "logs": _inspect_log,
 }
+
+COMMANDS: Registry[Any] = Registry(
+    "pytest_dura.commands",
+    "command",
+    lambda value: callable(getattr(value, "add_arguments", None)) and hasattr(value, "SUMMARY"),
+    "a module with SUMMARY, add_arguments(parser) and run(options) -> exit code",
+    reserved=tuple(_COMMANDS),
+)
+"""Further commands, of guests and of other packages."""
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from pytest_dura.core.display import short_repr
 from pytest_dura.core.errors import ConfigurationError
@@ -112,13 +112,15 @@ class Role(ABC):
     ``after`` names roles that run earlier in the same tick. ``reassess`` says whether the role
     runs again when the Generator refines a refused proposal within a tick. ``repeatable`` says of
     the component under test whether equal seeds give equal episodes: if not, its runs count as
-    draws, and reports say so.
+    draws, and reports say so. ``instances`` is ``one`` for a component that exists once, such as a
+    controller on a wire: then one process simulates, pytest's own.
     """
 
     name: ClassVar[str] = ""
     after: ClassVar[tuple[str, ...]] = ()
     reassess: ClassVar[bool] = True
     repeatable: ClassVar[bool] = True
+    instances: ClassVar[Literal["many", "one"]] = "many"
 
     @classmethod  # noqa: B027 - most roles accept all
     def check_params(cls, params: Mapping[str, Any], time_step: float) -> None:

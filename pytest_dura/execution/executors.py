@@ -342,14 +342,16 @@ class Execution:
 
         Raises:
             ConfigurationError: If a part cannot be built, or other processes might use the
-                simulator, of which one instance exists.
+                simulator or the component, of which one instance exists.
         """
-        if task.simulator_is_single and not self.alone:
+        if task.single is not None and not self.alone:
             raise ConfigurationError(
-                "one instance of the simulator exists, and several processes run tests",
+                f"one instance of the {task.single} exists, and several processes run tests",
                 key="-n",
-                found=task.spec.simulator.path,
-                expected='a simulator whose `instances` is "many" or "one per process"',
+                found=(
+                    task.spec.simulator if task.single == "simulator" else task.spec.component
+                ).path,
+                expected=f'a {task.single} whose `instances` is not "one"',
                 remedy="run the session without -n",
             )
         inside = self.inside or self._executor_of(task) is not None

@@ -52,7 +52,7 @@ def reason_to_stay(task: EpisodeTask) -> str | None:
             return f"its {name} is a bare instance"
         if stated_model(part) is not None:
             return f"its {name} asks a language model"
-    return "one instance of its simulator exists" if task.simulator_is_single else None
+    return None if task.single is None else f"one instance of its {task.single} exists"
 
 
 def _reasons_of_paths(task: EpisodeTask) -> Iterator[str]:
@@ -197,9 +197,14 @@ class EpisodeTask:
         return any(stated_model(role) is not None for role in self.spec.roles.values())
 
     @cached_property
-    def simulator_is_single(self) -> bool:
-        """Whether one instance of its simulator exists, so that one process must simulate."""
-        return getattr(simulator_class(self.spec.simulator), "instances", "many") == "one"
+    def single(self) -> str | None:
+        """Which part one instance exists of, so that one process must simulate."""
+        parts = {"simulator": self.spec.simulator, "component": self.spec.component}
+        instances = {
+            name: getattr(simulator_class(part), "instances", "many")
+            for name, part in parts.items()
+        }
+        return next((name for name, number in instances.items() if number == "one"), None)
 
     @cached_property
     def portable(self) -> bool:

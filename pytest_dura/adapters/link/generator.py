@@ -1,0 +1,175 @@
+"""LinkGenerator: a component under test at the other end of a wire."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from weakref import finalize
+
+from pytest_dura.adapters.link.bindings import RESET, Binding
+from pytest_dura.adapters.link.conversation import FAULTS, Link, borrow_link, give_back
+from pytest_dura.adapters.link.frames import Kind
+from pytest_dura.adapters.link.transports import LinkLostError, transport_class
+from pytest_dura.core.errors import ConfigurationError, did_you_mean
+from pytest_dura.core.roles import Generator, RoleContext
+from pytest_dura.core.state import NOTHING, GeneratorView, Proposal
+
+
+class LinkGenerator(Generator):
+    """Asks a program for each proposal: percept out, command in, in step with the simulator.
+
+    Each process that simulates has a program of its own, which is started once and reset for each
+    episode. What is wrong at the other end or on the wire is the component's failure.
+
+    Args:
+        transport: Address of the other end, such as ``pipe:./controller``.
+        binding: A binding file, relative to where pytest was started.
+        timeout: Seconds of wall-clock time that an answer may take.
+        clock_tolerance: Seconds by which the other end's clock may be off.
+        tolerate: What on the wire is no failure as long as a valid answer comes: ``old``,
+            ``doubled``, ``lost``, ``damaged``, ``garbage``.
+        files: SHA-256 of the binding and of the program, see :meth:`resolve_parameters`.
+
+    Raises:
+        ConfigurationError: For an address or a binding that cannot be used.
+    """
+
+    def __init__(
+        self,
+        transport: str,
+        binding: str,
+        *,
+        timeout: float = 1.0,
+        clock_tolerance: float = 0.1,
+        tolerate: Sequence[str] = (),
+        files: Mapping[str, str] = NOTHING,
+    ) -> None:
+        check_shared(transport, type(self).__name__, shared=self.instances == "many")
+        for name in tolerate:
+            if name not in FAULTS:
+                raise ConfigurationError(
+                    f"a link has no fault {name!r}",
+                    key="tolerate",
+                    found=name,
+                    expected=", ".join(FAULTS),
+                    remedy=did_you_mean(name, FAULTS),
+                )
+        check_files(files)
+        self._address, self._timeout = transport, timeout
+        self._clock_tolerance, self._tolerate = clock_tolerance, frozenset(tolerate)
+        self._binding = Binding.read(binding)
+        self._link: Link | None = None
+
+    @classmethod
+    def resolve_parameters(cls, params: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the parameters with the digests of the files that episodes are known by."""
+        digests = file_digests(str(params.get("transport")), str(params.get("binding")))
+        return {**params, "files": digests} if "files" not in params else params
+
+    def reset(self, context: RoleContext) -> None:
+        """Reset the other end, by seed, time step and scenario."""
+        link = borrow_link(self._address, clock_tolerance=self._clock_tolerance)
+        text = json.dumps(_plain(context.scenario), separators=(",", ":"))
+        payload = RESET.pack(context.seed, context.dt) + text.encode()
+        self._keep(link)
+        self._ask(Kind.RESET, payload, Kind.RESET)
+
+    def propose(self, view: GeneratorView) -> Proposal:
+        """Send the percept, and propose the command that comes back."""
+        payload = self._binding.pack("percept", view.percept)
+        values, text = self._binding.unpack(
+            "command", self._ask(Kind.PERCEPT, payload, Kind.COMMAND, stamp=view.time)
+        )
+        assert self._link is not None
+        action, wrong = self._binding.action_of(values), self._link.faults.text(self._tolerate)
+        return Proposal(action, text, failure=wrong and f"on the link: {wrong}")
+
+    def _ask(self, kind: Kind, payload: bytes, expected: Kind, stamp: float = 0.0) -> bytes:
+        if self._link is None:
+            raise LinkLostError("the link was cut before")
+        try:
+            return self._link.ask(kind, payload, expected, self._timeout, stamp=stamp).payload
+        except LinkLostError:
+            self._end()
+            raise
+
+    def _keep(self, link: Link) -> None:
+        """Have a link until this generator is let go of."""
+        self._link = link
+        self._returning = finalize(self, give_back, link, self._address, os.getpid())
+
+    def _end(self) -> None:
+        """Let go of a wire that is cut: the next episode opens it anew."""
+        if self._link is not None:
+            self._returning.detach()
+            self._link.close()
+            self._link = None
+
+
+class DeviceGenerator(LinkGenerator):
+    """As :class:`LinkGenerator`, of a device that exists once, such as a controller on a wire.
+
+    One process, pytest's own, runs its episodes; they count as draws.
+    """
+
+    instances = "one"
+    repeatable = False
+
+
+def check_shared(transport: str, name: str, *, shared: bool) -> None:
+    """Refuse a wire of which one exists where each process would want its own.
+
+    Raises:
+        ConfigurationError: With the class to take.
+    """
+    if shared and not transport_class(transport).shared:
+        device = name.replace("Link", "Device")
+        raise ConfigurationError(
+            f"a {name} needs a wire for each process that simulates",
+            key="transport",
+            found=transport,
+            expected="a transport such as pipe:PROGRAM",
+            remedy=f"take {device}, of which one exists in a session",
+        )
+
+
+def file_digests(transport: str, binding: str) -> dict[str, str]:
+    """Return the SHA-256 of the binding, and of the program of a pipe."""
+    name, _, rest = transport.partition(":")
+    program = rest.split(" ")[0] if name == "pipe" else ""
+    return {
+        file: _digest(file) for file in filter(None, (binding, program)) if Path(file).is_file()
+    }
+
+
+def check_files(files: Mapping[str, str]) -> None:
+    """Refuse other files than an episode was recorded with.
+
+    Raises:
+        ConfigurationError: With the file.
+    """
+    for file, digest in files.items():
+        now = _digest(file) if Path(file).is_file() else "nothing"
+        if now != digest:
+            raise ConfigurationError(
+                "this is another file than the episode was recorded with",
+                file=file,
+                found=f"SHA-256 {now}",
+                expected=f"SHA-256 {digest}",
+                remedy="put the recorded file back to replay the episode",
+            )
+
+
+def _digest(file: str) -> str:
+    return sha256(Path(file).read_bytes()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """Plain data of a read-only scenario."""
+    if isinstance(value, Mapping):
+        return {key: _plain(part) for key, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, (list, tuple)) else value

@@ -1,0 +1,153 @@
+"""LinkSimulator: a world at the other end of a wire."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from numbers import Real
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pytest_dura.adapters.link.bindings import RESET, STATUS, Binding
+from pytest_dura.adapters.link.conversation import Link, LinkError, borrow_link, give_back
+from pytest_dura.adapters.link.frames import Kind
+from pytest_dura.adapters.link.generator import check_shared
+from pytest_dura.core.errors import ActionError, ConfigurationError, shorten
+from pytest_dura.core.simulator import Simulator
+from pytest_dura.core.state import NOTHING, Percept, Tick
+
+GOAL, CRITICAL, TRUNCATED = 1, 2, 3
+"""Status of a tick, beside 0."""
+_ENDED = "the simulator has ended the episode"
+
+
+class LinkSimulator(Simulator):
+    """Simulates by a program: action out, tick in, in step.
+
+    The answer to a reset and to each command is a tick: its status, the numbers of ``truth`` and
+    those of ``percept``. Each instance has a program of its own while it lives.
+
+    Args:
+        transport: Address of the other end, such as ``pipe:./tank``.
+        binding: A binding file, relative to where pytest was started.
+        timeout: Seconds of wall-clock time that a step may take.
+        fallback: Numbers of the command where no role proposes a valid one; zeros by default.
+
+    Raises:
+        ConfigurationError: For an address or a binding that cannot be used.
+    """
+
+    def __init__(
+        self,
+        transport: str,
+        binding: str,
+        *,
+        timeout: float = 10.0,
+        fallback: Mapping[str, float] = NOTHING,
+    ) -> None:
+        check_shared(transport, type(self).__name__, shared=self.instances == "many")
+        self._address, self._timeout = transport, timeout
+        self._binding = Binding.read(binding)
+        if not self._binding.truth:
+            raise ConfigurationError(
+                "the binding of a simulator has no signals of the truth",
+                file=binding,
+                key="truth",
+                expected="the signals that requirements read",
+                remedy="list them under `truth`",
+            )
+        self._fallback = {number.name: 0.0 for number in self._binding.command} | dict(fallback)
+        self._link: Link | None = None
+        self._index = 0
+
+    def reset(self, scenario: Mapping[str, Any], seed: int) -> Tick:
+        """Reset the other end, by seed, time step and the scenario's world."""
+        self.close()
+        self._link, self._index = borrow_link(self._address, clock_tolerance=math.inf), 0
+        text = json.dumps(dict(scenario.get("world") or {}), separators=(",", ":"))
+        return self._tick(Kind.RESET, RESET.pack(seed, self.time_step) + text.encode())
+
+    def step(self, action: Any) -> Tick:
+        """Send the command, and take the tick that comes back."""
+        self._index += 1
+        return self._tick(Kind.COMMAND, self._binding.pack("command", action))
+
+    def signals(self, ticks: Sequence[Tick]) -> dict[str, NDArray[np.float64]]:
+        """Return the signals of the truth."""
+        return {
+            name: np.array([tick.truth[name] for tick in ticks], dtype=np.float64)
+            for name in ticks[0].truth
+        }
+
+    def percept_signals(self, percepts: Sequence[Percept]) -> dict[str, NDArray[np.float64]]:
+        """Return the channels that are plain numbers; NaN where a fault removed the value."""
+        names = [name for name in percepts[0] if isinstance(percepts[0][name], Real)]
+        return {
+            name: np.array([_number(percept.get(name)) for percept in percepts]) for name in names
+        }
+
+    def check_action(self, action: Any) -> Any:
+        """Return an action that has a finite number for each of the command.
+
+        Raises:
+            ActionError: For any other one.
+        """
+        if not all(map(math.isfinite, self._binding.numbers("command", action))):
+            names = ", ".join(number.name for number in self._binding.command)
+            raise ActionError(f"{shorten(action)} is not an action; expected numbers: {names}")
+        return action
+
+    def fallback_action(self) -> Any:
+        """Return the configured fallback."""
+        return self._binding.action_of(self._fallback)
+
+    def close(self) -> None:
+        """Let go of the program, which the next episode of this process may use."""
+        if self._link is not None:
+            give_back(self._link, self._address, os.getpid())
+            self._link = None
+
+    def _tick(self, kind: Kind, payload: bytes) -> Tick:
+        if self._link is None:
+            raise LinkError("the simulator is closed, or has not been reset")
+        link, self._link = self._link, None  # one that fails is not kept
+        try:
+            frame = link.ask(kind, payload, Kind.TICK, self._timeout)
+            (status,) = STATUS.unpack_from(frame.payload)
+            truth, rest = self._binding.split("truth", frame.payload[STATUS.size :])
+            percept, text = self._binding.unpack("percept", rest)
+        except BaseException:  # whatever it is, the wire is of no use any more; it is raised again
+            link.close()
+            raise
+        self._link = link
+        return Tick(
+            index=self._index,
+            time=self._index * self.time_step,
+            truth=MappingProxyType(truth),
+            channels=self._binding.channels_of(percept),
+            goal=status == GOAL,
+            critical=(text or "the simulator has ended the episode")
+            if status == CRITICAL
+            else None,
+            truncated=status == TRUNCATED,
+        )
+
+
+class DeviceSimulator(LinkSimulator):
+    """As :class:`LinkSimulator`, of a world that exists once and is not repeated exactly: a rig.
+
+    A subclass declares ``tolerances``, within which a replay counts as the same.
+    """
+
+    instances = "one"
+    deterministic: ClassVar[bool] = False
+    repeatable: ClassVar[bool] = False
+
+
+def _number(value: Any) -> float:
+    return float(value) if isinstance(value, Real) else math.nan
